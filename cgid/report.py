@@ -16,6 +16,7 @@ from cgid import __version__
 from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.next_steps import Hint
 from cgid.identification.share import Share, Turn
 from cgid.measure.overview import Overview
 from cgid.plots import COLOURS, Mark, colours_of, hertz, overview_figure, picture, share_figure, written
@@ -54,6 +55,8 @@ class Report:
         What is damaged or doubtful.
     unit_of_decision : str
         Subject of an answer, "impact" or "window".
+    hint : str
+        Why most answers are unknown, if they are.
     """
 
     source: str
@@ -67,6 +70,7 @@ class Report:
     threshold: float | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
     unit_of_decision: str = "impact"
+    hint: Hint | None = None
 
     @property
     def labels(self) -> list[str]:
@@ -226,6 +230,7 @@ def _title(names: Sequence[str]) -> str:
 def _section(report: Report) -> Iterator[str]:
     yield "<section>"
     yield f"<h2>{_text(Path(report.source).name)}</h2>"
+    yield from _next_steps(report)
     if report.warnings:
         yield '<div class="warnings"><strong>Warnings</strong><ul>'
         yield from (f"<li>{_text(warning)}</li>" for warning in report.warnings)
@@ -241,6 +246,21 @@ def _section(report: Report) -> Iterator[str]:
     yield from _pictures(report)
     yield from _table(report)
     yield "</section>"
+
+
+def _next_steps(report: Report) -> Iterator[str]:
+    """Yield the box that says why most answers are unknown."""
+    if report.hint is None:
+        return
+    hint = report.hint
+    where = f" (channel {', '.join(hint.channels)})" if hint.channels else ""
+    yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
+    yield f"<p>To go on, {_text(hint.advice)}.</p>"
+    if hint.commands:
+        # A step in words, such as filling in a table, is no code.
+        steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in hint.commands)
+        yield "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
+    yield "</div>"
 
 
 def _turns(report: Report) -> Iterator[str]:

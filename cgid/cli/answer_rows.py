@@ -16,6 +16,7 @@ from cgid.terminal import counted
 if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
+    from cgid.identification.next_steps import Diagnosis, Hint
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
     from cgid.identification.stream import Step
@@ -132,6 +133,13 @@ class AnswerLines:
         """Print a warning about a readable recording, on stderr and in JSON."""
         self._warn("warning", {"source": source, "message": message}, message)
 
+    def hint(self, source: str, hint: Hint) -> None:
+        """Print why most answers are unknown and what helps, on stderr and in JSON."""
+        where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
+        say(f"cgid: hint: {source}{where}: {hint.text}", err=True)
+        content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
+        self._line("hint", source, content)
+
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
         content = {"source": source, "behind_s": behind, "message": message}
@@ -200,7 +208,7 @@ class RecordingRows:
     """Print the answers of one model for the channels of one recording.
 
     `keep` stores answers, shares and turns. Unless `always`, rows wait for a measurable one, and shares for a second
-    row.
+    row. `diagnosis` sees all answers; its hint follows the last line or, if `always`, the first clear answers.
     """
 
     def __init__(
@@ -213,6 +221,7 @@ class RecordingRows:
         *,
         keep: bool = False,
         always: bool = False,
+        diagnosis: Diagnosis | None = None,
     ) -> None:
         from cgid.identification.share import CavingWatch, Turn
         from cgid.identification.stream import answering_channels, independence
@@ -226,6 +235,8 @@ class RecordingRows:
         self.turns: list[Turn] = []
         self._keep, self._always, self._turn, self._question = keep, always, Turn, question
         self._numbers: Counter[str] = Counter()
+        self._diagnosis = diagnosis
+        self.hint: Hint | None = None
         self._measured = always
         self._silent: tuple[str, ...] = ()
         self._held_answers: list[Answer] = []
@@ -251,6 +262,11 @@ class RecordingRows:
         self._silent += step.silent
         for warning in step.warnings:
             self.lines.warning(self.source, warning)
+        if self._diagnosis is not None:
+            self._diagnosis.add(answers)
+            self._diagnosis.upside_down.update(step.upside_down)
+            if self._always and self._diagnosis.is_clear:
+                self._print_hint()
 
     def finish(self, duration: float, start_time: Any = None) -> None:
         """Print the rest at the end of a recording of this duration [s], and its silent channels.
@@ -278,6 +294,14 @@ class RecordingRows:
             self._print_shares(self._watch.finish(duration))
         if self.tally.total > 1 or self._always:
             self.lines.summary(self.source, self.tally, duration, start_time)
+        self._print_hint()
+
+    def _print_hint(self) -> None:
+        """Print the hint once, if there is one."""
+        if self._diagnosis is not None and self.hint is None:
+            self.hint = self._diagnosis.hint()
+            if self.hint is not None:
+                self.lines.hint(self.source, self.hint)
 
     def name(self, channel: str) -> str:
         """Return source and channel in one word."""

@@ -24,6 +24,7 @@ from cgid.cli.options import (
     answering_options,
     chain_options,
     dead_time_option,
+    given_options,
     question_of,
     warn_of_model,
 )
@@ -206,6 +207,7 @@ def monitor(
 
 def _follow(live: Any, models: Models, question: Question, lines: AnswerLines) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
+    from cgid.identification.next_steps import Diagnosis
     from cgid.identification.stream import factor_of, identify_blocks
     from cgid.recordings.chain import scaled
 
@@ -215,7 +217,9 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines) -
     inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
     blocks = scaled(inbox, factors)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
-    rows = RecordingRows(live.source, model, names, question, lines, always=True)
+    # The stream is over when the next command runs: it is for a recording of it.
+    diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0])
+    rows = RecordingRows(live.source, model, names, question, lines, always=True, diagnosis=diagnosis)
     warn_of_model(live.source, live.source, live.sampling_rate, model, question)
     try:
         for step in steps:

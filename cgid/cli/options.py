@@ -344,6 +344,26 @@ def _cost(text: str) -> tuple[str, float]:
         raise click.UsageError(f"--miss-cost must be LABEL=COST such as gangue=3, got {text!r}") from None
 
 
+#: Options that a repeated command leaves out, because they say where its output goes.
+_OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
+
+
+def given_options() -> tuple[list[str], list[str]]:
+    """Return the options of the current command line: those for reading a recording, and those for answering."""
+    context = click.get_current_context()
+    reading = {field.name for field in fields(Reading)}
+    found: tuple[list[str], list[str]] = ([], [])
+    for option in context.command.params:
+        name = option.name or ""
+        given = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if not given or not isinstance(option, click.Option) or name in _OUTPUT:
+            continue
+        values = context.params[name]
+        for value in values if option.multiple else [values]:
+            found[name not in reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], f"{value}"])
+    return found
+
+
 class Models:
     """The given model; else the default model of each quantity, loaded and checked when a signal needs it.
 

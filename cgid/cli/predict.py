@@ -16,6 +16,7 @@ from cgid.cli.options import (
     Models,
     Reading,
     answering_options,
+    given_options,
     printing_options,
     question_of,
     reading_options,
@@ -73,6 +74,7 @@ class Pages:
             threshold=rows.threshold,
             warnings=recording.warnings,
             unit_of_decision=rows.kind,
+            hint=rows.hint,
         )
         self._reports.append(report)
 
@@ -142,6 +144,7 @@ class _Prediction:
 
     def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
         """Print the answers for the channels of a recording that use this model."""
+        from cgid.identification.next_steps import Diagnosis
         from cgid.identification.stream import identify_blocks, model_blocks
 
         question, source, rate = self.question, recording.source, recording.sampling_rate
@@ -149,7 +152,9 @@ class _Prediction:
         passing = _Passing(recording, numbers, self.pages is not None)
         blocks = model_blocks(recording, model, numbers, question, seen=passing.see)
         steps = identify_blocks(blocks, rate, model, names, question, source)
-        rows = RecordingRows(source, model, names, question, self.lines, keep=self.pages is not None)
+        diagnosis = Diagnosis(model, rate, source, *given_options())
+        keep = self.pages is not None
+        rows = RecordingRows(source, model, names, question, self.lines, keep=keep, diagnosis=diagnosis)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
         for step in steps:
             rows.feed(step)
@@ -161,6 +166,7 @@ class _Prediction:
         """Print the answer for every signal of a dataset, and how many are right."""
         from cgid.errors import BadData
         from cgid.identification.answers import identify_frames
+        from cgid.identification.next_steps import Diagnosis
         from cgid.store import Dataset
         from cgid.units import UNITS
 
@@ -176,6 +182,7 @@ class _Prediction:
         warn_of_model(path, path, dataset.sampling_rate, model, self.question)
         self.lines.begin(path, model, self.question)
         number, tally = count(), _Tally()
+        diagnosis = Diagnosis(model, dataset.sampling_rate, path, *given_options(), labelled=True)
         for batch in dataset.batches():
             answers = identify_frames(
                 batch.signals if factor == 1 else batch.signals * factor,
@@ -185,11 +192,14 @@ class _Prediction:
                 pre_trigger=batch.pre_trigger,
                 drop_height=self._heights(path, batch, model),
             )
+            diagnosis.add(answers)
             for answer, truth, specimen in zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True):
                 self.lines.answer(path, answer, index=next(number), truth=truth)
                 tally.add(answer, truth, specimen)
         if tally.measured:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
+        if (hint := diagnosis.hint()) is not None:
+            self.lines.hint(path, hint)
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the answer for one signal of a dataset."""

@@ -13,6 +13,7 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
+from cgid.identification.next_steps import Cause, causes_of, with_frames
 from cgid.identification.question import Question, known_columns
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
@@ -52,6 +53,8 @@ class Answer:
         Whether samples stand at the limit of the recorder.
     cut : bool
         Whether the recording begins or ends within the impact.
+    cause : str or None
+        What puts it outside of the training range; None where it lies inside or could not be measured.
     """
 
     time: float
@@ -66,6 +69,7 @@ class Answer:
     overlapping: bool = False
     clipped: bool = False
     cut: bool = False
+    cause: Cause | None = None
 
     @property
     def probability(self) -> float:
@@ -275,12 +279,13 @@ def identify_frames(
         problems = problems_of(
             frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
         )
-    return [
+    found = [
         replace(next(answers), time=time)
         if sound[row]
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
+    return with_frames(found, frames, sampling_rate, model, pre_trigger)
 
 
 def answers_from(
@@ -298,6 +303,8 @@ def answers_from(
     if not len(inputs):
         return
     probabilities, novelties = vote(model.probabilities(inputs)), model.novelty(inputs, guards)
+    outliers = np.flatnonzero(novelties > 1)
+    causes = dict(zip(outliers.tolist(), causes_of(model, inputs[outliers], guards[outliers]), strict=True))
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -310,6 +317,7 @@ def answers_from(
             in_training_range=not (outside or untrained),
             problem=outside or question.doubt(labels) or untrained,
             prediction_set=labels,
+            cause=causes.get(row),
         )
 
 

@@ -44,12 +44,14 @@ class Step:
     until : all answers before this time have arrived [s]
     silent : at the end, one reason for each channel without answers
     warnings : at the end
+    upside_down : at the end, the channels whose pulses seem to point downwards
     """
 
     answers: list[Answer]
     until: float
     silent: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    upside_down: tuple[str, ...] = ()
 
 
 def identify_recording(
@@ -185,7 +187,8 @@ def _impacts(
     for row in sorted(silent):
         name = source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
         reasons.append(f"{name}: {detector.why_silent(row, model.unit)}")
-    yield answered(tuple(reasons))
+    turned = tuple(name for row, name in enumerate(channels) if detector.is_upside_down(row))
+    yield replace(answered(tuple(reasons)), upside_down=turned)
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
