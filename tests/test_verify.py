@@ -49,7 +49,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     generate_recordings(STREAM, folder / "recordings", 3, seed=3)
     generate_recordings(STREAM, folder / "recording.h5", seed=3)
     for name in ("table.h5", "table.csv"):
-        tabulate(plan(SCENE, ["closed-form"]), folder / name, 9000, 7)
+        tabulate(plan(SCENE, "closed-form"), folder / name, 9000, 7)
     return folder
 
 
@@ -116,7 +116,7 @@ def test_a_long_scene_is_held_against_its_sha256(tmp_path: Path) -> None:
 def test_a_flipped_bit_of_a_table(tmp_path: Path, name: str) -> None:
     """The numbers of CSV have no checksum, nor have some bytes of Parquet that only tell how it was packed."""
     path = tmp_path / name
-    tabulate(plan(SCENE, ["closed-form"]), path, 50, 7)
+    tabulate(plan(SCENE, "closed-form"), path, 50, 7)
     whole, content = read_table(path), path.read_bytes()
     end = content.index(b"\n") if name == "table.csv" else len(content)
     found = 0

@@ -77,7 +77,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
         output = "recordings"
     if options["n_signals"] is None:
         options["n_signals"] = 10_000 if loaded.stream is None else 1
-    asked = plan(loaded, [output], dtype=options["dtype"], **_which(loaded, output, options))
+    asked = plan(loaded, output, dtype=options["dtype"], **_which(loaded, output, options))
     if options["explain"]:
         _explain(asked, options["n_signals"], options["as_json"])
     elif output == "recordings":
@@ -194,10 +194,8 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
     with progress_bar(n_signals, "signals") as progress:
         written = tabulate(asked, progress=progress, **{name: options[name] for name in taken})
     seconds = time.perf_counter() - start
-    say(
-        f"{written.path}: {asked.kind} of {n_signals} signals in {seconds:.1f} s: {n_signals / seconds:.0f} signals/s",
-        err=True,
-    )
+    rate = f"{n_signals} signals in {seconds:.1f} s: {n_signals / seconds:.0f} signals/s"
+    say(f"{written.path}: {asked.output} of {rate}", err=True)
     if written.n_unmeasured:
         say(
             f"cgid: warning: {written.path}: {written.n_unmeasured} of {n_signals} signals cannot be measured "
@@ -217,7 +215,7 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
         print_json(
             {
                 "scene": asked.scene.name,
-                "output": asked.kind,
+                "output": asked.output,
                 "stages": [{"name": name, **decision._asdict()} for name, decision in asked.decisions.items()],
                 f"bytes_per_{noun}": size,
                 f"{noun}s": n_signals,
@@ -225,7 +223,7 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
             }
         )
         return
-    say(f"{asked.scene.name}: {asked.kind}")
+    say(f"{asked.scene.name}: {asked.output}")
     say(f"{'stage':<23}{'':<9}{'error':>9}  why")
     for name, decision in asked.decisions.items():
         say(f"{name:<23}{'run' if decision.runs else 'skipped':<9}{decision.error_bound:>9.2g}  {decision.why}")
