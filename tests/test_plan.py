@@ -282,7 +282,7 @@ def workers(chosen: Case, *, running: bool) -> list[list[tuple[Any, str]]]:
 def test_a_skipped_stage_may_be_broken_and_no_other(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     skipped = workers(chosen, running=False)
     assert skipped
-    for owner, worker in sum(skipped, []):
+    for owner, worker in (pair for pairs in skipped for pair in pairs):
         monkeypatch.setattr(owner, worker, _refuse)
     chosen.ask()
     for pairs in workers(chosen, running=True):

@@ -309,7 +309,7 @@ def test_a_damaged_manifest_that_names_more_shards_is_kept(copies: Path) -> None
     (folder / "shard-00002.h5").unlink()  # the last: nothing but the manifest speaks of it
     before = contents(folder)
     (one,) = repair(verify(folder))
-    assert not one.done and "names 3 shards, 2 are there" in one.told
+    assert not one.done and "names 3 files, 2 are there" in one.told
     assert contents(folder) == before
 
 
