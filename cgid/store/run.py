@@ -244,14 +244,22 @@ def check_output(output: str | Path, ours: re.Pattern[str], overwrite: bool = Fa
 
 
 def _exists_already(output: Path) -> CannotCreate:
+    found = _journal_of(output)
+    if found is None:
+        return CannotCreate(f"{output}: exists already; choose another name or say --overwrite")
+    return CannotCreate(
+        f"{output}: a run that makes it is not finished: {found.progress}, or start again with --overwrite"
+    )
+
+
+def _journal_of(output: Path) -> Unfinished | None:
+    """Return the readable journal of a run that makes an output, if any."""
     for folder in (hidden(output), output):
-        with contextlib.suppress(BadData):
+        with contextlib.suppress(CgidError):
             found = read_journal(folder)
             if found is not None:
-                return CannotCreate(
-                    f"{output}: a run that makes it is not finished: {found.progress}, or start again with --overwrite"
-                )
-    return CannotCreate(f"{output}: exists already; choose another name or say --overwrite")
+                return found
+    return None
 
 
 # ---- where a run goes on ---------------------------------------------------------------------------------------------
@@ -281,18 +289,11 @@ def _hold(goal: Goal, held: ExitStack) -> None:
         sync_folder(output.parent)
         held.enter_context(locked(output))
     except BlockingIOError:
-        raise CannotCreate(f"{output}: {_writer(goal)} is writing there; wait for it, or choose another name") from None
+        found = _journal_of(output)
+        writer = "another process" if found is None else found.process
+        raise CannotCreate(f"{output}: {writer} is writing there; wait for it, or choose another name") from None
     except OSError as error:
         raise CannotCreate(f"{output}: cannot be written ({error.strerror}); choose another place") from None
-
-
-def _writer(goal: Goal) -> str:
-    for folder in (goal.hidden, goal.output):
-        with contextlib.suppress(CgidError):
-            found = read_journal(folder)
-            if found is not None:
-                return found.process
-    return "another process"
 
 
 def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished | None] | None:
