@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import signal
 import subprocess
@@ -16,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
-from cgid.errors import BadData, MissingExtra
+from cgid.errors import BadData
 from cgid.store import Dataset, sandbox
 from tests import few
 from tests.hostile_hdf5 import KINDS
@@ -225,26 +224,6 @@ def test_what_is_sent_arrives(dtype):
     assert not stream.read()
 
 
-def test_a_packing_whose_library_is_missing_is_named(tmp_path, monkeypatch):
-    plugin = pytest.importorskip("hdf5plugin")
-    KINDS["dataset"].write(tmp_path / "zstd.h5")
-    wanted = KINDS["dataset"].read(tmp_path / "zstd.h5")[0]
-    with h5py.File(tmp_path / "zstd.h5", "r+") as file:
-        signals, about = file["signals"][:], dict(file["signals"].attrs)
-        del file["signals"]
-        file.create_dataset("signals", data=signals, chunks=(8, 16), fletcher32=True, **plugin.Zstd())
-        file["signals"].attrs.update(about)
-    np.testing.assert_array_equal(KINDS["dataset"].read(tmp_path / "zstd.h5")[0], wanted)
-    (tmp_path / "hdf5plugin.py").write_text("raise ImportError\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    sandbox._end_all()
-    try:
-        with pytest.raises(MissingExtra, match=r"Zstandard need hdf5plugin.*cgid\[compression\]"):
-            Dataset(tmp_path / "zstd.h5")
-    finally:
-        sandbox._end_all()
-
-
 @pytest.mark.parametrize("kinds", few([["table"], list(KINDS)]))
 def test_hostile_files_and_mutants_do_no_harm(kinds):
     """All hand-made files of these kinds and some mutants; the longest form is `benchmarks/hostile.py` with 5,000."""
@@ -272,13 +251,6 @@ def test_the_watch_sees_what_it_watches_for(tmp_path):
     assert watch.opened() == []
     (tmp_path / "secret").read_text()
     assert "secret" in watch.opened()
-
-
-def test_headers_are_what_json_can_hold(path):
-    sandbox._end_all()
-    KINDS["dataset"].write(path)
-    about = sandbox.call("shard_header", path)
-    assert json.loads(json.dumps(about)) == about and about["n_signals"] == 24
 
 
 @pytest.mark.parametrize(("rests", "code"), [(False, -signal.SIGALRM), (True, 0)])

@@ -34,7 +34,7 @@ from cgid.store.description import (
 from cgid.store.run import hidden
 from cgid.store.table import TABLE_SUFFIXES, read_table
 
-#: By HDF5's numbers of filters; see `cgid.store.compression`.
+#: By HDF5's numbers of filters; see `cgid.store.hdf5`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: Problems without damage.
 _HARMLESS = ("leftover", "pending", "foreign")
