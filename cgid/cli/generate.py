@@ -194,8 +194,10 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
     with progress_bar(n_signals, "signals") as progress:
         written = tabulate(asked, progress=progress, **{name: options[name] for name in taken})
     seconds = time.perf_counter() - start
-    rate = f"{n_signals} signals in {seconds:.1f} s: {n_signals / seconds:.0f} signals/s"
-    say(f"{written.path}: {asked.output} of {rate}", err=True)
+    say(
+        f"{written.path}: {asked.kind} of {n_signals} signals in {seconds:.1f} s: {n_signals / seconds:.0f} signals/s",
+        err=True,
+    )
     if written.n_unmeasured:
         say(
             f"cgid: warning: {written.path}: {written.n_unmeasured} of {n_signals} signals cannot be measured "
@@ -215,7 +217,7 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
         print_json(
             {
                 "scene": asked.scene.name,
-                "output": asked.output,
+                "output": asked.kind,
                 "stages": [{"name": name, **decision._asdict()} for name, decision in asked.decisions.items()],
                 f"bytes_per_{noun}": size,
                 f"{noun}s": n_signals,
@@ -223,7 +225,7 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
             }
         )
         return
-    say(f"{asked.scene.name}: {asked.output}")
+    say(f"{asked.scene.name}: {asked.kind}")
     say(f"{'stage':<23}{'':<9}{'error':>9}  why")
     for name, decision in asked.decisions.items():
         say(f"{name:<23}{'run' if decision.runs else 'skipped':<9}{decision.error_bound:>9.2g}  {decision.why}")

@@ -372,7 +372,7 @@ def tabulate(
     size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)
     require_room(path, path.parent, size, "rows", "make room, or fewer signals")
     header = TableHeader(
-        kind=asked.output,
+        kind=asked.kind,
         units=asked.column_units,
         attributes={"n_signals": n_signals} | attributes_of(asked.scene, seed),
     )

@@ -61,7 +61,15 @@ _MOST_LISTED = 13
 
 
 class Decision(NamedTuple):
-    """Whether a stage runs, why, and the error of what it omits, relative to the peak (0: nothing changes)."""
+    """Whether a stage runs, and why.
+
+    Attributes
+    ----------
+    runs : bool
+    why : str
+    error_bound : float
+        Error of what is omitted, relative to the peak; 0 if nothing changes.
+    """
 
     runs: bool
     why: str
@@ -74,14 +82,18 @@ class Plan:
 
     Attributes
     ----------
-    output : one of `OUTPUTS`
-    features : out of `cgid.measure.features`; empty unless features are requested
-    quantities : out of `QUANTITIES`: those requested or needed for another output
-    dtype : of stored samples
+    kind : str
+        The requested output, out of `OUTPUTS`.
+    features : tuple of str
+        Names of features; empty unless features are requested.
+    quantities : tuple of str
+        Out of `QUANTITIES`: those requested, or needed for another output.
+    dtype : {"float32", "float64"}
+        Of stored samples.
     """
 
     scene: Scene
-    output: str = "frames"
+    kind: str = "frames"
     features: tuple[str, ...] = ()
     quantities: tuple[str, ...] = STORED
     dtype: Literal["float32", "float64"] = "float32"
@@ -107,17 +119,17 @@ class Plan:
     @property
     def signals(self) -> bool:
         """Whether the output needs signals."""
-        return self.sensed or self.output == "pulses"
+        return self.sensed or self.kind == "pulses"
 
     @property
     def sensed(self) -> bool:
         """Whether the output needs signals as the sensor gives them."""
-        return self.output in ("frames", "recordings", "features")
+        return self.kind in ("frames", "recordings", "features")
 
     @property
     def kept(self) -> bool:
         """Whether whole signals are requested."""
-        return self.output in ("pulses", "frames", "recordings")
+        return self.kind in ("pulses", "frames", "recordings")
 
     @property
     def column_units(self) -> dict[str, str]:
@@ -126,7 +138,7 @@ class Plan:
             return {}
         parameters = parameter_units(self.scene)
         rate = {"sampling_rate": "Hz"} if self.scene.draws("sampling_rate") else {}
-        if self.output == "features":
+        if self.kind == "features":
             measured = {name: FEATURES[name].unit_for(self.scene.sensor.unit) for name in self.features}
             return measured | {f"{TRUE}{name}": unit for name, unit in parameters.items()} | rate
         drawn = {name for source in self.scene.sources for name in source.laws} | {"onset"}
@@ -162,9 +174,29 @@ def plan(
     forces without beam and sensor, "frames" are signals as the sensor gives them. "features" are measured on such
     signals, which are not kept. A stream has "recordings" and nothing else.
 
-    Features default to all of the sensor's kind that sampling rate and frames allow, quantities to all. Raises
-    `InvalidValue` for unknown names, and where the requests contradict each other or the scene.
+    Parameters
+    ----------
+    scene : Scene
+    output : {"parameters", "closed-form", "pulses", "frames", "recordings", "features"}
+    features : iterable of str, optional
+        By default all of the sensor's kind that sampling rate and frames allow.
+    quantities : iterable of str, optional
+        Of the closed forms; by default all.
+    dtype : {"float32", "float64"}
+        Of stored samples.
 
+    Returns
+    -------
+    Plan
+        Its `decisions` say for every stage whether it runs, and why.
+
+    Raises
+    ------
+    InvalidValue
+        A name is unknown, or the requests contradict each other or the scene.
+
+    Examples
+    --------
     >>> from cgid.scene import load_scene
     >>> from cgid.shipped import scene_path
     >>> asked = plan(load_scene(scene_path("reference")), "closed-form", quantities=["contact_duration"])
@@ -177,7 +209,7 @@ def plan(
             raise InvalidValue(f"{name} must come with the output {needed!r}, which is not asked; leave them out")
     _require_recordings(scene, output)
     validation.choice("dtype", dtype, ("float32", "float64"))
-    made = Plan(scene=scene, output=output, dtype=dtype)
+    made = Plan(scene=scene, kind=output, dtype=dtype)
     wanted = _quantities(quantities) if output == "closed-form" else ()
     return replace(
         made,
@@ -260,7 +292,7 @@ def _arrivals(asked: Plan) -> Decision:
     stream = asked.scene.stream
     if stream is None:
         return Decision(False, "the scene is no stream")
-    if asked.output != "recordings":
+    if asked.kind != "recordings":
         return Decision(False, "no recordings are asked for")
     how = "Poisson" if stream.arrivals.rate is not None else "listed"
     mixture = "" if stream.mixture is None else ", the mixture changes"
@@ -452,7 +484,7 @@ def _digitising(asked: Plan) -> Decision:
 
 def _measuring(asked: Plan) -> Decision:
     names = asked.features
-    if asked.output != "features":
+    if asked.kind != "features":
         return Decision(False, "no features are asked for")
     listed = ", ".join(names) if len(names) <= _MOST_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
     fitted = "a fit" if any(FEATURES[name].fitted for name in names) else "no fit"
