@@ -38,15 +38,15 @@ def print_times(n_signals: int) -> None:
     """Print the times of different requests for the same impacts."""
     scene = load_scene(shipped.scene_path("reference"))
     questions: dict[str, Callable[[], object]] = {
-        "parameters": lambda: _exhaust(columns_of(plan(scene, ["parameters"]), n_signals)),
-        "closed forms": lambda: _exhaust(columns_of(plan(scene, ["closed-form"]), n_signals)),
-        "true pulses": lambda: _exhaust(synthesise(scene, n_signals, outputs=["pulses"])),
+        "parameters": lambda: _exhaust(columns_of(plan(scene, "parameters"), n_signals)),
+        "closed forms": lambda: _exhaust(columns_of(plan(scene, "closed-form"), n_signals)),
+        "true pulses": lambda: _exhaust(synthesise(scene, n_signals, output="pulses")),
         "frames": lambda: _exhaust(synthesise(scene, n_signals)),
         "features: peak_force, no frames kept": lambda: _exhaust(
-            columns_of(plan(scene, ["features"], features=["peak_force"]), n_signals)
+            columns_of(plan(scene, "features", features=["peak_force"]), n_signals)
         ),
         "features: of the model, no frames kept": lambda: _exhaust(
-            columns_of(plan(scene, ["features"], features=DEFAULT_FEATURES), n_signals)
+            columns_of(plan(scene, "features", features=DEFAULT_FEATURES), n_signals)
         ),
         "features of the model, from frames": lambda: [
             extract_array(batch.signals, batch.sampling_rate, DEFAULT_FEATURES, pre_trigger=batch.pre_trigger)
@@ -54,7 +54,7 @@ def print_times(n_signals: int) -> None:
         ],
     }
     print(f"\n| asked of {n_signals} impacts | s | us per impact |\n|---|---|---|")
-    _exhaust(columns_of(plan(scene, ["features"]), BLOCK))  # imports and compiles
+    _exhaust(columns_of(plan(scene, "features"), BLOCK))  # imports and compiles
     for name, ask in questions.items():
         start = time.process_time()
         ask()

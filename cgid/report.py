@@ -55,7 +55,7 @@ class Report:
         What is damaged or doubtful.
     unit_of_decision : str
         Subject of an answer, "impact" or "window".
-    hint : str
+    hint : Hint or None
         Why most answers are unknown, if they are.
     """
 

@@ -106,7 +106,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
         output = "recordings"
     if options["n_signals"] is None:
         options["n_signals"] = 10_000 if loaded.stream is None else 1
-    asked = plan(loaded, [output], dtype=options["dtype"], **_which(loaded, output, options))
+    asked = plan(loaded, output, dtype=options["dtype"], **_which(loaded, output, options))
     if options["explain"]:
         _explain(asked, options["n_signals"], options["as_json"])
     elif output == "recordings":

@@ -53,7 +53,7 @@ class Answer:
         Whether samples stand at the limit of the recorder.
     cut : bool
         Whether the recording begins or ends within the impact.
-    cause : str or None
+    cause : Cause or None
         What puts it outside of the training range; None where it lies inside or could not be measured.
     """
 

@@ -25,8 +25,22 @@ from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPl
 from cgid.physics.materials import Material
 from cgid.physics.modes import COLUMNS, MeasuredModes, read_measured_modes
 from cgid.physics.tail_beam import Ribs, TailBeam
-from cgid.scene.distributions import Distribution, measured, measured_within, within
-from cgid.scene.units import LIMITS, Acceleration, Density, Frequency, Length, Mass, Modulus, Number, Ratio, Whole
+from cgid.scene.distributions import (
+    LIMITS,
+    Acceleration,
+    Density,
+    Distribution,
+    Frequency,
+    Length,
+    Mass,
+    Modulus,
+    Number,
+    Ratio,
+    Whole,
+    measured,
+    measured_within,
+    within,
+)
 from cgid.validation import Floats
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. The order defines their indices.

@@ -22,8 +22,8 @@ from cgid.files import require_regular
 from cgid.measure.filters import SENSOR_TAPER, fft_filter, filter_gain
 from cgid.physics.response import LowPass, Resonance
 from cgid.recordings.recording import told
+from cgid.scene.distributions import Decibel, Frequency, Level, Number, Ratio, Whole
 from cgid.scene.sections import Section
-from cgid.scene.units import Decibel, Frequency, Level, Number, Ratio, Whole
 from cgid.units import parse
 from cgid.validation import Floats
 

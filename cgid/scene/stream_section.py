@@ -8,9 +8,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from cgid.scene.distributions import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole
 from cgid.scene.sections import Population, Section
 from cgid.scene.sensor import Sensor
-from cgid.scene.units import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole
 from cgid.units import parse
 from cgid.validation import Floats
 
