@@ -1,11 +1,12 @@
-"""Cost of a million and a billion signals, from rates measured here, and when storing none of them pays.
+"""Rate and memory of `cgid generate`, cost of a million and a billion signals, and when storing none of them pays.
 
     python benchmarks/scale.py [--signals 50000] [--scenes reference tail_beam] [--folder DIR]
 
 A dataset follows from its scene and seed, so signals can be made again instead of read. The timings are of two worker
 processes that make and write shards, and of one process that makes or reads batches and looks at them. The data read
 stay in memory if there is room: a disk is slower, and the last column is the disk rate at which making is as quick.
-The output is that in datasets/README.md; both scenes take some three minutes of two otherwise idle cores.
+The first table is that of whole runs by one job and by two, start-up included (`sums.py` compares their arrays); both
+scenes take some five minutes of two otherwise idle cores.
 """
 
 import argparse
@@ -30,17 +31,17 @@ JOBS = 2
 class Rates:
     """Cost of one signal of a scene.
 
+    runs : time [s] and peak memory of the largest process [bytes] of a whole run, by the number of jobs
     written, made, read : time [s]: made and written by all jobs; made again, or read, by one process
     bytes, parameter_bytes : on the disk: with its samples, and of its drawn parameters alone
-    memory : peak of the run's largest process, the parent or a worker [bytes]
     """
 
+    runs: dict[int, tuple[float, int]]
     written: float
     made: float
     read: float
     bytes: float
     parameter_bytes: float
-    memory: float
 
 
 def run(*arguments: str | Path) -> tuple[float, int]:
@@ -70,16 +71,16 @@ def measured(name: str, n_signals: int, folder: Path) -> Rates:
     common = ["generate", name, "-n", str(n_signals)]
     jobs = ["--jobs", str(JOBS)]
     start_up, _ = run("generate", name, "-n", str(JOBS), "--shard-signals", "1", "-o", folder / f"{name}-little", *jobs)
-    seconds, memory = run(*common, "-o", data, *jobs)
+    runs = {count: run(*common, "-o", data, "--jobs", str(count), "--overwrite") for count in (1, JOBS)}
     run(*common, "-o", table, "--parameters-only")
     looked_at(synthesise(scene, 2000, 1))  # compiled
     return Rates(
-        written=max(seconds - start_up, 0.0) / n_signals,
+        runs=runs,
+        written=max(runs[JOBS][0] - start_up, 0.0) / n_signals,
         made=looked_at(synthesise(scene, n_signals)),
         read=min(looked_at(Dataset(data).batches()) for _ in range(2)),
         bytes=sum(file.stat().st_size for file in data.iterdir()) / n_signals,
         parameter_bytes=table.stat().st_size / n_signals,
-        memory=memory,
     )
 
 
@@ -108,11 +109,19 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
         rates = {scene: measured(scene, arguments.signals, Path(name)) for scene in arguments.scenes}
-    print(f"| signals, `--jobs {JOBS}` | time | disk | memory of the largest process | drawn parameters alone |")
+    print("| signals | jobs | s | signals/s | MB/s | memory of the largest process [MB] |\n|---|---|---|---|---|---|")
+    for scene, one in rates.items():
+        for jobs, (seconds, memory) in one.runs.items():
+            rate = arguments.signals / seconds
+            print(
+                f"| {arguments.signals} of `{scene}` | {jobs} | {seconds:.1f} | {rate:.0f} | "
+                f"{rate * one.bytes / 1e6:.0f} | {memory / 1e6:.0f} |"
+            )
+    print(f"\n| signals, `--jobs {JOBS}` | time | disk | memory of the largest process | drawn parameters alone |")
     print("|---|---|---|---|---|")
     for scene, one in rates.items():
         for n_signals in (1e6, 1e9):
-            cells = [duration(n_signals * one.written), size(n_signals * one.bytes), size(one.memory)]
+            cells = [duration(n_signals * one.written), size(n_signals * one.bytes), size(one.runs[JOBS][1])]
             what = f"{n_signals:.0e}".replace("e+0", "e")
             print(f"| {what} of `{scene}` | {' | '.join(cells)} | {size(n_signals * one.parameter_bytes)} |")
     print("\n| a signal of | made again | read and checked | made again is quicker where the disk gives less than |")
