@@ -1,4 +1,4 @@
-"""Scenes with requested outputs, for the tests of the plan and `benchmarks/skipping.py`."""
+"""Scenes with requested outputs, for the tests of the plan and `benchmarks/budget.py`."""
 
 from __future__ import annotations
 

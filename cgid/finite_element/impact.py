@@ -183,11 +183,6 @@ class FiniteElementImpact:
         return self.pair.mass.size // 2
 
     @property
-    def n_elements(self) -> int:
-        """Number of elements of both meshes."""
-        return len(self.pair.sphere.mesh.elements) + len(self.pair.plate.mesh.elements)
-
-    @property
     def stable_time_step(self) -> float:
         """Largest stable step of the explicit method [s]."""
         return stable_time_step(self.pair, self._retardation)

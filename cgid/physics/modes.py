@@ -1,4 +1,4 @@
-"""Modes of a tail beam, computed or measured by a tap test, and their frequency response."""
+"""Modes of a tail beam, computed or measured by a tap test."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
 from cgid.physics.plates import Shapes
-from cgid.physics.response import DERIVATIVES
 from cgid.validation import Floats
 
 Point = tuple[ArrayLike, ArrayLike]
@@ -89,10 +88,6 @@ class Modes:
         """
         return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
 
-    def up_to(self, frequency: float) -> Modes:
-        """Return the modes up to a frequency [Hz]; evaluating fewer shapes costs less."""
-        return self.taken(np.flatnonzero(self.frequency <= validation.not_negative("frequency", frequency, "Hz")))
-
     def taken(self, modes: NDArray[np.intp]) -> Modes:
         """Return the modes with these indices, which must ascend."""
         return replace(
@@ -155,16 +150,6 @@ class MeasuredModes:
             np.asarray(getattr(self, name)) for name in ("shape_impact", "shape_sensor", "modal_mass")
         )
         return np.asarray(impact * sensor / mass)
-
-    def up_to(self, frequency: float) -> MeasuredModes:
-        """Return the modes up to a frequency [Hz]; raise `InvalidValue` if there are none."""
-        highest, natural = validation.positive("frequency", frequency, "Hz"), np.asarray(self.frequency)
-        if natural[0] > highest:
-            raise InvalidValue(
-                f"frequency must reach the lowest measured mode at {natural[0]:g} Hz, got {highest:g} Hz; "
-                "raise it or measure lower modes"
-            )
-        return MeasuredModes(**{name: np.asarray(getattr(self, name))[natural <= highest] for name in COLUMNS})
 
 
 def read_measured_modes(path: str | Path) -> MeasuredModes:
@@ -261,35 +246,3 @@ def _require_rule(name: str, value: ArrayLike) -> Floats:
     if name == "damping_ratio":
         return validation.damping_ratio(name, value)
     return validation.positive(name, value, COLUMNS[name])
-
-
-def frequency_response(
-    frequency: ArrayLike, modes: Modes | MeasuredModes, participation: Floats, *, quantity: str
-) -> NDArray[np.complex128]:
-    """Return motion over force at frequencies [Hz], for `exp(+j omega t)`: complex, (*points, n_frequencies).
-
-    `sum participation (j omega)^n / (omega_r^2 - omega^2 + 2 j zeta_r omega_r omega)` with n = 0, 1, 2 for displacement
-    [m/N], velocity [m/s/N] and acceleration [m/s^2/N]: Ewins (2000), Modal Testing, section 2. Participation is
-    (*points, n_modes) [1/kg]. The omitted higher modes show as a stiffness below them.
-
-    At resonance one mode moves as far as its damping allows, a quarter period behind the force:
-
-    >>> modes = MeasuredModes(
-    ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
-    ... )
-    >>> response = frequency_response([100.0], modes, modes.participation(), quantity="acceleration")
-    >>> complex(response[0].round(9))
-    1j
-    """
-    validation.choice("quantity", quantity, DERIVATIVES)
-    omega = 2 * np.pi * np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))[:, None]
-    natural, damping = (np.asarray(part, dtype=np.float64) for part in (modes.frequency, modes.damping_ratio))
-    if participation.shape[-1:] != natural.shape:
-        raise InvalidValue(
-            f"participation must have one number for each of the {natural.size} modes in its last axis, got shape "
-            f"{participation.shape}"
-        )
-    natural = 2 * np.pi * natural
-    each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
-    # Not a matrix product: its last bits depend on the library and its threads.
-    return np.asarray(np.einsum("...m,fm->...f", participation, each))

@@ -4,7 +4,6 @@ from cgid.plots.figure import (
     COLOURS,
     FORMATS,
     colours_of,
-    frequency_response_picture,
     judgement_pictures,
     picture,
     plain,
@@ -12,7 +11,7 @@ from cgid.plots.figure import (
     require_matplotlib,
     survey_picture,
 )
-from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, recording_picture, share_figure, written
+from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, share_figure, written
 
 __all__ = [
     "COLOURS",
@@ -20,14 +19,12 @@ __all__ = [
     "MOST_CHANNELS",
     "Mark",
     "colours_of",
-    "frequency_response_picture",
     "hertz",
     "judgement_pictures",
     "overview_figure",
     "picture",
     "plain",
     "png",
-    "recording_picture",
     "require_matplotlib",
     "share_figure",
     "survey_picture",
