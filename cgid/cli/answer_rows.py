@@ -136,9 +136,8 @@ class AnswerLines:
     def hint(self, source: str, hint: Hint) -> None:
         """Print why most answers are unknown and what helps, on stderr and in JSON."""
         where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
-        say(f"cgid: hint: {source}{where}: {hint.text}", err=True)
         content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
-        self._line("hint", source, content)
+        self._warn("hint", {"source": source, **content}, f"{source}{where}: {hint.text}")
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
@@ -146,7 +145,7 @@ class AnswerLines:
         self._warn("delay", content, f"{source}: {behind:.1f} s behind: {message}")
 
     def _warn(self, kind: str, content: dict[str, Any], message: str) -> None:
-        say(f"cgid: warning: {message}", err=True)
+        say(f"cgid: {'hint' if kind == 'hint' else 'warning'}: {message}", err=True)
         if self.as_json:
             self._line(kind, content)
 

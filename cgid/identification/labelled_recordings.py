@@ -78,7 +78,7 @@ class AnnotatedFile:
     @property
     def upright(self) -> float:
         """1, or -1 if a negative gain turns the samples over."""
-        return -1.0 if self.annotations[0].gain < 0 else 1.0
+        return -1.0 if (self.annotations[0].gain or 1.0) < 0 else 1.0
 
     def blocks(self) -> Iterator[NDArray[Any]]:
         """Yield the samples; raise `BadData` at the end if an annotation starts behind it."""

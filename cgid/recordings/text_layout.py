@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
+from typing import Any
 
 from cgid.errors import BadData
 from cgid.units import KNOWN_UNITS, hertz_of, known_unit, number_and_unit, ratio_of, seconds_of
@@ -415,7 +416,8 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
         elif found := _STATED_UNIT.fullmatch(comment):
             header = replace(header, unit=known_unit(found[1]))
         elif chain := stated_chain(comment):
-            header = replace(header, **{chain[0]: chain[1]})
+            stated: dict[str, Any] = dict([chain])
+            header = replace(header, **stated)
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
             if _has_unit_or_time(columns) or not _has_unit_or_time(best):
