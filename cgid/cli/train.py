@@ -95,10 +95,10 @@ def train(
     A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
 
     A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, gain, sensor,
-    reference, rate, unit, variable, sensitivity, full_scale), or a .toml file with a [[recording]] for each file, which may list intervals = [{
-    start, end, label }]. A group (a recording, a day, a support) is never on both sides of a split; each group in turn
-    judges what was chosen and trained on the others. Scenes and datasets beside a manifest are used for training, too,
-    with their level and spectrum moved to those of the recordings.
+    reference, rate, unit, variable, sensitivity, full_scale), or a .toml file with a [[recording]] for each file, which
+    may list intervals = [{ start, end, label }]. A group (a recording, a day, a support) is never on both sides of a
+    split; each group in turn judges what was chosen and trained on the others. Scenes and datasets beside a manifest
+    are used for training, too, with their level and spectrum moved to those of the recordings.
     """
     from cgid.identification.card import check_model_output, write_model
     from cgid.identification.manifest import is_manifest

@@ -354,9 +354,8 @@ def _gain_of_file(text: str, needed: bool, name: str) -> Gain | None:
         gain: Gain | None = Gain.of(text)
     except InvalidValue:
         gain = None
-    if gain is not None and gain.is_of_charge == needed:
-        if needed or gain.value == 1.0:
-            return gain if needed else None
+    if gain is not None and gain.is_of_charge == needed and (needed or gain.value == 1.0):
+        return gain if needed else None
     raise MissingOption(
         f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --gain to have it "
         "divided out, or --gain 1 if that is done"
@@ -370,7 +369,7 @@ def _agreed(given: Sensitivity | None, stated: str | None, name: str) -> Sensiti
     try:
         own = Sensitivity.of(stated)
     except InvalidValue as error:
-        raise BadData(f"{name}: {error} in the file; correct it") from None
+        raise BadData(f"{name}: in the file, {error}") from None
     if given is None:
         return own
     alike = (given.signal, given.measured) == (own.signal, own.measured)

@@ -120,9 +120,9 @@ def live_stream(
     """Return a stream of samples: a WAV by its header, anything else as raw numbers with interleaved channels.
 
     Raw numbers need `sampling_rate` [Hz], `n_channels` and a `sample_format` such as "s16le", "s24le", "f32le" or "u8".
-    Integers are scaled to a full scale of 1.0, floats are kept; `chain` turns both into N or m/s^2. Raises `MissingOption` if neither stream nor options
-    tell how to read it, `InvalidValue` if an option is invalid or contradicts the WAV header, `BadData` if the stream
-    is empty or its WAV header damaged.
+    Integers are scaled to a full scale of 1.0, floats are kept; `chain` turns both into N or m/s^2. Raises
+    `MissingOption` if neither stream nor options tell how to read it, `InvalidValue` if an option is invalid or
+    contradicts the WAV header, `BadData` if the stream is empty or its WAV header damaged.
 
     Examples
     --------

@@ -415,7 +415,8 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
         elif found := _STATED_UNIT.fullmatch(comment):
             header = replace(header, unit=known_unit(found[1]))
         elif chain := stated_chain(comment):
-            header = replace(header, **{chain[0]: chain[1]})
+            what, values = chain
+            header = replace(header, gains=values) if what == "gains" else replace(header, sensitivities=values)
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
             if _has_unit_or_time(columns) or not _has_unit_or_time(best):
