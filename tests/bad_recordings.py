@@ -216,7 +216,12 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("full scale in words", ("predict", "counts.wav", "--full-scale", "10 stone"), 65, ("'10 V'", "'10 stone'")),
     ("full scale without a unit", ("predict", "counts.wav", "--full-scale", "10"), 2, ("unit", "--full-scale '10 V'")),
     ("full scale of floats", ("predict", "volts.csv", "--full-scale", "10 V"), 65, ("sound file", "10 V at 24 bit")),
-    ("full scale of unsigned", ("predict", "unsigned.npy", *_SAID[:2], "--full-scale", "5 V"), 65, ("signed int",)),
+    (
+        "full scale of unsigned",
+        ("predict", "unsigned.npy", *_SAID[:2], "--full-scale", "5 V"),
+        65,
+        ("signed integers of 16 bit",),
+    ),
     (
         "bits of a sound file",
         ("predict", "counts.wav", "--full-scale", "10 V at 16 bit"),

@@ -18,6 +18,7 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.manifest import read_manifest
 from cgid.recordings.chain import Chain, FullScale, Gain
 from cgid.recordings.live import live_stream
+from tests import recording_files
 from tests.bad_input import pulse
 
 #: Standard gravity, written out: 17th General Conference on Weights and Measures.
@@ -204,6 +205,31 @@ def test_volts_and_coulombs_enter_as_what_the_sensors_measured(name: str, tmp_pa
     np.testing.assert_allclose([one.samples for one in found], measured, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("specimen", recording_files.SPECIMENS, ids=lambda specimen: specimen.name)
+def test_volts_enter_from_every_format(
+    specimen: recording_files.Specimen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not specimen.is_possible:
+        pytest.skip(f"{specimen.writer} is not installed")
+    monkeypatch.setattr(recording_files, "UNIT", "V")
+    volts, path = recording_files.blows(), tmp_path / f"a{specimen.suffix}"
+    specimen.write(path, volts, 51_200.0)
+    options = {**specimen.options, **({} if specimen.says_unit else {"unit": "V"})}
+    found = read_recording(path, sensitivity="10.2 mV/g", gain=2, **options)
+    for signal, row in zip(found, volts, strict=False):
+        assert signal.unit == "m/s^2"
+        rounding = 1e-6 * np.abs(row).max() / (2 * BEAM)
+        assert np.abs(signal.samples - row / (2 * BEAM)).max() <= specimen.resolution / (2 * BEAM) + rounding
+
+
+def test_a_value_for_all_is_for_the_channels_in_volts(tmp_path: Path) -> None:
+    measured = blows(2000)
+    csv(tmp_path / "a.csv", measured * [[BEAM], [1.0]], ["V", "N"])
+    motion, force = read_recording(tmp_path / "a.csv", sensitivity="10.2 mV/g")
+    assert (motion.unit, force.unit) == ("m/s^2", "N")
+    np.testing.assert_allclose([motion.samples, force.samples], measured, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["a.csv", "a.tdms", "a.uff", "a.wav"])
 def test_volts_are_answered_like_newtons_and_accelerations(name: str, tmp_path: Path) -> None:
     """The last of the issue's shows: the same labels and probabilities on the command line."""
@@ -232,7 +258,10 @@ def test_integers_of_a_recorder_are_right_to_their_rounding(tmp_path: Path) -> N
     np.savetxt(tmp_path / "a.csv", counts.T, fmt="%d", delimiter=",", header="beam,hammer", comments="")
     tdms(tmp_path / "a.tdms", counts, ["", ""])
     half_a_step = 10 / 2**16
-    for name, scale in (("wav", "10 V"), ("npy", "±10 V"), ("csv", "10 V at 16 bit"), ("tdms", "10 V")):
+    np.save(tmp_path / "a.i4", counts.astype(np.int32))
+    (tmp_path / "a.i4.npy").rename(tmp_path / "a.i4")
+    scales = {"wav": "10 V", "npy": "±10 V", "csv": "10 V at 16 bit", "i4": "10 V at 16 bit", "tdms": "10 V"}
+    for name, scale in scales.items():
         given = {} if name in ("wav", "tdms") else {"sampling_rate": RATE}
         found = read_recording(
             tmp_path / f"a.{name}", full_scale=scale, sensitivity={1: "10.2 mV/g", 2: "2.3 mV/N"}, **given
