@@ -176,14 +176,16 @@ class Reading:
         """
         from cgid.recordings import is_dataset
 
-        if self.index is not None or not is_dataset(path):
+        if not is_dataset(path):
             return False
-        given = {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
-        given |= {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
-        for flag, value in {**given, "--variable": self.variable, "--mass": mass}.items():
+        given: dict[str, Any] = {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
+        if self.index is None:
+            given |= {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
+            given |= {"--variable": self.variable, "--mass": mass}
+        for flag, value in given.items():
             if value is not None:
                 raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
-        return True
+        return self.index is None
 
     def recording(self, path: str) -> RecordingFile:
         """Open a recording."""

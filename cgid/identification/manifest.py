@@ -137,7 +137,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         start=start,
         end=end,
         channels=_channels(row.get("channel")),
-        gain=sign * one_gain.value if one_gain is not None and is_factor else None,
+        gain=sign * one_gain.value if one_gain is not None and is_factor else -1.0 if sign < 0 else None,
         recording_gain=None if is_factor else gain,
         sensor=sensor,
         reference=reference,

@@ -316,8 +316,8 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Contents, index:
         largest = 2.0 ** (scale.bits - 1)
     if largest is None:
         raise InvalidValue(
-            f"{name}: full_scale must be that of a sound file or of signed integers, the file does not say what its "
-            f"largest number is; give the bits of the converter, as in --full-scale '{scale.value:g} {unit} at 24 bit'"
+            f"{name}: full_scale must be that of a sound file or of signed integers of 16 bit, the file does not say "
+            f"what its largest number is; give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
         )
     return unit, scale.value / largest
 
@@ -369,7 +369,7 @@ def _agreed(given: Sensitivity | None, stated: str | None, name: str) -> Sensiti
     try:
         own = Sensitivity.of(stated)
     except InvalidValue as error:
-        raise BadData(f"{name}: {error} in the file; correct it") from None
+        raise BadData(f"{name}: in the file, {error}") from None
     if given is None:
         return own
     alike = (given.signal, given.measured) == (own.signal, own.measured)

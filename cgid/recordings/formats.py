@@ -205,8 +205,9 @@ def open_recording(
     gain : float, str, mapping or list, optional
         Amplification before the recorder, which is divided out: 10, "x10", "20 dB", or "1 mV/pC" of a charge amplifier.
     full_scale : str, float, mapping or list, optional
-        What full scale stands for in a sound file or in signed integers, such as "10 V" or "50 g"; a plain number is in
-        `unit`. "10 V at 24 bit" is for integers of a type that does not show the resolution, such as in a text.
+        What full scale stands for in a sound file or in signed integers of 16 bit, such as "10 V" or "50 g"; a plain
+        number is in `unit`. "10 V at 24 bit" is for integers of a type that does not show the resolution of the
+        converter, such as in a text or of 32 bit.
 
     Returns
     -------

@@ -20,6 +20,7 @@ from cgid.recordings.variables import (
     Value,
     Values,
     Variable,
+    full_scale_of,
     stated_gains,
     stated_rate,
     stated_sensitivities,
@@ -151,11 +152,11 @@ class _Parquet:
             yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
 
     def full_scale(self, name: str) -> float | None:
-        """Return the number of full scale of a column of signed integers, None for others."""
+        """Return the number of full scale of a column of integers, None if it is not known."""
         import pyarrow as pa
 
         kind = self._schema.field(name).type
-        return 2.0 ** (kind.bit_width - 1) if pa.types.is_signed_integer(kind) else None
+        return full_scale_of(np.dtype(kind.to_pandas_dtype())) if pa.types.is_integer(kind) else None
 
     def first_time(self, name: str) -> datetime | None:
         """Return the first timestamp of a column."""

@@ -53,7 +53,7 @@ class Contents:
     sampling_rate : as stated by the file [Hz]
     rate_from : place in the file that states the sampling rate
     fallback_unit : unit if neither the file nor the user gives one
-    full_scales : one per channel, the number of full scale: 1 in sound files, 2^(bits - 1) of signed integers; None if
+    full_scales : one per channel, the number of full scale: 1 in sound files, 2^15 in integers of 16 bit; None if
         the file does not say it
     sensitivities, gains : one text per channel, such as "10.2 mV/g", None if the file states none; they count for
         samples in volts or coulombs

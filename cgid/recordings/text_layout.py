@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
-from typing import Any
 
 from cgid.errors import BadData
 from cgid.units import KNOWN_UNITS, hertz_of, known_unit, number_and_unit, ratio_of, seconds_of
@@ -416,8 +415,8 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
         elif found := _STATED_UNIT.fullmatch(comment):
             header = replace(header, unit=known_unit(found[1]))
         elif chain := stated_chain(comment):
-            stated: dict[str, Any] = dict([chain])
-            header = replace(header, **stated)
+            what, values = chain
+            header = replace(header, gains=values) if what == "gains" else replace(header, sensitivities=values)
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
             if _has_unit_or_time(columns) or not _has_unit_or_time(best):

@@ -151,14 +151,16 @@ def stated_gains(values: Values, n_channels: int) -> list[str | None] | None:
 
 
 def full_scale_of(dtype: np.dtype[Any]) -> float | None:
-    """Return the number of full scale of signed integers, None for other types: unsigned ones have no known middle.
+    """Return the number of full scale of signed integers of 8 or 16 bit, None for other types.
+
+    Unsigned ones have no known middle, and 24 bit of a converter may lie at either end of 32.
 
     Examples
     --------
-    >>> full_scale_of(np.dtype("int16")), full_scale_of(np.dtype("uint16")), full_scale_of(np.dtype("f4"))
+    >>> full_scale_of(np.dtype("int16")), full_scale_of(np.dtype("uint16")), full_scale_of(np.dtype("int32"))
     (32768.0, None, None)
     """
-    return 2.0 ** (8 * dtype.itemsize - 1) if dtype.kind == "i" else None
+    return 2.0 ** (8 * dtype.itemsize - 1) if dtype.kind == "i" and dtype.itemsize <= 2 else None
 
 
 def stated_names(values: Values, n_channels: int) -> list[str] | None:
