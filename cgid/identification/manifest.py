@@ -382,7 +382,7 @@ def folder_manifest(folder: str | Path) -> Manifest:
     held = [folder / name for name in _NAMES if (folder / name).is_file()]
     if len(held) > 1:
         raise BadData(
-            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in held)}; name it"
+            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in held)}; name one"
         )
     if held:
         return read_manifest(held[0])
@@ -430,17 +430,17 @@ def unlabelled(name: str, given: str) -> str:
     )
 
 
-def manifest_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the content of a CSV manifest; columns without a value are left out, but for path and label.
+def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
+    """Return the content of a CSV manifest; columns without a value are left out, but for path, label and the given.
 
     >>> print(manifest_text([{"path": "a.wav", "start": "0.5", "peak": "12"}]), end="")
     path,start,label,peak
     a.wav,0.5,,12
     """
     order = dict.fromkeys(("path", "channel", "start", "end", "label", *INFORMATIVE, *COLUMNS))
-    columns = [name for name in order if name in ("path", "label") or any(row.get(name) for row in rows)]
+    kept = [name for name in order if name in ("path", "label", *columns) or any(row.get(name) for row in rows)]
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, restval="", extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(stream, kept, restval="", extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()
