@@ -87,7 +87,14 @@ def test_a_table_of_numbers_is_a_recording(tmp_path: Path) -> None:
 
 def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
     """Its separator, its decimal comma, its byte order mark, and columns that only inform."""
-    row = {"path": "Schild 7/a.wav", "start": "0.5", "end": "1.25", "rate": "25600.5", "time [s]": "0.51", "peak": "7.5"}
+    row = {
+        "path": "Schild 7/a.wav",
+        "start": "0.5",
+        "end": "1.25",
+        "rate": "25600.5",
+        "time [s]": "0.51",
+        "peak": "7.5",
+    }
     text = manifest_text([{**row, "label": "coal", "gain": "0.5", "flags": "clipped"}])
     ours = read_manifest(written(tmp_path, text)).annotations
     assert (ours[0].start, ours[0].end, ours[0].gain, ours[0].sampling_rate) == (0.5, 1.25, 0.5, 25600.5)

@@ -12,6 +12,7 @@ import io
 import math
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -425,7 +426,7 @@ def recordings_in(folder: Path) -> list[Path]:
 def unlabelled(name: str, given: str) -> str:
     """Return the fault of a recording without a label, and the commands that label what was `given`."""
     return (
-        f"{name} must have labels to train on and has none; run cgid events {given} -o events.csv for a row for each "
+        f"{name} must have labels to train on and has none; run cgid events {shlex.quote(given)} -o events.csv for a row for each "
         "impact, fill in the column label, then cgid train events.csv -o mine.npz"
     )
 
