@@ -149,7 +149,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("label of a page in a manifest", ("train", "script.csv", *_MODEL_FREE), 65, ("row 2", "letters", "'<script>'")),
     ("label reserved", ("train", "stranger.csv", *_MODEL_FREE), 65, ("row 2", "must not be 'unknown'")),
     ("interval that ends first", ("train", "interval.csv", *_MODEL_FREE), 65, ("row 2", "3 and 2 s")),
-    ("interval beyond the end", ("train", "beyond.csv", *_MODEL_FREE), 65, ("beyond.csv", "start and end")),
+    ("interval beyond the end", ("train", "beyond.csv", *_MODEL_FREE), 65, ("beyond.csv", "start must lie inside")),
     ("gain that is no number", ("train", "gain.csv", *_MODEL_FREE), 65, ("row 2", "gain", "dB", "'loud'")),
     ("channel that is not there", ("train", "channel.csv", *_MODEL_FREE), 65, ("channel '7'",)),
     ("two manifests", ("train", "lost.csv", "bare.csv", *_MODEL_FREE), 65, ("one manifest", "got 2")),

@@ -27,7 +27,7 @@ _BEFORE = 2e-3
 @click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
 @reading_options
 def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, reading: Reading) -> int:
-    r"""Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
+    """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
 
     Fill in the column label (and group, such as a day or a support, if several recordings share one), then train on the
     table. Delete the rows that you cannot label. An impact that several channels hear is one row.
@@ -35,7 +35,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     \b
     cgid events monday.wav tuesday.wav -o events.csv
     cgid train events.csv -o mine.npz
-    """
+    """  # noqa: D301 - \b keeps the lines of the example apart
     from cgid.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, recordings_in
 
@@ -48,7 +48,8 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
         return code
     text = manifest_text(rows)
     if path is None:
-        say(text.rstrip("\n"))
+        for line in text.splitlines():
+            say(line)
         return code
     # A byte order mark makes a spreadsheet read other letters right.
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,7 +13,7 @@ from cgid import validation
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
-from cgid.errors import CgidError, InvalidValue
+from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def train(
     as_json: bool,
     **options: Any,
 ) -> int:
-    r"""Train a model on DATA: labelled recordings, datasets made by cgid generate, or scenes.
+    """Train a model on DATA: labelled recordings, datasets made by cgid generate, or scenes.
 
     Recordings are named by a manifest, or by a folder that holds one, or whose subfolders are the labels:
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
@@ -150,7 +151,7 @@ def train(
     \b
     cgid events monday.wav tuesday.wav -o events.csv
     cgid train events.csv -o mine.npz
-    """
+    """  # noqa: D301 - \b keeps the lines of the example apart
     from cgid.identification.card import check_model_output, write_model
     from cgid.measure.features import choose
     from cgid.workers import workers
@@ -163,56 +164,58 @@ def train(
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
-    recorded = {item: manifest for item in data if (manifest := _manifest(item)) is not None}
+    recorded = [item for item in data if _recorded(item)]
     others = [item for item in data if item not in recorded]
     _refuse_stray_options(context, _OF_DATASETS if recorded else _OF_RECORDINGS, bool(recorded))
     require_one_crew(context)
     if len(recorded) > 1:
-        raise InvalidValue(f"{list(recorded)[1]}: there must be one manifest, got {len(recorded)}; put all into one")
+        raise InvalidValue(f"{recorded[1]}: there must be one manifest, got {len(recorded)}; put all into one")
     if options["by"] is None:
         options["by"] = _asked_by(context, others, options["features"])
+    manifest = _manifest(recorded[0]) if recorded else None
     with workers(options.pop("jobs"), options.pop("scheduler")) as options["crew"]:
-        if recorded:
-            training, failures = _from_recordings(next(iter(recorded.values())), others, options)
+        if manifest is not None:
+            training, failures = _from_recordings(manifest, others, options)
         else:
             training, failures = _from_signals(others, options)
     written = write_model(training, path, plots=plots, overwrite=overwrite)
     _say(training, path, written, as_json)
     if failures:
-        say(f"cgid: warning: the model is without {len(failures)} recordings that cannot be read", err=True)
+        many = "" if len(failures) == 1 else "s"
+        say(f"cgid: warning: the model is without {len(failures)} recording{many} that failed", err=True)
     return failures[0].exit_code if failures else 0
 
 
-def _manifest(item: str) -> Manifest | None:
-    """Return the manifest of labelled recordings that an argument names; None for a dataset or a scene."""
-    from cgid.errors import BadData
+def _recorded(item: str) -> bool:
+    """Return whether an argument names recordings: a manifest, a folder of recordings, or one without labels."""
+    from cgid.identification.manifest import ENDINGS, is_manifest
+    from cgid.recordings import is_dataset
+    from cgid.store.description import JOURNAL, MANIFEST
+
+    path = Path(item)
+    try:
+        path.stat()
+    except (OSError, ValueError):
+        return path.suffix.lower() == ".csv"
+    if path.is_dir():
+        marks = (path / MANIFEST, path / JOURNAL, *path.glob("shard-*.h5"))
+        return not any(mark.exists() for mark in marks)
+    return is_manifest(item) or (path.suffix.lower() in ENDINGS and not is_dataset(item))
+
+
+def _manifest(item: str) -> Manifest:
+    """Return the manifest of an argument that names recordings."""
     from cgid.identification.manifest import folder_manifest, is_manifest, read_manifest, unlabelled
 
     if is_manifest(item):
         return read_manifest(item)
-    if _is_folder_of_recordings(item):
-        return folder_manifest(item)
-    if _is_recording(item):
+    if not Path(item).is_dir():
         raise BadData(f"{item}: {unlabelled('a recording', item)}")
-    return None
-
-
-def _is_folder_of_recordings(item: str) -> bool:
-    """Return whether this is a folder, but not that of a dataset."""
-    from cgid.store.description import JOURNAL, MANIFEST
-
-    folder = Path(item)
-    marks = (folder / MANIFEST, folder / JOURNAL)
-    return folder.is_dir() and not any(mark.exists() for mark in marks) and not any(folder.glob("shard-*.h5"))
-
-
-def _is_recording(item: str) -> bool:
-    """Return whether this is a recording, or claims to be one."""
-    from cgid.identification.manifest import ENDINGS
-    from cgid.recordings import is_dataset
-
-    path = Path(item)
-    return path.suffix.lower() in ENDINGS and path.is_file() and not is_dataset(item)
+    manifest = folder_manifest(item)
+    counts = Counter(one.label for one in manifest.annotations if not one.reference)
+    told = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
+    say(f"cgid: labels of {manifest.source}: {told}", err=True)
+    return manifest
 
 
 def _asked_by(context: click.Context, others: list[str], features: Any) -> Literal["window", "impact"] | None:
@@ -242,10 +245,12 @@ def _write_template(data: tuple[str, ...], path: Path, options: dict[str, Any], 
             code = code or failed
             given = {"rate": options["sampling_rate"], "unit": options["unit"], "content": content}
             rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
-    write_whole(path, manifest_text(rows).encode("utf-8-sig"), overwrite=overwrite)
+    text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
+    write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
     empty = sum(not row["label"] for row in rows)
-    fill = f"fill in the label of {empty}, " if empty else ""
-    say(f"wrote {path}: {len(rows)} recordings; {fill}then cgid train {path} -o mine.npz", err=True)
+    fill = f"fill in the label of {empty}, then " if empty else "now "
+    many = "" if len(rows) == 1 else "s"
+    say(f"wrote {path}: {len(rows)} recording{many}; {fill}cgid train {path} -o mine.npz", err=True)
     return code
 
 
@@ -321,7 +326,6 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
     """Return recorded impacts, and those of datasets and scenes, with the features that both can have."""
     from itertools import chain
 
-    from cgid.errors import BadData
     from cgid.identification.rows import in_unit, measure
     from cgid.measure.features import supported
 

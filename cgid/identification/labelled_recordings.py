@@ -23,7 +23,7 @@ from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
-from cgid.identification.silence import SILENT_SHARE, Silence, silence_of
+from cgid.identification.silence import Silence, silence_of
 from cgid.identification.windows import Grid, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
@@ -56,7 +56,6 @@ class Reading:
         if self.strict:
             raise error
         failures.append(error)
-        self.failed(error)
 
 
 # -- files ------------------------------------------------------------------------------------------------
@@ -276,6 +275,9 @@ def record(
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures: list[CgidError] = []
     files = open_all(manifest, reading, failures)
+    for failure in failures:
+        reading.failed(failure)
+    n_said = len(failures)
     slicing, notes, warnings = _decided(files, slicing, features)
     names = _names(features, files, slicing, level_free)
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
@@ -291,8 +293,10 @@ def record(
         said = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
-            "correct start and end, or what is decided on"
+            f"correct start and end, or give --by {'impact' if slicing.by == 'window' else 'window'}"
         )
+    for failure in failures[n_said:]:
+        reading.failed(failure)
     rows = _joined(measured, cutting)
     return replace(
         rows, references=references, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings)
@@ -309,12 +313,13 @@ def _decided(
         return replace(slicing, by="window" if kind_of(choose(features)) == "window" else "impact"), (), ()
     held = _silence(files, slicing)
     if slicing.by is None and held.has_single_impacts:
-        return replace(slicing, by="impact"), (f"by impact, for {held}; --by window decides otherwise",), ()
+        return replace(slicing, by="impact"), (f"trained on impacts, because {held}; --by window for windows",), ()
     if slicing.by is None:
-        return replace(slicing, by="window"), (f"by window, for only {held}; --by impact decides otherwise",), ()
-    if held.share <= SILENT_SHARE:
+        note = f"trained on windows of {slicing.window_time:g} s, because only {held}; --by impact for impacts"
+        return replace(slicing, by="window"), (note,), ()
+    if not held.has_single_impacts or held.is_cut:
         return slicing, (), ()
-    return slicing, (), (f"by window, but {held}: these rows tell nothing; leave out --by, or give --by impact",)
+    return slicing, (), (f"most windows tell nothing, {held}; leave out --by, or give --by impact",)
 
 
 def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:

@@ -12,6 +12,7 @@ import io
 import math
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -402,7 +403,7 @@ def folder_manifest(folder: str | Path) -> Manifest:
     held = [folder / name for name in _NAMES if (folder / name).is_file()]
     if len(held) > 1:
         raise BadData(
-            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in held)}; name it"
+            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in held)}; name one"
         )
     if held:
         return read_manifest(held[0])
@@ -445,22 +446,22 @@ def recordings_in(folder: Path) -> list[Path]:
 def unlabelled(name: str, given: str) -> str:
     """Return the fault of a recording without a label, and the commands that label what was `given`."""
     return (
-        f"{name} must have labels to train on and has none; run cgid events {given} -o events.csv for a row for each "
+        f"{name} must have labels to train on and has none; run cgid events {shlex.quote(given)} -o events.csv for a row for each "
         "impact, fill in the column label, then cgid train events.csv -o mine.npz"
     )
 
 
-def manifest_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the content of a CSV manifest; columns without a value are left out, but for path and label.
+def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
+    """Return the content of a CSV manifest; columns without a value are left out, but for path, label and the given.
 
     >>> print(manifest_text([{"path": "a.wav", "start": "0.5", "peak": "12"}]), end="")
     path,start,label,peak
     a.wav,0.5,,12
     """
     order = dict.fromkeys(("path", "channel", "start", "end", "label", *INFORMATIVE, *COLUMNS))
-    columns = [name for name in order if name in ("path", "label") or any(row.get(name) for row in rows)]
+    kept = [name for name in order if name in ("path", "label", *columns) or any(row.get(name) for row in rows)]
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, restval="", extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(stream, kept, restval="", extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()

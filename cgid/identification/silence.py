@@ -23,8 +23,8 @@ from cgid.validation import Floats
 SILENT_POWER = 0.25
 #: Impacts decide where more than this share of the windows is silent.
 SILENT_SHARE = 0.5
-#: An interval up to this length [s] with one impact was cut out to hold it.
-SINGLE_TIME = 0.5
+#: An interval up to this length [s] with an impact, or two with a rebound, was cut out to hold it.
+CUT_TIME = 0.5
 #: No more of a recording than this is looked at [s].
 LONGEST_LOOK = 120.0
 
@@ -37,14 +37,14 @@ class Silence:
     ----------
     n_impacts : impacts
     n_windows, n_silent : windows of `WINDOW_TIME`, and how many of them are silent
-    n_intervals, n_single : intervals, and how many of them were cut out around one impact
+    n_intervals, n_cut : intervals, and how many of them were cut out around an impact
     """
 
     n_impacts: int = 0
     n_windows: int = 0
     n_silent: int = 0
     n_intervals: int = 0
-    n_single: int = 0
+    n_cut: int = 0
 
     def __add__(self, other: Silence) -> Silence:
         """Return what two recordings hold together."""
@@ -56,17 +56,20 @@ class Silence:
         return self.n_silent / max(self.n_windows, 1)
 
     @property
+    def is_cut(self) -> bool:
+        """Whether the intervals were cut out around impacts, or are all too short for a window."""
+        return self.n_cut > self.n_intervals / 2 or self.n_windows == 0
+
+    @property
     def has_single_impacts(self) -> bool:
         """Whether impacts are isolated, so that a model should decide on them."""
-        return self.n_single > self.n_intervals / 2 or self.share > SILENT_SHARE
+        return self.is_cut or self.share > SILENT_SHARE
 
     def __str__(self) -> str:
         """Say what was counted."""
-        if self.n_single > self.n_intervals / 2:
-            return f"{self.n_single} of {self.n_intervals} intervals hold one impact each"
-        return (
-            f"{self.share:.0%} of all windows of {WINDOW_TIME:g} s are silence between impacts ({self.n_impacts} found)"
-        )
+        if self.is_cut:
+            return f"{self.n_cut} of {self.n_intervals} recordings or intervals hold a single impact"
+        return f"{self.share:.0%} of the time is silence between impacts ({self.n_impacts} found)"
 
 
 def silence_of(
@@ -81,9 +84,10 @@ def silence_of(
     rate = recording.sampling_rate
     detector = ImpactDetector(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True)
     events: list[Event] = []
+    most = left = round(LONGEST_LOOK * rate)
 
     def seen() -> Iterator[NDArray[np.floating]]:
-        left = round(LONGEST_LOOK * rate)
+        nonlocal left
         for block in recording.blocks():
             part = -block[:, :left] if invert else block[:, :left]
             events.extend(detector.feed(part))
@@ -94,9 +98,10 @@ def silence_of(
 
     parts = [(first, windows.var(axis=2)) for first, windows in windows_of(seen(), rate, WINDOW_TIME, WINDOW_TIME)]
     events += detector.finish()
+    intervals = [(start, min(end, (most - left) / rate)) for start, end in intervals]
     inside = [sum(start <= event.time < end for event in events) for start, end in intervals]
-    single = [n == 1 and end - start <= SINGLE_TIME for n, (start, end) in zip(inside, intervals, strict=True)]
-    found = Silence(n_impacts=sum(inside), n_intervals=len(intervals), n_single=sum(single))
+    cut = [n in (1, 2) and end - start <= CUT_TIME for n, (start, end) in zip(inside, intervals, strict=True)]
+    found = Silence(n_impacts=sum(inside), n_intervals=len(intervals), n_cut=sum(cut))
     if not parts:
         return found
     first, power = (np.concatenate(column) for column in zip(*parts, strict=True))
