@@ -77,7 +77,7 @@ def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
         ((np.zeros((2, 3, 4)), 2e5), {}, BadData, "shape"),
         ((np.array([0.0, np.nan]), 2e5), {}, BadData, "sample 1 is nan"),
         ((np.zeros(100), -1.0), {}, InvalidValue, "above 0"),
-        ((np.zeros(100), 2e5, "KN"), {}, InvalidValue, "did you mean 'kN'"),
+        ((np.zeros(100), 2e5, "KN"), {}, InvalidValue, "level: FS\\); did you mean 'kN'"),
         ((np.zeros(100), 2e5, "V"), {}, BadData, "voltage"),
         ((np.zeros(100), 2e5, "N", "defualt"), {}, NoInput, "did you mean 'default'"),
         ((sample(), 2e5, "N", "default-drop-height"), {}, MissingOption, "drop_height"),
