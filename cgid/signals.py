@@ -81,6 +81,12 @@ class Signal:
         object.__setattr__(self, "samples", samples)
         object.__setattr__(self, "sampling_rate", rate)
 
+    def __repr__(self) -> str:
+        return (
+            f"Signal({self.name!r}: {len(self.samples)} samples at {self.sampling_rate:g} Hz "
+            f"[{self.unit or 'unit unknown'}], {self.duration:.4g} s)"
+        )
+
     @property
     def name(self) -> str:
         """Source, and the channel unless it is "1"."""
@@ -179,6 +185,12 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.signals)
+
+    def __repr__(self) -> str:
+        labels, counts = np.unique(self.labels, return_counts=True)
+        told = ", ".join(f"{label} {count}" for label, count in zip(labels.tolist(), counts.tolist(), strict=True))
+        size = f"{len(self)} signals of {self.signals.shape[-1]} samples"
+        return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {told})"
 
     def drop_heights(self) -> Floats | None:
         """Return the drop height of each rock [m]; None if the batch does not store it.

@@ -108,7 +108,7 @@ def quantity_of(unit: str) -> str:
     known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
     meant = known_unit(str(unit))
     hint = suggestion(unit, sorted(KNOWN_UNITS)) if meant is None else f"; did you mean {meant!r}?"
-    raise InvalidValue(f"unit must be one of the known ones, got {unit!r}{hint} ({known})")
+    raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known}){hint}")
 
 
 def plain_unit(text: str) -> str:

@@ -166,7 +166,7 @@ def suggestion(given: Any, known: Iterable[str]) -> str:
     return f"; did you mean {found[0]!r}?" if found else ""
 
 
-def similar(given: str, known: Iterable[str], n: int = 1, cutoff: float = 0.6) -> list[str]:
+def similar(given: str, known: Iterable[str], n: int = 1, cutoff: float = 0.7) -> list[str]:
     """Return up to `n` known names that are most like a given one, in upper or lower case; see `difflib`."""
     import difflib
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 
 from cgid.cli.help import Command, heading_of
 from cgid.cli.main import cli, run
+from cgid.shipped import SCENES
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {"cgid": cli, **cli.commands}
@@ -33,6 +35,33 @@ def test_mistyped_names_are_suggested(capsys: pytest.CaptureFixture[str]) -> Non
     assert "Did you mean 'predict'?" in capsys.readouterr().err
     assert run(["predict", "--smaple"]) == 2
     assert "--sample" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("cgid pre", ["predict"]),
+        ("cgid check re", ["reference"]),
+        ("cgid ceiling ", SCENES),
+        ("cgid generate tail", ["tail_beam"]),
+        ("cgid train p", ["peers", "plate"]),
+        ("cgid predict --model default-", ["default-drop-height", "default-acceleration"]),
+        ("cgid plot --kind v", ["vibration"]),
+        ("cgid info re", []),
+    ],
+)
+def test_the_shell_completes(words: str, offered: list[str]) -> None:
+    """By a new process, as bash asks; files are left to bash itself, which forgets what came before "file"."""
+    asked = {"COMP_WORDS": words, "COMP_CWORD": str(words.count(" ")), "_CGID_COMPLETE": "bash_complete"}
+    done = subprocess.run(
+        [sys.executable, "-m", "cgid"], env={**os.environ, **asked}, capture_output=True, text=True, check=True
+    )
+    lines = [line.partition(",") for line in done.stdout.splitlines()]
+    assert [text for kind, _, text in lines if kind == "plain"] == list(offered)
+    assert "file" not in [kind for kind, _, _ in lines][1:]
+    if words.startswith(("cgid check", "cgid train", "cgid predict --model", "cgid info")):
+        assert lines[0][0] == "file"
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize("name", COMMANDS)

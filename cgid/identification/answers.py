@@ -71,6 +71,12 @@ class Answer:
     cut: bool = False
     cause: Cause | None = None
 
+    def __repr__(self) -> str:
+        told = ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
+        where = f"{self.time:.6g} s" if self.channel == "1" else f"{self.time:.6g} s of channel {self.channel}"
+        reason = f"; {self.problem}" if self.problem else ""
+        return f"Answer({self.label} at {where}: {told}, novelty {self.novelty:.3g}{reason})"
+
     @property
     def probability(self) -> float:
         """Probability of the label, or of the most probable label if it is "unknown"; nan when nothing was measured."""

@@ -107,6 +107,14 @@ class Event:
     unit: str | None = None
     source: str = "signal"
 
+    def __repr__(self) -> str:
+        marks = [name for name in ("overlapping", "clipped", "cut", "problem") if getattr(self, name)]
+        told = f", {', '.join(marks)}" if marks else ""
+        return (
+            f"Event({self.source!r}, samples {self.onset} to {self.end - 1} at {self.sampling_rate:g} Hz, "
+            f"frame {self.samples.shape}{told})"
+        )
+
     @property
     def time(self) -> float:
         """Time of the onset in the recording [s]."""

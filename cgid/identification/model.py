@@ -128,6 +128,19 @@ class Model:
         check_training(self)
         _ = self._classifier, self.conformal  # their constructors check the arrays
 
+    def __repr__(self) -> str:
+        n_more = len(self.inputs) - 4
+        inputs = ", ".join(self.inputs[:4]) + (f" and {n_more} more" if n_more > 0 else "")
+        low, high = self.sampling_rates
+        rates = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        accuracy = self.training.get("metrics", {}).get("accuracy")
+        told = f", accuracy {accuracy:.3f}" if isinstance(accuracy, float) else ""
+        return (
+            f"Model({self.family}: {', '.join(self.labels)} from {inputs};\n"
+            f"      trained on {self.training.get('n_train', 'some')} {self.kind}s of {self.quantity} [{self.unit}] at "
+            f"{rates} Hz{told})"
+        )
+
     @property
     def quantity(self) -> str:
         """Quantity of the training signals."""

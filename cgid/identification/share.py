@@ -73,6 +73,12 @@ class Share:
     n_unknown: int = 0
     channel: str = "1"
 
+    def __repr__(self) -> str:
+        where = "" if self.channel == "1" else f" of channel {self.channel}"
+        share = f"{self.share:.3f} ({self.low:.3f} to {self.high:.3f})"
+        counts = f"{self.n_impacts} identified, {self.n_unknown} unknown"
+        return f"Share({share} from {self.start:g} to {self.time:g} s{where}: {counts})"
+
 
 class ShareWindow:
     """The impacts of the last seconds, and their gangue share.

@@ -88,6 +88,10 @@ class Training:
     test_probabilities: Floats
     classifier: ImpactClassifier
 
+    def __repr__(self) -> str:
+        model, accuracy = f"{self.model.family}: {', '.join(self.model.labels)}", self.metrics["accuracy"]
+        return f"Training({model}; accuracy {accuracy:.3f} on {len(self.test_labels)} test rows)"
+
 
 def train(
     data: Iterable[Batch] | Rows,

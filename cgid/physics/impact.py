@@ -108,6 +108,15 @@ class Impact:
         self.curves.require_rebound()
         self._warn_of_range()
 
+    def __repr__(self) -> str:
+        ends = [(np.min(one), np.max(one)) if np.size(one) else () for one in (self.sphere.radius, self.velocity)]
+        radius, velocity = (" to ".join(dict.fromkeys(f"{end:.4g}" for end in pair)) or "no" for pair in ends)
+        shape = np.broadcast_shapes(np.shape(self.reduced_mass), np.shape(self.velocity))
+        return (
+            f"Impact({f'{shape} of ' if shape else ''}radius {radius} m at {velocity} m/s on "
+            f"{type(self.target).__name__}, {self.stiffness}, {type(self.dissipation).__name__})"
+        )
+
     def _require_reach(self) -> None:
         with np.errstate(all="ignore"):
             scales = {

@@ -266,6 +266,15 @@ class RecordingFile:
         )
         self.n_samples, self.start_time = contents.n_samples, contents.start_time
 
+    def __repr__(self) -> str:
+        channels = ", ".join(f"{channel.name} [{channel.unit or 'unit unknown'}]" for channel in self.channels[:4])
+        more = f" and {len(self.channels) - 4} more" if len(self.channels) > 4 else ""
+        length = "samples" if self.n_samples is None else f"{self.n_samples} samples"
+        return (
+            f"RecordingFile({self.source!r}, {self.format}: {length} at {self.sampling_rate:g} Hz of "
+            f"channel{'s' * (len(self.channels) > 1)} {channels}{more})"
+        )
+
     @property
     def duration(self) -> float | None:
         """Duration [s]; None if only reading shows it."""

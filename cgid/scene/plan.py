@@ -98,6 +98,10 @@ class Plan:
     quantities: tuple[str, ...] = STORED
     dtype: Literal["float32", "float64"] = "float32"
 
+    def __repr__(self) -> str:
+        running = ", ".join(stage for stage, decision in self.decisions.items() if decision.runs)
+        return f"Plan({', '.join(sorted(self.outputs, key=OUTPUTS.index))} of scene {self.scene.name!r}: {running})"
+
     @cached_property
     def decisions(self) -> dict[str, Decision]:
         """The decision for each stage, in processing order."""

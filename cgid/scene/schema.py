@@ -96,6 +96,16 @@ class Scene(Section):
             raise ValueError("\n".join(problems))
         return self
 
+    def __repr__(self) -> str:
+        sources = ", ".join(dict.fromkeys(source.label for source in self.sources))
+        size = f"frames of {samples_of(self)} samples"
+        if self.stream is not None:
+            size = f"a recording of {self.stream.duration:g} s"
+        rate = "a drawn rate" if self.draws("sampling_rate") else f"{self.sampling.sampling_rate:g} Hz"
+        return f"Scene({self.name!r}: {sources}; {size} at {rate} [{self.sensor.unit}])"
+
+    __str__ = __repr__
+
     def _problems_of_beam(self) -> list[str]:
         if self.tail_beam is None:
             if self.sensor.quantity == "force":

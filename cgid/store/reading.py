@@ -135,6 +135,12 @@ class Dataset:
     def __len__(self) -> int:
         return sum(self._counts)
 
+    def __repr__(self) -> str:
+        return (
+            f"Dataset({str(self.path)!r}: {len(self)} signals of {self.header.n_samples} samples at "
+            f"{self.sampling_rate:g} Hz [{self.unit}])"
+        )
+
     @property
     def sampling_rate(self) -> float:
         """Sampling rate [Hz]."""
@@ -308,6 +314,12 @@ class Recording:
         self.start: float = about["start"]
         self.unit: str = about["unit"]
         self.impact_units: dict[str, str] = about["impact_units"]
+
+    def __repr__(self) -> str:
+        return (
+            f"Recording({str(self.path)!r}: {self.n_samples} samples at {self.sampling_rate:g} Hz [{self.unit}], "
+            f"{self.n_impacts} impacts)"
+        )
 
     def samples(self, first: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return the samples in [first, stop).
