@@ -9,7 +9,7 @@ import click
 
 from cgid.cli.options import PATH, Reading, printing_options, reading_options
 from cgid.cli.output import each_file, print_json, say
-from cgid.cli.table import Column, TableOutput, numbers, output_options, say_table, times
+from cgid.cli.table import Column, TableOutput, numbers, output_options, times
 from cgid.errors import BadData
 from cgid.signals import Signal
 from cgid.terminal import counted
@@ -49,10 +49,7 @@ def features(
     from cgid.measure.features import choose
     from cgid.recordings import is_dataset
 
-    if as_list:
-        _print_list()
-        return 0
-    if not files:
+    if not (files or as_list):
         raise click.UsageError("give at least one FILE, or --list for the table of features")
     chosen = None if names is None else choose([name.strip() for name in names.split(",")])
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
@@ -65,6 +62,9 @@ def features(
             rows.signals(path, reading)
 
     with table:
+        if as_list:
+            rows.of_features()
+            return 0
         return each_file(files, treat, strict=strict)
 
 
@@ -75,19 +75,6 @@ def _warn(problems: list[str], source: str, what: str) -> None:
     more = len(problems) - _MOST_REPORTED
     if more > 0:
         say(f"cgid: warning: {source}: and {counted(more, f'more {what}')} cannot be measured", err=True)
-
-
-def _print_list() -> None:
-    """Print one row for each feature and each bank."""
-    from cgid.measure.features import FEATURES
-    from cgid.measure.table import Bank
-
-    names = ("name", "unit", "definition", "source", "kind")
-    rows = [{name: getattr(entry, name) for name in names} for entry in FEATURES.entries]
-    for row, entry in zip(rows, FEATURES.entries, strict=True):
-        if isinstance(entry, Bank):
-            row["definition"] += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
-    say_table(map(Column, names), rows)
 
 
 @dataclass(frozen=True)
@@ -111,6 +98,23 @@ class _Rows:
     names: tuple[str, ...] | None
     datasets: bool
 
+    def of_features(self) -> None:
+        """Print one row for each feature and each bank."""
+        from cgid.measure.features import FEATURES
+        from cgid.measure.table import Bank
+
+        names = ("name", "unit", "definition", "source", "kind")
+        if not self.as_json:
+            self.table.begin(map(Column, names))
+        for entry in FEATURES.entries:
+            row = {name: getattr(entry, name) for name in names}
+            if isinstance(entry, Bank):
+                row["definition"] += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
+            if self.as_json:
+                print_json(row, version=FEATURES_VERSION)
+            else:
+                self.table.add(row)
+
     def signals(self, path: str, reading: Reading) -> None:
         """Print the impacts of all channels of a recording, or of one signal of a dataset.
 
@@ -126,8 +130,9 @@ class _Rows:
                 found.append(self._measured(signal, reading.dead_time))
             except BadData as error:
                 errors.append(error)
-        if found:
-            self._begin(path, [column for channel in found for column in channel.columns])
+        columns = [column for channel in found for column in channel.columns]
+        if columns or not self.table.columns:
+            self._begin(path, columns or self._expected(signals[0]))
         for channel in found:
             errors += self._print_channel(channel, {} if reading.index is None else {"index": reading.index})
         if len(errors) == len(signals):
@@ -164,6 +169,15 @@ class _Rows:
             say(
                 f"cgid: warning: {path}: {unmeasured} of {counted(len(dataset), 'signal')} cannot be measured", err=True
             )
+
+    def _expected(self, signal: Signal) -> list[Column]:
+        """Return the columns that impacts of a signal would have."""
+        from cgid.measure.features import choose, kind_for, supported
+
+        every = choose(None, kind_for(signal.quantity))
+        return _columns(
+            signal.quantity, signal.unit, self.names or supported(every, signal.sampling_rate, len(signal.samples))
+        )
 
     def _measured(self, signal: Signal, dead_time: float | None) -> _Channel:
         """Return the measured impacts of one channel."""
