@@ -77,15 +77,8 @@ def _warn(problems: list[str], source: str, what: str) -> None:
         say(f"cgid: warning: {source}: and {counted(more, f'more {what}')} cannot be measured", err=True)
 
 
-@dataclass(frozen=True)
-class _Channel:
-    """The impacts of one channel, with the values of each, or why it has none."""
-
-    signal: Signal
-    columns: list[Column]
-    times: list[float]
-    values: list[list[float]]
-    problems: list[str | None]
+#: Time of an impact [s], its values, and why it has none.
+_Impact = tuple[float, list[float], str]
 
 
 @dataclass(frozen=True)
@@ -123,18 +116,21 @@ class _Rows:
         signals = reading.signals(path)
         for warning in signals[0].warnings:
             say(f"cgid: warning: {warning}", err=True)
-        found: list[_Channel] = []
+        found: list[tuple[Signal, list[Column], list[_Impact]]] = []
         errors: list[BadData] = []
         for signal in signals:
             try:
-                found.append(self._measured(signal, reading.dead_time))
+                found.append((signal, *self._measured(signal, reading.dead_time)))
             except BadData as error:
                 errors.append(error)
-        columns = [column for channel in found for column in channel.columns]
+        columns = [column for _, own, _ in found for column in own]
         if columns or not self.table.columns:
             self._begin(path, columns or self._expected(signals[0]))
-        for channel in found:
-            errors += self._print_channel(channel, {} if reading.index is None else {"index": reading.index})
+        for signal, own, impacts in found:
+            try:
+                self._print_channel(signal, own, impacts, {} if reading.index is None else {"index": reading.index})
+            except BadData as error:
+                errors.append(error)
         if len(errors) == len(signals):
             raise errors[0]
         # A channel without impacts must not hide the others.
@@ -179,7 +175,7 @@ class _Rows:
             signal.quantity, signal.unit, self.names or supported(every, signal.sampling_rate, len(signal.samples))
         )
 
-    def _measured(self, signal: Signal, dead_time: float | None) -> _Channel:
+    def _measured(self, signal: Signal, dead_time: float | None) -> tuple[list[Column], list[_Impact]]:
         """Return the measured impacts of one channel."""
         from cgid.errors import InvalidValue
         from cgid.identification.detection import find_impacts
@@ -195,13 +191,13 @@ class _Rows:
         # All frames of a recording allow the same features, except the first, which may be shorter.
         shortest = min(event.signal.samples.size for event in events)
         chosen = _chosen(self.names, kind, signal.sampling_rate, shortest)
-        values, problems = [], []
+        impacts = []
         for event in events:
             part, problem = event.signal, event.problem
-            row = [float("nan")] * len(chosen)
+            values = [float("nan")] * len(chosen)
             try:
                 if not problem:
-                    row = extract_array(
+                    values = extract_array(
                         part.samples,
                         part.sampling_rate,
                         chosen,
@@ -211,26 +207,24 @@ class _Rows:
                     )[0].tolist()
             except BadData as error:
                 problem = str(error)
-            values.append(row)
-            problems.append(problem or None)
-        columns = _columns(signal.quantity, signal.unit, chosen)
-        return _Channel(signal, columns, [event.time for event in events], values, problems)
+            impacts.append((event.time, values, problem))
+        return _columns(signal.quantity, signal.unit, chosen), impacts
 
-    def _print_channel(self, channel: _Channel, index: dict[str, int]) -> list[BadData]:
-        """Print the impacts of a channel; return an error if none of them could be measured."""
-        signal, n_impacts = channel.signal, counted(len(channel.times), "impact")
+    def _print_channel(
+        self, signal: Signal, columns: list[Column], impacts: list[_Impact], index: dict[str, int]
+    ) -> None:
+        """Print the impacts of a channel; raises `BadData` if none of them could be measured."""
+        n_impacts = counted(len(impacts), "impact")
         self._say_of(signal.name, signal.sampling_rate, n_impacts)
         failed = []
-        rows = zip(channel.times, channel.values, channel.problems, strict=True)
-        for number, (time, values, problem) in enumerate(rows, start=1):
-            about = {"impact": number, "time_s": time, "sampling_rate_hz": signal.sampling_rate, "problem": problem}
-            self._print(signal.source, channel.columns, values, about | {"channel": signal.channel} | index)
+        for number, (time, values, problem) in enumerate(impacts, start=1):
+            about = {"impact": number, "time_s": time, "sampling_rate_hz": signal.sampling_rate}
+            self._print(signal.source, columns, values, {"channel": signal.channel, **about, **index}, problem)
             if problem:
                 failed.append(f"impact {number} at {time:.6f} s: {problem}")
         _warn([f"{signal.name}: {problem}" for problem in failed], signal.name, "impact")
-        if len(failed) < len(channel.times):
-            return []
-        return [BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")]
+        if len(failed) == len(impacts):
+            raise BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")
 
     def _begin(self, source: str, columns: list[Column]) -> None:
         """Set the columns of the table; those that a later file has in addition are left out with a warning.
@@ -261,16 +255,18 @@ class _Rows:
             baseline = "removed" if self.remove_baseline else "kept"
             say(f"{name}: {sampling_rate:.8g} Hz, {what}, baseline {baseline}", err=True)
 
-    def _print(self, source: str, columns: list[Column], values: list[float], about: dict[str, Any]) -> None:
+    def _print(
+        self, source: str, columns: list[Column], values: list[float], about: dict[str, Any], problem: str = ""
+    ) -> None:
         """Print the row of one impact."""
-        row = {"source": source, "channel": "1", **about}
+        row = {"source": source, "channel": "1", **about, "problem": problem or None}
         if self.as_json:
-            row |= {"baseline_removed": self.remove_baseline}
-            row |= {"features": {column.name: value for column, value in zip(columns, values, strict=True)}}
+            own = {column.name: value for column, value in zip(columns, values, strict=True)}
+            row |= {"baseline_removed": self.remove_baseline, "features": own}
             print_json(row | {"units": {column.name: column.unit for column in columns}}, version=FEATURES_VERSION)
         else:
-            values_by_title = {column.title: value for column, value in zip(columns, values, strict=True)}
-            self.table.add(row | {"time [s]": about["time_s"]} | values_by_title)
+            own = {column.title: value for column, value in zip(columns, values, strict=True)}
+            self.table.add(row | {"time [s]": about["time_s"]} | own)
 
 
 def _columns(quantity: str | None, unit: str | None, chosen: tuple[str, ...]) -> list[Column]:
