@@ -429,7 +429,7 @@ def test_predict_imports_nothing_heavy() -> None:
         "print([x for x in ('numba', 'sklearn', 'pandas', 'scipy', 'matplotlib') if x in sys.modules], file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stderr.strip() == "[]"
+    assert done.stderr.splitlines()[-1] == "[]"
 
 
 @pytest.mark.long
@@ -506,7 +506,7 @@ def test_every_command_takes_several_channels_in_one_word(
     np.save("three.npy", np.stack([pulse(), -pulse(), 2 * pulse()]))
     for command in ("predict", "features"):
         assert run([command, "three.npy", "--rate", "2e5", "--unit", "N", "--channel", "1+3", "--json"]) == 0
-        out = capsys.readouterr().out
-        assert ("channel 2" in out, "channel 3" in out) == (False, True)
+        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert {row["channel"] for row in rows if "time_s" in row} == {"1", "3"}
     assert run(["plot", "three.npy", "--rate", "2e5", "--channel", "1+3", "-o", "p.png", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["channels"] == ["1", "3"]

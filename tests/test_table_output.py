@@ -105,6 +105,8 @@ def test_a_recording_without_impacts_is_an_empty_table(tmp_path: Path) -> None:
     np.save(tmp_path / "quiet.npy", np.random.default_rng(0).normal(0, 25, 24_000))
     table, err = printed("predict", str(tmp_path / "quiet.npy"), *RAW, code=65)
     assert table.empty and "p(coal)" in table and "no impact" in err
+    table, err = printed("features", str(tmp_path / "quiet.npy"), *RAW, code=65)
+    assert table.empty and "peak_force [N]" in table and "no impact" in err
 
 
 def test_features_print_a_table(tmp_path: Path, dataset: Path) -> None:
@@ -148,6 +150,9 @@ def test_the_list_of_features_is_a_table() -> None:
     table, err = printed("features", "--list")
     assert list(table.columns) == ["name", "unit", "definition", "source", "kind"]
     assert set(table["kind"]) == {"pulse", "vibration", "window"} and not err
+    command = [sys.executable, "-m", "cgid", "features", "--list", "--json"]
+    lines = subprocess.run(command, capture_output=True, cwd=ROOT).stdout.splitlines()
+    assert [json.loads(line)["definition"] for line in lines] == table["definition"].tolist()
 
 
 def test_names_are_quoted_and_cannot_command_the_terminal(tmp_path: Path) -> None:
@@ -229,9 +234,10 @@ def test_rows_are_written_in_blocks(ending: str, tmp_path: Path, monkeypatch: py
     monkeypatch.setattr("cgid.store.table._ROWS", 10)
     for n in (0, 10, 25):
         with TableOutput(str(tmp_path / f"{n}{ending}")) as table:
-            table.begin([numbers("x", "m/s^2"), numbers("a/b")])
+            table.begin([numbers("x", "m/s^2"), numbers("a/b"), numbers("y", "N"), numbers("y", "m/s^2")])
             for value in range(n):
-                table.add({"x [m/s^2]": value / 3})
+                table.add({"x [m/s^2]": value / 3, "y [N]": 1.0, "y [m/s^2]": 2.0})
         found = read(tmp_path / f"{n}{ending}")
         assert found["x [m/s^2]"].tolist() == [value / 3 for value in range(n)]
         assert len(found) == found.iloc[:, 1].isna().sum() == n
+        assert found.filter(like="y").to_numpy().tolist() == [[1.0, 2.0]] * n

@@ -66,8 +66,8 @@ class AnswerLines:
     def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:
         """Print the answer for an impact or a window; `more` are its number in its channel, its index or its truth."""
         probabilities = dict(answer.probabilities)
+        held = None if answer.prediction_set is None else list(answer.prediction_set)
         row = {
-            "source": source,
             "channel": answer.channel,
             "label": answer.label,
             "novelty": answer.novelty,
@@ -75,86 +75,71 @@ class AnswerLines:
             "clipped": answer.clipped,
             "cut_off": answer.cut,
             "problem": answer.problem or None,
+            **more,
         }
-        likely = max(probabilities, key=lambda label: probabilities[label], default=None)
-        held = answer.prediction_set
         if self.as_json:
+            likely = max(probabilities, key=lambda label: probabilities[label], default=None)
             row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
-            row |= {"in_training_range": answer.in_training_range, "prediction_set": None if held is None else [*held]}
-            self._line(kind, row | more)
-            return
-        row |= {"time [s]": answer.time, "end [s]": answer.end, "prediction_set": "+".join(held or ())}
-        self._table.add(row | {f"p({label})": value for label, value in probabilities.items()} | more)
+            self._json(kind, source, row | {"in_training_range": answer.in_training_range, "prediction_set": held})
+        else:
+            row |= {"source": source, "time [s]": answer.time, "end [s]": answer.end}
+            row |= {f"p({label})": probability for label, probability in probabilities.items()}
+            self._table.add(row | {"prediction_set": "+".join(held or ())})
 
     def share(self, source: str, name: str, share: Share) -> None:
         """Print the gangue share of a window of a source, or of its channel as `name`."""
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         told = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
-        content = {
-            "source": source,
-            "channel": share.channel,
-            "from_s": share.start,
-            "to_s": share.time,
-            "gangue_share": share.share,
-            "low": share.low,
-            "high": share.high,
-            "impacts": share.n_impacts,
-            "unknown": share.n_unknown,
-        }
+        content = {"from_s": share.start, "to_s": share.time, **_estimate(share)}
+        content |= {"impacts": share.n_impacts, "unknown": share.n_unknown}
+        answers = counted(share.n_impacts, "answer") + unknown
         span = f"from {share.start:.6g} to {share.time:.6g} s"
-        self._line(
-            "share", content, f"{name}: gangue share {told} {span}, {counted(share.n_impacts, 'answer')}{unknown}"
-        )
+        self._note("share", source, f"{name}: gangue share {told} {span}, {answers}", content)
 
     def turn(self, source: str, name: str, turn: Turn, dilution_cost: float) -> None:
         """Print that going on begins to cost more than shutting, or less again."""
         word = "SHUT" if turn.shut else "OPEN"
         says = f"going on costs {turn.cost:.2f} coal an impact" if turn.shut else "going on pays again"
-        share = f"gangue share {turn.share.share:.2f}, {1 / (1 + dilution_cost):.2f} is the limit"
-        content = {
-            "source": source,
-            "channel": turn.share.channel,
-            "time_s": turn.time,
-            "cost": turn.cost,
-            "dilution_cost": dilution_cost,
-            "gangue_share": turn.share.share,
-            "low": turn.share.low,
-            "high": turn.share.high,
-        }
-        costs = f"where a drawn gangue costs {dilution_cost:g} coal"
-        self._line(word.lower(), content, f"{word} {turn.time:.6g} s: {says} ({share} {costs})  {name}")
+        limit = f"{1 / (1 + dilution_cost):.2f} is the limit where a drawn gangue costs {dilution_cost:g} coal"
+        message = f"{word} {turn.time:.6g} s: {says} (gangue share {turn.share.share:.2f}, {limit})  {name}"
+        content = {"time_s": turn.time, "cost": turn.cost, "dilution_cost": dilution_cost, **_estimate(turn.share)}
+        self._note(word.lower(), source, message, content)
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print the summary of a recording."""
-        content = {"source": source, "duration_s": duration, **tally.content(start_time)}
-        self._line("summary", content, f"{source}: {tally.text()} in {duration:.6g} s")
+        content = {"duration_s": duration, **tally.content(start_time)}
+        self._note("summary", source, f"{source}: {tally.text()} in {duration:.6g} s", content)
 
     def warning(self, source: str, message: str) -> None:
         """Print a warning about a readable recording, on stderr and in JSON."""
-        self._warn("warning", {"source": source, "message": message}, message)
+        say(f"cgid: warning: {message}", err=True)
+        self._json("warning", source, {"message": message})
 
     def hint(self, source: str, hint: Hint) -> None:
         """Print why most answers are unknown and what helps, on stderr and in JSON."""
         where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
         content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
-        self._warn("hint", {"source": source, **content}, f"{source}{where}: {hint.text}")
+        say(f"cgid: hint: {source}{where}: {hint.text}", err=True)
+        self._json("hint", source, content)
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
-        content = {"source": source, "behind_s": behind, "message": message}
-        self._warn("delay", content, f"{source}: {behind:.1f} s behind: {message}")
+        say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
+        self._json("delay", source, {"behind_s": behind, "message": message})
 
-    def _warn(self, kind: str, content: dict[str, Any], message: str) -> None:
-        say(f"cgid: {'hint' if kind == 'hint' else 'warning'}: {message}", err=True)
-        if self.as_json:
-            self._line(kind, content)
-
-    def _line(self, kind: str, content: dict[str, Any], message: str = "") -> None:
+    def _note(self, kind: str, source: str, message: str, content: dict[str, Any]) -> None:
         """Print the content in JSON, else the message on stderr."""
-        if self.as_json:
-            print_json({"kind": kind, **content}, version=ANSWERS_VERSION)
-        else:
+        self._json(kind, source, content)
+        if not self.as_json:
             say(message, err=True)
+
+    def _json(self, kind: str, source: str, content: dict[str, Any]) -> None:
+        if self.as_json:
+            print_json({"kind": kind, "source": source, **content}, version=ANSWERS_VERSION)
+
+
+def _estimate(share: Share) -> dict[str, Any]:
+    return {"channel": share.channel, "gangue_share": share.share, "low": share.low, "high": share.high}
 
 
 class RecordingTally:

@@ -10,7 +10,7 @@ import click
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, printing_options, reading_options
 from cgid.cli.output import each_file, print_json, say
-from cgid.cli.table import Column, TableOutput, numbers, output_options, say_table, times
+from cgid.cli.table import Column, TableOutput, numbers, output_options, times
 from cgid.errors import BadData
 from cgid.signals import Signal
 from cgid.terminal import counted
@@ -54,10 +54,7 @@ def features(
     from cgid.measure.features import choose
     from cgid.recordings import is_dataset
 
-    if as_list:
-        _print_list()
-        return 0
-    if not files:
+    if not (files or as_list):
         raise click.UsageError("give at least one FILE, or --list for the table of features")
     chosen = None if names is None else choose([name.strip() for name in names.split(",")])
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
@@ -70,6 +67,9 @@ def features(
             rows.signals(path, reading)
 
     with table:
+        if as_list:
+            rows.of_features()
+            return 0
         return each_file(files, treat, strict=strict)
 
 
@@ -82,28 +82,8 @@ def _warn(problems: list[str], source: str, what: str) -> None:
         say(f"cgid: warning: {source}: and {counted(more, f'more {what}')} cannot be measured", err=True)
 
 
-def _print_list() -> None:
-    """Print one row for each feature and each bank."""
-    from cgid.measure.features import FEATURES
-    from cgid.measure.table import Bank
-
-    names = ("name", "unit", "definition", "source", "kind")
-    rows = [{name: getattr(entry, name) for name in names} for entry in FEATURES.entries]
-    for row, entry in zip(rows, FEATURES.entries, strict=True):
-        if isinstance(entry, Bank):
-            row["definition"] += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
-    say_table(map(Column, names), rows)
-
-
-@dataclass(frozen=True)
-class _Channel:
-    """The impacts of one channel, with the values of each, or why it has none."""
-
-    signal: Signal
-    columns: list[Column]
-    times: list[float]
-    values: list[list[float]]
-    problems: list[str | None]
+#: Time of an impact [s], its values, and why it has none.
+_Impact = tuple[float, list[float], str]
 
 
 @dataclass(frozen=True)
@@ -116,6 +96,23 @@ class _Rows:
     names: tuple[str, ...] | None
     datasets: bool
 
+    def of_features(self) -> None:
+        """Print one row for each feature and each bank."""
+        from cgid.measure.features import FEATURES
+        from cgid.measure.table import Bank
+
+        names = ("name", "unit", "definition", "source", "kind")
+        if not self.as_json:
+            self.table.begin(map(Column, names))
+        for entry in FEATURES.entries:
+            row = {name: getattr(entry, name) for name in names}
+            if isinstance(entry, Bank):
+                row["definition"] += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
+            if self.as_json:
+                print_json(row, version=FEATURES_VERSION)
+            else:
+                self.table.add(row)
+
     def signals(self, path: str, reading: Reading) -> None:
         """Print the impacts of all channels of a recording, or of one signal of a dataset.
 
@@ -124,17 +121,21 @@ class _Rows:
         signals = reading.signals(path)
         for warning in signals[0].warnings:
             say(f"cgid: warning: {warning}", err=True)
-        found: list[_Channel] = []
+        found: list[tuple[Signal, list[Column], list[_Impact]]] = []
         errors: list[BadData] = []
         for signal in signals:
             try:
-                found.append(self._measured(signal, reading.dead_time))
+                found.append((signal, *self._measured(signal, reading.dead_time)))
             except BadData as error:
                 errors.append(error)
-        if found:
-            self._begin(path, [column for channel in found for column in channel.columns])
-        for channel in found:
-            errors += self._print_channel(channel, {} if reading.index is None else {"index": reading.index})
+        columns = [column for _, own, _ in found for column in own]
+        if columns or not self.table.columns:
+            self._begin(path, columns or self._expected(signals[0]))
+        for signal, own, impacts in found:
+            try:
+                self._print_channel(signal, own, impacts, {} if reading.index is None else {"index": reading.index})
+            except BadData as error:
+                errors.append(error)
         if len(errors) == len(signals):
             raise errors[0]
         # A channel without impacts must not hide the others.
@@ -170,7 +171,16 @@ class _Rows:
                 f"cgid: warning: {path}: {unmeasured} of {counted(len(dataset), 'signal')} cannot be measured", err=True
             )
 
-    def _measured(self, signal: Signal, dead_time: float | None) -> _Channel:
+    def _expected(self, signal: Signal) -> list[Column]:
+        """Return the columns that impacts of a signal would have."""
+        from cgid.measure.features import choose, kind_for, supported
+
+        every = choose(None, kind_for(signal.quantity))
+        return _columns(
+            signal.quantity, signal.unit, self.names or supported(every, signal.sampling_rate, len(signal.samples))
+        )
+
+    def _measured(self, signal: Signal, dead_time: float | None) -> tuple[list[Column], list[_Impact]]:
         """Return the measured impacts of one channel."""
         from cgid.errors import InvalidValue
         from cgid.identification.detection import find_impacts
@@ -188,13 +198,13 @@ class _Rows:
         # All frames of a recording allow the same features, except the first, which may be shorter.
         shortest = min(event.signal.samples.size for event in events)
         chosen = _chosen(self.names, kind, signal.sampling_rate, shortest)
-        values, problems = [], []
+        impacts = []
         for event in events:
             part, problem = event.signal, event.problem
-            row = [float("nan")] * len(chosen)
+            values = [float("nan")] * len(chosen)
             try:
                 if not problem:
-                    row = extract_array(
+                    values = extract_array(
                         part.samples,
                         part.sampling_rate,
                         chosen,
@@ -204,26 +214,24 @@ class _Rows:
                     )[0].tolist()
             except BadData as error:
                 problem = str(error)
-            values.append(row)
-            problems.append(problem or None)
-        columns = _columns(signal.quantity, signal.unit, chosen)
-        return _Channel(signal, columns, [event.time for event in events], values, problems)
+            impacts.append((event.time, values, problem))
+        return _columns(signal.quantity, signal.unit, chosen), impacts
 
-    def _print_channel(self, channel: _Channel, index: dict[str, int]) -> list[BadData]:
-        """Print the impacts of a channel; return an error if none of them could be measured."""
-        signal, n_impacts = channel.signal, counted(len(channel.times), "impact")
+    def _print_channel(
+        self, signal: Signal, columns: list[Column], impacts: list[_Impact], index: dict[str, int]
+    ) -> None:
+        """Print the impacts of a channel; raises `BadData` if none of them could be measured."""
+        n_impacts = counted(len(impacts), "impact")
         self._say_of(signal.name, signal.sampling_rate, n_impacts)
         failed = []
-        rows = zip(channel.times, channel.values, channel.problems, strict=True)
-        for number, (time, values, problem) in enumerate(rows, start=1):
-            about = {"impact": number, "time_s": time, "sampling_rate_hz": signal.sampling_rate, "problem": problem}
-            self._print(signal.source, channel.columns, values, about | {"channel": signal.channel} | index)
+        for number, (time, values, problem) in enumerate(impacts, start=1):
+            about = {"impact": number, "time_s": time, "sampling_rate_hz": signal.sampling_rate}
+            self._print(signal.source, columns, values, {"channel": signal.channel, **about, **index}, problem)
             if problem:
                 failed.append(f"impact {number} at {time:.6f} s: {problem}")
         _warn([f"{signal.name}: {problem}" for problem in failed], signal.name, "impact")
-        if len(failed) < len(channel.times):
-            return []
-        return [BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")]
+        if len(failed) == len(impacts):
+            raise BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")
 
     def _begin(self, source: str, columns: list[Column]) -> None:
         """Set the columns of the table; those that a later file has in addition are left out with a warning.
@@ -254,16 +262,18 @@ class _Rows:
             baseline = "removed" if self.remove_baseline else "kept"
             say(f"{name}: {sampling_rate:.8g} Hz, {what}, baseline {baseline}", err=True)
 
-    def _print(self, source: str, columns: list[Column], values: list[float], about: dict[str, Any]) -> None:
+    def _print(
+        self, source: str, columns: list[Column], values: list[float], about: dict[str, Any], problem: str = ""
+    ) -> None:
         """Print the row of one impact."""
-        row = {"source": source, "channel": "1", **about}
+        row = {"source": source, "channel": "1", **about, "problem": problem or None}
         if self.as_json:
-            row |= {"baseline_removed": self.remove_baseline}
-            row |= {"features": {column.name: value for column, value in zip(columns, values, strict=True)}}
+            own = {column.name: value for column, value in zip(columns, values, strict=True)}
+            row |= {"baseline_removed": self.remove_baseline, "features": own}
             print_json(row | {"units": {column.name: column.unit for column in columns}}, version=FEATURES_VERSION)
         else:
-            values_by_title = {column.title: value for column, value in zip(columns, values, strict=True)}
-            self.table.add(row | {"time [s]": about["time_s"]} | values_by_title)
+            own = {column.title: value for column, value in zip(columns, values, strict=True)}
+            self.table.add(row | {"time [s]": about["time_s"]} | own)
 
 
 def _columns(quantity: str | None, unit: str | None, chosen: tuple[str, ...]) -> list[Column]:

@@ -263,7 +263,7 @@ def _renamed(old: str, new: str) -> Callable[[F], F]:
         if value is not None:
             raise click.UsageError(f"{old} is called {new} now; give {new} {value}", context)
 
-    return click.option(old, hidden=True, expose_value=False, is_eager=True, callback=refuse)
+    return click.option(old, type=click.UNPROCESSED, hidden=True, expose_value=False, is_eager=True, callback=refuse)
 
 
 #: Options that choose the model and state the question, as `question_of` takes them.

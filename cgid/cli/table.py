@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import click
 
 from cgid.cli.options import PATH
-from cgid.cli.output import say
+from cgid.cli.output import finite, say
 
 #: Endings of table files.
 ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
@@ -133,21 +133,13 @@ class TableOutput:
             return self._files.enter_context(plain_writer(file, suffix, types))
         stream = self._files.enter_context(file.open("w", encoding="utf-8", newline=""))
         if suffix == ".jsonl":
-            return lambda row: stream.write(json.dumps(dict(zip(titles, row, strict=True))) + "\n")
+            return lambda row: stream.write(json.dumps(finite(dict(zip(titles, row, strict=True)))) + "\n")
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(titles)
         return lambda row: writer.writerow(self._texts(row))
 
     def _texts(self, row: list[Any]) -> list[str]:
         return [column.cell(value) for column, value in zip(self.columns, row, strict=True)]
-
-
-def say_table(columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Print a whole table on stdout."""
-    with TableOutput() as table:
-        table.begin(columns)
-        for row in rows:
-            table.add(row)
 
 
 def _say_row(texts: list[str]) -> None:

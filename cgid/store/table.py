@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -297,8 +298,9 @@ def _plain_hdf5(path: Path, types: Mapping[tuple[str, str], str]) -> Iterator[Ca
                 parts.append(np.array([missing[dtype] if value is None else value for value in column], dtype))
 
     yield write
-    # A slash in a name would make a group.
-    places = [f"columns/{name.replace('/', '|')}" for name, _unit in types]
+    alike = Counter(name for name, _unit in types)
+    names = [name if alike[name] == 1 else f"{name} [{unit}]" for name, unit in types]
+    places = [f"columns/{name.replace('/', '|')}" for name in names]  # a slash would make a group
     joined = dict(zip(places, map(np.concatenate, blocks), strict=True))
     units = {place: unit for place, (_name, unit) in zip(places, types, strict=True) if unit}
     # Else HDF5 takes texts for ASCII.
