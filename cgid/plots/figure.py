@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -138,14 +139,21 @@ def _confusion(counts: NDArray[np.int_], classes: tuple[str, ...]) -> bytes:
 
 
 def _reliability(bins: list[list[float]]) -> bytes:
-    figure = require_matplotlib()(figsize=(4.2, 3.8), layout="constrained")
-    axes = figure.subplots()
-    confidence, accuracy, _ = zip(*bins, strict=True)
+    """Draw the share of right answers over their probability, above the number of answers in each bin."""
+    figure = require_matplotlib()(figsize=(4.2, 4.8), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    confidence, accuracy, counts = zip(*bins, strict=True)
     axes.plot([0, 1], [0, 1], color="0.7", label="calibrated")
     axes.plot(confidence, accuracy, "o-", label="model")
     lowest = min(0.5, *confidence, *accuracy)
-    axes.set(xlabel="probability of the answer", ylabel="share of right answers", xlim=(lowest, 1), ylim=(lowest, 1))
+    axes.set(ylabel="share of right answers", xlim=(lowest, 1), ylim=(lowest, 1))
     axes.legend()
+    gaps = [later - earlier for earlier, later in pairwise(confidence)]
+    below.bar(confidence, counts, width=0.5 * min(gaps, default=0.1), color="C0", alpha=0.6)
+    for place, count in zip(confidence, counts, strict=True):
+        below.annotate(f"{count:.0f}", (place, count), (0, 2), textcoords="offset points", ha="center", fontsize=6)
+    below.margins(y=0.25)
+    below.set(xlabel="probability of the answer", ylabel="answers", xlim=(lowest, 1))
     return png(figure)
 
 
