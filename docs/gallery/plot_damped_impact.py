@@ -3,8 +3,8 @@ One impact, and what theories say of it
 =======================================
 
 A sphere of coal with a radius of 25 mm falls from 1 m onto a thick steel plate. How much of its speed it keeps is the
-restitution. Several published factors of the damping claim to deliver the restitution that is asked for; only the exact
-one does. They agree on weak damping and differ where the loss is large, as it is for coal.
+restitution. Several published factors of the damping claim to deliver the restitution that is asked for. Only the exact
+one does; the later ones come within 0.03, the older ones lose far too little.
 """
 
 import numpy as np

@@ -3,7 +3,7 @@ What an accelerometer on a tail beam records of one rock
 ========================================================
 
 No support measures contact force: sensors sit on the beam. The same rock, once as the force of its contact, once as the
-acceleration of the beam half a metre away. A blow of a third of a millisecond rings for tens of milliseconds.
+acceleration of the beam elsewhere. A blow of less than a millisecond rings for tens of milliseconds.
 """
 
 import numpy as np
