@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import doctest
+import importlib
 import io
 import os
 import re
@@ -289,6 +290,22 @@ class Loaded(HTMLParser):
             "prev",
         ):
             self.places.append(given.get("href") or "")
+
+
+def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numpydoc")
+    pytest.importorskip("sphinx")
+    monkeypatch.syspath_prepend(str(DOCS / "_extensions"))
+    generated = importlib.import_module("generated")
+    sections = [model for _, model in generated.scene_sections()] + generated.distributions()
+    assert len(sections) > 25
+    missing = [
+        f"{model.__name__}.{name}"
+        for model in sections
+        for name in model.model_fields
+        if name != "distribution" and not generated.described(model).get(name)
+    ]
+    assert not missing, "keys without a description in the docstring of their section"
 
 
 @pytest.mark.long

@@ -86,7 +86,13 @@ class _Distribution(BaseModel):
 
 
 class Constant(_Distribution):
-    """Always the same value."""
+    """Always the same value.
+
+    Parameters
+    ----------
+    value : float
+        The value.
+    """
 
     distribution: Literal["constant"] = "constant"
     value: float
@@ -97,7 +103,15 @@ class Constant(_Distribution):
 
 
 class Choice(_Distribution):
-    """One of several values, with weights (equal by default)."""
+    """One of several values, with weights (equal by default).
+
+    Parameters
+    ----------
+    values : tuple of float
+        The values.
+    weights : tuple of float, optional
+        How often each is drawn, relative to the others.
+    """
 
     distribution: Literal["choice"]
     values: tuple[float, ...] = Field(min_length=1)
@@ -137,7 +151,15 @@ class _Bounded(_Distribution):
 
 
 class Uniform(_Bounded):
-    """Uniform between two bounds."""
+    """Uniform between two bounds.
+
+    Parameters
+    ----------
+    lowest : float
+        Lower bound.
+    highest : float
+        Upper bound.
+    """
 
     distribution: Literal["uniform"]
 
@@ -147,7 +169,15 @@ class Uniform(_Bounded):
 
 
 class LogUniform(_Bounded):
-    """The logarithm is uniform between two bounds."""
+    """The logarithm is uniform between two bounds.
+
+    Parameters
+    ----------
+    lowest : float
+        Lower bound.
+    highest : float
+        Upper bound.
+    """
 
     distribution: Literal["log-uniform"]
 
@@ -200,7 +230,19 @@ class _Truncatable(_Distribution):
 
 
 class Normal(_Truncatable):
-    """Gaussian; as "truncated-normal" between a lowest and a highest value."""
+    """Gaussian; as "truncated-normal" between a lowest and a highest value.
+
+    Parameters
+    ----------
+    mean : float
+        Mean before truncation.
+    deviation : float
+        Standard deviation before truncation.
+    lowest : float, optional
+        Values below are not drawn.
+    highest : float, optional
+        Values above are not drawn.
+    """
 
     distribution: Literal["normal", "truncated-normal"]
     mean: float
@@ -222,7 +264,19 @@ class Normal(_Truncatable):
 
 
 class Lognormal(_Truncatable):
-    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`."""
+    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`.
+
+    Parameters
+    ----------
+    median : float
+        Median before truncation.
+    sigma : float
+        Standard deviation of the natural logarithm.
+    lowest : float, optional
+        Values below are not drawn.
+    highest : float, optional
+        Values above are not drawn.
+    """
 
     distribution: Literal["lognormal"]
     median: float = Field(gt=0)
@@ -239,6 +293,17 @@ class RosinRammler(_Truncatable):
     """Rosin & Rammler (1933): the share below x is `1 - exp(-(x / characteristic)^uniformity)`.
 
     The law was found for the *mass* that passes a sieve; here it applies to the number of impacts.
+
+    Parameters
+    ----------
+    characteristic : float
+        Value below which 63 % of the draws lie.
+    uniformity : float
+        The higher, the narrower the distribution.
+    lowest : float, optional
+        Values below are not drawn.
+    highest : float, optional
+        Values above are not drawn.
     """
 
     distribution: Literal["rosin-rammler"]

@@ -137,7 +137,7 @@ def _plain(annotation: Any) -> str:
     """Return the type of a value in words."""
     origin, inner = get_origin(annotation), [one for one in get_args(annotation) if one is not NoneType]
     if origin is Literal:
-        return " or ".join(coded(f'"{one}"') for one in inner)
+        return ", ".join(coded(f'"{one}"') for one in inner)
     if hasattr(annotation, "__metadata__"):
         return _plain(annotation.__origin__)
     if origin in (Union, UnionType):
@@ -166,15 +166,19 @@ def _bounds(metadata: list[Any]) -> str:
         for part in [entry, *getattr(entry, "metadata", ())]:
             for name in ("gt", "ge", "lt", "le", "min_length", "max_length"):
                 if getattr(part, name, None) is not None:
-                    found[name] = getattr(part, name)
+                    found.setdefault(name, getattr(part, name))  # those of the key itself come first
         built = _nonlocals(getattr(entry, "func", None))
         if "lowest" in built and "highest" in built:
-            found |= {"ge": built["lowest"], "le": built["highest"]}
+            found = {"ge": built["lowest"], "le": built["highest"]} | found
     signs = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
-    words = [f"{sign} {found[name]:g}" for name, sign in signs.items() if name in found]
+    words = [f"{sign} {_written(found[name])}" for name, sign in signs.items() if name in found]
     if "max_length" in found:
         words.append(f"at most {found['max_length']} of them" if found.get("min_length") != 1 else "")
     return " ".join(word for word in words if word)
+
+
+def _written(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}"
 
 
 def _unit(metadata: list[Any]) -> str:
