@@ -3,8 +3,8 @@
 The HDF5 library trusts files: one changed bit can make it loop for ever, take all memory or crash, and nothing within
 a process can stop it. So this process never opens them. It sends requests through pipes to a reading process
 (`_reader`). A request is a line of JSON; a reply is a line of JSON and the bytes of arrays. Unlike pickle, a reply
-cannot execute code, and its size is checked before memory is allocated. A reading process is reused, and ends with this
-process; reading two files at the same time takes two.
+cannot execute code, and its size is checked before memory is allocated. The items of a stream follow each other, held
+back by the pipe. A reading process is reused, and ends with this process; reading two files at once takes two.
 
 The reading process limits its processor time per reply, its memory, and its wall-clock time, in case this process is
 gone. Windows has no such limits; there only this process's timeout ends a reader (not tested).
