@@ -99,9 +99,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default="reference")
     parser.add_argument("--signals", type=int, default=16384, help="for the whole way to the disk")
-    parser.add_argument(
-        "--skipping", type=int, metavar="N", help="what N impacts cost by what is asked of them"
-    )
+    parser.add_argument("--skipping", type=int, metavar="N", help="what N impacts cost by what is asked of them")
     arguments = parser.parse_args()
     if arguments.skipping:
         print_counts()
