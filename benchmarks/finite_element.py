@@ -1,4 +1,4 @@
-"""The finite-element reference: accuracy, time, memory, and comparison with the theories.
+"""The finite-element reference: accuracy, time, memory, damping and sizes.
 
     python benchmarks/finite_element.py                              # all tables, and benchmarks/finite_element.png
     python benchmarks/finite_element.py --parts convergence --elements 7 14 28 56
@@ -9,12 +9,12 @@ elements over the contact radius unless a table says otherwise. Parts:
 
 * convergence: peaks, seconds and memory against elements;
 * methods: explicit and implicit steps on one mesh, time against error, undamped and damped;
-* peers: assembly against scikit-fem (if installed), steps against a loop with scipy's product and another contact;
-* theories: errors of the three theories of contact stiffness over four spheres and five speeds;
-* penalty: effect of a soft contact, by its factor and by element size;
+* peers: steps against a loop with scipy's product and another contact;
 * damping: Kelvin-Voigt spheres against Kuwabara-Kono and Hunt-Crossley;
 * low-pass: the force from the acceleration of the sphere's centre, after an FFT filter; the picture;
 * sizes: effect of the sphere's size, the plate's radius and thickness, and its support.
+
+What the theories miss, and what a soft contact does, is in the report of `cgid reproduce`.
 
 One thread; seconds are processor time, the first run compiles. Times depend on the machine: compare ratios.
 """
@@ -31,12 +31,10 @@ from typing import Any
 
 import numpy as np
 from finite_element_cases import (
-    CORNERS,
     ELEMENTS,
     PLATE_RADIUS,
     RADIUS,
     SPEEDS,
-    THEORIES,
     THICKNESS,
     impact,
     peaks,
@@ -74,54 +72,6 @@ SHOWN = ((1, 2.0), (1, 6.0), (1, 10.0), (3, 10.0))
 EDGES = (2, 3, 4, 5, 6, 8)
 #: Contact durations of zeros before touch.
 BEFORE = 1.0
-
-
-def theories(options: Options) -> None:
-    """Print the errors of the three theories over spheres and speeds, by two measures."""
-    spheres, speeds = ((1, 3), (2.0, 10.0)) if options.quick else ((1, 2, 3, 4), SPEEDS)
-    table(
-        "sphere", "m/s", "peak force [N]", "DCS [um]", "duration [us]", *(f"{name}: P / DCS / T" for name in THEORIES)
-    )
-    found, said = [], {name: [] for name in THEORIES}
-    for sphere in spheres:
-        for speed in speeds:
-            found.append(peaks(solved(sphere, speed, elements=options.mesh)[0]))
-            for name in THEORIES:
-                said[name].append(peaks(theory(sphere, speed, name)))
-            force, way, duration = found[-1]
-            errors = (" / ".join(percent(e, 1) for e in said[name][-1] / found[-1] - 1) for name in THEORIES)
-            row(sphere, f"{speed:g}", f"{force:.5g}", f"{1e6 * way:.1f}", f"{1e6 * duration:.1f}", *errors)
-    print(f"\nOver all {len(found)} together; R^2 is the squared correlation, 1 - SSres/SStot minds the slope:")
-    table("theory", "mean error P / DCS / T", "R^2", "1 - SSres/SStot")
-    exact = np.array(found)
-    for name in THEORIES:
-        values = np.array(said[name])
-        squared = [np.corrcoef(a, b)[0, 1] ** 2 for a, b in zip(values.T, exact.T, strict=True)]
-        explained = 1 - ((values - exact) ** 2).sum(axis=0) / ((exact - exact.mean(axis=0)) ** 2).sum(axis=0)
-        mean = " / ".join(percent(e, 1) for e in (values / exact - 1).mean(axis=0))
-        row(name, mean, " / ".join(f"{r:.5f}" for r in squared), " / ".join(f"{e:.3f}" for e in explained))
-
-
-def penalty(options: Options) -> None:
-    """Print the peaks with a soft contact, and the softness at which the series theory is right."""
-    table("sphere", "m/s", "elements", "factor", "P / DCS / T over hard contact", "over K1", "over the series theory")
-    fitting = []
-    for sphere, speed in CORNERS[:1] if options.quick else (CORNERS[0], CORNERS[3]):
-        hard = peaks(solved(sphere, speed, elements=options.mesh)[0])
-        series = peaks(theory(sphere, speed, "series"))
-        for elements in (7,) if options.quick else (7, 14):
-            factors, forces = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0), []
-            for factor in factors:
-                soft = peaks(solved(sphere, speed, elements=elements, factor=factor)[0])
-                forces.append(soft[0])
-                beside = (hard, peaks(theory(sphere, speed)), series)
-                row(sphere, f"{speed:g}", elements, f"{factor:g}", *(_joined(soft / other) for other in beside))
-            fits = np.exp(np.interp(series[0], forces, np.log(factors)))
-            fitting.append(f"{fits:.2g} (sphere {sphere}, {speed:g} m/s, {elements} elements)")
-    print(
-        f"\nThe peak force is that of the series theory at a factor of {', '.join(fitting)}. Factor times elements "
-        "is what counts: the contact is as soft with half the factor and twice the elements."
-    )
 
 
 def _joined(ratios: Floats) -> str:
@@ -295,9 +245,7 @@ def _draw(top: Any, bottom: Any, sphere: int, speed: float, history: History) ->
 PARTS: dict[str, tuple[str, Callable[[Options], None]]] = {
     "convergence": ("Peaks, seconds and memory against elements over the contact radius", against_elements),
     "methods": ("Explicit beside implicit steps", methods),
-    "peers": ("Beside scikit-fem's assembly and a loop with scipy's product", peers),
-    "theories": ("The three theories", theories),
-    "penalty": ("Soft contact", penalty),
+    "peers": ("Beside a loop with scipy's product", peers),
     "damping": ("Kelvin-Voigt spheres", damping),
     "low-pass": ("Force by the acceleration of the centre", low_pass),
     "sizes": ("Spheres and plates of other sizes", sizes),

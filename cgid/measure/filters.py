@@ -140,7 +140,7 @@ def _below(frequency: Floats, edge: float, taper: float) -> Floats:
     return np.asarray(0.5 - 0.5 * sin(np.pi * place))
 
 
-def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_TAPER) -> Floats:
+def low_pass_response(sampling_rate: float, edge: float) -> Floats:
     """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric.
 
     Raise `InvalidValue` unless the edge (the sensor's bandwidth) [Hz] is within 2^-14 and 1/2 of the sampling rate
@@ -153,7 +153,8 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
     edge = validation.number("bandwidth", edge, "Hz")
     validation.between("bandwidth", edge, _LOWEST_EDGE * sampling_rate, sampling_rate / 2, "Hz")
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
-    gain = filter_gain(np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64), sampling_rate, None, edge, taper)
+    frequency = np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64)
+    gain = filter_gain(frequency, sampling_rate, None, edge, SENSOR_TAPER)
     response = np.fft.irfft(gain, n=n)[: n // 2]
     # Ringing below 1e-5 of the largest value is cut off.
     kept = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])

@@ -1,7 +1,7 @@
 """The exact dimensionless damped-Hertz pulse by quadrature, and the table of pulses made from it.
 
-`python -m cgid.physics.tabulation` writes `cgid/family.npz`. Each entry is accurate to about 1e-14; the remaining error
-comes from interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
+`python tests/references/make_family.py` writes `cgid/family.npz`. Each entry is accurate to about 1e-14; the remaining
+error comes from interpolation. `tests/test_family.py` checks the shipped file against a fresh evaluation.
 
 With `p = ln(1 + D x')` the equation `x'' = -x^(3/2) (1 + D x')` reads `p' = -D x^(3/2)`. Its first integral
 (Hunt & Crossley 1975) gives x in closed form, `(2/5) D^2 x^(5/2) = phi(p_end) - phi(p)` with `phi(p) = e^p - 1 - p`. So
@@ -199,7 +199,7 @@ def _columns(e: float) -> tuple[Floats, Floats]:
 
 
 def main() -> None:
-    """Write the table next to `cgid/family.py`."""
+    """Write the table next to the module `cgid.family`."""
     made = tabulate()
     np.savez(TABLE_PATH, force=made.force, displacement=made.displacement, times=made.times)
     print(f"{TABLE_PATH.name}: {TABLE_PATH.stat().st_size / 1e3:.0f} kB")
