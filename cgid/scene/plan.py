@@ -100,7 +100,7 @@ class Plan:
 
     def __repr__(self) -> str:
         running = ", ".join(stage for stage, decision in self.decisions.items() if decision.runs)
-        return f"Plan({', '.join(sorted(self.outputs, key=OUTPUTS.index))} of scene {self.scene.name!r}: {running})"
+        return f"Plan({self.kind} of scene {self.scene.name!r}: {running})"
 
     @cached_property
     def decisions(self) -> dict[str, Decision]:
