@@ -11,7 +11,7 @@ from cgid.plots.figure import (
     require_matplotlib,
     survey_picture,
 )
-from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, share_figure, written
+from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, recording_picture, share_figure, written
 
 __all__ = [
     "COLOURS",
@@ -25,6 +25,7 @@ __all__ = [
     "picture",
     "plain",
     "png",
+    "recording_picture",
     "require_matplotlib",
     "share_figure",
     "survey_picture",
