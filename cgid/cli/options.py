@@ -192,7 +192,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     add = _options(
         click.option("--rate", "sampling_rate", type=float, help="Sampling rate [Hz], where the file does not say it."),
-        click.option("--unit", help="Unit of the samples (N, kN, g, m/s^2, ...), where the file does not say it."),
+        click.option("--unit", help="Unit of the samples (N, g, m/s^2, V, ...), where the file does not say it."),
         click.option(
             "--channel", multiple=True, help="Only this channel: its name or number from 1; several as 1+2, or again."
         ),
@@ -201,7 +201,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--invert", is_flag=True, help="Turn the signal over: impacts must point upwards."),
         dead_time_option,
     )
-    return chain_options(add(read))
+    return add(chain_options(read))
 
 
 dead_time_option = click.option(
