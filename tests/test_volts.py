@@ -363,6 +363,12 @@ def test_every_way_to_state_a_chain() -> None:
     ):
         assert Gain.of(text).value == pytest.approx(factor, rel=1e-6)
     assert Gain.of("1 mV/pC").value == pytest.approx(1e9)
+    assert Gain.of(np.float32(2.5)).value == 2.5
+    assert Gain.of(1.23456789012).value == 1.23456789012
+    for nothing in (True, b"1 V/N", [None], float("nan"), np.array([1.0, 2.0]), 1 + 2j):
+        for what in ("sensitivity", "gain", "full_scale"):
+            with pytest.raises(InvalidValue, match=what):
+                Chain.of(**{what: nothing})
     for text in ("10 V", "±10 V", "+/-10 V", "+-10V", "10 volts"):
         assert FullScale.of(text) == FullScale(value=10.0, unit="V", text="")
     for text, factor in (("100 mV/g", 0.1 / GRAVITY), ("10 mV/(m/s^2)", 0.01), ("10 mV/m/s²", 0.01), ("1 V/kN", 1e-3)):
@@ -397,7 +403,7 @@ def test_a_monitored_stream_in_volts_is_answered_like_one_in_newtons(tmp_path: P
 
 
 def test_a_manifest_in_volts_gives_the_rows_of_one_in_newtons(tmp_path: Path) -> None:
-    from cgid.identification.labelled_recordings import record
+    from cgid.identification.labelled_recordings import Reading, record
     from cgid.identification.rows import Slicing
 
     force = np.concatenate([pulse(4000, duration) for duration in (4e-4, 6e-4)])
@@ -413,6 +419,12 @@ def test_a_manifest_in_volts_gives_the_rows_of_one_in_newtons(tmp_path: Path) ->
         path = tmp_path / f"{name}.csv"
         path.write_text(f"path,label,rate,{columns}\n{name}.npy,coal,200000,{cells}\n")
         rows.append(record(read_manifest(path), slicing=Slicing(by="impact")))
+    # What a manifest does not say, options may.
+    path.write_text("path,label,rate\nq.npy,coal,200000\n")
+    stated = {"unit": "V", "sensitivity": "4 pC/N", "gain": "0.5 mV/pC"}
+    rows.append(record(read_manifest(path), slicing=Slicing(by="impact"), reading=Reading(**stated)))
+    path.write_text("path,label,rate,unit,sensitivity,gain\nv.npy,coal,200000,mV,2.3 mV/N,-60 dB\n")
+    rows.append(record(read_manifest(path), slicing=Slicing(by="impact"), reading=Reading(**stated)))
     assert len(rows[0].features) == 2
     for other in rows[1:]:
         assert other.unit == rows[0].unit == "N"

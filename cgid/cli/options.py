@@ -227,9 +227,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
         ),
-        click.option(
-            "--unit", help="Set the unit of the samples (N, kN, g, m/s^2, ...) if the file does not state it."
-        ),
+        click.option("--unit", help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it."),
         click.option(
             "--channel",
             multiple=True,
@@ -240,7 +238,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
         dead_time_option,
     )
-    return chain_options(add(read))
+    return add(chain_options(read))
 
 
 dead_time_option = click.option(

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -91,7 +92,7 @@ class Gain:
         >>> [Gain.of(given).value for given in (10, "x10", "20 dB")], Gain.of("1 mV/pC").is_of_charge
         ([10.0, 10.0, 10.0], True)
         """
-        text = given.strip() if isinstance(given, str) else f"{given:g}" if isinstance(given, int | float) else ""
+        text = _text(given)
         times = _TIMES.fullmatch(text)
         number, unit = number_and_unit((times[1] or times[2]) if times else text) or (math.nan, "")
         ratio = ratio_of(unit)
@@ -100,7 +101,7 @@ class Gain:
                 raise InvalidValue(f"gain must lie between -{_LOUDEST:g} and {_LOUDEST:g} dB, got {number:g} dB")
             return cls(value=float(10.0 ** (number / 20)), text=text)
         is_of_charge = ratio is not None and ratio[:2] == ("voltage", "charge")
-        if math.isnan(number) or isinstance(given, bool) or (unit and not is_of_charge):
+        if math.isnan(number) or (unit and not is_of_charge):
             raise InvalidValue(
                 "gain must be a number, a factor or with dB behind it, or that of a charge amplifier such as "
                 f"'1 mV/pC', got {shown(given)}"
@@ -132,11 +133,11 @@ class FullScale:
         >>> FullScale.of("±10 V"), FullScale.of("10 V at 24 bit").bits
         (FullScale(value=10.0, unit='V', bits=None, text='±10 V'), 24)
         """
-        text = given.strip() if isinstance(given, str) else f"{given:g}" if isinstance(given, int | float) else ""
+        text = _text(given)
         found = _FULL_SCALE.fullmatch(text)
         number, unit = number_and_unit(found[1] if found else "") or (math.nan, "")
         bits = int(found[2]) if found and found[2] else None
-        if math.isnan(number) or isinstance(given, bool) or (unit and known_unit(unit) in (None, "FS")):
+        if math.isnan(number) or (unit and known_unit(unit) in (None, "FS")):
             raise InvalidValue(
                 "full_scale must be a number with a unit such as '10 V' or '50 g', or '10 V at 24 bit' for integers of "
                 f"a converter, got {shown(given)}"
@@ -146,6 +147,13 @@ class FullScale:
         if bits is not None and not 2 <= bits <= _MOST_BITS:
             raise InvalidValue(f"full_scale must be at 2 to {_MOST_BITS} bit, got {bits}")
         return cls(value=number, unit=known_unit(unit) if unit else None, bits=bits, text=text)
+
+
+def _text(given: Any) -> str:
+    """Return a text without blanks around it, a number as a text of all its digits, "" for anything else."""
+    if isinstance(given, Real) and not isinstance(given, bool):
+        return repr(float(given)).removesuffix(".0")
+    return given.strip() if isinstance(given, str) else ""
 
 
 Part = TypeVar("Part", Sensitivity, Gain, FullScale)
@@ -178,7 +186,9 @@ def _stated(name: str, kind: type[Part], given: Statement | None) -> _Stated[Par
     if isinstance(given, Mapping):
         pairs += given.items()
     else:
-        for one in [given] if isinstance(given, str | int | float) else list(given):
+        is_list = isinstance(given, Sequence) and not isinstance(given, str | bytes)
+        listed: Sequence[Any] = given if is_list else [given]  # type: ignore[assignment]
+        for one in listed:
             channel, equals, value = one.rpartition("=") if isinstance(one, str) else ("", "", one)
             if equals and not channel.strip():
                 raise InvalidValue(f"{name} must name the channel before =, as in 2={value}, got {shown(one)}")
