@@ -426,8 +426,8 @@ def recordings_in(folder: Path) -> list[Path]:
 def unlabelled(name: str, given: str) -> str:
     """Return the fault of a recording without a label, and the commands that label what was `given`."""
     return (
-        f"{name} must have labels to train on and has none; run cgid events {shlex.quote(given)} -o events.csv for a row for each "
-        "impact, fill in the column label, then cgid train events.csv -o mine.npz"
+        f"{name} must have labels to train on and has none; run cgid events {shlex.quote(given)} -o events.csv for a "
+        "row for each impact, fill in the column label, then cgid train events.csv -o mine.npz"
     )
 
 
