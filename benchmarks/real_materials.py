@@ -85,7 +85,7 @@ def measured(files: list[Path], channel: str, hop: float) -> Rows:
             rows = csv.writer(stream)
             rows.writerow(["path", "label", "channel"])
             rows.writerows([file.resolve(), material(file), channel] for file in files)
-        return record(read_manifest(path), slicing=Slicing(hop_time=hop))
+        return record(read_manifest(path), slicing=Slicing(by="window", hop_time=hop))
 
 
 def share(accuracy: float, interval: tuple[float, float]) -> str:

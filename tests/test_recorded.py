@@ -376,8 +376,8 @@ def test_impacts_are_found_labelled_and_trained_on(
     assert json.loads(out)["accuracy"] > 0.9
     assert "cgid: trained on impacts, because 36 of 36 recordings or intervals hold a single impact" in err
     assert "recordings" not in json.loads(out)
-    # The table on the standard output is the same, but for its paths.
-    assert run(["events", *files, "-o", "-", *READ]) == 0
+    # A folder is the recordings in it, and the table on the standard output is the same but for its paths.
+    assert run(["events", str(folder), "-o", "-", *READ]) == 0
     assert [line.split(",")[1:] for line in capsys.readouterr().out.splitlines()] == [
         line.split(",")[1:] for line in empty.splitlines()
     ]
@@ -605,6 +605,17 @@ def test_the_better_features_are_chosen_and_the_first_if_none_is() -> None:
     assert choice.accuracies[1] > 0.85 > 0.65 > max(choice.accuracies[0], choice.accuracies[2])
     noise = replace(rows, features=generator.normal(size=(200, 3)))
     assert choose_candidate(lesson_of(noise, [candidates[0], candidates[0]])).best == 0
+
+
+def test_what_was_always_right_is_not_certain() -> None:
+    """Labels far apart: of 60 rows none is wrong, so the probability of a wrong one is about 1 in 62, not 1e-300."""
+    group = np.repeat(np.arange(6), 10)
+    labels = np.where(np.arange(60) % 2, "a", "b")
+    features = np.random.default_rng(4).normal(size=(60, 2)) + 8.0 * (labels == "a")[:, None]
+    rows = rows_of(labels, group, features)
+    probabilities = judge(lesson_of(rows, [Candidate(name="all", features=rows.names, family="linear")])).probabilities
+    assert (np.unique(labels)[np.argmax(probabilities, axis=1)] == labels).all()
+    assert 0.2 / 62 < probabilities.min(axis=1).mean() < 5 / 62
 
 
 @pytest.mark.parametrize(

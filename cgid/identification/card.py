@@ -177,7 +177,10 @@ def _of_recordings(model: Model, recorded: Record) -> list[tuple[str, str]]:
     found = [
         ("decides on", by),
         ("channels together", str(model.n_channels)),
-        ("trained on", f"{rows} of {recorded['n_recordings']} recordings in {recorded['n_groups']} groups"),
+        (
+            "trained on",
+            f"{rows} of {recorded['n_recordings']} recordings or intervals in {recorded['n_groups']} groups",
+        ),
         ("judged on", "the same, each group by what was chosen and trained on the others"),
         ("class weights", weights),
     ]

@@ -303,8 +303,13 @@ def _scores_left_out(
         return np.asarray(fitted.decision_function(inputs[test]))
 
 
-def best_temperature(scores: Floats, encoded: NDArray[np.intp], weights: Floats | None = None) -> float:
+def best_temperature(
+    scores: Floats, encoded: NDArray[np.intp], weights: Floats | None = None, doubt: float = 0.0
+) -> float:
     """Return the divisor of held-out scores whose probabilities have the smallest log loss.
+
+    `doubt` is the share of rows that would be of any other class: without it, rows that all are right would have the
+    smallest loss at no temperature at all (Platt 2000).
 
     `scores` are those of a scikit-learn decision function, (n_impacts, n_classes) or (n_impacts,); `encoded` holds the
     numbers of the true classes.
@@ -312,8 +317,11 @@ def best_temperature(scores: Floats, encoded: NDArray[np.intp], weights: Floats 
     rows = np.arange(len(encoded))
 
     def loss(log_temperature: float) -> float:
-        chosen = softmax(scores / np.exp(log_temperature))[rows, encoded]
-        return float(-np.average(np.log(np.maximum(chosen, 1e-300)), weights=weights))
+        logs = np.log(np.maximum(softmax(scores / np.exp(log_temperature)), 1e-300))
+        chosen = logs[rows, encoded]
+        if doubt:
+            chosen = (1 - doubt) * chosen + doubt * (logs.sum(axis=1) - chosen) / (logs.shape[1] - 1)
+        return float(-np.average(chosen, weights=weights))
 
     return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))
 

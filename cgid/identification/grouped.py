@@ -159,7 +159,9 @@ def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     hits = np.argmax(scores, axis=2) == truth
     accuracies = tuple(float(np.average(own, weights=weights)) for own in hits)
     best = preferred(accuracies, MARGIN)
-    return Choice(best, accuracies, best_temperature(scores[best], truth, weights))
+    # After n rows that all were right, the next one is wrong with this probability (Laplace).
+    doubt = 1 / (len(truth) + 2)
+    return Choice(best, accuracies, best_temperature(scores[best], truth, weights, doubt))
 
 
 def preferred(accuracies: Sequence[float], margin: float) -> int:
