@@ -26,6 +26,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,8 +36,8 @@ import numpy as np
 from cgid.errors import BadData, NoInput
 from cgid.scene import generate, parse_scene
 from cgid.store import Dataset
-from cgid.store.description import read_manifest
-from cgid.store.run import JOURNAL, Journal, read_journal
+from cgid.store.description import DATASET_FILES, read_manifest
+from cgid.store.run import JOURNAL, Goal, Run, read_journal
 from cgid.store.verification import verify
 
 #: Time limit of an answer [s].
@@ -245,9 +246,17 @@ def subjects(
     yield Subject(name="shard, by verify", file=shard, read=lambda: verified(whole), damages=damages, sound=found)
     damages = [*flips(manifest, bits), *cuts(manifest, lengths)]
     yield Subject(name="manifest", file=manifest, read=lambda: everything_in(whole), damages=damages)
-    with Journal(folder, {"seed": 7, "n_signals": 16}, 2, "shards") as journal:
+    goal = Goal(
+        output=folder,
+        description={"seed": 7, "n_signals": 16},
+        names=("shard-00000.h5", "shard-00001.h5"),
+        noun="shards",
+        ours=DATASET_FILES,
+        description_of=lambda _: None,
+    )
+    with closing(Run(goal, folder, {}, journalled=True)) as run:
         for entry in read_manifest(whole).shards:
-            journal.add(vars(entry))
+            run.add(vars(entry))
     file = folder / JOURNAL
     damages = [*flips(file, bits), *cuts(file, lengths)]
     yield Subject(name="journal", file=file, read=journal_reader(folder), damages=damages)

@@ -1,12 +1,18 @@
 """The run-time budget of a signal [us], from parameters to the disk and to the answer.
 
     python benchmarks/budget.py [SCENE] [--signals N]
+    python benchmarks/budget.py --skipping 100000       # that work which a scene does not need is skipped
 
 Every stage is timed alone on the same blocks of 256 signals of the scene: one thread, best of several rounds. The last
 column is its share of the time to make a signal. Prints Markdown.
+
+`--skipping` prints, for some signals of each scene, the work done for the requested outputs against that for all; and
+the times of parameters, closed forms, features and frames of the same N impacts of the reference scene (nothing is
+written to the disk). Times are processor times, which depend less on the load of the machine.
 """
 
 import argparse
+import sys
 import tempfile
 import time
 import warnings
@@ -18,6 +24,7 @@ import numpy as np
 
 from cgid import shipped
 from cgid.identification.model import Model
+from cgid.identification.rows import DEFAULT_FEATURES
 from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.filters import fft_filter
 from cgid.physics import HertzRangeWarning
@@ -26,7 +33,10 @@ from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import blows_of, draw
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
-from cgid.scene.synthesis import make_frames, synthesise
+from cgid.scene.synthesis import columns_of, make_frames, synthesise
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.plan_scenes import CASES, COUNTED
 
 ROUNDS = 7
 
@@ -42,12 +52,59 @@ def microseconds(work: Callable[[], object], n_signals: int, rounds: int = ROUND
     return min(times) / n_signals * 1e6
 
 
+def print_counts() -> None:
+    """Print the work done for each scene, and the work for everything."""
+    print(f"| scene and what is asked ({COUNTED} signals) | what ran / what everything takes |\n|---|---|")
+    for case in CASES:
+        asked, everything = case.ask(), case.ask_everything()
+        parts = [f"{name.replace('_', ' ')} {asked[name]} / {number}" for name, number in sorted(everything.items())]
+        print(f"| {case.name} | {', '.join(parts)} |")
+
+
+def print_times(n_signals: int) -> None:
+    """Print the times of different requests for the same impacts."""
+    scene = load_scene(shipped.scene_path("reference"))
+    questions: dict[str, Callable[[], object]] = {
+        "parameters": lambda: _exhaust(columns_of(plan(scene, "parameters"), n_signals)),
+        "closed forms": lambda: _exhaust(columns_of(plan(scene, "closed-form"), n_signals)),
+        "true pulses": lambda: _exhaust(synthesise(scene, n_signals, output="pulses")),
+        "frames": lambda: _exhaust(synthesise(scene, n_signals)),
+        "features: peak_force, no frames kept": lambda: _exhaust(
+            columns_of(plan(scene, "features", features=["peak_force"]), n_signals)
+        ),
+        "features: of the model, no frames kept": lambda: _exhaust(
+            columns_of(plan(scene, "features", features=DEFAULT_FEATURES), n_signals)
+        ),
+        "features of the model, from frames": lambda: [
+            extract_array(batch.signals, batch.sampling_rate, DEFAULT_FEATURES, pre_trigger=batch.pre_trigger)
+            for batch in synthesise(scene, n_signals)
+        ],
+    }
+    print(f"\n| asked of {n_signals} impacts | s | us per impact |\n|---|---|---|")
+    _exhaust(columns_of(plan(scene, "features"), BLOCK))  # imports and compiles
+    for name, ask in questions.items():
+        start = time.process_time()
+        ask()
+        seconds = time.process_time() - start
+        print(f"| {name} | {seconds:.2f} | {seconds / n_signals * 1e6:.2f} |")
+
+
+def _exhaust(batches: object) -> None:
+    for _ in batches:  # type: ignore[attr-defined]
+        pass
+
+
 def main() -> None:
-    """Time every stage and print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default="reference")
     parser.add_argument("--signals", type=int, default=16384, help="for the whole way to the disk")
+    parser.add_argument("--skipping", type=int, metavar="N", help="what N impacts cost by what is asked of them")
     arguments = parser.parse_args()
+    if arguments.skipping:
+        print_counts()
+        print_times(arguments.skipping)
+        return
     warnings.simplefilter("ignore", HertzRangeWarning)
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cgid.finite_element import ElasticPlate, FiniteElementImpact, History, PenaltyContact
+from cgid.finite_element import ElasticPlate, FiniteElementImpact, History
 from cgid.physics import Elastic, HalfSpace, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.validation import Floats
@@ -18,7 +18,6 @@ ELEMENTS = 14
 SPEEDS = (2.0, 4.0, 6.0, 8.0, 10.0)
 #: The extremes of the paper's study: sphere and speed [m/s].
 CORNERS = ((1, 2.0), (1, 10.0), (3, 2.0), (3, 10.0))
-THEORIES = ("hertz", "rigid-sphere", "series")
 
 
 def impact(
@@ -29,18 +28,16 @@ def impact(
     thickness: float = THICKNESS,
     plate_radius: float = PLATE_RADIUS,
     lower_face: Any = "fixed",
-    factor: float | None = None,
     elements: int = ELEMENTS,
     **options: Any,
 ) -> FiniteElementImpact:
-    """Return an impact of a sphere of Table 2; `factor` is that of a soft contact."""
+    """Return an impact of a sphere of Table 2."""
     plate = ElasticPlate(material=STEEL, thickness=thickness, radius=plate_radius, lower_face=lower_face)
     return FiniteElementImpact(
         sphere=Sphere(material=YANG2018_SPHERES[sphere], radius=radius),
         plate=plate,
         velocity=velocity,
         elements=elements,
-        penalty=None if factor is None else PenaltyContact(factor=factor),
         **options,
     )
 
@@ -53,16 +50,14 @@ def solved(sphere: int, velocity: float, **options: Any) -> tuple[History, float
     return history, time.process_time() - start
 
 
-def theory(
-    sphere: int, velocity: float, stiffness: Any = "hertz", radius: float = RADIUS, dissipation: Any = None
-) -> Impact:
-    """Return the impact of a theory, on a half space."""
+def theory(sphere: int, velocity: float, radius: float = RADIUS) -> Impact:
+    """Return the elastic impact by Hertz's theory, on a half space."""
     return Impact(
         sphere=Sphere(material=YANG2018_SPHERES[sphere], radius=radius),
         target=HalfSpace(material=STEEL),
         velocity=velocity,
-        stiffness=stiffness,
-        dissipation=Elastic() if dissipation is None else dissipation,
+        stiffness="hertz",
+        dissipation=Elastic(),
     )
 
 

@@ -1,15 +1,13 @@
-"""The cost of a finite-element impact: seconds and memory, their breakdown, other methods, other tools."""
+"""The cost of a finite-element impact: seconds and memory, methods, a plain loop; a part of `finite_element.py`."""
 
 from __future__ import annotations
 
 import argparse
-import inspect
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -17,12 +15,11 @@ from unittest import mock
 import numba
 import numpy as np
 from finite_element_cases import CORNERS, impact, peaks, percent, row, solved, table
-from finite_element_peers import by_scikit_fem, by_scipy
+from scipy import sparse
 
-from cgid.finite_element import _stepping, assembly, steps
-from cgid.finite_element.assembly import Pair, body, highest_frequency
-from cgid.finite_element.steps import N_VALUES, stable_time_step
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.finite_element import _stepping, steps
+from cgid.finite_element.assembly import Body
+from cgid.finite_element.steps import stable_time_step
 from cgid.validation import Floats
 
 #: Explicit runs with more steps than this are skipped in the comparison with implicit runs.
@@ -94,7 +91,7 @@ class Spy:
     """Wraps the kernel of the steps; records its run time and its states."""
 
     def __init__(self) -> None:
-        self.seconds, self.steps, self.records = 0.0, 0, 0
+        self.seconds, self.steps = 0.0, 0
         self.calls: list[tuple[Any, ...]] = []
 
     def __call__(self, matrix: Any, contact: Any, inertia: Any, state: Any, rows: Any, stride: int) -> bool:
@@ -103,66 +100,23 @@ class Spy:
         found: bool = _stepping.advance(matrix, contact, inertia, state, rows, stride)
         self.seconds += time.process_time() - start
         self.steps += stride * len(rows[1])
-        self.records += len(rows[1])
-        self.calls.append((matrix, contact, inertia, tuple(part.copy() for part in state)))
+        self.calls.append((matrix, tuple(part.copy() for part in state)))
         return found
 
 
-def where_time_goes(options: argparse.Namespace) -> None:
-    """Print the breakdown of the time of an undamped explicit impact."""
-    parts = ("mesh", "matrices", "stability", "steps: product", "contact", "rest of the steps", "records", "rest")
-    each = ("us: product", "contact", "rest of a step", "a record")
-    table("elements", "s", *parts, "steps", *each, "nodes of sphere / plate", "sphere's stable step over the plate's")
-    for elements in options.elements:
-        case = {"elements": elements, "method": "explicit"}
-        asked, spy = impact(1, 2.0, **case), Spy()
-        with mock.patch.object(steps, "advance", spy):
-            whole, _ = timed(asked.run, rounds=1)
-        ball, slab = asked.pair.sphere, asked.pair.plate
-        matrices, _ = timed(_matrices, ball.mesh, slab.mesh)
-        mesh = timed(lambda case=case: impact(1, 2.0, **case).pair.stiffness)[0] - matrices
-        stability, _ = timed(stable_time_step, asked.pair, (0.0, 0.0))
-        costs = _of_a_step(spy)
-        counts = np.array([spy.steps] * 3 + [spy.records])
-        spent = [mesh, matrices, stability, *(costs * counts)]
-        shares = [f"{seconds / whole:.1%}" for seconds in (*spent, whole - sum(spent))]
-        nodes = f"{ball.mass.size // 2} / {slab.mass.size // 2}"
-        ratio = highest_frequency(slab) / highest_frequency(ball)
-        row(
-            elements,
-            f"{whole:.2f}",
-            *shares,
-            spy.steps,
-            *(f"{1e6 * cost:.1f}" for cost in costs),
-            nodes,
-            f"{ratio:.2f}",
-        )
-    print("\nParts are least times in states of this run, and the rest is what they miss: on a busy machine much.")
-
-
-def _matrices(ball: Any, slab: Any) -> Any:
-    return Pair(sphere=body(ball, YANG2018_SPHERES[1], volume=1.0), plate=body(slab, STEEL, volume=1.0)).stiffness
-
-
-def _of_a_step(spy: Spy) -> Floats:
-    """Return the time of a step's product, contact and remainder, and of a record [s]; means over the seen states."""
+def product_time(spy: Spy) -> float:
+    """Return the time of a step's product with the stiffness [s], the mean over states of a run."""
     costs = []
-    for matrix, contact, inertia, state in spy.calls[:: max(1, len(spy.calls) // 8)]:
-        n, times = contact[3].size, max(20, 1_000_000 // len(matrix[2]))
-        u, _, before, force, touching, *_ = state
-        met = (u.copy(), before, np.empty((2, n)), force.copy(), touching.copy())
-        product, _ = timed(_products, *matrix, u.copy(), np.empty(u.size), times)
-        step, retardation = inertia[-4:-2]
-        contacts, _ = timed(_contacts, matrix, contact, retardation / step, met, (np.empty(n), np.empty(n)), times)
-        stepped, _ = timed(_steps, matrix, contact, inertia, state, 1, times)
-        recorded, _ = timed(_steps, matrix, contact, inertia, state, times, 1)
-        costs.append(np.array([product, contacts, stepped - product - contacts, recorded - stepped]) / times)
-    return np.asarray(np.mean(costs, axis=0))
-
-
-def _steps(matrix: Any, contact: Any, inertia: Any, state: Any, records: int, stride: int) -> None:
-    rows = (np.empty((records, contact[3].size)), np.empty((records, N_VALUES)))
-    _stepping.advance(matrix, contact, inertia, tuple(part.copy() for part in state), rows, stride)
+    for matrix, state in spy.calls[:: max(1, len(spy.calls) // 8)]:
+        times = max(20, 1_000_000 // len(matrix[2]))
+        arguments = (*matrix, state[0].copy(), np.empty(state[0].size), times)
+        rounds = []
+        for _ in range(4):  # the first compiles
+            start = time.process_time()
+            _products(*arguments)
+            rounds.append(time.process_time() - start)
+        costs.append(min(rounds) / times)
+    return float(np.mean(costs))
 
 
 @numba.njit(nogil=True)
@@ -170,23 +124,6 @@ def _products(starts, columns, blocks, x, out, times):  # type: ignore[no-untype
     for _ in range(times):
         _stepping._multiply(starts, columns, blocks, x, out)
         x[0] = 1e-300 * out[1]
-
-
-@numba.njit(nogil=True)
-def _contacts(matrix, contact, lag, state, scratch, times):  # type: ignore[no-untyped-def]
-    w, before, now, force, touching = state
-    for _ in range(times):
-        _stepping._meet(matrix, contact, lag, w, before, now, force, touching, scratch)
-
-
-def timed(work: Callable[..., Any], *arguments: Any, rounds: int = 3) -> tuple[float, Any]:
-    """Return the least time of some rounds [s] and the result; with more than one round, the first compiles."""
-    times, result = [], None
-    for _ in range(rounds + (rounds > 1)):
-        start = time.process_time()
-        result = work(*arguments)
-        times.append(time.process_time() - start)
-    return min(times), result
 
 
 def methods(options: argparse.Namespace) -> None:
@@ -219,15 +156,14 @@ def methods(options: argparse.Namespace) -> None:
 
 
 def peers(options: argparse.Namespace) -> None:
-    """Print assembly against scikit-fem, and steps against scipy's product with another contact."""
-    _assembly(options)
+    """Print steps against a loop with scipy's product and another contact."""
     table("elements", "stepped by", "us a step", "in the product", "over ours", "peak force [N]", "restitution")
     for elements in options.elements:
         asked, spy = impact(1, 2.0, elements=elements, method="explicit"), Spy()
         with mock.patch.object(steps, "advance", spy):
             history = asked.run()
         ours = spy.seconds / spy.steps
-        product = float(_of_a_step(spy)[0])
+        product = product_time(spy)
         told = (f"{history.peak_force:.5g}", f"{history.restitution:.4f}")
         row(elements, "cgid", f"{1e6 * ours:.1f}", f"{1e6 * product:.1f}", "1", *told)
         pair = asked.pair
@@ -239,40 +175,49 @@ def peers(options: argparse.Namespace) -> None:
         row(elements, "a loop with scipy's product", *cells, *told)
 
 
-def _assembly(options: argparse.Namespace) -> None:
-    ours = (assembly.body, assembly.element_matrices, assembly._elasticity)
-    lines = sum(statements(function) for function in ours)
-    print(f"\nStiffness and mass of a sphere: {lines} lines here, {statements(by_scikit_fem)} with scikit-fem.")
-    table("elements", "of them", "cgid [ms]", "scikit-fem [ms]", "stiffness apart, of the largest", "mass apart")
-    for elements in options.elements:
-        asked = impact(1, 2.0, elements=elements)
-        mesh, material = asked.pair.sphere.mesh, asked.sphere.material
-        volume = 4 / 3 * np.pi * float(asked.sphere.radius) ** 3
-        own, found = timed(partial(body, volume=volume), mesh, material)
-        try:
-            other, (stiffness, mass) = timed(by_scikit_fem, mesh, material)
-        except ImportError:
-            row(elements, len(mesh.elements), f"{1e3 * own:.1f}", "not installed", "-", "-")
-            continue
-        # cgid scales the masses to those of a ball without corners.
-        mass *= found.mass.sum() / mass.sum()
-        apart = (
-            abs(stiffness - found.stiffness).max() / abs(stiffness).max(),
-            _largest(mass - found.mass) / mass.max(),
-        )
-        row(
-            elements, len(mesh.elements), f"{1e3 * own:.1f}", f"{1e3 * other:.1f}", *(f"{error:.0e}" for error in apart)
-        )
+@dataclass(frozen=True)
+class Stepped:
+    """An impact stepped in a Python loop.
+
+    force : (n_steps,) [N]
+    seconds, product : time of the whole loop, and of the product in it
+    restitution : speed of the mass centre at the end / before
+    """
+
+    force: Floats
+    seconds: float
+    product: float
+    restitution: float
 
 
-def _largest(values: Floats) -> float:
-    return float(np.abs(values).max())
+def by_scipy(sphere: Body, plate: Body, velocity: float, time_step: float, duration: float) -> Stepped:
+    """Compute an impact by central differences with scipy's product and the simplest hard contact.
 
-
-def statements(function: Callable[..., Any]) -> int:
-    """Return the number of lines of a function without docstring, comments and blank lines."""
-    text = inspect.getsource(function)
-    if function.__doc__:
-        text = text.replace(function.__doc__, "")
-    kept = (line.strip() for line in text.splitlines())
-    return sum(1 for line in kept if line and not line.startswith("#") and line != '""""""')
+    Nodes that would penetrate share the impulse that leaves them together at the end of the step (Carpenter, Taylor &
+    Katona 1991, Int. J. Numer. Methods Eng. 32, 103); all nodes keep their mass. This other contact on the same
+    matrices also checks that of cgid.
+    """
+    stiffness = sparse.csr_array(sparse.block_diag((sphere.stiffness, plate.stiffness), format="csr"))
+    mass, n_sphere = np.concatenate((sphere.mass, plate.mass)), sphere.mass.size
+    kick = np.where(np.concatenate((sphere.fixed, plate.fixed)), 0.0, time_step / mass)
+    above, below = sphere.contact, plate.contact + n_sphere
+    distance = sphere.mesh.nodes[sphere.mesh.contact, 1]
+    push = 1 / (time_step * (kick[above] + kick[below]))
+    u, v = np.zeros(mass.size), np.zeros(mass.size)
+    v[1:n_sphere:2] = -velocity
+    total, product = np.zeros(int(duration / time_step)), 0.0
+    start = time.process_time()
+    for step in range(total.size):
+        before = time.process_time()
+        pull = stiffness @ u
+        product += time.process_time() - before
+        v -= kick * pull
+        ahead = u + time_step * v
+        force = push * np.maximum(ahead[below] - ahead[above] - distance, 0.0)
+        v[above] += kick[above] * force
+        v[below] -= kick[below] * force
+        u += time_step * v
+        total[step] = force.sum()
+    seconds = time.process_time() - start
+    weight = mass[1:n_sphere:2]
+    return Stepped(total, seconds, product, float(weight @ v[1:n_sphere:2] / weight.sum() / velocity))

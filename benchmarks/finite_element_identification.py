@@ -15,26 +15,225 @@ wrong law. Prints Markdown; some minutes.
 
 import argparse
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from finite_element_fits import finer_table, physics_table, shape_table
-from finite_element_rocks import ELASTIC, FAMILY, FINITE_ELEMENTS, VISCOELASTIC, all_three, by_law, without_loss
 
 from cgid import shipped
+from cgid.finite_element import ElasticPlate, FiniteElementImpact, History
+from cgid.identification.estimation import Estimates, estimate
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
 from cgid.identification.rows import measure
 from cgid.identification.training import train
+from cgid.measure.template import curve
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Viscoelastic, dissipative_constant
+from cgid.physics.materials import STEEL, Material
+from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene import Scene, load_scene, synthesise, synthesise_given, varied
 from cgid.scene.given_pulses import SolvedImpacts
 from cgid.scene.impacts import draw
 from cgid.signals import Batch
 
+ELASTIC = "finite elements without loss"
+FINITE_ELEMENTS, VISCOELASTIC, FAMILY = "finite elements", "Kuwabara-Kono", "Hunt-Crossley (the family)"
+#: Points of a pulse.
+POINTS = 192
+#: Classes of restitution in the tables of shape.
+EDGES = (0.1, 0.25, 0.35, 0.45, 0.55, 0.65, 1.0)
+#: Samples of a contact in the fit without noise, and the noise that the fit assumes, relative to the peak.
+SAMPLES, NO_NOISE = 400, 1e-3
+#: Elements over the contact radius and steps over Hertz's duration; the stored impacts have 12 and 250.
+FINER_ELEMENTS, FINER_STEPS = 28, 1000
 SEED, TRAINING_SEED = 3_000_017, 4_000_037
 RESAMPLINGS = 2000
+
+
+# --- the rocks: by impact laws, and solved again on other meshes or without loss ---
+
+
+def sphere_of(rocks: Mapping[str, np.ndarray], radius: float | np.ndarray = 1.0) -> Sphere:
+    """Return rocks as spheres."""
+    names = ("density", "youngs_modulus", "poisson_ratio")
+    return Sphere(material=Material(**{name: rocks[name] for name in names}), radius=radius)
+
+
+def by_law(rocks: Mapping[str, np.ndarray], scene: Scene, law: str, radius: float | np.ndarray = 1.0) -> SampledPulses:
+    """Return the pulses of rocks by a law, each with its restitution."""
+    common = {
+        "sphere": sphere_of(rocks, radius),
+        "target": HalfSpace(material=scene.impact.target.material),
+        "velocity": rocks["velocity"],
+        "stiffness": scene.impact.stiffness,
+    }
+    dissipation = HuntCrossley(restitution=rocks["restitution"])
+    if law == VISCOELASTIC:
+        constant = dissipative_constant(rocks["restitution"], Impact(dissipation=Elastic(), **common))
+        dissipation = Viscoelastic(dissipative_constant=constant)
+    impact = Impact(dissipation=dissipation, **common)
+    shares = shares_of_contact(POINTS)
+    forces = impact.force(shares * impact.contact_duration[:, None])
+    forces[:, -1] = 0.0  # rounding may put it just inside the contact
+    return SampledPulses(shares=shares, forces=forces, contact_duration=impact.contact_duration)
+
+
+def solved_again(solved: SolvedImpacts, row: int, elements: int, steps: int | None = None) -> History:
+    """Solve one impact again: in implicit steps, this many over Hertz's duration, or explicitly without loss."""
+    rock = {name: float(values[row]) for name, values in solved.columns.items()}
+    velocity, steel = rock["velocity"], HalfSpace(material=STEEL)
+    law = Impact(sphere=sphere_of(rock), target=steel, velocity=velocity, stiffness="hertz", dissipation=Elastic())
+    contact_radius = float(np.sqrt(law.peak_displacement))
+    plate = ElasticPlate(
+        material=STEEL,
+        thickness=solved.made["target_thickness"] * contact_radius,
+        radius=solved.made["target_radius"] * contact_radius,
+        lower_face=solved.made["lower_face"],
+    )
+    common = {"sphere": sphere_of(rock), "plate": plate, "velocity": velocity, "elements": elements}
+    if steps is None:
+        return FiniteElementImpact(**common).run()
+    step = float(law.contact_duration) / steps
+    return FiniteElementImpact(
+        **common, retardation_time=rock["retardation_time"], method="implicit", time_step=step
+    ).run()
+
+
+def extreme_rocks(solved: SolvedImpacts, n: int) -> list[int]:
+    """Return n rows: the hardest, softest, liveliest and most damped rock, then others from the first on."""
+    modulus, restitution = solved.columns["youngs_modulus"], solved.columns["restitution"]
+    rows = [np.argmax(modulus), np.argmin(modulus), np.argmax(restitution), np.argmin(restitution)]
+    more = max(n - len(rows), 0)
+    return [int(row) for row in (*rows, *(np.arange(more) * len(solved) // max(more, 1)))][:n]
+
+
+def without_loss(solved: SolvedImpacts, n: int) -> SolvedImpacts:
+    """Solve n of the rocks again as elastic spheres, by explicit steps."""
+    rows = np.linspace(0, len(solved) - 1, n).astype(int)
+    shares = shares_of_contact(POINTS)
+    courses = [solved_again(solved, row, elements=14) for row in rows]
+    forces = [smoothed(c.times, c.contact_force.samples, c.contact_duration, shares) for c in courses]
+    durations = np.array([c.contact_duration for c in courses])
+    columns = {name: values[rows] for name, values in solved.columns.items()}
+    return replace(
+        solved,
+        pulses=SampledPulses(shares=shares, forces=np.array(forces), contact_duration=durations),
+        labels=solved.labels[rows],
+        columns=columns | {"restitution": np.array([c.restitution for c in courses])},
+    )
+
+
+def all_three(solved: SolvedImpacts, scene: Scene) -> dict[str, SolvedImpacts]:
+    """Return the impacts as solved, and the same impacts by the two laws."""
+    by = {law: replace(solved, pulses=by_law(solved.columns, scene, law)) for law in (VISCOELASTIC, FAMILY)}
+    return {FINITE_ELEMENTS: solved} | by
+
+
+# --- shapes, compared with the fitted family, the laws and finer meshes ---
+
+
+def without_noise(pulses: SampledPulses) -> tuple[np.ndarray, float]:
+    """Return frames of pulses of equal duration (it has no effect) and peak 1, and their sampling rate."""
+    alike = pulses.stretched(1 / pulses.peak_force, 1 / pulses.contact_duration)
+    frames = np.zeros((len(pulses), 4 * SAMPLES))
+    alike.add_to_frames(frames, float(SAMPLES), np.full(len(pulses), 1.0))
+    return frames, float(SAMPLES)
+
+
+def family_curve(found: Estimates, shape: tuple[int, ...], rate: float) -> np.ndarray:
+    """Return the fitted pulses on the samples of the frames."""
+    times = np.arange(shape[1]) / rate
+    share = (times - found.onset[:, None]) / found.contact_duration[:, None]
+    return found.peak[:, None] * curve(share, np.log(found.restitution))[0]
+
+
+@dataclass(frozen=True)
+class Fits:
+    """The family's best pulse for each noiseless pulse; errors are relative, except for `restitution`."""
+
+    explained: np.ndarray
+    rms: np.ndarray
+    largest: np.ndarray
+    peak: np.ndarray
+    duration: np.ndarray
+    restitution: np.ndarray
+
+
+def fits(impacts: SolvedImpacts) -> Fits:
+    """Return how well the family's best pulses fit the impacts during contact."""
+    frames, rate = without_noise(impacts.pulses)
+    found = estimate(frames, rate, pre_trigger=SAMPLES // 2, noise=NO_NOISE)
+    inside = slice(SAMPLES, 2 * SAMPLES + 1)
+    truth = frames[:, inside]
+    error = family_curve(found, frames.shape, rate)[:, inside] - truth
+    spread = truth - truth.mean(axis=1, keepdims=True)
+    return Fits(
+        explained=1 - np.sum(error**2, axis=1) / np.sum(spread**2, axis=1),
+        rms=np.sqrt(np.mean(error**2, axis=1)),
+        largest=np.abs(error).max(axis=1),
+        peak=found.peak - 1,
+        duration=found.contact_duration - 1,
+        restitution=found.restitution - impacts.columns["restitution"],
+    )
+
+
+def shape_table(kinds: dict[str, SolvedImpacts]) -> None:
+    """Print the explained share of the shape, and the errors of numbers read off the fit, by restitution."""
+    print("| pulses | restitution | impacts | explained, mean | least | rms / peak | largest / peak | ", end="")
+    print("read off: restitution | peak | duration |\n|---|---|---|---|---|---|---|---|---|---|")
+    for name, impacts in kinds.items():
+        found, truth = fits(impacts), impacts.columns["restitution"]
+        for low, high in [(EDGES[0], EDGES[-1]), *pairwise(EDGES)]:
+            rows = (truth >= low) & (truth < high)
+            if not rows.any():
+                continue
+            off, explained = found.restitution[rows], found.explained[rows]
+            print(
+                f"| {name} | {low:g} to {high:g} | {rows.sum()} | {explained.mean():.5f} | {explained.min():.5f} | "
+                f"{found.rms[rows].mean():.4f} | {found.largest[rows].mean():.4f} | "
+                f"{off.mean():+.4f} ({off.std():.4f}) | {found.peak[rows].mean():+.4f} | "
+                f"{found.duration[rows].mean():+.4f} |"
+            )
+
+
+def physics_table(kinds: dict[str, SolvedImpacts]) -> None:
+    """Print the solved impacts against the laws at equal restitution, with nothing fitted: mean (deviation)."""
+    print("| finite elements over | peak force | contact duration | impulse over peak | impulse | explained |")
+    print("|---|---|---|---|---|---|")
+    solved = kinds[FINITE_ELEMENTS].pulses
+    times = np.linspace(0, 1, SAMPLES) * solved.contact_duration[:, None]
+    truth = solved.force(times)
+    spread = truth - truth.mean(axis=1, keepdims=True)
+    for name in (VISCOELASTIC, FAMILY):
+        law = kinds[name].pulses
+        columns = [
+            solved.peak_force / law.peak_force,
+            solved.contact_duration / law.contact_duration,
+            solved.impulse / solved.peak_force / (law.impulse / law.peak_force),
+            solved.impulse / law.impulse,
+            1 - np.sum((law.force(times) - truth) ** 2, axis=1) / np.sum(spread**2, axis=1),
+        ]
+        print(f"| {name} | " + " | ".join(f"{column.mean():.4f} ({column.std():.4f})" for column in columns) + " |")
+
+
+def finer_table(solved: SolvedImpacts, n: int) -> None:
+    """Print the differences of n stored time series from those of a finer mesh with shorter steps."""
+    print("| row | modulus [GPa] | restitution | rms / peak | largest / peak | restitution, stored minus finer |")
+    print("|---|---|---|---|---|---|")
+    for row in extreme_rocks(solved, n):
+        finer = solved_again(solved, row, FINER_ELEMENTS, FINER_STEPS)
+        times = np.linspace(0, 1.02, SAMPLES) * finer.contact_duration
+        shares = np.clip(times / finer.contact_duration, 0, 1)
+        truth = smoothed(finer.times, finer.contact_force.samples, finer.contact_duration, shares, solved.made["knots"])
+        error = (solved.pulses.taken(slice(row, row + 1)).force(times)[0] - truth) / truth.max()
+        restitution = solved.columns["restitution"][row]
+        print(
+            f"| {row} | {solved.columns['youngs_modulus'][row] / 1e9:.2f} | {restitution:.3f} | "
+            f"{np.sqrt(np.mean(error**2)):.5f} | {np.abs(error).max():.5f} | {restitution - finer.restitution:+.5f} |",
+            flush=True,
+        )
 
 
 # --- identification ---------------------------------------------------------------------------------------------------

@@ -1,62 +1,134 @@
-"""Rate and peak memory of `cgid generate`, at two sizes and with one and two workers.
+"""Rate and memory of `cgid generate`, cost of a million and a billion signals, and when storing none of them pays.
 
-    python benchmarks/generation.py [--small 10000] [--large 100000] [--folder DIR]
+    python benchmarks/generation.py [--signals 50000] [--scenes reference tail_beam] [--folder DIR]
 
-Each run is a separate process. Checks that one and two workers give identical arrays.
+A dataset follows from its scene and seed, so signals can be made again instead of read. The timings are of two worker
+processes that make and write shards, and of one process that makes or reads batches and looks at them. The data read
+stay in memory if there is room: a disk is slower, and the last column is the disk rate at which making is as quick.
+The first table is that of whole runs by one job and by two, start-up included (`sums.py` compares their arrays); both
+scenes take some five minutes of two otherwise idle cores.
 """
 
 import argparse
 import os
+import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from cgid import shipped
+from cgid.scene import load_scene, synthesise
+from cgid.signals import Batch
 from cgid.store import Dataset
 
+JOBS = 2
 
-def run(arguments: list[str]) -> tuple[float, float]:
-    """Return wall time [s] and peak resident memory [MB] of one command."""
+
+@dataclass(frozen=True, kw_only=True)
+class Rates:
+    """Cost of one signal of a scene.
+
+    runs : time [s] and peak memory of the largest process [bytes] of a whole run, by the number of jobs
+    written, made, read : time [s]: made and written by all jobs; made again, or read, by one process
+    bytes, parameter_bytes : on the disk: with its samples, and of its drawn parameters alone
+    """
+
+    runs: dict[int, tuple[float, int]]
+    written: float
+    made: float
+    read: float
+    bytes: float
+    parameter_bytes: float
+
+
+def run(*arguments: str | Path) -> tuple[float, int]:
+    """Run a command; return its time [s] and the peak memory of its largest process [bytes]."""
     start = time.perf_counter()
-    pid = os.posix_spawn(sys.executable, [sys.executable, "-m", "cgid", *arguments], os.environ)
-    _, status, usage = os.wait4(pid, 0)
+    process = subprocess.Popen([sys.executable, "-m", "cgid", *map(str, arguments)], stderr=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
     if status:
-        raise SystemExit(f"cgid {' '.join(arguments)} failed")
-    return time.perf_counter() - start, usage.ru_maxrss / 1e3
+        raise SystemExit(f"cgid {' '.join(map(str, arguments))} failed")
+    return time.perf_counter() - start, usage.ru_maxrss * 1024
 
 
-def same(one: Path, other: Path) -> bool:
-    """Return whether two datasets hold identical arrays."""
-    for a, b in zip(Dataset(one).batches(), Dataset(other).batches(), strict=True):
-        pairs = [(a.signals, b.signals), (a.labels, b.labels), (a.specimen, b.specimen)]
-        pairs += [(a.parameters[name], b.parameters[name]) for name in a.parameters]
-        if not all(np.array_equal(x, y, equal_nan=x.dtype.kind == "f") for x, y in pairs):
-            return False
-    return True
+def looked_at(batches: Iterable[Batch]) -> float:
+    """Return the time of one of these signals [s]; each is looked at, otherwise some would never be fetched."""
+    start, count, total = time.perf_counter(), 0, 0.0
+    for batch in batches:
+        total += float(batch.signals[:, ::64].sum())
+        count += len(batch)
+    return (time.perf_counter() - start) / count
+
+
+def measured(name: str, n_signals: int, folder: Path) -> Rates:
+    """Return the cost of a signal of a scene."""
+    scene = load_scene(shipped.scene_path(name))
+    data, table = folder / name, folder / f"{name}.h5"
+    common = ["generate", name, "-n", str(n_signals)]
+    jobs = ["--jobs", str(JOBS)]
+    start_up, _ = run("generate", name, "-n", str(JOBS), "--shard-signals", "1", "-o", folder / f"{name}-little", *jobs)
+    runs = {count: run(*common, "-o", data, "--jobs", str(count), "--overwrite") for count in (1, JOBS)}
+    run(*common, "-o", table, "--parameters-only")
+    looked_at(synthesise(scene, 2000, 1))  # compiled
+    return Rates(
+        runs=runs,
+        written=max(runs[JOBS][0] - start_up, 0.0) / n_signals,
+        made=looked_at(synthesise(scene, n_signals)),
+        read=min(looked_at(Dataset(data).batches()) for _ in range(2)),
+        bytes=sum(file.stat().st_size for file in data.iterdir()) / n_signals,
+        parameter_bytes=table.stat().st_size / n_signals,
+    )
+
+
+def duration(seconds: float) -> str:
+    """Return a time in readable units."""
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def size(count: float) -> str:
+    """Return a number of bytes in readable units."""
+    for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if count >= factor:
+            return f"{count / factor:.3g} {unit}"
+    return f"{count:.0f} bytes"
 
 
 def main() -> None:
-    """Run, compare, print Markdown."""
+    """Measure, extrapolate, print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--small", type=int, default=10_000)
-    parser.add_argument("--large", type=int, default=100_000)
-    parser.add_argument("--scene", default="reference")
+    parser.add_argument("--signals", type=int, default=50_000)
+    parser.add_argument("--scenes", nargs="+", default=["reference", "tail_beam"])
     parser.add_argument("--folder", help="where the datasets go (by default a temporary folder)")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
-        folder = Path(name)
-        print("| signals | jobs | s | signals/s | MB/s | peak memory of the process [MB] |\n|---|---|---|---|---|---|")
-        for count, jobs in ((arguments.small, 1), (arguments.large, 1), (arguments.large, 2)):
-            output = folder / f"{count}-{jobs}"
-            seconds, memory = run(
-                ["generate", arguments.scene, "-o", str(output), "-n", str(count), "--jobs", str(jobs)]
+        rates = {scene: measured(scene, arguments.signals, Path(name)) for scene in arguments.scenes}
+    print("| signals | jobs | s | signals/s | MB/s | memory of the largest process [MB] |\n|---|---|---|---|---|---|")
+    for scene, one in rates.items():
+        for jobs, (seconds, memory) in one.runs.items():
+            rate = arguments.signals / seconds
+            print(
+                f"| {arguments.signals} of `{scene}` | {jobs} | {seconds:.1f} | {rate:.0f} | "
+                f"{rate * one.bytes / 1e6:.0f} | {memory / 1e6:.0f} |"
             )
-            size = sum(path.stat().st_size for path in output.iterdir()) / 1e6
-            print(f"| {count} | {jobs} | {seconds:.1f} | {count / seconds:.0f} | {size / seconds:.0f} | {memory:.0f} |")
-        equal = same(folder / f"{arguments.large}-1", folder / f"{arguments.large}-2")
-        print(f"\n--jobs 1 and --jobs 2 hold identical arrays: {equal}")
+    print(f"\n| signals, `--jobs {JOBS}` | time | disk | memory of the largest process | drawn parameters alone |")
+    print("|---|---|---|---|---|")
+    for scene, one in rates.items():
+        for n_signals in (1e6, 1e9):
+            cells = [duration(n_signals * one.written), size(n_signals * one.bytes), size(one.runs[JOBS][1])]
+            what = f"{n_signals:.0e}".replace("e+0", "e")
+            print(f"| {what} of `{scene}` | {' | '.join(cells)} | {size(n_signals * one.parameter_bytes)} |")
+    print("\n| a signal of | made again | read and checked | made again is quicker where the disk gives less than |")
+    print("|---|---|---|---|")
+    for scene, one in rates.items():
+        limit = size(one.bytes / one.made)
+        print(f"| `{scene}` | {1e6 * one.made:.0f} us | {1e6 * one.read:.0f} us | {limit}/s for each process |")
 
 
 if __name__ == "__main__":

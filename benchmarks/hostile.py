@@ -91,7 +91,7 @@ def judge(kind: str, path: Path) -> Outcome:
 
 
 def _readers() -> list[int]:
-    return [child._process.pid for child in sandbox._alive]
+    return [child.process.pid for child in sandbox._alive]
 
 
 def _memory(reset: bool = False) -> int:

@@ -27,8 +27,10 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numba
@@ -37,9 +39,11 @@ from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from cgid import shipped
-from cgid.physics.tabulation import reference_pulse
 from cgid.scene import load_scene
 from cgid.scene.impacts import draw
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.references.make_family import reference_pulse
 
 try:
     import numbalsoda

@@ -30,8 +30,8 @@ import numpy as np
 from cgid import shipped
 from cgid.scene import generate, load_scene, synthesise
 from cgid.scene.draws import parameter_units
-from cgid.store.compression import COMPRESSIONS, keywords
-from cgid.store.hdf5 import ShardBuilder, ShardPlan
+from cgid.store.description import COMPRESSIONS
+from cgid.store.hdf5 import ShardBuilder, ShardPlan, keywords
 
 SHARD = 4096
 #: Shards of the run whose processor time is measured as a whole.

@@ -18,7 +18,6 @@ import io
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,11 +58,11 @@ def curves(impacts: Population) -> Curves:
     return Curves(impacts.restitution, nothing, nothing, nothing)
 
 
-def cgid_frames(impacts: Population, dtype: str = "float64", threads: int = 1) -> np.ndarray:
+def cgid_frames(impacts: Population, dtype: str = "float64") -> np.ndarray:
     """Return the frames by the shipped table."""
     frames = np.zeros((len(impacts), SAMPLES), dtype)
     onset = np.full(len(impacts), float(ONSET))
-    curves(impacts).add_to_frames(frames, onset, impacts.spacing, impacts.force_scale, threads)
+    curves(impacts).add_to_frames(frames, onset, impacts.spacing, impacts.force_scale, 1)
     return frames
 
 
@@ -140,21 +139,6 @@ def work_precision(impacts: Population, quick: bool) -> list[Row]:
     return rows
 
 
-def floors() -> dict[str, float]:
-    """Return the minimum cost of any method per frame [us]: a fresh zeroed frame, a copy of one."""
-    shape = (BLOCK, SAMPLES)
-    source, target = np.ones(shape), np.ones(shape)
-
-    def zeroed() -> None:
-        frames = np.zeros(shape)
-        frames[:, ::512] = 0.0  # touches each page: memory that was never written is not allocated yet
-
-    return {
-        "fresh zeroed frame": least_time(zeroed, 50) / BLOCK * 1e6,
-        "copy of a frame": least_time(lambda: np.copyto(target, source), 50) / BLOCK * 1e6,
-    }
-
-
 def work_table(rows: list[Row]) -> str:
     """Return the rows as Markdown."""
     lines = ["| method | setting | us per pulse | worst error / peak | median |", "|---|---|---|---|---|"]
@@ -174,54 +158,6 @@ def ratio_table(rows: list[Row]) -> str:
             within = [row.microseconds for row in rows if row.method == method and row.worst <= level]
             cells.append(f"{min(within) / ours.microseconds:.3g}" if within else "-")
         lines.append(f"| {method} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-def against_number(impacts: Population, largest: int) -> str:
-    """Return time per pulse against the number of pulses, on one and two threads, 2000 frames at a time.
-
-    The system hands out fresh frames page by page, one thread at a time; reused frames do not have this cost.
-    """
-    lines = ["| signals | fresh frames, 1 thread [us] | 2 threads | frames in use, 1 thread | 2 threads |"]
-    lines.append("|---|---|---|---|---|")
-    whole = len(impacts)
-    frames, every, onset = np.zeros((whole, SAMPLES)), curves(impacts), np.full(whole, float(ONSET))
-    step, amplitude = impacts.spacing, impacts.force_scale
-
-    def fresh(n: int, threads: int) -> None:
-        for first in range(0, n, whole):
-            cgid_frames(impacts.part(0, min(whole, n - first)), threads=threads)
-
-    def in_use(n: int, threads: int) -> None:
-        for first in range(0, n, whole):
-            few = min(whole, n - first)
-            some = every if few == whole else every.taken(np.arange(few))
-            some.add_to_frames(frames[:few], onset[:few], step[:few], amplitude[:few], threads)
-
-    n = 100
-    while n <= largest:
-        repeats = 9 if n <= 10_000 else 1
-        cells = [
-            least_time(partial(run, n, threads), repeats) / n * 1e6 for run in (fresh, in_use) for threads in (1, 2)
-        ]
-        lines.append(f"| {n} | " + " | ".join(f"{value:.2f}" for value in cells) + " |")
-        n *= 10
-    return "\n".join(lines)
-
-
-def against_samples(impacts: Population, floor: float) -> str:
-    """Return time per pulse, without the frame, against the samples in contact (the sampling rate is changed)."""
-    lines = ["| samples in contact | us above a fresh zeroed frame | ns a sample |", "|---|---|---|"]
-    few = impacts.part(0, BLOCK)
-    every, amplitude = curves(few), few.force_scale
-    onset, duration = np.full(BLOCK, float(ONSET)), few.contact_duration / few.time_scale
-    for samples in (2, 5, 10, 30, 60, 120, 300, 1000, 1900):
-
-        def run(step: np.ndarray = duration / samples) -> None:
-            every.add_to_frames(np.zeros((BLOCK, SAMPLES)), onset, step, amplitude, 1)
-
-        above = least_time(run, 30) / BLOCK * 1e6 - floor
-        lines.append(f"| {samples} | {above:.2f} | {above / samples * 1e3:.1f} |")
     return "\n".join(lines)
 
 
@@ -268,16 +204,8 @@ def main() -> None:
     quick = parser.parse_args().quick
     impacts = population(2000)
     rows = work_precision(impacts, quick)
-    found = floors()
-    contact = float(np.mean(impacts.samples_in_contact - 1))
-    above = rows[0].microseconds - found["fresh zeroed frame"]
     print(f"\n{work_table(rows)}\n\nTimes as long as cgid's table (cheapest setting within the error):\n")
-    print(f"{ratio_table(rows)}\n")
-    for name, microseconds in found.items():
-        print(f"{name}: {microseconds:.2f} us")
-    print(f"\n{contact:.0f} samples in contact on average: {above * 1e3 / contact:.1f} ns each above a zeroed frame\n")
-    print(against_samples(impacts, found["fresh zeroed frame"]))
-    print(f"\n{against_number(impacts, 10_000 if quick else 1_000_000)}")
+    print(ratio_table(rows))
     if not quick:
         write(rows)
 

@@ -44,6 +44,7 @@ SOURCES = (
     "elementary.py",
     "family.py",
     "physics/_coupled.py",
+    "physics/_coupled_step.py",
     "physics/_kernels.py",
     "physics/_modes.py",
     "physics/_response.py",

@@ -8,7 +8,7 @@ With `sigma = sqrt(tau / tau_s)` counted from touch, and `sigma = sqrt((tau_c - 
 counted back from separation, force / sigma^3 and displacement / sigma^2 are smooth and positive: each
 is a polynomial on every one of the segments of sigma. Each coefficient of these, like the times, is in turn
 a polynomial of ln e on every one of the intervals of ln e.
-`cgid.physics.tabulation` makes the table by quadrature to machine precision.
+`tests/references/make_family.py` makes the table by quadrature to machine precision.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import secrets
 import shutil
 import stat
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -235,18 +235,10 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
             stack.enter_context(locked(next(iter(contents)).parent, patience=_PATIENCE))
         for path in contents:
             stack.enter_context(_restored(path, made))
-        _write(list(contents.items()), made, overwrite)
-
-
-def _write(contents: Sequence[tuple[Path, bytes]], made: dict[Path, int], overwrite: bool) -> None:
-    """Write all files, last to first, note their inodes in `made`, then rename them first to last."""
-    if not contents:
-        return
-    path, content = contents[-1]
-    with whole_file(path, overwrite=overwrite) as temporary:
-        temporary.write_bytes(content)
-        made[path] = temporary.stat().st_ino
-        _write(contents[:-1], made, overwrite)
+        for path in reversed(list(contents)):  # so that the first is renamed first
+            temporary = stack.enter_context(whole_file(path, overwrite=overwrite))
+            temporary.write_bytes(contents[path])
+            made[path] = temporary.stat().st_ino
 
 
 @contextmanager

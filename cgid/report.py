@@ -16,12 +16,13 @@ from cgid import __version__
 from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.next_steps import Hint
 from cgid.identification.share import Share, Turn
 from cgid.measure.overview import Overview
 from cgid.plots import COLOURS, Mark, colours_of, hertz, overview_figure, picture, share_figure, written
 from cgid.plots.figure import NEUTRAL
 from cgid.recordings import Channel, RecordingFile
-from cgid.terminal import printable
+from cgid.terminal import counted, printable
 from cgid.validation import UNKNOWN
 
 #: Longest list of names that is written in full.
@@ -32,12 +33,30 @@ _MOST_NAMES = 8
 class Report:
     """The content of a page about one recording.
 
-    recording, model : `recording_facts` and `model_facts`, in the order of the page
-    overview : of the first channels
-    channels : those of the overview
-    answers : in order of time
-    threshold : share of gangue above which further caving costs more than it brings
-    unit_of_decision : subject of an answer, "impact" or "window"
+    Attributes
+    ----------
+    source : str
+        Name of the recording.
+    recording, model : mapping of str to str
+        `recording_facts` and `model_facts`, in the order of the page.
+    overview : Overview
+        Waveform, spectrogram and spectrum of the first channels.
+    channels : sequence of Channel
+        The channels of the overview.
+    answers : sequence of Answer
+        In order of time.
+    shares : sequence of Share
+        Gangue shares over sliding windows.
+    turns : sequence of Turn
+        When the window should be shut or opened.
+    threshold : float or None
+        Share of gangue above which further caving costs more than it brings.
+    warnings : sequence of str
+        What is damaged or doubtful.
+    unit_of_decision : str
+        Subject of an answer, "impact" or "window".
+    hint : Hint or None
+        Why most answers are unknown, if they are.
     """
 
     source: str
@@ -51,6 +70,7 @@ class Report:
     threshold: float | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
     unit_of_decision: str = "impact"
+    hint: Hint | None = None
 
     @property
     def labels(self) -> list[str]:
@@ -88,7 +108,7 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
         "file": recording.source,
         "format": recording.format,
         "sampling rate": hertz(recording.sampling_rate),
-        "length": f"{overview.duration:.6g} s ({overview.n_samples} samples a channel)",
+        "length": f"{overview.duration:.6g} s ({counted(overview.n_samples, 'sample')} a channel)",
     }
     if recording.start_time is not None:
         facts["started"] = recording.start_time.isoformat(sep=" ")
@@ -135,17 +155,45 @@ _DPI = 130
 
 
 def write_report(path: str | Path, reports: Sequence[Report], *, title: str = "", overwrite: bool = False) -> None:
-    """Write one page about some recordings.
+    """Write one self-contained HTML page about some recordings.
 
-    Raises `CannotCreate` for another ending than `ENDINGS`, a missing or read-only folder, or an existing file without
-    `overwrite`; `MissingExtra` without matplotlib; `WriteFailed` if the disk is full.
+    Parameters
+    ----------
+    path : str or Path
+        A name with one of `ENDINGS`.
+    reports : sequence of Report
+        One for each recording.
+    title : str
+        Heading of the page.
+    overwrite : bool
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    CannotCreate
+        The name has another ending, the folder is missing or read-only, or the file exists.
+    MissingExtra
+        matplotlib is not installed.
+    WriteFailed
+        The disk is full.
     """
     path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
     write_whole(path, report_page(reports, title=title).encode(), overwrite=overwrite)
 
 
 def report_page(reports: Sequence[Report], *, title: str = "") -> str:
-    """Return the page that `write_report` writes; equal reports give equal pages."""
+    """Return the page that `write_report` writes; equal reports give equal pages.
+
+    Parameters
+    ----------
+    reports : sequence of Report
+    title : str
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     title = title or _title([Path(report.source).name for report in reports])
     style, script = _resource("report.css") + _swatches(), _resource("report.js")
     allowed = f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src '{_hash(script)}'"
@@ -182,6 +230,7 @@ def _title(names: Sequence[str]) -> str:
 def _section(report: Report) -> Iterator[str]:
     yield "<section>"
     yield f"<h2>{_text(Path(report.source).name)}</h2>"
+    yield from _next_steps(report)
     if report.warnings:
         yield '<div class="warnings"><strong>Warnings</strong><ul>'
         yield from (f"<li>{_text(warning)}</li>" for warning in report.warnings)
@@ -197,6 +246,21 @@ def _section(report: Report) -> Iterator[str]:
     yield from _pictures(report)
     yield from _table(report)
     yield "</section>"
+
+
+def _next_steps(report: Report) -> Iterator[str]:
+    """Yield the box that says why most answers are unknown."""
+    if report.hint is None:
+        return
+    hint = report.hint
+    where = f" (channel {', '.join(hint.channels)})" if hint.channels else ""
+    yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
+    yield f"<p>To go on, {_text(hint.advice)}.</p>"
+    if hint.commands:
+        # A step in words, such as filling in a table, is no code.
+        steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in hint.commands)
+        yield "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
+    yield "</div>"
 
 
 def _turns(report: Report) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Escape untrusted text for the terminal.
+"""Texts for people: untrusted ones made safe for the terminal, and counts.
 
 A name or label from a file may contain escape sequences that overwrite earlier output or set the title or clipboard.
 It may also contain bidirectional controls, which make a line read differently from its content (Unicode Technical
@@ -26,3 +26,14 @@ def printable(text: str) -> str:
     return "".join(
         sign if sign.isprintable() or sign == "\t" else sign.encode("unicode_escape").decode() for sign in text
     )
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a count with its noun.
+
+    Examples
+    --------
+    >>> counted(1, "impact"), counted(0, "answer"), counted(2, "window")
+    ('1 impact', '0 answers', '2 windows')
+    """
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -32,10 +32,15 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "displacement": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6},
+    # Not C: a column in C is a temperature.
+    "charge": {"A*s": 1.0, "nC": 1e-9, "pC": 1e-12},
     "energy": {"J": 1.0, "kJ": 1e3, "mJ": 1e-3},
     "strain": {"m/m": 1.0, "um/m": 1e-6, "µm/m": 1e-6},
     "level": {"FS": 1.0},
 }
+
+#: Quantities of a sensor's signal, which its sensitivity turns into what it measures.
+ELECTRICAL = ("voltage", "charge")
 
 #: All units of samples.
 KNOWN_UNITS = frozenset(unit for units in UNITS.values() for unit in units)
@@ -77,7 +82,8 @@ _WRITTEN_OUT = {
     "nsec": "ns",
     **dict.fromkeys(("s/s", "sps"), "Hz"),
     **dict.fromkeys(("volt", "volts"), "V"),
-    "millivolts": "mV",
+    **dict.fromkeys(("mvolt", "mvolts", "millivolt", "millivolts"), "mV"),
+    **dict.fromkeys(("ms-2", "ms^-2", "ms⁻²", "m/s/s"), "m/s^2"),
     **dict.fromkeys(("newton", "newtons"), "N"),
     **dict.fromkeys(("pascal", "pascals"), "Pa"),
     **dict.fromkeys(("meters", "metres"), "m"),
@@ -154,6 +160,36 @@ def hertz_of(unit: str) -> float | None:
     name = plain_unit(unit).lower()
     name = _WRITTEN_OUT.get(name, name or "Hz").lower()
     return next((factor for unit, factor in _FREQUENCY.items() if unit.lower() == name), None)
+
+
+def number_and_unit(text: str) -> tuple[float, str] | None:
+    """Return the number at the start of a text and what follows it; None if it does not start with a number.
+
+    Examples
+    --------
+    >>> number_and_unit("10.2 mV/g"), number_and_unit("loud")
+    ((10.2, 'mV/g'), None)
+    """
+    match = _NUMBER.fullmatch(text.strip())
+    return None if match is None else (float(f"{match[1]}e{match[2] or 0}"), match[3].strip())
+
+
+def ratio_of(text: str) -> tuple[str, str, float] | None:
+    """Return the two quantities of a unit such as mV/g, and its factor to the ratio of their SI units.
+
+    None if it is not one unit of `UNITS` over another.
+
+    Examples
+    --------
+    >>> ratio_of("mV/N"), ratio_of("pC/(m/s^2)"), ratio_of("mVolts per g")[:2], ratio_of("mV")
+    (('voltage', 'force', 0.001), ('charge', 'acceleration', 1e-12), ('voltage', 'acceleration'), None)
+    """
+    above, _, below = re.sub(r"\s+per\s+", "/", text.strip(), flags=re.IGNORECASE).partition("/")
+    first, second = known_unit(above), known_unit(below)
+    if first is None or second is None:
+        return None
+    upper, lower = quantity_of(first), quantity_of(second)
+    return upper, lower, UNITS[upper][first] / UNITS[lower][second]
 
 
 def parse(value: Any, dimension: str) -> float:

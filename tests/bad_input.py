@@ -144,7 +144,7 @@ def make_files(folder: Path) -> None:
     _changed(folder, "caving", _STREAMS)
     _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
     _tables(folder)
-    tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), ["closed-form"]), folder / "table.csv", 9)
+    tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), "closed-form"), folder / "table.csv", 9)
     lines = (folder / "table.csv").read_text().splitlines()
     (folder / "damaged_table.csv").write_text("\n".join([*lines[:6], lines[6] + ",7", *lines[7:]]))
     one = parse_scene(_one_label())
@@ -237,6 +237,18 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     )
     (folder / "m_group.csv").write_text("path,label,start,end\ntwice.csv,coal,0,0.005\ntwice.csv,gangue,0.005,\n")
     (folder / "m_both.csv").write_text("path,label\ngood.csv,coal\ngood.csv,gangue\n")
+    (folder / "m_half.csv").write_text("path,start,end,label,peak\ngood.csv,0,1,,9\ntwice.csv,0,1,coal,9\nb.csv,,,,9\n")
+    (folder / "m_outside.csv").write_text("path,start,end,label\ngood.csv,0,1,coal\ntwice.csv,7,8,gangue\n")
+    (folder / "m_overlap.csv").write_text("path,start,end,label\ntwice.csv,0,0.004,coal\ntwice.csv,0.003,1,gangue\n")
+    (folder / "m_same.csv").write_text("path,label\ngood.csv,coal\ntwice.csv,coal\n")
+    for name in ("void", "papers", "loose", "junk/coal", "junk/gangue", "two_manifests"):
+        (folder / name).mkdir(parents=True)
+    (folder / "papers" / "readme.md").write_text("nothing")
+    _csv(folder / "loose" / "a.csv", good)
+    for label in ("coal", "gangue"):
+        (folder / "junk" / label / "a.wav").write_bytes(b"RIFF\xff\xff\x00\x00WAVEfmt \x10\x00\x00\x00\x01\x00")
+    for name in ("manifest.csv", "events.csv"):
+        (folder / "two_manifests" / name).write_text("path,label\na.wav,coal\n")
 
 
 def _old_model(path: Path, model: Model) -> None:
@@ -315,8 +327,16 @@ CASES = (
     Case("label of a page", ("train", "tagged.h5", "-o", "new.npz"), 65, ("tagged.h5: label must be", "'<b>'")),
     Case("verify no name", ("verify", ""), 2, ("'DATA...'", "must not be empty")),
     Case("model of junk", ("predict", "good.csv", "--model", "text.npz"), 65, ("text.npz", "no sound model")),
-    Case("unknown label in costs", ("predict", "good.csv", "--cost", "granite=2"), 65, ("granite",)),
-    Case("cost that is no number", ("predict", "good.csv", "--cost", "coal=much"), 2, ("LABEL=COST",)),
+    Case("unknown label in costs", ("predict", "good.csv", "--miss-cost", "granite=2"), 65, ("granite",)),
+    Case("former name of a cost", ("predict", "good.csv", "--cost", "coal=2"), 2, ("give --miss-cost coal=2",)),
+    Case("former cost of gangue", ("monitor", "--gangue-cost", "3"), 2, ("give --dilution-cost 3",)),
+    Case(
+        "rows in a text file", ("predict", "good.csv", "-o", "rows.txt"), 73, ("rows.txt", ".csv or .jsonl or .parquet")
+    ),
+    Case("rows over a recording", ("predict", "good.csv", "-o", "good.csv"), 73, ("good.csv", "--overwrite")),
+    Case("rows in no folder", ("features", "good.csv", "-o", "no/rows.csv"), 73, ("folder no must exist",)),
+    Case("rows as JSON and in a file", ("features", "good.csv", "--json", "-o", "new.csv"), 2, ("--json", "-o")),
+    Case("cost that is no number", ("predict", "good.csv", "--miss-cost", "coal=much"), 2, ("LABEL=COST",)),
     Case(
         "model of an older version",
         ("predict", "good.csv", "--model", "old.npz"),
@@ -359,7 +379,7 @@ CASES = (
     ),
     Case(
         "coverage and costs",
-        ("predict", "good.csv", "--coverage", "0.9", "--cost", "coal=2"),
+        ("predict", "good.csv", "--coverage", "0.9", "--miss-cost", "coal=2"),
         65,
         ("costs and coverage", "leave one out"),
     ),
@@ -420,6 +440,61 @@ CASES = (
         65,
         ("--test-share", "left out"),
     ),
+    Case(
+        "table of impacts half filled in",
+        ("train", "m_half.csv", "-o", "new.npz"),
+        65,
+        ("m_half.csv", "2 of 3 have none", "first is row 2", "fill in the column label, or delete"),
+    ),
+    Case(
+        "interval outside of its recording",
+        ("train", "m_outside.csv", "--strict", "-o", "new.npz"),
+        65,
+        ("twice.csv", "start must lie inside the recording", "lasts 0.01 s", "got 7 s"),
+    ),
+    Case(
+        "intervals that overlap",
+        ("train", "m_overlap.csv", "-o", "new.npz"),
+        65,
+        ("twice.csv", "intervals must not overlap, coal and gangue do at 0.003 s"),
+    ),
+    Case("labels all the same", ("train", "m_same.csv", "-o", "new.npz"), 65, ("at least 2 labels", "got coal")),
+    Case(
+        "training on a recording without labels",
+        ("train", "good.csv", "-o", "new.npz"),
+        65,
+        ("good.csv", "must have labels", "cgid events good.csv -o events.csv", "cgid train events.csv"),
+    ),
+    Case(
+        "training on a folder without labels", ("train", "loose", "-o", "new.npz"), 65, ("a.csv", "cgid events loose")
+    ),
+    Case(
+        "training on an empty folder", ("train", "void", "-o", "new.npz"), 65, ("void", "must hold recordings", "empty")
+    ),
+    Case("training on a folder of papers", ("train", "papers", "-o", "new.npz"), 65, ("papers", "other endings")),
+    Case(
+        "training on a folder of junk",
+        ("train", "junk", "--strict", "-o", "new.npz"),
+        65,
+        ("junk/coal/a.wav", "WAV"),
+    ),
+    Case(
+        "folder with two manifests",
+        ("train", "two_manifests", "-o", "new.npz"),
+        65,
+        ("two_manifests", "manifest.csv and events.csv", "name one"),
+    ),
+    Case("training without a name for the model", ("train", "m_same.csv"), 2, ("-o", "--output")),
+    Case("template without .csv", ("train", "loose", "--template", "t.txt"), 73, ("t.txt", ".csv")),
+    Case("template exists", ("train", "loose", "--template", "m_same.csv"), 73, ("m_same.csv", "--overwrite")),
+    Case("impacts of silence", ("events", "constant.csv", "-o", "e.csv"), 65, ("constant.csv", "no impact")),
+    Case("impacts without a unit", ("events", "no_unit.csv", "-o", "e.csv"), 2, ("no_unit.csv", "--unit")),
+    Case("impacts of the standard input", ("events", "-", "-o", "e.csv"), 65, ("stdin", "save it first")),
+    Case("impacts of a missing file", ("events", "gone.csv", "-o", "e.csv"), 66, ("gone.csv", "must exist")),
+    Case("impacts of an empty folder", ("events", "void", "-o", "e.csv"), 65, ("void", "empty")),
+    Case("table of impacts exists", ("events", "good.csv", "-o", "m_same.csv"), 73, ("m_same.csv", "--overwrite")),
+    Case("table of impacts without .csv", ("events", "good.csv", "-o", "e.xlsx"), 73, ("e.xlsx", ".csv")),
+    Case("impacts without a name for the table", ("events", "good.csv"), 2, ("-o",)),
     Case("model name without .npz", ("train", "two.h5", "-o", "new.txt"), 73, ("new.txt", ".npz")),
     Case("model is a link to itself", ("train", "two.h5", "-o", "loop.npz"), 73, ("loop.npz", "symbolic links")),
     Case("model exists", ("train", "two.h5", "-o", "model.npz"), 73, ("model.npz", "--overwrite")),

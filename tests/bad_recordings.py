@@ -38,6 +38,25 @@ def make_recordings(folder: Path) -> None:
         (folder / f"{name}.csv").write_text(text)
     (folder / "key.toml").write_text('[[recording]]\npaht = "blow.wav"\n')
     (folder / "words.toml").write_text("recording = 3\n")
+    _volts(folder, blow / 300)
+
+
+def _volts(folder: Path, blow: np.ndarray) -> None:
+    """Write recordings of sensors: in volts, in picocoulombs, in both m/s^2 and volts, in counts, as integer sound."""
+    above = f"# sampling_rate: {RATE} Hz\n"
+    for name, header in (
+        ("volts", "beam (V)"),
+        ("stated", "# sensitivity: 10.2 mV/g\nbeam (V)"),
+        ("impossible", "# sensitivity: 0 mV/g\nbeam (V)"),
+        ("gained", "# gain: 10\nbeam (V)"),
+        ("charge", "beam (pC)"),
+        ("measured", "beam (m/s^2)"),
+        ("plain", "beam"),
+    ):
+        np.savetxt(folder / f"{name}.csv", blow, "%.6f", header=above + header, comments="")
+    np.savetxt(folder / "two.csv", np.stack([blow, blow], 1), "%.6f", ",", header=f"{above}a (V),b (N)", comments="")
+    wavfile.write(folder / "counts.wav", RATE, (blow * 2**15).astype(np.int16))
+    np.save(folder / "unsigned.npy", (blow * 2**15 + 2**15).astype(np.uint16))
 
 
 _MANIFESTS = {
@@ -52,9 +71,13 @@ _MANIFESTS = {
     "beyond": "path,label,start,end\nblow.wav,coal,100,101\n",
     "gain": "path,label,gain\nblow.wav,coal,loud\n",
     "channel": "path,label,channel\nblow.wav,coal,7\n",
+    "unsensed": "path,label\nvolts.csv,coal\n",
+    "deaf": "path,label,sensitivity\nvolts.csv,coal,10.2 g/mV\n",
+    "ranges": "path,label,start,end,full_scale\ncounts.wav,coal,0,0.1,5 V\ncounts.wav,coal,0.1,0.2,10 V\n",
 }
 _SAID = ("--rate", "25600", "--unit", "m/s^2")
 _RAW = ("--rate", "25600", "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2")
+_SENSED = ("volts.csv", "--sensitivity")
 _MODEL_FREE = ("-o", "new.npz")
 
 #: Name, arguments, exit code, and expected text of the line.
@@ -126,12 +149,96 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("label of a page in a manifest", ("train", "script.csv", *_MODEL_FREE), 65, ("row 2", "letters", "'<script>'")),
     ("label reserved", ("train", "stranger.csv", *_MODEL_FREE), 65, ("row 2", "must not be 'unknown'")),
     ("interval that ends first", ("train", "interval.csv", *_MODEL_FREE), 65, ("row 2", "3 and 2 s")),
-    ("interval beyond the end", ("train", "beyond.csv", *_MODEL_FREE), 65, ("beyond.csv", "start and end")),
+    ("interval beyond the end", ("train", "beyond.csv", *_MODEL_FREE), 65, ("beyond.csv", "start must lie inside")),
     ("gain that is no number", ("train", "gain.csv", *_MODEL_FREE), 65, ("row 2", "gain", "dB", "'loud'")),
     ("channel that is not there", ("train", "channel.csv", *_MODEL_FREE), 65, ("channel '7'",)),
     ("two manifests", ("train", "lost.csv", "bare.csv", *_MODEL_FREE), 65, ("one manifest", "got 2")),
     ("unknown key of a manifest", ("train", "key.toml", *_MODEL_FREE), 65, ("recording 1", "'paht'")),
     ("manifest of a number", ("train", "words.toml", *_MODEL_FREE), 65, ("words.toml", "[[recording]]")),
+    (
+        "volts without a sensitivity",
+        ("predict", "volts.csv"),
+        2,
+        ("volts.csv", "voltage [V]", "--sensitivity '10.2 mV/g'"),
+    ),
+    ("volts without a sensitivity, measured", ("features", "volts.csv"), 2, ("--sensitivity '10.2 mV/g'",)),
+    ("volts without a sensitivity, live", ("monitor", "half.raw", *_RAW[:-1], "V"), 2, ("half.raw", "--sensitivity")),
+    ("volts without a sensitivity, labelled", ("train", "unsensed.csv", *_MODEL_FREE), 65, ("volts.csv", "--sens")),
+    ("charge without a sensitivity", ("predict", "charge.csv"), 2, ("charge [pC]", "--sensitivity '3.1 pC/g'")),
+    ("charge without a gain", ("predict", *_SENSED, "3.1 pC/g"), 2, ("3.1 pC/g", "--gain '1 mV/pC'")),
+    ("gain of charge without a sensitivity", ("predict", "volts.csv", "--gain", "1 mV/pC"), 2, ("'3.1 pC/g'",)),
+    ("sensitivity of another dimension", ("predict", *_SENSED, "10.2 g/mV"), 65, ("'10.2 mV/g'", "'10.2 g/mV'")),
+    ("sensitivity without a unit", ("predict", *_SENSED, "10.2"), 65, ("'10.2 mV/g'", "got '10.2'")),
+    ("sensitivity zero", ("predict", *_SENSED, "0 mV/g"), 65, ("sensitivity must be above 0", "0 mV/g")),
+    ("sensitivity negative", ("info", *_SENSED, "-10 mV/g"), 65, ("above 0", "-10 mV/g", "--invert")),
+    ("sensitivity nan", ("plot", *_SENSED, "nan mV/g", "-o", "new.png"), 65, ("sensitivity must be", "'nan mV/g'")),
+    ("sensitivity infinite", ("predict", *_SENSED, "1e999 mV/g"), 65, ("sensitivity must be above 0 and finite",)),
+    ("sensitivity beyond reason", ("predict", *_SENSED, "1e-99 mV/g"), 65, ("factor between 1e-30 and 1e+30",)),
+    ("two sensitivities", ("predict", *_SENSED, "1 mV/g", "--sensitivity", "2 mV/g"), 65, ("1 mV/g and 2 mV/g",)),
+    ("two of a channel", ("predict", *_SENSED, "1=1 mV/g", "--sensitivity", "1=2 mV/N"), 65, ("channel 1", "one sens")),
+    ("sensitivity of no channel", ("predict", *_SENSED, "7=1 mV/g"), 65, ("channel '7'", "choose one of")),
+    ("sensitivity of a nameless channel", ("predict", *_SENSED, "=1 mV/g"), 65, ("before =", "2=1 mV/g")),
+    (
+        "sensitivity beside that of the file",
+        ("predict", "stated.csv", "--sensitivity", "100 mV/g"),
+        65,
+        ("agree with the file to 0.1 %", "100 mV/g", "10.2 mV/g"),
+    ),
+    ("impossible sensitivity in a file", ("predict", "impossible.csv"), 65, ("above 0", "0 mV/g", "in the file")),
+    ("gain in a file", ("predict", "gained.csv", "--sensitivity", "10 mV/g"), 2, ("gain (10)", "--gain 1")),
+    (
+        "sensitivity of what is measured already",
+        ("predict", "measured.csv", "--sensitivity", "10.2 mV/g"),
+        65,
+        ("in m/s^2 (acceleration)", "leave out --sensitivity"),
+    ),
+    (
+        "sensitivity of a channel in newtons",
+        ("predict", "two.csv", "--sensitivity", "b=10.2 mV/g"),
+        65,
+        ("channel b", "in N (force)"),
+    ),
+    ("sensitivity of no unit", ("predict", "plain.csv", "--sensitivity", "10 mV/g"), 2, ("does not say", "--unit V")),
+    ("sensitivity of a sound", ("predict", "counts.wav", "--sensitivity", "1 V/N"), 2, ("--full-scale '10 V'",)),
+    ("voltage sensitivity of a charge", ("predict", "charge.csv", "--sensitivity", "1 mV/g"), 65, ("'3.1 pC/g'",)),
+    (
+        "gain of charge of a voltage sensor",
+        ("predict", *_SENSED, "10 mV/g", "--gain", "1 mV/pC"),
+        65,
+        ("1 mV/pC", "leave the gain out"),
+    ),
+    ("gain of charge of newtons", ("predict", "measured.csv", "--gain", "1 mV/pC"), 65, ("leave out --gain",)),
+    ("gain zero", ("predict", "volts.csv", "--gain", "0"), 65, ("gain must be above 0",)),
+    ("gain in words", ("predict", "volts.csv", "--gain", "loud"), 65, ("dB", "'1 mV/pC'", "'loud'")),
+    ("gain nan", ("predict", "volts.csv", "--gain", "nan"), 65, ("gain must be a number", "'nan'")),
+    ("gain of too many dB", ("predict", "volts.csv", "--gain", "1e6 dB"), 65, ("between -400 and 400 dB",)),
+    ("full scale zero", ("predict", "counts.wav", "--full-scale", "0 V"), 65, ("full_scale must be above 0",)),
+    ("full scale in words", ("predict", "counts.wav", "--full-scale", "10 stone"), 65, ("'10 V'", "'10 stone'")),
+    ("full scale without a unit", ("predict", "counts.wav", "--full-scale", "10"), 2, ("unit", "--full-scale '10 V'")),
+    ("full scale of floats", ("predict", "volts.csv", "--full-scale", "10 V"), 65, ("sound file", "10 V at 24 bit")),
+    (
+        "full scale of unsigned",
+        ("predict", "unsigned.npy", *_SAID[:2], "--full-scale", "5 V"),
+        65,
+        ("signed integers of 16 bit",),
+    ),
+    (
+        "bits of a sound file",
+        ("predict", "counts.wav", "--full-scale", "10 V at 16 bit"),
+        65,
+        ("leave out the bits", "says them itself"),
+    ),
+    (
+        "full scale of another quantity",
+        ("predict", "counts.wav", "--unit", "N", "--full-scale", "10 V"),
+        65,
+        ("quantity of the samples", "N (force)"),
+    ),
+    ("sensitivity of a dataset", ("predict", "two.h5", "--sensitivity", "1 V/N"), 65, ("--sensitivity", "two.h5")),
+    ("sensitivity of a signal", ("predict", "two.h5", "--index", "0", "--gain", "2"), 65, ("--gain", "two.h5")),
+    ("sensitivity of a scene", ("train", "reference", "--gain", "2", *_MODEL_FREE), 65, ("--gain", "no manifest")),
+    ("sensitivity in a manifest", ("train", "deaf.csv", *_MODEL_FREE), 65, ("row 2", "'10.2 g/mV'")),
+    ("two ranges in a manifest", ("train", "ranges.csv", *_MODEL_FREE), 65, ("one full_scale", "5 V and 10 V")),
     ("hop of nothing", ("train", "day.csv", "--hop", "1e-9", *_MODEL_FREE), 65, ("hop_time", "1e-09 s")),
     ("groups of a scene", ("train", "reference", "--by", "impact", *_MODEL_FREE), 65, ("--by", "no manifest")),
 )

@@ -1,4 +1,4 @@
-"""Scenes with requested outputs, for the tests of the plan and `benchmarks/skipping.py`."""
+"""Scenes with requested outputs, for the tests of the plan and `benchmarks/budget.py`."""
 
 from __future__ import annotations
 
@@ -92,14 +92,14 @@ class Case:
 
     @property
     def plan(self) -> Plan:
-        return plan(self.scene, [self.output], **self.which)
+        return plan(self.scene, self.output, **self.which)
 
     def ask(self) -> Counter[str]:
         """Count the work for `COUNTED` signals."""
         with counted() as counts:
             asked = self.plan
-            kept, outputs = asked.kept, [self.output]
-            made = synthesise(self.scene, COUNTED, outputs=outputs) if kept else columns_of(asked, COUNTED)
+            kept = asked.kept
+            made = synthesise(self.scene, COUNTED, output=self.output) if kept else columns_of(asked, COUNTED)
             for _ in made:
                 pass
         return counts
@@ -110,13 +110,13 @@ class Case:
         On a beam also the true pulses, and all of its modes in the band over every sample.
         """
         with counted() as counts:
-            for _ in columns_of(plan(self.scene, ["closed-form"]), COUNTED):
+            for _ in columns_of(plan(self.scene, "closed-form"), COUNTED):
                 pass
             for batch in synthesise(self.scene, COUNTED):
-                names = None if batch.unit == "N" else plan(self.scene, ["features"]).features
+                names = None if batch.unit == "N" else plan(self.scene, "features").features
                 extract_array(batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan")
             if self.scene.tail_beam is not None:
-                for _ in synthesise(self.scene, COUNTED, outputs=["pulses"]):
+                for _ in synthesise(self.scene, COUNTED, output="pulses"):
                     pass
         if self.scene.tail_beam is not None:
             counts |= self.all_modes()

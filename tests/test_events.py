@@ -1,5 +1,7 @@
 """Finding impacts: recordings with impacts at known times, and recordings without."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -8,12 +10,17 @@ from hypothesis.extra.numpy import arrays
 
 from cgid import family
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.identification.detection import DEAD_TIME, find_impacts
+from cgid.identification.answers import identify, unmeasured
+from cgid.identification.detection import DEAD_TIME, ImpactDetector, find_impacts
+from cgid.identification.events import quietest
+from cgid.identification.model import Model
 from cgid.identification.pulse_onsets import THRESHOLD_OVER_PEAK
 from cgid.measure.features import extract_array
+from cgid.scene import load_scene, synthesise
 from cgid.signals import Signal
 from tests import naive
 
+ROOT = Path(__file__).parents[1]
 RATE = 1e5
 DEAD_SAMPLES = int(DEAD_TIME * RATE)
 
@@ -279,3 +286,68 @@ def test_single_precision_does_not_lose_the_only_high_sample():
             assert find_impacts(recording(samples))
         except BadData:
             continue
+
+
+# -- a recording that begins with the blow --------------------------------------------------------------------
+
+
+def answers_from_sample(frames, rate, model, before_touch, first):
+    """Return the answer for each frame (n, n_samples) from sample `first` after touch on, with noise behind it."""
+    random, found = np.random.default_rng(3), []
+    for frame in frames.astype(float):
+        quiet = frame[: before_touch - 10]
+        behind = random.normal(quiet.mean(), quiet.std(), round(0.05 * rate))
+        signal = Signal(samples=np.append(frame[before_touch + first :], behind), sampling_rate=rate, unit=model.unit)
+        try:
+            found.append(identify(signal, model)[0])
+        except BadData as error:
+            found.append(unmeasured(str(error)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("scene", "model", "begun", "agreement"),
+    [("reference", "default", 8, 0.95), ("tail_beam", "default-acceleration", 12, 0.9)],
+)
+def test_a_blow_at_sample_0_is_measured(scene, model, begun, agreement):
+    """The answer is that of the whole signal; once its flank is cut, most say so and are not answered."""
+    scene, model = load_scene(ROOT / "datasets" / f"{scene}.toml"), Model.load(ROOT / "models" / f"{model}.npz")
+    (batch,) = synthesise(scene, 60, seed=4)
+    given = batch.sampling_rate, model, batch.pre_trigger
+    whole = answers_from_sample(batch.signals, *given, -batch.pre_trigger)
+    for first in (-10, -2, 0):
+        cut = answers_from_sample(batch.signals, *given, first)
+        assert not any(answer.cut for answer in cut)
+        assert np.mean([answer.label != "unknown" for answer in cut]) > 0.95
+        same = [answer.label == other.label for answer, other in zip(cut, whole, strict=True)]
+        assert np.mean(same) >= agreement, first
+    begun = answers_from_sample(batch.signals, *given, begun)
+    assert np.mean([answer.cut and "cut off by its start" in answer.problem for answer in begun]) > 0.6
+
+
+@pytest.mark.parametrize("kind", ["pulse", "vibration"])
+def test_a_blow_at_sample_0_is_the_same_in_any_blocks(kind):
+    blow, times = hertzian(1000, 120), np.arange(8000) / RATE
+    if kind == "vibration":
+        modes = [np.exp(-2 * np.pi * 0.02 * f * times) * np.cos(2 * np.pi * f * times) for f in (400, 1100, 2500, 4000)]
+        blow = 0.05 * np.convolve(blow, sum(modes))
+    samples = placed(60_000, {0: blow, 30_000: 0.6 * blow}, noise=1.0)
+    whole = find_impacts(Signal(samples=samples, sampling_rate=RATE), kind=kind)
+    assert len(whole) >= 2
+    assert not whole[0].problem
+    for size in (1000, 4567, 41_000):
+        detector = ImpactDetector(RATE, kind=kind)
+        found = [event for at in range(0, samples.size, size) for event in detector.feed(samples[at : at + size])]
+        found += detector.finish()
+        assert [(one.onset, one.end, one.samples.tobytes()) for one in found] == [
+            (one.onset, one.end, one.samples.tobytes()) for one in whole
+        ]
+
+
+def test_the_quietest_stretch_is_the_least_variance_on_its_grid():
+    samples = np.random.default_rng(0).normal(0, np.linspace(3, 1, 1000))
+    stretch = quietest(samples, 100)
+    assert stretch.stop - stretch.start == 100
+    assert np.var(samples[stretch]) == min(np.var(samples[at : at + 100]) for at in range(0, 901, 25))
+    assert quietest(samples[:40], 100) == slice(quietest(samples[:40], 10).start, quietest(samples[:40], 10).stop)
+    assert quietest(samples[:31], 100) == slice(0, 0)

@@ -6,8 +6,8 @@ import pytest
 
 from cgid import family
 from cgid.physics.closed_forms import damping_number
-from cgid.physics.tabulation import reference_pulse, time_of_peak
 from tests import few
+from tests.references.make_family import reference_pulse, time_of_peak
 
 
 @pytest.mark.parametrize(

@@ -220,6 +220,7 @@ def test_size_free_index_does_not_know_the_radius():
 
 def test_units_name_the_unit_of_the_signal():
     assert [FEATURES[name].unit_for("kN") for name in ("peak_force", "energy", "width_10")] == ["kN", "kN^2 s", "s"]
+    assert [ALL_FEATURES[name].unit_for("g") for name in ("peak_amplitude", "level_500_hz")] == ["g", "log10(g^2 s)"]
 
 
 # -- batches and columns --------------------------------------------------------------------------------------

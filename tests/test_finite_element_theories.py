@@ -217,17 +217,6 @@ def test_the_paper_says_something_of_its_contact(study):
     assert "the mesh is ours" in text and "as soft as that of elements of 2 mm" in text
 
 
-def test_filtered_peaks_are_those_of_the_contact_force(study):
-    at_4, at_5 = (np.abs(theories.filtered_errors(study, edge)) for edge in (4, 5))
-    assert at_4.max() < 0.015 < at_5.max()
-
-
-def test_the_force_is_smooth_and_the_centre_is_not(study):
-    for found in study.of(UNDAMPED):
-        assert theories.ripple(found, "force") < 0.01
-        assert theories.ripple(found, "centre_node_force") > 0.3
-
-
 def test_a_report_without_words_that_the_numbers_do_not_bear_out(study):
     text = "\n".join(finite_element_section(study))
     assert "**They support K1 (Hertz).**" in text and "counts it twice" in text

@@ -6,7 +6,6 @@ import fcntl
 import json
 import os
 import random
-import re
 import stat
 import subprocess
 import sys
@@ -17,8 +16,17 @@ import pytest
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
 from cgid.files import locked, whole_file, write_whole
-from cgid.store.description import JOURNAL, MANIFEST, Manifest, ShardEntry, parse_manifest, read_journal, read_manifest
-from cgid.store.run import Journal, taking_part
+from cgid.store.description import (
+    DATASET_FILES,
+    JOURNAL,
+    MANIFEST,
+    Manifest,
+    ShardEntry,
+    parse_manifest,
+    read_journal,
+    read_manifest,
+)
+from cgid.store.run import Goal, Run, taking_part
 
 MANIFEST_OF_TWO = Manifest(
     n_signals=7,
@@ -83,10 +91,23 @@ def test_a_manifest_of_version_1_is_read(tmp_path):
 # ---- the journal -----------------------------------------------------------------------------------------------------
 
 
+def run_of(folder, entries=()):
+    """Return a context of a run that has finished some of three files."""
+    goal = Goal(
+        output=folder,
+        description=PLAN,
+        names=tuple(entry["file"] for entry in ENTRIES),
+        noun="shards",
+        ours=DATASET_FILES,
+        description_of=lambda _: None,
+    )
+    return contextlib.closing(Run(goal, folder, {entry["file"]: entry for entry in entries}, journalled=True))
+
+
 @pytest.fixture
 def journal(tmp_path):
     """The content of a journal of three files, in a folder."""
-    with Journal(tmp_path, PLAN, 3, "shards", ENTRIES[:1]) as written:
+    with run_of(tmp_path, ENTRIES[:1]) as written:
         for entry in ENTRIES[1:]:
             written.add(entry)
     return tmp_path / JOURNAL
@@ -131,17 +152,10 @@ def test_flipped_bits_of_a_journal_lose_files_and_never_invent_any(journal):
 
 
 def test_a_full_disk_under_a_journal(journal):
-    with Journal(journal.parent, PLAN, 3, "shards") as written:
-        os.dup2(os.open("/dev/full", os.O_WRONLY), written._stream.fileno())
+    with run_of(journal.parent) as written:
+        os.dup2(os.open("/dev/full", os.O_WRONLY), written._journal.fileno())
         with pytest.raises(WriteFailed, match="No space left"):
             written.add(ENTRIES[0])
-
-
-@pytest.mark.parametrize(("read", "name"), [(read_journal, JOURNAL), (read_manifest, MANIFEST)])
-def test_a_pipe_in_a_strangers_folder_is_not_waited_for(tmp_path, read, name):
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(BadData, match=f"{re.escape(name)}: must be a regular file"):
-        read(tmp_path)
 
 
 def test_what_can_just_be_read_may_be_too_deep_to_be_checked():
@@ -154,14 +168,14 @@ def test_what_can_just_be_read_may_be_too_deep_to_be_checked():
 
 
 def test_a_worker_of_an_earlier_run_is_refused(tmp_path):
-    with Journal(tmp_path, PLAN, 3, "shards") as first:
-        with taking_part(tmp_path, first.run):
+    with run_of(tmp_path) as first:
+        with taking_part(tmp_path, first.token):
             pass
-        with Journal(tmp_path, PLAN, 3, "shards"), pytest.raises(CannotCreate, match="taken this folder over"):  # noqa: SIM117
-            with taking_part(tmp_path, first.run):
+        with run_of(tmp_path), pytest.raises(CannotCreate, match="taken this folder over"):  # noqa: SIM117
+            with taking_part(tmp_path, first.token):
                 pytest.fail("the folder belongs to the second run")
-        first.path.unlink()
-    with pytest.raises(CannotCreate, match="taken this folder over"), taking_part(tmp_path, first.run):
+        (tmp_path / JOURNAL).unlink()
+    with pytest.raises(CannotCreate, match="taken this folder over"), taking_part(tmp_path, first.token):
         pytest.fail("there is no run")
 
 

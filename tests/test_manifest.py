@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cgid.errors import BadData, CgidError, NoInput
-from cgid.identification.manifest import is_manifest, read_manifest
+from cgid.identification.manifest import folder_manifest, is_manifest, manifest_text, path_from, read_manifest
 
 ROOT = Path(__file__).parents[1]
 
@@ -42,7 +42,7 @@ def test_recordings_are_their_own_groups_and_last_to_their_ends(tmp_path: Path) 
     manifest = read_manifest(written(tmp_path, "path,label\na.wav,coal\nsub/b.wav,gangue\n"))
     first, second = manifest.annotations
     assert first.group != second.group
-    assert (first.start, first.end, first.channels, first.gain) == (0.0, math.inf, None, 1.0)
+    assert (first.start, first.end, first.channels, first.gain) == (0.0, math.inf, None, None)
     assert second.path == tmp_path / "sub" / "b.wav"
     assert manifest.labels == ("coal", "gangue")
 
@@ -78,6 +78,61 @@ def test_a_scene_is_no_manifest(tmp_path: Path) -> None:
     assert is_manifest(written(tmp_path, '[[recording]]\npath = "a"\n', "m.toml"))
 
 
+def test_a_table_of_numbers_is_a_recording(tmp_path: Path) -> None:
+    assert not is_manifest(written(tmp_path, "time (s),left (g)\n0,1\n0.1,2\n"))
+    assert not is_manifest(written(tmp_path, "\ufeff# 8000 Hz\n0;1,5\n1;2,5\n"))
+    for content in ("path,label\n3,4\n", "", "paht,label\na.wav,coal\n", "file,kind\na.wav,coal\n"):
+        assert is_manifest(written(tmp_path, content)), content
+
+
+def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
+    """Its separator, its decimal comma, its byte order mark, and columns that only inform."""
+    row = {
+        "path": "Schild 7/a.wav",
+        "start": "0.5",
+        "end": "1.25",
+        "rate": "25600.5",
+        "time [s]": "0.51",
+        "peak": "7.5",
+    }
+    text = manifest_text([{**row, "label": "coal", "gain": "0.5", "flags": "clipped"}])
+    ours = read_manifest(written(tmp_path, text)).annotations
+    assert (ours[0].start, ours[0].end, ours[0].gain, ours[0].sampling_rate) == (0.5, 1.25, 0.5, 25600.5)
+    saved = text.replace(",", ";").replace("0.5", "0,5").replace("1.25", "1,25").replace("25600.5", "25600,5")
+    assert read_manifest(written(tmp_path, saved, encoding="utf-8-sig")).annotations == ours
+    with pytest.raises(BadData, match="start must be a number in s, got '0,5'"):
+        read_manifest(written(tmp_path, 'path,label,start\na.wav,coal,"0,5"\n'))
+
+
+def test_paths_are_those_from_the_folder_of_the_manifest(tmp_path: Path) -> None:
+    assert path_from(tmp_path / "tables", tmp_path / "day" / "a.wav") == "../day/a.wav"
+    for name in ("#1.wav", "a b.wav", "a,b;c.wav"):
+        text = manifest_text([{"path": path_from(tmp_path, tmp_path / name), "label": "coal"}])
+        (one,) = read_manifest(written(tmp_path, text)).annotations
+        assert one.path == tmp_path / name
+
+
+def test_a_negative_gain_turns_a_recording_over(tmp_path: Path) -> None:
+    (one,) = read_manifest(written(tmp_path, "path,label,gain\na.wav,coal,-2\n")).annotations
+    assert one.gain == -2.0
+
+
+def test_subfolders_are_labels_and_theirs_are_groups(tmp_path: Path) -> None:
+    for name in ("coal/1.wav", "coal/monday/2.wav", "gangue/monday/3.npy", ".git/4.wav", "gangue/notes.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    manifest = folder_manifest(tmp_path)
+    assert [(one.written, one.label) for one in manifest.annotations] == [
+        ("coal/1.wav", "coal"),
+        ("coal/monday/2.wav", "coal"),
+        ("gangue/monday/3.npy", "gangue"),
+    ]
+    first, second, third = (one.group for one in manifest.annotations)
+    assert second == third == "monday" != first
+    (tmp_path / "events.csv").write_text("path,label\ncoal/1.wav,shale\n")
+    assert folder_manifest(tmp_path).labels == ("shale",)
+
+
 MISTAKES = {
     "no rows": ("path,label\n", "there is none"),
     "nothing": ("", "there is none"),
@@ -85,7 +140,7 @@ MISTAKES = {
     "column twice": ("path,label,label\na,b,c\n", "'label' is there twice"),
     "no path column": ("label,group\na,b\n", "must include path"),
     "too many cells": ("path,label\na,b,c\n", "row 2: must have 2 cells"),
-    "no label": ("path,label\na,\n", "row 2: every recording or interval must have a label"),
+    "no label": ("path,label\na,\n", "every row must have a label, 1 of 1 have none (the first is row 2)"),
     "reserved label": ("path,label\na,unknown\n", "must not be 'unknown'"),
     "endless label": (f"path,label\na,{'x' * 101}\n", "at most 100 characters"),
     "label with a bell": ("path,label\na,x\x07y\n", "label must be a word"),
@@ -104,6 +159,7 @@ MISTAKES = {
     "reference with a label": ("path,label,sensor,reference\na,b,s,yes\n", "have no label"),
     "sensor without a reference": ("path,label,sensor\na,b,left\n", "sensor left must have a reference run"),
     "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "must have a sensor"),
+    "half of the labels": ("path,label\na,\nb,coal\nc,\n", "2 of 3 have none (the first is row 2); fill in"),
     "overlapping intervals": ("path,label,start,end\na,b,0,2\na,c,1,3\n", "must not overlap, b and c do at 1 s"),
     "recording twice": ("path,label\na,b\na,c\n", "must not overlap"),
     "recording in two groups": ("path,label,start,end,group\na,b,0,1,x\na,c,1,2,y\n", "must lie in one group"),

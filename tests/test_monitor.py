@@ -149,7 +149,7 @@ def test_windows_are_monitored(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (b"\0" * 4000, [*RAW[:5], "s16le"], 65, "say with --unit what 1 stands for"),
         (b"\xff" * 4000, RAW, 65, "samples must be finite"),
         (b"RIFF" + b"\0" * 40, [], 65, "WAV"),
-        (b"\0" * 4000, [*RAW, "--full-scale", "0"], 65, "--full-scale must be above 0"),
+        (b"\0" * 4000, [*RAW, "--full-scale", "0"], 65, "full_scale must be above 0"),
         (b"\0" * 4000, [*RAW, "--window", "-1"], 65, "--window must be above 0"),
     ],
 )

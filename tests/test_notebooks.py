@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -34,7 +35,9 @@ def test_cells_run(path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
 @pytest.mark.filterwarnings("ignore")
 def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = nbformat.read(path, as_version=4)
-    assert not any(cell.get("outputs") for cell in notebook.cells), "a notebook is kept without its outputs"
+    assert all(cell.outputs for cell in notebook.cells if cell.cell_type == "code"), "every cell shows what it gives"
+    check(printed_by(notebook))
+    assert path.stat().st_size < 200_000, "small pictures: figures of the default resolution or less"
     # The kernel is this very interpreter, whatever kernels the machine knows.
     spec = tmp_path / "kernels" / "python3"
     spec.mkdir(parents=True)
@@ -43,12 +46,16 @@ def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("JUPYTER_PATH", str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
     NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}).execute()
-    printed = "".join(
-        output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", []) if "text" in output
-    )
-    check(printed)
+    check(printed_by(notebook))
+
+
+def printed_by(notebook: nbformat.NotebookNode) -> str:
+    """Return what the cells of a notebook have printed."""
+    return "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", []))
 
 
 def check(printed: str) -> None:
-    assert "accuracy 0.8" in printed
-    assert printed.count("novelty") == 6
+    assert float(re.search(r"accuracy (0\.\d+)", printed)[1]) > 0.85
+    answers = re.findall(r"(\w+) +\S+ +novelty", printed)
+    assert answers == ["coal", "gangue"] * 3
+    assert "unknown" in printed  # the recording that does not suit the model

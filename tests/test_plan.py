@@ -7,6 +7,7 @@ import tracemalloc
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -119,17 +120,17 @@ BEGINNINGS = {"features of the fit": 600, "features in time": 500, "spectrum, ba
 def features_of(
     scene: Scene, n_signals: int, seed: int = 0, *, features: object = None, first: int = 0
 ) -> Iterator[Rows]:
-    return columns_of(plan(scene, ["features"], features=features), n_signals, seed, first=first)
+    return columns_of(plan(scene, "features", features=features), n_signals, seed, first=first)
 
 
 def closed_forms_of(
     scene: Scene, n_signals: int, seed: int = 0, *, quantities: object = None, first: int = 0
 ) -> Iterator[Rows]:
-    return columns_of(plan(scene, ["closed-form"], quantities=quantities), n_signals, seed, first=first)
+    return columns_of(plan(scene, "closed-form", quantities=quantities), n_signals, seed, first=first)
 
 
 def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
-    return columns_of(plan(scene, ["parameters"]), n_signals, seed, first=first)
+    return columns_of(plan(scene, "parameters"), n_signals, seed, first=first)
 
 
 # -- counters -------------------------------------------------------------------------------------------
@@ -197,24 +198,14 @@ def test_no_mode_runs_where_only_the_force_is_asked(name: str) -> None:
     assert counts["noise_samples"] == 0
 
 
-@pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
-def test_nothing_responds_that_the_plan_skips(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Response, "add_to_frames", _refuse)
-    if chosen.plan.responds:
-        with pytest.raises(AssertionError, match="that the plan skips"):
-            chosen.ask()
-    else:
-        chosen.ask()
-
-
 def test_true_pulses_of_a_beam_are_forces() -> None:
     chosen, forces = named("true pulses on a beam").scene, named("a beam whose sensor feels the force").scene
-    (pulses,), (felt,) = synthesise(chosen, 100, outputs=["pulses"]), synthesise(forces, 100)
+    (pulses,), (felt,) = synthesise(chosen, 100, output="pulses"), synthesise(forces, 100)
     assert pulses.unit == felt.unit == "N"
     # The modes of a table are the same, whatever is felt.
     np.testing.assert_array_equal(pulses.signals, felt.signals)
     filtered = scene_of(sensor={"anti_alias": {"frequency": "20 kHz"}})
-    (pulses,), (silent,) = synthesise(filtered, 100, outputs=["pulses"]), synthesise(scene_of(sensor={}), 100)
+    (pulses,), (silent,) = synthesise(filtered, 100, output="pulses"), synthesise(scene_of(sensor={}), 100)
     np.testing.assert_array_equal(pulses.signals, silent.signals)
 
 
@@ -233,7 +224,7 @@ def test_the_plan_tells_how_a_beam_gives_way() -> None:
     told = int(auto["tail beam"].why.split("about ")[1].split()[0])
     assert told == pytest.approx(n_modes, rel=0.2)
     assert "no mode is heard" in plan(beam_of(PANEL, {})).decisions["tail beam"].why
-    tapped = plan(named("features of measured modes, one silent").scene, ["features"])
+    tapped = plan(named("features of measured modes, one silent").scene, "features")
     assert "the 4 modes of the table" in tapped.decisions["tail beam"].why
 
 
@@ -281,21 +272,22 @@ WORKERS = {
 }
 
 
+def workers(chosen: Case, *, running: bool) -> list[list[tuple[Any, str]]]:
+    """Return what does the work of each stage that runs, or that the plan skips."""
+    found = [pairs for name, pairs in WORKERS.items() if chosen.plan.runs(name) == running]
+    return found + [[(Response, "add_to_frames")]] * (chosen.plan.responds == running)
+
+
 @pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
-def test_a_skipped_stage_may_be_broken(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    skipped = [name for name in WORKERS if not chosen.plan.runs(name)]
+def test_a_skipped_stage_may_be_broken_and_no_other(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    skipped = workers(chosen, running=False)
     assert skipped
-    for name in skipped:
-        for owner, worker in WORKERS[name]:
-            monkeypatch.setattr(owner, worker, _refuse)
+    for owner, worker in (pair for pairs in skipped for pair in pairs):
+        monkeypatch.setattr(owner, worker, _refuse)
     chosen.ask()
-
-
-@pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
-def test_a_stage_that_runs_is_where_the_test_above_looks(chosen: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [name for name in WORKERS if chosen.plan.runs(name)]:
+    for pairs in workers(chosen, running=True):
         with monkeypatch.context() as broken:
-            for owner, worker in WORKERS[name]:
+            for owner, worker in pairs:
                 broken.setattr(owner, worker, _refuse)
             with pytest.raises(AssertionError, match="that the plan skips"):
                 chosen.ask()
@@ -384,7 +376,7 @@ def test_what_runs_for_signals_is_what_the_plan_says() -> None:
 
 @pytest.mark.parametrize("name", STREAMS)
 def test_what_runs_for_recordings_is_what_the_plan_says(name: str) -> None:
-    asked = plan(STREAMS[name], ["recordings"])
+    asked = plan(STREAMS[name], "recordings")
     with counted() as counts:
         record(STREAMS[name])
     ran = shown_by(counts, asked)
@@ -465,7 +457,7 @@ def test_features_without_frames_are_those_of_stored_frames(name: str) -> None:
 
 def test_features_of_vibrations_are_those_of_stored_frames() -> None:
     scene = named("features of measured modes, one silent").scene
-    asked = plan(scene, ["features"])
+    asked = plan(scene, "features")
     names = asked.features
     assert asked.runs("features")
     assert asked.runs("rest of the frames")
@@ -480,15 +472,15 @@ def test_features_of_vibrations_are_those_of_stored_frames() -> None:
 def test_features_that_no_frame_supports_are_refused_before_any_work() -> None:
     sampling = {"sampling_rate": "25.6 kHz", "samples": 1024, "pre_trigger": 64}
     with pytest.raises(InvalidValue, match=r"level_31\.5_hz needs frames of"):
-        plan(beam_of(PANEL), ["features"], features=["level_31.5_hz"])
+        plan(beam_of(PANEL), "features", features=["level_31.5_hz"])
     rates = {"sampling_rate": uniform("1 kHz", "100 kHz")}
     with pytest.raises(InvalidValue, match="level_5000_hz needs a sampling_rate"):
-        plan(scene_of(sampling=sampling, randomise=rates), ["features"], features=["level_5000_hz"])
+        plan(scene_of(sampling=sampling, randomise=rates), "features", features=["level_5000_hz"])
 
 
 def test_a_feature_that_looks_everywhere_gets_whole_frames() -> None:
     scene, names = SCENES["plain"], ("fitted_peak", "misfit")
-    assert plan(scene, ["features"], features=names).runs("rest of the frames")
+    assert plan(scene, "features", features=names).runs("rest of the frames")
     np.testing.assert_array_equal(features_without_frames(scene, 300, names), stored_features(scene, 300, names))
 
 
@@ -513,7 +505,7 @@ def test_signals_that_cannot_be_measured_are_nan_and_counted(tmp_path: Path) -> 
     scene = scene_of(sensor={"relative_noise": 3.0})
     parts = list(features_of(scene, 512, features=["peak_force"]))
     values = np.concatenate([part.columns["peak_force"] for part in parts])
-    written = tabulate(plan(scene, ["features"], features=["peak_force"]), tmp_path / "table.csv", 512)
+    written = tabulate(plan(scene, "features", features=["peak_force"]), tmp_path / "table.csv", 512)
     assert written.n_unmeasured == np.sum(np.isnan(values)) > 300
 
 
@@ -549,16 +541,15 @@ def test_what_is_asked_of_a_law_is_not_what_it_delivers() -> None:
 @pytest.mark.parametrize(
     ("ask", "says"),
     [
-        (lambda: plan(scene_of(), []), "at least one"),
-        (lambda: plan(scene_of(), ["sound"]), "output must be one of"),
-        (lambda: plan(scene_of(), ["frames"], features=["peak_force"]), "features must come with"),
-        (lambda: plan(scene_of(), ["features"], quantities=["impulse"]), "quantities must come with"),
-        (lambda: plan(scene_of(), ["features"], features=["colour"]), "colour"),
-        (lambda: plan(scene_of(), ["closed-form"], quantities=["colour"]), "colour"),
-        (lambda: plan(scene_of(), ["closed-form"], quantities=["impulse", "impulse"]), "once each"),
-        (lambda: columns_of(plan(scene_of(), ["frames"]), 5), "use synthesise"),
+        (lambda: plan(scene_of(), "sound"), "output must be one of"),
+        (lambda: plan(scene_of(), "frames", features=["peak_force"]), "features must come with"),
+        (lambda: plan(scene_of(), "features", quantities=["impulse"]), "quantities must come with"),
+        (lambda: plan(scene_of(), "features", features=["colour"]), "colour"),
+        (lambda: plan(scene_of(), "closed-form", quantities=["colour"]), "colour"),
+        (lambda: plan(scene_of(), "closed-form", quantities=["impulse", "impulse"]), "once each"),
+        (lambda: columns_of(plan(scene_of(), "frames"), 5), "use synthesise"),
         (lambda: features_of(scene_of(), 0), "n_signals must be 1"),
-        (lambda: next(synthesise(scene_of(), 5, outputs=["features"])), "frames or pulses"),
+        (lambda: next(synthesise(scene_of(), 5, output="features")), "frames or pulses"),
     ],
 )
 def test_plans_that_make_no_sense_are_refused(ask, says) -> None:
@@ -568,7 +559,7 @@ def test_plans_that_make_no_sense_are_refused(ask, says) -> None:
 
 def test_true_pulses_are_frames_without_the_sensor() -> None:
     sensor = {"relative_noise": 0.05, "bandwidth": "20 kHz", "range": "3 kN", "bits": 8}
-    (pulses,) = synthesise(scene_of(sensor=sensor), 200, outputs=["pulses"])
+    (pulses,) = synthesise(scene_of(sensor=sensor), 200, output="pulses")
     (silent,) = synthesise(scene_of(sensor={}), 200)
     np.testing.assert_array_equal(pulses.signals, silent.signals)
 
@@ -651,7 +642,7 @@ def test_a_table_is_read_back_as_it_was_made(tmp_path: Path, suffix: str) -> Non
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
     scene, path, names = SCENES["drawn noise"], tmp_path / f"table{suffix}", ("peak_force", "width_50")
-    asked = plan(scene, ["features"], features=names)
+    asked = plan(scene, "features", features=names)
     written = tabulate(asked, path, 1500, seed=3)
     found = read_table(path)
     assert is_table(path)
@@ -684,7 +675,7 @@ def test_rows_of_any_number_come_in_order(tmp_path: Path) -> None:
 
 def test_memory_stays_flat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "_ROWS", 1024)  # so many rows wait to be written; beyond that nothing grows
-    asked = plan(scene_of(), ["features"], features=["peak_force"])
+    asked = plan(scene_of(), "features", features=["peak_force"])
     tabulate(asked, tmp_path / "first.h5", 2048)
 
     def peak(n_signals: int) -> int:
@@ -705,17 +696,17 @@ def test_a_broken_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tabulate(plan(scene_of(), ["parameters"]), path, 3000, overwrite=True, progress=stop)
+        tabulate(plan(scene_of(), "parameters"), path, 3000, overwrite=True, progress=stop)
     monkeypatch.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(WriteFailed, match="No space left"):
-        tabulate(plan(scene_of(), ["parameters"]), path, 3000, overwrite=True)
+        tabulate(plan(scene_of(), "parameters"), path, 3000, overwrite=True)
     assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("t.h5", "old")]
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".csv"])
 def test_damaged_and_foreign_tables_are_refused(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"t{suffix}"
-    tabulate(plan(scene_of(), ["closed-form"]), path, 6000)
+    tabulate(plan(scene_of(), "closed-form"), path, 6000)
     content = bytearray(path.read_bytes())
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(BadData):
@@ -736,14 +727,14 @@ def test_damaged_and_foreign_tables_are_refused(tmp_path: Path, suffix: str) -> 
 def test_parquet_without_its_library_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(MissingExtra, match=r"cgid\[parquet\]"):
-        tabulate(plan(scene_of(), ["parameters"]), tmp_path / "t.parquet", 10)
+        tabulate(plan(scene_of(), "parameters"), tmp_path / "t.parquet", 10)
 
 
 def test_a_table_that_is_there_stays(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
-    tabulate(plan(scene_of(), ["parameters"]), path, 10)
+    tabulate(plan(scene_of(), "parameters"), path, 10)
     with pytest.raises(CannotCreate, match="--overwrite"):
-        tabulate(plan(scene_of(), ["parameters"]), path, 10)
+        tabulate(plan(scene_of(), "parameters"), path, 10)
 
 
 # -- the plan as it is printed ----------------------------------------------------------------------------
@@ -760,7 +751,7 @@ def test_every_stage_is_in_every_plan_with_a_reason() -> None:
 
 def test_a_block_has_a_plan_of_its_own() -> None:
     scene = SCENES["everything drawn"]
-    asked = plan(scene, ["frames"])
+    asked = plan(scene, "frames")
     assert asked.runs("bandwidth")
     here = [asked.for_block(draw(scene, 0, block).scene) for block in range(30)]
     settled = [block.scene.sensor.bandwidth for block in here]
@@ -828,9 +819,9 @@ def test_a_beam_that_the_recorder_cannot_hear_is_refused() -> None:
 
 def test_a_stream_makes_recordings_and_nothing_else() -> None:
     with pytest.raises(InvalidValue, match="must be recordings, for it is a stream"):
-        plan(load_scene(scene_path("caving")), ["frames"])
+        plan(load_scene(scene_path("caving")), "frames")
     with pytest.raises(InvalidValue, match="must not be recordings"):
-        plan(scene_of(), ["recordings"])
+        plan(scene_of(), "recordings")
 
 
 @pytest.mark.long
@@ -892,7 +883,7 @@ def test_storing_is_counted(tmp_path: Path) -> None:
         assert run(["generate", "peers", "-n", "300", "-o", str(tmp_path / "d.h5")]) == 0
     assert counts["stored_signals"] == 300
     with counted() as counts:
-        tabulate(plan(scene, ["features"], features=["peak_force"]), tmp_path / "t.h5", 300)
+        tabulate(plan(scene, "features", features=["peak_force"]), tmp_path / "t.h5", 300)
     assert (counts["stored_signals"], counts["stored_rows"]) == (0, 300)
 
 

@@ -151,8 +151,6 @@ def test_each_setting_by_itself(environment: dict[str, str]) -> None:
 #: Folders, modules and functions below `cgid/physics` and `cgid/scene` whose results are in no stored signal, and why.
 _NOT_STORED = {
     "physics/sensitivity.py: _sought": "seeks a loss for the user",
-    "physics/tabulation.py": "made the table of the family once",
-    "physics/modes.py: frequency_response": "a picture",
     "scene/calibration.py": "from a recording to a scene",
     "scene/calibration_blow.py": "from a recording to a scene",
     "scene/calibration_fit.py": "from a recording to a scene",

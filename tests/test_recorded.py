@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,6 +30,7 @@ from cgid.identification.grouped import (
     Candidate,
     Lesson,
     choose_candidate,
+    in_blocks_of_time,
     judge,
     leave_groups_out,
     require_groups,
@@ -38,10 +41,12 @@ from cgid.identification.metrics import clustered_interval
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for, shift, thinned
 from cgid.identification.share import wilson_interval
+from cgid.identification.silence import Silence, silence_of
 from cgid.identification.training import train
 from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
+from cgid.recordings import open_recording
 from cgid.scene import Scene, synthesise
 from cgid.signals import Batch, Signal
 
@@ -188,13 +193,26 @@ def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path:
 def test_an_interval_without_a_window_is_said(folder: Path, tmp_path: Path) -> None:
     rows = ["path,label,start,end,rate,unit"]
     for number in range(2):
-        rows += [f"{folder}/{number}.npy,{label},{RATE},g" for label in ("coal,0,0.5", "gangue,0.5,1", "coal,7,9")]
+        rows += [f"{folder}/{number}.npy,{label},{RATE},g" for label in ("coal,0,0.5", "gangue,0.5,0.9", "coal,0.95,1")]
     (tmp_path / "m.csv").write_text("\n".join(rows))
     found = record(read_manifest(tmp_path / "m.csv"), NAMES)
     assert [warning.partition(": ")[0] for warning in found.warnings] == [
-        f"{folder}/{number}.npy from 7 to 9 s" for number in range(2)
+        f"{folder}/{number}.npy from 0.95 to 1 s" for number in range(2)
     ]
     assert all("there must be windows to be measured, there is none" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_an_interval_outside_of_its_recording_is_said(known: bool, folder: Path, tmp_path: Path) -> None:
+    """Whether the file says its length (NPY), or only reading it shows it (text)."""
+    np.savetxt(tmp_path / "1.txt", np.load(folder / "1.npy")[0], header="acceleration (g)", comments="")
+    other = f"{folder}/1.npy" if known else "1.txt"
+    text = f"path,label,start,end,rate,unit\n{folder}/0.npy,coal,0,0.5,{RATE},g\n{other},coal,7,9,{RATE},g\n"
+    (tmp_path / "m.csv").write_text(text)
+    found = record(read_manifest(tmp_path / "m.csv"), NAMES)
+    (failure,) = found.failures
+    assert "from 7 to 9 s: start must lie inside the recording, which lasts 1 s, got 7 s" in str(failure)
+    assert set(found.sources) == {f"{folder}/0.npy from 0 to 0.5 s"}
 
 
 def test_gain_and_unit_are_made_up_for(folder: Path, tmp_path: Path, recorded: Rows) -> None:
@@ -279,6 +297,210 @@ def test_sets_that_promise_it_are_free_of_the_gain() -> None:
         both = [measure_windows(factor * windows, 48e3, features) for factor in (1.0, 7.3)]
         assert np.allclose(*both, rtol=1e-6, atol=1e-9) == name.endswith("level-free"), name
     assert all(name.endswith("level-free") for name in sets_for("window", level_free=True))
+
+
+# -- from impacts to labels and back -----------------------------------------------------------------------
+
+FAST = 20e3
+
+
+def beaten(label_of: list[str], seed: int, gap: float = 0.5) -> np.ndarray:
+    """Return two channels (2, n) of blows; gangue rings higher, and the second channel hears it later and softer."""
+    generator, times = np.random.default_rng(seed), np.arange(0, 0.12, 1 / FAST)
+    samples = generator.normal(0, 1e-3, (2, round((len(label_of) * gap + 0.5) * FAST)))
+    for number, label in enumerate(label_of):
+        middle = {"coal": 900.0, "gangue": 1300.0}[label] * np.exp(generator.normal(0, 0.05))
+        blow = np.exp(generator.normal(0, 0.5) - times / 8e-3) * np.sin(2 * np.pi * middle * times)
+        for channel, (late, loud) in enumerate([(0, 1.0), (17, 0.4)]):
+            first = round((number + 0.6) * gap * FAST) + late
+            samples[channel, first : first + times.size] += loud * blow
+    return samples
+
+
+def rows_in(table: Path) -> list[dict[str, str]]:
+    with table.open(newline="", encoding="utf-8-sig") as file:
+        return list(csv.DictReader(file))
+
+
+def labelled(table: Path, label_of: dict[str, list[str]]) -> None:
+    """Fill in the labels of a table of impacts, as a user does."""
+    rows = rows_in(table)
+    left = {name: iter(labels) for name, labels in label_of.items()}
+    for row in rows:
+        row["label"] = next(left[row["path"]])
+    with table.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+@pytest.fixture(scope="module")
+def blows(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, list[str]]]:
+    """Three recordings of twelve blows on two channels, and their labels."""
+    path, generator = tmp_path_factory.mktemp("blows"), np.random.default_rng(30)
+    label_of = {f"{k}.npy": generator.permutation(["coal", "gangue"] * 6).tolist() for k in range(3)}
+    for number, (name, labels) in enumerate(label_of.items()):
+        np.save(path / name, beaten(labels, number))
+    return path, label_of
+
+
+READ = ["--rate", str(FAST), "--unit", "g"]
+
+
+def test_impacts_are_found_labelled_and_trained_on(
+    blows: tuple[Path, dict[str, list[str]]], tmp_path: Path, capsys: Any
+) -> None:
+    folder, label_of = blows
+    table, model = folder / "found.csv", tmp_path / "mine.npz"
+    files = [str(folder / name) for name in label_of]
+    assert run(["events", *files, "-o", str(table), *READ, "--overwrite"]) == 0
+    assert f"wrote {table}: 36 impacts" in capsys.readouterr().err
+    empty = table.read_text()
+    labelled(table, label_of)
+    before = table.read_bytes()
+    assert run(["events", *files, "-o", str(table), *READ]) == 73
+    assert table.read_bytes() == before
+    rows = record(read_manifest(table))
+    assert rows.slicing is not None and rows.slicing.by == "impact"
+    # Each blow is a row on both channels, with one label and one group, and no other one is in its interval.
+    assert (np.bincount(rows.source) == 2).all() and rows.source.max() == 35
+    assert rows.n_channels == 1
+    for source in range(36):
+        own = rows.source == source
+        assert len(set(rows.labels[own])) == len(set(rows.group[own])) == 1
+        assert np.ptp(rows.time[own]) < 2e-3
+    assert rows.labels[np.unique(rows.source, return_index=True)[1]].tolist() == [*chain(*label_of.values())]
+    capsys.readouterr()
+    assert run(["train", str(table), "-o", str(model), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["accuracy"] > 0.9
+    assert "cgid: trained on impacts, because 36 of 36 recordings or intervals hold a single impact" in err
+    assert "recordings" not in json.loads(out)
+    # The table on the standard output is the same, but for its paths.
+    assert run(["events", *files, "-o", "-", *READ]) == 0
+    assert [line.split(",")[1:] for line in capsys.readouterr().out.splitlines()] == [
+        line.split(",")[1:] for line in empty.splitlines()
+    ]
+
+
+def test_what_was_said_of_the_reading_is_in_the_table(blows: tuple[Path, dict[str, list[str]]], tmp_path: Path) -> None:
+    """One channel, upside down: training reads it alike."""
+    folder, label_of = blows
+    table = tmp_path / "one.csv"
+    name = str(folder / "0.npy")
+    assert run(["events", name, "-o", str(table), *READ, "--channel", "2", "--invert"]) == 0
+    (first, *_) = rows_in(table)
+    assert (first["channel"], first["gain"], float(first["rate"]), first["unit"]) == ("2", "-1", FAST, "g")
+    labelled(table, {first["path"]: label_of["0.npy"]})
+    rows = record(read_manifest(table))
+    assert len(rows.labels) == 12
+    np.testing.assert_allclose(rows.time, [float(row["time [s]"]) for row in rows_in(table)], atol=1e-3)
+
+
+def test_pulses_that_point_down_are_trained_on(tmp_path: Path) -> None:
+    samples = np.random.default_rng(0).normal(0, 0.01, 40_000)
+    for first in range(4000, 40_000, 4000):
+        samples[first : first + 20] -= 5 * np.sin(np.pi * np.arange(20) / 20) ** 1.5
+    np.save(tmp_path / "down.npy", samples)
+    table = tmp_path / "t.csv"
+    arguments = ["events", str(tmp_path / "down.npy"), "-o", str(table), "--rate", "20000", "--unit", "N"]
+    assert run(arguments) == 65
+    assert run([*arguments, "--invert"]) == 0
+    labelled(table, {"down.npy": ["coal", "gangue"] * 5})
+    rows = record(read_manifest(table))
+    assert rows.kind == "pulse" and len(rows.labels) == 9
+    np.testing.assert_allclose(rows.features[:, rows.names.index("fitted_peak")], 5.0, rtol=0.05)
+
+
+def test_one_recording_is_judged_by_blocks_of_its_time(
+    blows: tuple[Path, dict[str, list[str]]], tmp_path: Path, capsys: Any
+) -> None:
+    folder, label_of = blows
+    table = folder / "alone_found.csv"
+    assert run(["events", str(folder / "0.npy"), "-o", str(table), *READ, "--overwrite"]) == 0
+    labelled(table, label_of)
+    assert run(["train", str(table), "-o", str(tmp_path / "m.npz")]) == 0
+    assert "all rows are from one recording: 8 blocks of its time judge each other" in capsys.readouterr().err
+    assert Model.load(tmp_path / "m.npz").training["recorded"]["n_groups"] == 8
+
+
+@pytest.mark.parametrize("by", ["window", "impact"])
+def test_no_samples_are_in_two_blocks_of_time(by: Any) -> None:
+    time = np.sort(np.random.default_rng(3).uniform(0, 30, 600))
+    rows = rows_of(np.where(time % 2 < 1, "a", "b"), np.zeros(600, int), time[:, None])
+    slicing = Slicing(by=by, window_time=0.2, hop_time=0.1)
+    found = in_blocks_of_time(replace(rows, time=time, slicing=slicing))
+    assert len(found.groups) == len(np.unique(found.group)) == 8
+    length = 0.2 if by == "window" else 0.15
+    for before in range(7):
+        ends, begins = found.time[found.group == before].max(), found.time[found.group == before + 1].min()
+        assert ends + length < begins
+    assert len(found.labels) > 500
+    rare = replace(rows, labels=np.where(time > 27, "b", "a"), time=time, slicing=slicing)
+    assert len(np.unique(in_blocks_of_time(rare).group[in_blocks_of_time(rare).labels == "b"])) >= 2
+    last = replace(rows, labels=np.where(time > time[-2], "b", "a"), time=time, slicing=slicing)
+    with pytest.raises(BadData, match="at least 2 groups"):
+        train(replace(last, digests=("x",), groups=("x",)))
+
+
+@pytest.mark.parametrize(
+    ("gap", "noise", "by"), [(0.5, 0.0, "impact"), (0.06, 0.0, "window"), (0.5, 0.3, "window"), (0.0, 0.1, "window")]
+)
+def test_recordings_say_whether_impacts_or_windows(gap: float, noise: float, by: str, tmp_path: Path) -> None:
+    """Silence between blows: impacts. Dense blows, loud rustle between them, nothing but rustle: windows."""
+    for number, label in enumerate(["coal", "gangue"]):
+        samples = beaten([label] * round(4 / gap), number, gap) if gap else np.zeros((2, 80_000))
+        rustle = np.random.default_rng(number).normal(0, 1, samples.shape)
+        np.save(tmp_path / f"{number}.npy", samples + noise * rustle)
+    text = "path,label,rate,unit\n0.npy,coal,20000,g\n1.npy,gangue,20000,g\n"
+    (tmp_path / "m.csv").write_text(text)
+    rows = record(read_manifest(tmp_path / "m.csv"))
+    assert rows.slicing is not None and rows.slicing.by == by
+    assert (
+        rows.notes[0].startswith(f"trained on {by}s")
+        and f"--by {'impact' if by == 'window' else 'window'}" in rows.notes[0]
+    )
+    forced = record(read_manifest(tmp_path / "m.csv"), slicing=Slicing(by="window"))
+    assert any("most windows tell nothing" in warning for warning in forced.warnings) == (by == "impact")
+
+
+def test_real_recordings_are_taken_for_what_they_are(real_data: Path) -> None:
+    """Bulk on a ramp never rests; shocks are one impact a recording."""
+    for files, unit, single in (("bulk_ramp/*_1.wav", None, False), ("shock/acc_base_*.txt", "g", True)):
+        held = Silence()
+        for file in sorted(real_data.glob(files)):
+            held += silence_of(open_recording(file, unit=unit), "vibration", [(0.0, np.inf)])
+        assert held.has_single_impacts == single
+
+
+def test_a_template_lists_a_folder_to_label(folder: Path, tmp_path: Path, capsys: Any) -> None:
+    for name in ("coal/0.npy", "gangue/1.npy", "2.npy"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((folder / Path(name).name).read_bytes())
+    table = tmp_path / "t.csv"
+    assert run(["train", str(tmp_path), "--template", str(table), "--rate", str(RATE), "--unit", "g"]) == 0
+    assert f"3 recordings; fill in the label of 1, then cgid train {table}" in capsys.readouterr().err
+    rows = {row["path"]: row for row in rows_in(table)}
+    assert {name: row["label"] for name, row in rows.items()} == {
+        "coal/0.npy": "coal",
+        "gangue/1.npy": "gangue",
+        "2.npy": "",
+    }
+    assert rows["2.npy"]["content"] == f"{RATE} Hz, g, 1 channel, 1 s"
+    assert run(["train", str(tmp_path), "--template", str(table)]) == 73
+    table.unlink()
+    assert run(["train", str(tmp_path), "--template", str(table)]) == 2
+    assert {row["content"] for row in rows_in(table)} == {"cannot be read"}
+
+
+def test_labels_of_subfolders_are_trained_on(folder: Path, tmp_path: Path, capsys: Any) -> None:
+    for number in range(4):
+        place = tmp_path / ("coal", "gangue")[number % 2] / f"{number}.npy"
+        place.parent.mkdir(exist_ok=True)
+        place.write_bytes((folder / place.name).read_bytes())
+    assert run(["train", str(tmp_path), "-o", str(tmp_path / "m.npz"), "--rate", str(RATE), "--unit", "g", *FEW]) == 0
+    assert f"labels of {tmp_path}: coal 2, gangue 2" in capsys.readouterr().err
+    assert Model.load(tmp_path / "m.npz").labels == ("coal", "gangue")
 
 
 # -- groups -----------------------------------------------------------------------------------------------
@@ -736,7 +958,7 @@ def test_what_was_left_out_and_what_scenes_cost_is_said_beside_json(without: flo
     out, err = capsys.readouterr()
     assert json.loads(out)["accuracy"] == 0.8
     first, *more = err.splitlines()
-    assert first == "cgid: warning: 3 impacts could not be measured and were left out"
+    assert first == "cgid: warning: left out 3 impacts that could not be measured"
     assert len(more) == bool(said) and said in err
 
 

@@ -723,7 +723,7 @@ def test_raw_streams_are_what_was_written(name, n_channels, seed):
     blocks = list(stream)
     assert all(block.shape[0] == n_channels and block.shape[1] for block in blocks)
     assert np.array_equal(np.concatenate(blocks, axis=1), expected.T)
-    assert (stream.n_samples, stream.warnings, stream.unit) == (100, [], None if name[0] == "f" else "FS")
+    assert (stream.n_samples, stream.warnings, stream.channels[0].unit) == (100, [], None if name[0] == "f" else "FS")
 
 
 def test_blocks_of_many_channels_are_short(tmp_path):
@@ -760,7 +760,7 @@ def test_live_wav_is_known_by_its_header(size):
     if size is not None:
         content = content[:-58]
     stream = live_stream(Trickle(content))
-    assert (stream.sampling_rate, stream.n_channels, stream.unit) == (1000, 1, "FS")
+    assert (stream.sampling_rate, stream.n_channels, stream.channels[0].unit) == (1000, 1, "FS")
     assert np.concatenate(list(stream), axis=1).tolist() == [(WORDS / 2**15).tolist()]
     assert not stream.warnings
     with pytest.raises(InvalidValue, match="2000 Hz where the WAV header says 1000 Hz"):

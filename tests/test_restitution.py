@@ -47,13 +47,6 @@ def test_delivered_is_the_inverse(e):
     assert float(delivered_restitution(damping_number(e))) == pytest.approx(e, rel=6e-16)
 
 
-def test_rows_of_the_dimensionless_table():
-    assert damping_number([0.9, 0.5, 0.2]) == pytest.approx(
-        [0.1664819506853, 1.4327505332714, 4.9191667157908], abs=1e-12
-    )
-    assert damping_number(1.0) == 0
-
-
 @pytest.mark.parametrize("e", [0.0, -0.1, 1.2, np.nan])
 def test_outside_is_refused_by_name_and_value(e):
     with pytest.raises(InvalidValue, match="restitution must"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import signal
 import subprocess
@@ -16,12 +15,13 @@ import h5py
 import numpy as np
 import pytest
 
-from cgid.errors import BadData, MissingExtra
+from cgid.errors import BadData
 from cgid.store import Dataset, sandbox
 from tests import few
 from tests.hostile_hdf5 import KINDS
 
-NUMBERS = np.arange(40_000.0).reshape(2000, 20)
+#: More than a pipe holds.
+NUMBERS = np.arange(400_000.0).reshape(2000, 200)
 ROOT = Path(__file__).parents[1]
 
 
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 def path(tmp_path):
     path = tmp_path / "numbers.h5"
     with h5py.File(path, "w", libver=("v110", "v110")) as file:
-        file.create_dataset("x", data=NUMBERS, chunks=(100, 20), fletcher32=True)
+        file.create_dataset("x", data=NUMBERS, chunks=(100, 200), fletcher32=True)
         file.create_dataset("nothing", shape=(0,), dtype="S3", chunks=(5,), maxshape=(None,))
         file.attrs["format"] = np.bytes_(b"numbers")
     return path
@@ -40,7 +40,7 @@ def parts(path, length=300, stop=2000):
 
 
 def readers():
-    return [child._process for child in sandbox._alive]
+    return [child.process for child in sandbox._alive]
 
 
 def test_rows_are_those_of_h5py(path):
@@ -69,14 +69,14 @@ def test_who_reads_does_without_h5py(tmp_path, kind):
 
 def test_files_are_read_side_by_side_and_a_reader_is_kept(path):
     sandbox._end_all()
-    pairs = list(zip(parts(path), parts(path, 299), strict=False))
+    pairs = list(zip(parts(path), parts(path, 299), strict=True))
     assert len(pairs) == 7 and len(readers()) == 2
     before = {process.pid for process in readers()}
     half = parts(path)
     next(half)
-    half.close()  # leaves a reader that is ready for something else
+    half.close()  # ends its reader, and with it whatever the file still does
     assert sandbox.format_said(path) == "numbers"
-    assert {process.pid for process in readers()} == before
+    assert len(readers()) == 1 and {process.pid for process in readers()} < before
 
 
 def test_no_room_for_a_thread_is_no_room_and_the_next_file_is_read(path, monkeypatch):
@@ -129,19 +129,6 @@ def test_a_reader_that_ends_over_a_file_is_an_error_of_that_file_alone(path):
     np.testing.assert_array_equal(np.concatenate([first, *rest]), NUMBERS)
 
 
-def test_a_reader_that_ends_over_what_nobody_wants_any_more_is_no_error_of_the_next_file(path):
-    half = parts(path)
-    next(half)
-    reader = next(child._process for child in sandbox._alive if child not in sandbox._idle)
-    os.kill(reader.pid, signal.SIGSTOP)  # as if the part that is read ahead took long
-    half.close()
-    sandbox._idle.sort(key=lambda child: child._process is reader)  # the next to be asked
-    death = threading.Timer(0.2, reader.kill)
-    death.start()
-    assert sandbox.format_said(path) == "numbers"
-    death.join()
-
-
 def test_a_forked_process_has_readers_of_its_own(path):
     stream = parts(path)
     next(stream)
@@ -170,8 +157,8 @@ def test_a_forked_process_is_told_that_it_cannot_read_on(path):
 def test_a_reader_ends_with_whom_it_reads_for_and_hears_no_interruption(path):
     code = (
         "import os, signal, sys; from pathlib import Path; from cgid.store import sandbox; path = Path(sys.argv[1]);"
-        "sandbox.format_said(path); (child,) = sandbox._alive; os.kill(child._process.pid, signal.SIGINT);"
-        "print(child._process.pid, sandbox.format_said(path), flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+        "sandbox.format_said(path); (child,) = sandbox._alive; os.kill(child.process.pid, signal.SIGINT);"
+        "print(child.process.pid, sandbox.format_said(path), flush=True); os.kill(os.getpid(), signal.SIGKILL)"
     )
     done = subprocess.run([sys.executable, "-c", code, path], cwd=ROOT, capture_output=True, text=True)
     pid, said = done.stdout.split()
@@ -237,26 +224,6 @@ def test_what_is_sent_arrives(dtype):
     assert not stream.read()
 
 
-def test_a_packing_whose_library_is_missing_is_named(tmp_path, monkeypatch):
-    plugin = pytest.importorskip("hdf5plugin")
-    KINDS["dataset"].write(tmp_path / "zstd.h5")
-    wanted = KINDS["dataset"].read(tmp_path / "zstd.h5")[0]
-    with h5py.File(tmp_path / "zstd.h5", "r+") as file:
-        signals, about = file["signals"][:], dict(file["signals"].attrs)
-        del file["signals"]
-        file.create_dataset("signals", data=signals, chunks=(8, 16), fletcher32=True, **plugin.Zstd())
-        file["signals"].attrs.update(about)
-    np.testing.assert_array_equal(KINDS["dataset"].read(tmp_path / "zstd.h5")[0], wanted)
-    (tmp_path / "hdf5plugin.py").write_text("raise ImportError\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    sandbox._end_all()
-    try:
-        with pytest.raises(MissingExtra, match=r"Zstandard need hdf5plugin.*cgid\[compression\]"):
-            Dataset(tmp_path / "zstd.h5")
-    finally:
-        sandbox._end_all()
-
-
 @pytest.mark.parametrize("kinds", few([["table"], list(KINDS)]))
 def test_hostile_files_and_mutants_do_no_harm(kinds):
     """All hand-made files of these kinds and some mutants; the longest form is `benchmarks/hostile.py` with 5,000."""
@@ -284,13 +251,6 @@ def test_the_watch_sees_what_it_watches_for(tmp_path):
     assert watch.opened() == []
     (tmp_path / "secret").read_text()
     assert "secret" in watch.opened()
-
-
-def test_headers_are_what_json_can_hold(path):
-    sandbox._end_all()
-    KINDS["dataset"].write(path)
-    about = sandbox.call("shard_header", path)
-    assert json.loads(json.dumps(about)) == about and about["n_signals"] == 24
 
 
 @pytest.mark.parametrize(("rests", "code"), [(False, -signal.SIGALRM), (True, 0)])

@@ -10,7 +10,6 @@ from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.physics.sensitivity import (
     PARAMETERS,
     local_sensitivity,
-    ordering,
     parameters_of,
     range_influence,
     response_grid,
@@ -140,12 +139,6 @@ def test_parameters_of_an_impact_are_its_own():
     assert {name: float(value) for name, value in parameters_of(impact_of()).items()} == HELD
 
 
-def test_ordering_by_size_keeps_equal_ones_in_place():
-    assert ordering({"a": 0.2, "b": -0.3, "c": 0.2, "d": 1}) == ("d", "b", "a", "c")
-    names = ordering(local_sensitivity(impact_of()).peak_force)
-    assert names == ("radius", "density", *names[2:])
-
-
 @pytest.mark.parametrize(
     ("call", "says"),
     [
@@ -162,8 +155,6 @@ def test_ordering_by_size_keeps_equal_ones_in_place():
         (lambda: response_grid(impact_of(), {"radius": []}), r"got shape \(0,\)"),
         (lambda: response_grid(impact_of(), {}), "at least one of radius"),
         (lambda: response_grid(impact_of({**HELD, "radius": np.ones(3)}), {"density": [1e3]}), r"shape \(3,\)"),
-        (lambda: ordering({"radius": [1.0, 2.0]}), "radius must be a single number"),
-        (lambda: ordering({"radius": float("nan")}), "radius must be finite"),
     ],
 )
 def test_what_cannot_be_done_is_said(call, says):

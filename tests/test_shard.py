@@ -17,9 +17,9 @@ from benchmarks.store import write_ready
 from cgid.errors import BadData, MissingExtra
 from cgid.signals import Batch
 from cgid.store._fletcher import fletcher32
-from cgid.store.compression import COMPRESSIONS, deflated, keywords, require
+from cgid.store.description import COMPRESSIONS
 from cgid.store.disk import MemoryFile
-from cgid.store.hdf5 import ShardBuilder, ShardPlan
+from cgid.store.hdf5 import ShardBuilder, ShardPlan, deflated, keywords, require
 
 # ---- the checksum ----------------------------------------------------------------------------------------------------
 

@@ -185,27 +185,27 @@ def futures() -> tuple[np.ndarray, np.ndarray]:
     return np.array(found), np.array(coming)
 
 
-@pytest.mark.parametrize("gangue_cost", [0.5, 1.0, 3.0])
-def test_expected_cost_is_what_going_on_does_cost(futures, gangue_cost: float) -> None:
+@pytest.mark.parametrize("dilution_cost", [0.5, 1.0, 3.0])
+def test_expected_cost_is_what_going_on_does_cost(futures, dilution_cost: float) -> None:
     found, coming = futures
-    rule = Shutting(gangue_cost)
+    rule = Shutting(dilution_cost)
     said = np.array([rule.cost(state(share)) for share in found])
-    cost = gangue_cost * coming - (1 - coming)
+    cost = dilution_cost * coming - (1 - coming)
     for part in np.array_split(np.argsort(said), 8):
         error = cost[part].std() / np.sqrt(part.size)
         assert said[part].mean() == pytest.approx(cost[part].mean(), abs=4 * error)
 
 
-@pytest.mark.parametrize("gangue_cost", [0.5, 1.0, 3.0])
-def test_no_other_threshold_costs_less(futures, gangue_cost: float) -> None:
+@pytest.mark.parametrize("dilution_cost", [0.5, 1.0, 3.0])
+def test_no_other_threshold_costs_less(futures, dilution_cost: float) -> None:
     found, coming = futures
-    cost = gangue_cost * coming - (1 - coming)  # of going on; shutting costs nothing more
+    cost = dilution_cost * coming - (1 - coming)  # of going on; shutting costs nothing more
 
     def paid(threshold: float) -> float:
         return float(np.where(found > threshold, 0.0, cost).mean())
 
     others = [paid(threshold) for threshold in np.linspace(0.02, 0.98, 97)]
-    own = paid(Shutting(gangue_cost).threshold)
+    own = paid(Shutting(dilution_cost).threshold)
     assert own < min(others) + 2e-3
     assert own < paid(0.0) - 0.02  # better than never to draw
     assert own < paid(1.0) - 0.02  # and than to draw all
@@ -233,14 +233,14 @@ def test_few_impacts_decide_nothing() -> None:
 def test_caving_window_is_shut_close_to_the_best_time() -> None:
     """The share rises over a minute; against every fixed time, and against the best one with hindsight."""
     rng = np.random.default_rng(5)
-    gangue_cost, rate, regret, spans = 2.0, 8.0, [], []
+    dilution_cost, rate, regret, spans = 2.0, 8.0, [], []
     fixed = np.zeros(61)
     for _ in range(40):
         middle = rng.uniform(15, 45)
         times = np.sort(rng.uniform(0, 60, int(rate * 60)))
         share = 1 / (1 + np.exp(-(times - middle) / 4))
         gangue, probabilities = drawn(rng, share, times.size)
-        window, rule, shut_at = ShareWindow(5.0), Shutting(gangue_cost), 60.0
+        window, rule, shut_at = ShareWindow(5.0), Shutting(dilution_cost), 60.0
         place = 0
         for end in np.arange(1.0, 61.0):
             while place < times.size and times[place] <= end:
@@ -250,7 +250,7 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
             if turn:
                 shut_at = turn.time
                 break
-        cost = np.where(gangue, gangue_cost, -1.0)
+        cost = np.where(gangue, dilution_cost, -1.0)
         paid = np.array([cost[times <= end].sum() for end in np.arange(61.0)])
         fixed += paid
         regret.append(paid[int(shut_at)] - paid.min())
@@ -262,7 +262,7 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
 
 
 def test_cost_must_be_above_zero() -> None:
-    with pytest.raises(InvalidValue, match="gangue_cost must be above 0"):
+    with pytest.raises(InvalidValue, match="dilution_cost must be above 0"):
         Shutting(0.0)
 
 

@@ -380,7 +380,7 @@ def test_the_ringing_of_every_impact_goes_on_through_the_recording(sensor):
     scene = scene_of(duration="6 s", arrivals={"rate": "60 Hz"}, sensor=sensor, rebounds={"most": 1}, **beam())
     signal, found = record(scene, dtype="float64")
     assert signal.unit == scene.sensor.unit and len(set(found["time"] // (128 / 60))) == 3
-    planned = plan(scene, ["recordings"])
+    planned = plan(scene, "recordings")
     heard = recorder_of(planned)
     # All at once, in one frame as long as the recording. What was asked is more than what the beam has left.
     asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
@@ -395,7 +395,7 @@ def test_rocks_that_feel_the_modes_of_the_beam_bounce_by_what_these_leave():
     scene = scene_of(duration="2 s", arrivals={"rate": "20 Hz"}, **changes)
     signal, found = record(scene)
     assert np.abs(signal.samples).max() > 0 and found["bounce"].max() == 1
-    planned = plan(scene, ["recordings"])
+    planned = plan(scene, "recordings")
     asked = {**found, "restitution": np.full(found["time"].size, 0.5)}
     for row in (0, found["time"].size - 1):
         alone = {name: column[row : row + 1] for name, column in asked.items()}

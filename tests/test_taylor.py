@@ -6,8 +6,8 @@ from scipy.special import beta
 
 from cgid.physics import _taylor
 from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
-from cgid.physics.tabulation import reference_pulse, time_of_peak
 from tests import naive
+from tests.references.make_family import reference_pulse, time_of_peak
 
 HALF = float(damping_number(0.5))
 #: Damping, zeta, lambda, gamma of each mechanism by itself and of those that act together.

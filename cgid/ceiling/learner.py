@@ -105,7 +105,6 @@ def bracket(
     seed: int = 1_000_003,
     *,
     drop_height_known: bool = False,
-    permute_labels: bool = False,
     limit: Ceiling | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Bracket:
@@ -118,8 +117,6 @@ def bracket(
         Numbers of training signals; each set contains the smaller ones. Their seed differs from that of the test.
     n_test, seed, drop_height_known
         As in `ceiling`.
-    permute_labels : bool
-        Train on permuted labels, as a check: the accuracy must be that of guessing.
     limit : Ceiling, optional
         The ceiling of the same signals, if already known.
     progress : callable, optional
@@ -138,8 +135,6 @@ def bracket(
     if not np.array_equal(truth, limit.truth):
         raise InvalidValue(f"limit must be the ceiling of the {n_test} signals of seed {seed}, it is of others")
     inputs, labels = _measured(scene, max(sizes), seed + 1 if seed < 2**63 - 1 else 0, drop_height_known, progress)
-    if permute_labels:
-        labels = np.random.default_rng(seed).permutation(labels)
     learners = [_learn(inputs[:size], labels[:size], test, limit) for size in sorted(sizes)]
     return Bracket(limit, tuple(learners), int((~np.isfinite(test).all(axis=1)).sum()))
 

@@ -1,4 +1,7 @@
-"""Rows of answers: impacts or windows, gangue shares, turns and a summary, as text or one JSON object per line."""
+"""What predict and monitor say: a table of answers on stdout, and gangue shares, turns and a summary on stderr.
+
+With --json all of it is on stdout, one JSON object per line.
+"""
 
 from __future__ import annotations
 
@@ -7,111 +10,136 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from cgid.cli.output import print_json, say
+from cgid.cli.table import Column, TableOutput, flags, numbers, times
+from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
+    from cgid.identification.next_steps import Diagnosis, Hint
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
     from cgid.identification.stream import Step
 
-#: Version of the lines that --json prints: since 2 each has a kind, and there are kinds besides impacts.
-ANSWERS_VERSION = 2
-_ROW = "{:>12}  {:<12} {:>11}  {:>8}  {}"
-_TITLES = _ROW.format("time [s]", "label", "probability", "novelty", "source")
+#: Version of the lines that --json prints: since 2 each has a kind; since 3 the source is the file alone, and instead
+#: of one probability there are the most likely label and the probabilities of all.
+ANSWERS_VERSION = 3
+
+
+def answer_columns(model: Model, *, sets: bool = False, datasets: bool = False) -> tuple[Column, ...]:
+    """Return the columns of answers; `sets` if prediction sets are asked for, `datasets` if there is one."""
+    return (
+        Column("source"),
+        Column("channel"),
+        times("time"),
+        *[times("end")] * (model.kind == "window"),
+        Column("label"),
+        *(numbers(f"p({label})", form=".4f") for label in model.labels),
+        numbers("novelty", form=".3f"),
+        *(flags(name) for name in ("overlapping", "clipped", "cut_off")),
+        Column("problem"),
+        *[Column("prediction_set")] * sets,
+        *[Column("index", dtype="int64"), Column("truth")] * datasets,
+    )
 
 
 class AnswerLines:
     """Print one row at a time, with its kind in JSON."""
 
-    def __init__(self, as_json: bool) -> None:
+    def __init__(self, as_json: bool, table: TableOutput | None = None, *, datasets: bool = False) -> None:
         self.as_json = as_json
-        self._titled = False
+        self._table, self._datasets = table or TableOutput(), datasets
 
-    def answer(self, source: str, number: int, answer: Answer, kind: str = "impact", truth: str | None = None) -> None:
-        """Print the answer for an impact or a window, with its number in its channel."""
-        if not self._titled and not self.as_json:
-            say(_TITLES)
-            self._titled = True
-        content = {
-            kind: number,
+    def begin(self, source: str, model: Model, question: Question) -> None:
+        """Set the columns; raises `BadData` if earlier rows have other ones."""
+        from cgid.errors import BadData
+
+        if self.as_json:
+            return
+        columns = answer_columns(model, sets=question.coverage is not None, datasets=self._datasets)
+        if lacking := self._table.begin(columns):
+            raise BadData(
+                f"{source}: its rows must have the columns of those before, its model has {lacking[0].title}, too; "
+                "give it in a run of its own"
+            )
+
+    def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:
+        """Print the answer for an impact or a window; `more` are its number in its channel, its index or its truth."""
+        probabilities = dict(answer.probabilities)
+        held = None if answer.prediction_set is None else list(answer.prediction_set)
+        row = {
             "channel": answer.channel,
-            "time_s": answer.time,
-            "end_s": answer.end,
             "label": answer.label,
-            "probability": answer.probability,
-            "probabilities": dict(answer.probabilities),
             "novelty": answer.novelty,
-            "in_training_range": answer.in_training_range,
             "overlapping": answer.overlapping,
             "clipped": answer.clipped,
             "cut_off": answer.cut,
             "problem": answer.problem or None,
-            "prediction_set": None if answer.prediction_set is None else list(answer.prediction_set),
-            **({} if truth is None else {"truth": truth}),
+            **more,
         }
-        notes = "; ".join([*([answer.problem] if answer.problem else []), *marks_of(answer)])
-        about = source + (f"  ({notes})" if notes else "") + ("" if truth is None else f"  truth: {truth}")
-        probability, novelty = _number(answer.probability), _number(answer.novelty)
-        text = _ROW.format(f"{answer.time:.6f}", answer.label, probability, novelty, about)
-        self._line(kind, source, content, text)
+        if self.as_json:
+            likely = max(probabilities, key=lambda label: probabilities[label], default=None)
+            row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
+            self._json(kind, source, row | {"in_training_range": answer.in_training_range, "prediction_set": held})
+        else:
+            row |= {"source": source, "time [s]": answer.time, "end [s]": answer.end}
+            row |= {f"p({label})": probability for label, probability in probabilities.items()}
+            self._table.add(row | {"prediction_set": "+".join(held or ())})
 
-    def share(self, source: str, share: Share) -> None:
-        """Print the gangue share of a window."""
+    def share(self, source: str, name: str, share: Share) -> None:
+        """Print the gangue share of a window of a source, or of its channel as `name`."""
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         told = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
-        span = f"{share.start:.6g} to {share.time:.6g} s"
-        content = {
-            "channel": share.channel,
-            "from_s": share.start,
-            "to_s": share.time,
-            "gangue_share": share.share,
-            "low": share.low,
-            "high": share.high,
-            "impacts": share.n_impacts,
-            "unknown": share.n_unknown,
-        }
-        text = f"# gangue share {told}, {span}, {share.n_impacts} answers{unknown}  {source}"
-        self._line("share", source, content, text)
+        content = {"from_s": share.start, "to_s": share.time, **_estimate(share)}
+        content |= {"impacts": share.n_impacts, "unknown": share.n_unknown}
+        answers = counted(share.n_impacts, "answer") + unknown
+        span = f"from {share.start:.6g} to {share.time:.6g} s"
+        self._note("share", source, f"{name}: gangue share {told} {span}, {answers}", content)
 
-    def turn(self, source: str, turn: Turn, gangue_cost: float) -> None:
+    def turn(self, source: str, name: str, turn: Turn, dilution_cost: float) -> None:
         """Print that going on begins to cost more than shutting, or less again."""
         word = "SHUT" if turn.shut else "OPEN"
         says = f"going on costs {turn.cost:.2f} coal an impact" if turn.shut else "going on pays again"
-        share = f"gangue share {turn.share.share:.2f}, {1 / (1 + gangue_cost):.2f} is the limit"
-        content = {
-            "channel": turn.share.channel,
-            "time_s": turn.time,
-            "cost": turn.cost,
-            "gangue_cost": gangue_cost,
-            "gangue_share": turn.share.share,
-            "low": turn.share.low,
-            "high": turn.share.high,
-        }
-        text = f"{word} {turn.time:.6g} s: {says} ({share} where a gangue costs {gangue_cost:g} coal)  {source}"
-        self._line(word.lower(), source, content, text)
+        limit = f"{1 / (1 + dilution_cost):.2f} is the limit where a drawn gangue costs {dilution_cost:g} coal"
+        message = f"{word} {turn.time:.6g} s: {says} (gangue share {turn.share.share:.2f}, {limit})  {name}"
+        content = {"time_s": turn.time, "cost": turn.cost, "dilution_cost": dilution_cost, **_estimate(turn.share)}
+        self._note(word.lower(), source, message, content)
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print the summary of a recording."""
         content = {"duration_s": duration, **tally.content(start_time)}
-        self._line("summary", source, content, f"# {source}: {tally.text()} in {duration:.6g} s")
+        self._note("summary", source, f"{source}: {tally.text()} in {duration:.6g} s", content)
 
     def warning(self, source: str, message: str) -> None:
         """Print a warning about a readable recording, on stderr and in JSON."""
         say(f"cgid: warning: {message}", err=True)
-        self._line("warning", source, {"message": message})
+        self._json("warning", source, {"message": message})
+
+    def hint(self, source: str, hint: Hint) -> None:
+        """Print why most answers are unknown and what helps, on stderr and in JSON."""
+        where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
+        content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
+        say(f"cgid: hint: {source}{where}: {hint.text}", err=True)
+        self._json("hint", source, content)
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
         say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
-        self._line("delay", source, {"behind_s": behind, "message": message})
+        self._json("delay", source, {"behind_s": behind, "message": message})
 
-    def _line(self, kind: str, source: str, content: dict[str, Any], text: str | None = None) -> None:
-        """Print the content in JSON, else the text."""
+    def _note(self, kind: str, source: str, message: str, content: dict[str, Any]) -> None:
+        """Print the content in JSON, else the message on stderr."""
+        self._json(kind, source, content)
+        if not self.as_json:
+            say(message, err=True)
+
+    def _json(self, kind: str, source: str, content: dict[str, Any]) -> None:
         if self.as_json:
             print_json({"kind": kind, "source": source, **content}, version=ANSWERS_VERSION)
-        elif text is not None:
-            say(text)
+
+
+def _estimate(share: Share) -> dict[str, Any]:
+    return {"channel": share.channel, "gangue_share": share.share, "low": share.low, "high": share.high}
 
 
 class RecordingTally:
@@ -127,7 +155,8 @@ class RecordingTally:
         """Count more answers."""
         for answer in answers:
             self.labels[answer.label] += 1
-            self.marks.update(marks_of(answer))
+            marks = {"overlapping": answer.overlapping, "clipped": answer.clipped, "cut off": answer.cut}
+            self.marks.update(name for name, holds in marks.items() if holds)
             self.n_outside += not answer.in_training_range
 
     @property
@@ -150,18 +179,7 @@ class RecordingTally:
         named = ", ".join(f"{label} {count}" for label, count in self.labels.most_common()) or "none"
         marks = ", ".join(f"{count} {name}" for name, count in sorted(self.marks.items()))
         outside = f", {self.n_outside} out of the training's range" if self.n_outside else ""
-        plural = "" if self.total == 1 else "s"
-        return f"{self.total} {self.kind}{plural}: {named}{outside}" + (f", {marks}" if marks else "")
-
-
-def marks_of(answer: Answer) -> list[str]:
-    """Return the marks of an answer's frame in words."""
-    marked = {"overlapping": answer.overlapping, "clipped": answer.clipped, "cut off": answer.cut}
-    return [name for name, holds in marked.items() if holds]
-
-
-def _number(value: float) -> str:
-    return "-" if value != value else f"{value:.3f}"
+        return f"{counted(self.total, self.kind)}: {named}{outside}" + (f", {marks}" if marks else "")
 
 
 #: Most rows that wait for a measurable one.
@@ -174,7 +192,7 @@ class RecordingRows:
     """Print the answers of one model for the channels of one recording.
 
     `keep` stores answers, shares and turns. Unless `always`, rows wait for a measurable one, and shares for a second
-    row.
+    row. `diagnosis` sees all answers; its hint follows the last line or, if `always`, the first clear answers.
     """
 
     def __init__(
@@ -187,11 +205,12 @@ class RecordingRows:
         *,
         keep: bool = False,
         always: bool = False,
+        diagnosis: Diagnosis | None = None,
     ) -> None:
         from cgid.identification.share import CavingWatch, Turn
         from cgid.identification.stream import answering_channels, independence
 
-        self.source, self.lines = source, lines
+        self.source, self.lines, self._model = source, lines, model
         self.kind = "window" if model.kind == "window" else "impact"
         self.tally = RecordingTally(self.kind)
         self.channels = answering_channels(model, channels)
@@ -200,6 +219,8 @@ class RecordingRows:
         self.turns: list[Turn] = []
         self._keep, self._always, self._turn, self._question = keep, always, Turn, question
         self._numbers: Counter[str] = Counter()
+        self._diagnosis = diagnosis
+        self.hint: Hint | None = None
         self._measured = always
         self._silent: tuple[str, ...] = ()
         self._held_answers: list[Answer] = []
@@ -225,6 +246,11 @@ class RecordingRows:
         self._silent += step.silent
         for warning in step.warnings:
             self.lines.warning(self.source, warning)
+        if self._diagnosis is not None:
+            self._diagnosis.add(answers)
+            self._diagnosis.upside_down.update(step.upside_down)
+            if self._always and self._diagnosis.is_clear:
+                self._print_hint()
 
     def finish(self, duration: float, start_time: Any = None) -> None:
         """Print the rest at the end of a recording of this duration [s], and its silent channels.
@@ -233,13 +259,14 @@ class RecordingRows:
         """
         from cgid.errors import BadData
 
+        self.lines.begin(self.source, self._model, self._question)  # the head of an empty table
         silent = self._silent
         if silent and not self.tally.total and not self._always:
             raise BadData(silent[0])
         for message in silent[:_MOST_SILENT]:
             self.lines.warning(self.source, message)
         if len(silent) > _MOST_SILENT:
-            more = f"{self.source}: and {len(silent) - _MOST_SILENT} more channels without {self.kind}s"
+            more = f"{self.source}: and {counted(len(silent) - _MOST_SILENT, 'more channel')} without {self.kind}s"
             self.lines.warning(self.source, more)
         if not self._measured and self.tally.total:
             first = self._held_answers[0] if self._held_answers else None
@@ -251,16 +278,25 @@ class RecordingRows:
             self._print_shares(self._watch.finish(duration))
         if self.tally.total > 1 or self._always:
             self.lines.summary(self.source, self.tally, duration, start_time)
+        self._print_hint()
+
+    def _print_hint(self) -> None:
+        """Print the hint once, if there is one."""
+        if self._diagnosis is not None and self.hint is None:
+            self.hint = self._diagnosis.hint()
+            if self.hint is not None:
+                self.lines.hint(self.source, self.hint)
 
     def name(self, channel: str) -> str:
-        """Return source and channel in one word; in JSON, the first channel has no name."""
-        plain = channel == "1" and (self.lines.as_json or len(self.channels) == 1)
-        return self.source if plain else f"{self.source} channel {channel}"
+        """Return source and channel in one word."""
+        return self.source if channel == "1" and len(self.channels) == 1 else f"{self.source} channel {channel}"
 
     def _print_answers(self) -> None:
+        if self._held_answers:
+            self.lines.begin(self.source, self._model, self._question)
         for answer in self._held_answers:
             self._numbers[answer.channel] += 1
-            self.lines.answer(self.name(answer.channel), self._numbers[answer.channel], answer, self.kind)
+            self.lines.answer(self.source, answer, self.kind, **{self.kind: self._numbers[answer.channel]})
         self._held_answers = []
 
     def _print_shares(self, more: Iterable[Share | Turn]) -> None:
@@ -271,9 +307,9 @@ class RecordingRows:
         for one in self._held_shares:
             if isinstance(one, self._turn):
                 self.turns += [one] * self._keep
-                self.lines.turn(self.name(one.share.channel), one, self._question.cost_of_gangue)
+                self.lines.turn(self.source, self.name(one.share.channel), one, self._question.cost_of_dilution)
                 continue
             self.shares += [one] * self._keep
             if one.n_impacts or one.n_unknown or self._always:
-                self.lines.share(self.name(one.channel), one)
+                self.lines.share(self.source, self.name(one.channel), one)
         self._held_shares = []

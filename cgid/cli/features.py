@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import click
@@ -9,8 +10,14 @@ import click
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, printing_options, reading_options
 from cgid.cli.output import each_file, print_json, say
+from cgid.cli.table import Column, TableOutput, numbers, output_options, times
+from cgid.errors import BadData
+from cgid.signals import Signal
+from cgid.terminal import counted
 
-#: Up to this many unmeasurable impacts or channels are reported one by one.
+#: Version of the lines that --json prints: since 2 the source is the file alone, beside the channel or the index.
+FEATURES_VERSION = 2
+#: Up to this many unmeasurable impacts or channels, and left-out columns, are named one by one.
 _MOST_REPORTED = 3
 
 
@@ -25,6 +32,7 @@ _MOST_REPORTED = 3
 )
 @click.option("--features", "names", help="Measure only these features or banks, separated by commas.")
 @click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")
+@output_options
 @reading_options
 @printing_options
 def features(
@@ -32,45 +40,37 @@ def features(
     as_list: bool,
     names: str | None,
     keep_baseline: bool,
+    output: str | None,
+    overwrite: bool,
     as_json: bool,
     strict: bool,
     reading: Reading,
 ) -> int:
-    """Print the features of every impact in FILEs, tab-separated, in the unit of the file; - is stdin.
+    """Print the features of every impact in FILEs as one CSV table, in the unit of the file; - is stdin.
 
     Without --features these are the features of a vibration for motion and sound (acceleration, velocity, displacement,
-    pressure, level), those of a pulse for all else.
+    pressure, level), those of a pulse for all else. The first file sets the columns.
     """
-    from cgid.errors import BadData
     from cgid.measure.features import choose
+    from cgid.recordings import is_dataset
 
-    if as_list:
-        _print_table()
-        return 0
-    if not files:
+    if not (files or as_list):
         raise click.UsageError("give at least one FILE, or --list for the table of features")
     chosen = None if names is None else choose([name.strip() for name in names.split(",")])
-    gap = reading.dead_time
+    table = TableOutput(output, overwrite=overwrite, as_json=as_json)
+    rows = _Rows(table, as_json, not keep_baseline, chosen, datasets=any(map(is_dataset, files)))
 
     def treat(path: str) -> None:
         if reading.wants_whole_dataset(path):
-            _print_dataset(path, chosen, not keep_baseline, as_json, reading.invert)
-            return
-        signals = reading.signals(path)
-        for warning in signals[0].warnings:
-            say(f"cgid: warning: {warning}", err=True)
-        errors: list[BadData] = []
-        for signal in signals:
-            try:
-                _print(signal, chosen, not keep_baseline, gap, as_json)
-            except BadData as error:
-                errors.append(error)
-        if len(errors) == len(signals):
-            raise errors[0]
-        # A channel without impacts must not hide the others.
-        _warn([str(error) for error in errors], path, "channels")
+            rows.dataset(path, reading.invert)
+        else:
+            rows.signals(path, reading)
 
-    return each_file(files, treat, strict=strict)
+    with table:
+        if as_list:
+            rows.of_features()
+            return 0
+        return each_file(files, treat, strict=strict)
 
 
 def _warn(problems: list[str], source: str, what: str) -> None:
@@ -79,62 +79,211 @@ def _warn(problems: list[str], source: str, what: str) -> None:
         say(f"cgid: warning: {problem}", err=True)
     more = len(problems) - _MOST_REPORTED
     if more > 0:
-        say(f"cgid: warning: {source}: and {more} more {what} cannot be measured", err=True)
+        say(f"cgid: warning: {source}: and {counted(more, f'more {what}')} cannot be measured", err=True)
 
 
-def _print_table() -> None:
-    """Print one row for each feature and each bank."""
-    from cgid.measure.features import FEATURES
-    from cgid.measure.table import Bank
-
-    for entry in FEATURES.entries:
-        definition = entry.definition
-        if isinstance(entry, Bank):
-            definition += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
-        say("\t".join([entry.name, entry.unit, definition, entry.source, entry.kind]))
+#: Time of an impact [s], its values, and why it has none.
+_Impact = tuple[float, list[float], str]
 
 
-def _print(
-    signal: Any, names: tuple[str, ...] | None, remove_baseline: bool, dead_time: float | None, as_json: bool
-) -> None:
-    """Print the impacts of one channel; unmeasurable ones have a reason instead of numbers."""
-    from cgid.errors import BadData, InvalidValue
-    from cgid.identification.detection import find_impacts
-    from cgid.measure.features import extract_array, kind_for, kind_of
+@dataclass(frozen=True)
+class _Rows:
+    """Measure and print the impacts of files, with the same settings for all."""
 
-    kind = kind_for(signal.quantity) if names is None else kind_of(names)
-    if kind == "window":
-        raise InvalidValue(
-            f"{signal.name}: features must be those of impacts, got those of windows; choose others by --features, "
-            "the last column of cgid features --list is the kind of each one"
-        )
-    events = find_impacts(signal, kind=kind, dead_time=dead_time)
-    # All frames of a recording allow the same features, except the first, which may be shorter.
-    chosen = _chosen(names, kind, signal.sampling_rate, min(event.signal.samples.size for event in events))
-    columns = _Columns(signal.quantity, signal.unit, chosen, as_json)
-    columns.title(signal.name, signal.sampling_rate, len(events), remove_baseline)
-    problems = []
-    for number, event in enumerate(events, start=1):
-        part, problem = event.signal, None
-        try:
-            if event.problem:
-                raise BadData(event.problem)
+    table: TableOutput
+    as_json: bool
+    remove_baseline: bool
+    names: tuple[str, ...] | None
+    datasets: bool
+
+    def of_features(self) -> None:
+        """Print one row for each feature and each bank."""
+        from cgid.measure.features import FEATURES
+        from cgid.measure.table import Bank
+
+        names = ("name", "unit", "definition", "source", "kind")
+        if not self.as_json:
+            self.table.begin(map(Column, names))
+        for entry in FEATURES.entries:
+            row = {name: getattr(entry, name) for name in names}
+            if isinstance(entry, Bank):
+                row["definition"] += f" (* is one of {len(entry.labels)} from {entry.labels[0]} to {entry.labels[-1]})"
+            if self.as_json:
+                print_json(row, version=FEATURES_VERSION)
+            else:
+                self.table.add(row)
+
+    def signals(self, path: str, reading: Reading) -> None:
+        """Print the impacts of all channels of a recording, or of one signal of a dataset.
+
+        Raises `BadData` if no channel has an impact that can be measured.
+        """
+        signals = reading.signals(path)
+        for warning in signals[0].warnings:
+            say(f"cgid: warning: {warning}", err=True)
+        found: list[tuple[Signal, list[Column], list[_Impact]]] = []
+        errors: list[BadData] = []
+        for signal in signals:
+            try:
+                found.append((signal, *self._measured(signal, reading.dead_time)))
+            except BadData as error:
+                errors.append(error)
+        columns = [column for _, own, _ in found for column in own]
+        if columns or not self.table.columns:
+            self._begin(path, columns or self._expected(signals[0]))
+        for signal, own, impacts in found:
+            try:
+                self._print_channel(signal, own, impacts, {} if reading.index is None else {"index": reading.index})
+            except BadData as error:
+                errors.append(error)
+        if len(errors) == len(signals):
+            raise errors[0]
+        # A channel without impacts must not hide the others.
+        _warn([str(error) for error in errors], path, "channel")
+
+    def dataset(self, path: str, invert: bool) -> None:
+        """Print one row for each signal of a dataset, batch by batch."""
+        from cgid.measure.features import extract_array, kind_for
+        from cgid.store import Dataset
+
+        dataset = Dataset(path)
+        chosen = _chosen(self.names, kind_for(dataset.quantity), dataset.sampling_rate, dataset.header.n_samples)
+        columns = _columns(dataset.quantity, dataset.unit, chosen)
+        self._begin(path, columns)
+        self._say_of(path, dataset.sampling_rate, counted(len(dataset), "signal"))
+        number = unmeasured = 0
+        for batch in dataset.batches():
             values = extract_array(
-                part.samples,
-                part.sampling_rate,
+                -batch.signals if invert else batch.signals,
+                batch.sampling_rate,
                 chosen,
-                pre_trigger=part.pre_trigger,
-                remove_baseline=remove_baseline,
-                detection_limit=event.detection_limit,
-            )[0].tolist()
-        except BadData as error:
-            values, problem = [float("nan")] * len(chosen), str(error)
-            problems.append(f"impact {number} at {event.time:.6f} s: {problem}")
-        about = {"sampling_rate_hz": signal.sampling_rate, "baseline_removed": remove_baseline, "problem": problem}
-        columns.row(signal.name, number, event.time, values, about)
-    _warn([f"{signal.name}: {problem}" for problem in problems], signal.name, "impacts")
-    if len(problems) == len(events):
-        raise BadData(f"{signal.name}: none of its {len(events)} impacts can be measured; the first: {problems[0]}")
+                pre_trigger=batch.pre_trigger,
+                remove_baseline=self.remove_baseline,
+                invalid="nan",
+            )
+            about = {"time_s": batch.pre_trigger / batch.sampling_rate, "sampling_rate_hz": batch.sampling_rate}
+            for row, label in zip(values.tolist(), batch.labels.tolist(), strict=True):
+                self._print(path, columns, row, about | {"impact": 1, "index": number, "label": label})
+                number += 1
+                unmeasured += any(value != value for value in row)
+        if unmeasured:
+            say(
+                f"cgid: warning: {path}: {unmeasured} of {counted(len(dataset), 'signal')} cannot be measured", err=True
+            )
+
+    def _expected(self, signal: Signal) -> list[Column]:
+        """Return the columns that impacts of a signal would have."""
+        from cgid.measure.features import choose, kind_for, supported
+
+        every = choose(None, kind_for(signal.quantity))
+        return _columns(
+            signal.quantity, signal.unit, self.names or supported(every, signal.sampling_rate, len(signal.samples))
+        )
+
+    def _measured(self, signal: Signal, dead_time: float | None) -> tuple[list[Column], list[_Impact]]:
+        """Return the measured impacts of one channel."""
+        from cgid.errors import InvalidValue
+        from cgid.identification.detection import find_impacts
+        from cgid.measure.features import extract_array, kind_for, kind_of
+        from cgid.recordings.chain import require_measured
+
+        require_measured(signal.unit, signal.name)
+        kind = kind_for(signal.quantity) if self.names is None else kind_of(self.names)
+        if kind == "window":
+            raise InvalidValue(
+                f"{signal.name}: features must be those of impacts, got those of windows; choose others by --features, "
+                "the last column of cgid features --list is the kind of each one"
+            )
+        events = find_impacts(signal, kind=kind, dead_time=dead_time)
+        # All frames of a recording allow the same features, except the first, which may be shorter.
+        shortest = min(event.signal.samples.size for event in events)
+        chosen = _chosen(self.names, kind, signal.sampling_rate, shortest)
+        impacts = []
+        for event in events:
+            part, problem = event.signal, event.problem
+            values = [float("nan")] * len(chosen)
+            try:
+                if not problem:
+                    values = extract_array(
+                        part.samples,
+                        part.sampling_rate,
+                        chosen,
+                        pre_trigger=part.pre_trigger,
+                        remove_baseline=self.remove_baseline,
+                        detection_limit=event.detection_limit,
+                    )[0].tolist()
+            except BadData as error:
+                problem = str(error)
+            impacts.append((event.time, values, problem))
+        return _columns(signal.quantity, signal.unit, chosen), impacts
+
+    def _print_channel(
+        self, signal: Signal, columns: list[Column], impacts: list[_Impact], index: dict[str, int]
+    ) -> None:
+        """Print the impacts of a channel; raises `BadData` if none of them could be measured."""
+        n_impacts = counted(len(impacts), "impact")
+        self._say_of(signal.name, signal.sampling_rate, n_impacts)
+        failed = []
+        for number, (time, values, problem) in enumerate(impacts, start=1):
+            about = {"impact": number, "time_s": time, "sampling_rate_hz": signal.sampling_rate}
+            self._print(signal.source, columns, values, {"channel": signal.channel, **about, **index}, problem)
+            if problem:
+                failed.append(f"impact {number} at {time:.6f} s: {problem}")
+        _warn([f"{signal.name}: {problem}" for problem in failed], signal.name, "impact")
+        if len(failed) == len(impacts):
+            raise BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")
+
+    def _begin(self, source: str, columns: list[Column]) -> None:
+        """Set the columns of the table; those that a later file has in addition are left out with a warning.
+
+        Raises `BadData` if the table has none of these.
+        """
+        if self.as_json:
+            return
+        own = tuple(dict.fromkeys(columns))
+        of_datasets = [Column("index", dtype="int64"), Column("label")] * self.datasets
+        head = (Column("source"), Column("channel"), times("time"))
+        lacking = [column.title for column in self.table.begin((*head, *own, Column("problem"), *of_datasets))]
+        if len(lacking) == len(own):
+            raise BadData(
+                f"{source}: its features must be among those of the file before, which has no {lacking[0]}; give it "
+                "in a run of its own, or with --json"
+            )
+        if lacking:
+            more = "" if len(lacking) <= _MOST_REPORTED else f" and {len(lacking) - _MOST_REPORTED} more"
+            say(
+                f"cgid: warning: {source}: the file before does not have {', '.join(lacking[:_MOST_REPORTED])}{more}; "
+                "left out, a run of its own has all",
+                err=True,
+            )
+
+    def _say_of(self, name: str, sampling_rate: float, what: str) -> None:
+        if not self.as_json:
+            baseline = "removed" if self.remove_baseline else "kept"
+            say(f"{name}: {sampling_rate:.8g} Hz, {what}, baseline {baseline}", err=True)
+
+    def _print(
+        self, source: str, columns: list[Column], values: list[float], about: dict[str, Any], problem: str = ""
+    ) -> None:
+        """Print the row of one impact."""
+        row = {"source": source, "channel": "1", **about, "problem": problem or None}
+        if self.as_json:
+            own = {column.name: value for column, value in zip(columns, values, strict=True)}
+            row |= {"baseline_removed": self.remove_baseline, "features": own}
+            print_json(row | {"units": {column.name: column.unit for column in columns}}, version=FEATURES_VERSION)
+        else:
+            own = {column.title: value for column, value in zip(columns, values, strict=True)}
+            self.table.add(row | {"time [s]": about["time_s"]} | own)
+
+
+def _columns(quantity: str | None, unit: str | None, chosen: tuple[str, ...]) -> list[Column]:
+    """Return the columns of features of a signal, in its unit."""
+    from cgid.measure.features import FEATURES
+
+    return [
+        numbers(name.replace("peak_force", f"peak_{quantity or 'signal'}"), FEATURES[name].unit_for(unit or "U"))
+        for name in chosen
+    ]
 
 
 def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:
@@ -148,62 +297,3 @@ def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_sa
     if not found:
         require_supported(every[:1], sampling_rate, n_samples)
     return found
-
-
-def _print_dataset(
-    path: str, names: tuple[str, ...] | None, remove_baseline: bool, as_json: bool, invert: bool
-) -> None:
-    """Print one row for each signal of a dataset, batch by batch."""
-    from cgid.measure.features import extract_array, kind_for
-    from cgid.store import Dataset
-
-    dataset = Dataset(path)
-    chosen = _chosen(names, kind_for(dataset.quantity), dataset.sampling_rate, dataset.header.n_samples)
-    columns = _Columns(dataset.quantity, dataset.unit, chosen, as_json)
-    columns.title(path, dataset.sampling_rate, len(dataset), remove_baseline)
-    number = unmeasured = 0
-    for batch in dataset.batches():
-        table = extract_array(
-            -batch.signals if invert else batch.signals,
-            batch.sampling_rate,
-            chosen,
-            pre_trigger=batch.pre_trigger,
-            remove_baseline=remove_baseline,
-            invalid="nan",
-        )
-        for values, label in zip(table.tolist(), batch.labels.tolist(), strict=True):
-            about = {"sampling_rate_hz": batch.sampling_rate, "baseline_removed": remove_baseline, "label": label}
-            columns.row(f"{path} index {number}", 1, batch.pre_trigger / batch.sampling_rate, values, about)
-            number += 1
-            unmeasured += any(value != value for value in values)
-    if unmeasured:
-        say(f"cgid: warning: {path}: {unmeasured} of {len(dataset)} signals cannot be measured", err=True)
-
-
-class _Columns:
-    """The columns of the table, in the unit of the signal."""
-
-    def __init__(self, quantity: str | None, unit: str | None, chosen: tuple[str, ...], as_json: bool) -> None:
-        from cgid.measure.features import FEATURES
-
-        self.titles = [name.replace("peak_force", f"peak_{quantity or 'signal'}") for name in chosen]
-        self.units = [FEATURES[name].unit_for(unit or "U") for name in chosen]
-        self.as_json = as_json
-
-    def title(self, name: str, rate: float, n_impacts: int, remove_baseline: bool) -> None:
-        """Print the title and the head of the table."""
-        if self.as_json:
-            return
-        baseline = "baseline removed" if remove_baseline else "baseline kept"
-        say(f"# {name}: {rate:.8g} Hz, impacts: {n_impacts}, {baseline}")
-        titles = (f"{title} [{unit}]" for title, unit in zip(self.titles, self.units, strict=True))
-        say("\t".join(["time [s]", *titles]))
-
-    def row(self, source: str, number: int, time: float, values: list[float], about: dict[str, Any]) -> None:
-        """Print the row of one impact."""
-        if not self.as_json:
-            say("\t".join([f"{time:.6f}", *("-" if value != value else f"{value:.6g}" for value in values)]))
-            return
-        features, units = (dict(zip(self.titles, column, strict=True)) for column in (values, self.units))
-        head = {"source": source, "impact": number, "time_s": time}
-        print_json(head | about | {"features": features, "units": units})

@@ -11,6 +11,7 @@ import click
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, crew_options, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say
+from cgid.terminal import counted
 
 #: Options for tables and their outputs; and the options that choose the columns, with the table that they need.
 _ONLY = {"features_only": "features", "closed_form_only": "closed-form", "parameters_only": "parameters"}
@@ -105,7 +106,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
         output = "recordings"
     if options["n_signals"] is None:
         options["n_signals"] = 10_000 if loaded.stream is None else 1
-    asked = plan(loaded, [output], dtype=options["dtype"], **_which(loaded, output, options))
+    asked = plan(loaded, output, dtype=options["dtype"], **_which(loaded, output, options))
     if options["explain"]:
         _explain(asked, options["n_signals"], options["as_json"])
     elif output == "recordings":
@@ -191,7 +192,7 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
     seconds = time.perf_counter() - start
     megabytes = n_signals * asked.signal_bytes / 1e6
     say(
-        f"{path}: {n_signals} signals of {scene.sampling.samples} samples in {seconds:.1f} s: "
+        f"{path}: {counted(n_signals, 'signal')} of {counted(scene.sampling.samples, 'sample')} in {seconds:.1f} s: "
         f"{n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s",
         err=True,
     )
@@ -223,15 +224,13 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
         written = tabulate(asked, progress=progress, **{name: options[name] for name in taken})
     seconds = time.perf_counter() - start
     say(
-        f"{written.path}: {asked.kind} of {n_signals} signals in {seconds:.1f} s: {n_signals / seconds:.0f} signals/s",
+        f"{written.path}: {asked.kind} of {counted(n_signals, 'signal')} in {seconds:.1f} s: "
+        f"{n_signals / seconds:.0f} signals/s",
         err=True,
     )
     if written.n_unmeasured:
-        say(
-            f"cgid: warning: {written.path}: {written.n_unmeasured} of {n_signals} signals cannot be measured "
-            "and are nan",
-            err=True,
-        )
+        of = f"{written.n_unmeasured} of {counted(n_signals, 'signal')}"
+        say(f"cgid: warning: {written.path}: {of} cannot be measured and are nan", err=True)
 
 
 def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
@@ -257,8 +256,7 @@ def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
     say(f"{'stage':<23}{'':<9}{'error':>9}  why")
     for name, decision in asked.decisions.items():
         say(f"{name:<23}{'run' if decision.runs else 'skipped':<9}{decision.error_bound:>9.2g}  {decision.why}")
-    many = "s" * (n_signals > 1)
-    say(f"{n_signals} {noun}{many}: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
+    say(f"{counted(n_signals, noun)}: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
 
 
 def _require_recordings(scene: Any, options: dict[str, Any]) -> None:
@@ -281,4 +279,4 @@ def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) ->
     with progress_bar(n_signals * samples_of(scene), "samples") as progress:
         path = generate_recordings(scene, output, n_signals, progress=progress, **options)
     took = time.perf_counter() - start
-    say(f"{path}: {n_signals} recording{'s' * (n_signals > 1)}, {seconds:g} s in {took:.1f} s", err=True)
+    say(f"{path}: {counted(n_signals, 'recording')}, {seconds:g} s in {took:.1f} s", err=True)

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH
+from cgid.cli.options import PATH, chain_options, warn_of_volts
 from cgid.cli.output import print_json, say
 
 #: Most samples of all channels held in memory; longer recordings are read block by block.
@@ -26,8 +26,9 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 )
 @click.option("--unit", help="Set the unit of the samples if a recording does not state it.")
 @click.option("--variable", help="Choose an array, table or group if a recording holds several.")
+@chain_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def info(file: str, sampling_rate: float | None, unit: str | None, variable: str | None, as_json: bool) -> None:
+def info(file: str, as_json: bool, chain: dict[str, Any], **reading: Any) -> None:
     """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
     from cgid.store import is_table
@@ -39,7 +40,7 @@ def info(file: str, sampling_rate: float | None, unit: str | None, variable: str
     elif is_model(file):
         content = _model(file)
     else:
-        content = _recording(file, sampling_rate, unit, variable)
+        content = _recording(file, **reading, **chain)
     if as_json:
         print_json(content)
     else:
@@ -139,10 +140,11 @@ def is_model(file: str) -> bool:
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
-def _recording(file: str, sampling_rate: float | None, unit: str | None, variable: str | None) -> dict[str, Any]:
+def _recording(file: str, **reading: Any) -> dict[str, Any]:
     from cgid.recordings import open_recording
 
-    recording = open_recording(file, sampling_rate=sampling_rate, unit=unit, variable=variable)
+    recording = open_recording(file, **reading)
+    warn_of_volts(recording)
     channels = _channels(recording)
     for warning in recording.warnings:
         say(f"cgid: warning: {warning}", err=True)
@@ -188,6 +190,7 @@ def _channels(recording: Any) -> dict[str, Any]:
             "duration_s": n_samples / rate,
             "quantity": channel.quantity or "unknown",
             "unit": channel.unit or "unknown",
+            **({"converted": channel.origin} if channel.origin else {}),
             "dtype": dtype,
             "lowest": float(lowest[row]),
             **{name: float(value) for name, value in middle.items()},

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from cgid import __version__
+from cgid.cli.events import events
 from cgid.cli.export import export
 from cgid.cli.features import features
 from cgid.cli.generate import generate
@@ -51,7 +52,21 @@ def cli() -> None:
     """Tell coal from gangue by how a falling rock hits steel."""
 
 
-for command in (generate, check, ceiling, train, predict, monitor, features, info, plot, reproduce, verify, export):
+for command in (
+    generate,
+    check,
+    ceiling,
+    events,
+    train,
+    predict,
+    monitor,
+    features,
+    info,
+    plot,
+    reproduce,
+    verify,
+    export,
+):
     cli.add_command(command)
 
 

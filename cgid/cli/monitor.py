@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Models, answering_options, dead_time_option, question_of, warn_of_model
+from cgid.cli.options import (
+    PATH,
+    Models,
+    answering_options,
+    chain_options,
+    dead_time_option,
+    given_options,
+    question_of,
+    warn_of_model,
+)
+from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
     from cgid.identification.question import Question
@@ -151,9 +161,7 @@ _BEHIND = 1.0
     "--sample-format", help="Say how raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or with be."
 )
 @click.option("--unit", help="What the numbers are in: floats as they are, integers between -1 and 1.")
-@click.option(
-    "--full-scale", type=float, help="What 1 stands for, in --unit: 490 where integers reach up to 490 m/s^2."
-)
+@chain_options
 @click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards.")
 @answering_options
 @dead_time_option
@@ -164,23 +172,24 @@ def monitor(
     n_channels: int | None,
     sample_format: str | None,
     unit: str | None,
-    full_scale: float | None,
+    chain: dict[str, Any],
     as_json: bool,
     **options: Any,
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
-    Each channel is a support with a gangue share of its own, printed ten times within its window and once in a pause. A
-    line SHUT says that going on begins to cost more than it brings: drawn gangue (--gangue-cost) against lost coal (1);
-    OPEN, that it pays again. Nothing is dropped: whoever is slower than the stream says how far behind.
+    Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue share of
+    its own, printed ten times within its window and once in a pause. A line SHUT says that going on begins to cost more
+    than it brings: drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again. Nothing is dropped:
+    whoever is slower than the stream says how far behind.
     """
-    from cgid import validation
     from cgid.identification.question import SHARE_TIME
+    from cgid.recordings.chain import Chain
     from cgid.recordings.live import live_stream
 
     step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / _STEPS
     models, question = question_of(**options, batch=1, share_step=step)
-    scale = 1.0 if full_scale is None else float(validation.positive("--full-scale", full_scale, unit or ""))
+    stated = Chain.of(**chain)
     with _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
         live = live_stream(
@@ -190,22 +199,27 @@ def monitor(
             sample_format=sample_format,
             unit=unit,
             source=source,
+            chain=stated,
         )
-        _follow(live, scale, models, question, AnswerLines(as_json))
+        with TableOutput() as table:
+            _follow(live, models, question, AnswerLines(as_json, table))
 
 
-def _follow(live: Any, scale: float, models: Models, question: Question, lines: AnswerLines) -> None:
+def _follow(live: Any, models: Models, question: Question, lines: AnswerLines) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
-    from cgid.identification.stream import factor_of, identify_blocks, scaled
-    from cgid.units import quantity_of
+    from cgid.identification.next_steps import Diagnosis
+    from cgid.identification.stream import factor_of, identify_blocks
+    from cgid.recordings.chain import scaled
 
-    model = models.of(None if live.unit is None else quantity_of(live.unit))
-    factor = factor_of(model, live.unit, live.source, mass=question.mass) * (-scale if question.invert else scale)
-    names = [str(number) for number in range(1, live.n_channels + 1)]
+    model, sign = models.of(live.channels[0].quantity), -1.0 if question.invert else 1.0
+    factors = [sign * factor_of(model, c.unit, live.source, c.name, mass=question.mass) for c in live.channels]
+    names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
-    blocks = scaled(inbox, [factor] * live.n_channels)
+    blocks = scaled(inbox, factors)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
-    rows = RecordingRows(live.source, model, names, question, lines, always=True)
+    # The stream is over when the next command runs: it is for a recording of it.
+    diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0])
+    rows = RecordingRows(live.source, model, names, question, lines, always=True, diagnosis=diagnosis)
     warn_of_model(live.source, live.source, live.sampling_rate, model, question)
     try:
         for step in steps:

@@ -98,6 +98,50 @@ def require_one_crew(context: click.Context) -> None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
+def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options for the measuring chain; the command receives them as `chain`, arguments of `open_recording`."""
+    names = ("sensitivity", "gain", "full_scale")
+
+    @wraps(command)
+    def chained(**options: Any) -> Any:
+        return command(chain={name: options.pop(name) or None for name in names}, **options)
+
+    add = _options(
+        click.option(
+            "--sensitivity",
+            multiple=True,
+            metavar="[NAME=]VALUE",
+            help="Of the sensor, for samples in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; of one channel as 2=VALUE.",
+        ),
+        click.option(
+            "--gain",
+            multiple=True,
+            metavar="[NAME=]VALUE",
+            help="To be divided out: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
+        ),
+        click.option(
+            "--full-scale",
+            multiple=True,
+            metavar="[NAME=]VALUE",
+            help="What full scale stands for in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
+        ),
+    )
+    return add(chained)
+
+
+def warn_of_volts(recording: RecordingFile) -> None:
+    """Say how volts and coulombs become what the sensor measured, where it is not known."""
+    from cgid.errors import MissingOption
+    from cgid.recordings.chain import require_measured
+
+    for channel in recording.channels:
+        name = recording.source if channel.name == "1" else f"{recording.source} channel {channel.name}"
+        try:
+            require_measured(channel.unit, name)
+        except MissingOption as error:
+            say(f"cgid: warning: {error}", err=True)
+
+
 def dead_time_in_seconds(milliseconds: float | None) -> float | None:
     """Return the dead time [s]; refuse one outside of the valid range."""
     if milliseconds is None:
@@ -118,6 +162,7 @@ class Reading:
     index: int | None
     invert: bool
     milliseconds: float | None
+    chain: dict[str, tuple[str, ...] | None]
 
     @property
     def dead_time(self) -> float | None:
@@ -131,13 +176,16 @@ class Reading:
         """
         from cgid.recordings import is_dataset
 
-        if self.index is not None or not is_dataset(path):
+        if not is_dataset(path):
             return False
-        given = {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
-        for flag, value in {**given, "--variable": self.variable, "--mass": mass}.items():
+        given: dict[str, Any] = {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
+        if self.index is None:
+            given |= {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
+            given |= {"--variable": self.variable, "--mass": mass}
+        for flag, value in given.items():
             if value is not None:
                 raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
-        return True
+        return self.index is None
 
     def recording(self, path: str) -> RecordingFile:
         """Open a recording."""
@@ -151,6 +199,7 @@ class Reading:
             unit=self.unit,
             channel=self.channel or None,
             variable=self.variable,
+            **self.chain,
         )
 
     def signals(self, path: str) -> list[Signal]:
@@ -191,7 +240,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
         dead_time_option,
     )
-    return add(read)
+    return chain_options(add(read))
 
 
 dead_time_option = click.option(
@@ -205,6 +254,18 @@ printing_options = _options(
     click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line."),
     click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
 )
+
+
+def _renamed(old: str, new: str) -> Callable[[F], F]:
+    """Return a hidden option that refuses the former name of another one."""
+
+    def refuse(context: click.Context, _option: click.Parameter, value: str | None) -> None:
+        if value is not None:
+            raise click.UsageError(f"{old} is called {new} now; give {new} {value}", context)
+
+    return click.option(old, type=click.UNPROCESSED, hidden=True, expose_value=False, is_eager=True, callback=refuse)
+
+
 #: Options that choose the model and state the question, as `question_of` takes them.
 answering_options = _options(
     click.option(
@@ -218,8 +279,13 @@ answering_options = _options(
     ),
     click.option("--drop-height", type=float, help="Say how far the rocks fell [m], for a model that needs to know."),
     click.option(
-        "--cost", "costs", multiple=True, metavar="LABEL=COST", help="What missing this label costs, 1 by default."
+        "--miss-cost",
+        "costs",
+        multiple=True,
+        metavar="LABEL=COST",
+        help="Say what it costs to miss this label, by default 1.",
     ),
+    _renamed("--cost", "--miss-cost"),
     click.option(
         "--coverage",
         type=float,
@@ -245,7 +311,12 @@ answering_options = _options(
         "--window", "share_time", type=float, help="Let the gangue share look back this long [s], by default 10."
     ),
     click.option("--gangue", multiple=True, metavar="LABEL", help="Count this label as gangue; may be given again."),
-    click.option("--gangue-cost", type=float, help="What a drawn gangue costs, in lost coal, 1: says when to shut."),
+    click.option(
+        "--dilution-cost",
+        type=float,
+        help="Say what drawn gangue costs, in units of lost coal, by default 1; it decides when to shut.",
+    ),
+    _renamed("--gangue-cost", "--dilution-cost"),
 )
 
 
@@ -257,7 +328,7 @@ def question_of(
     from cgid.identification.question import Question
 
     dead_time, by_label = dead_time_in_seconds(milliseconds), dict(_cost(text) for text in costs)
-    flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "gangue_cost": ("--gangue-cost", "")}
+    flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "dilution_cost": ("--dilution-cost", "")}
     for name, (flag, unit) in flags.items():
         rule = validation.not_negative if flag == "--vote" else validation.positive
         if settings[name] is not None:
@@ -272,7 +343,27 @@ def _cost(text: str) -> tuple[str, float]:
     try:
         return label, float(cost)
     except ValueError:
-        raise click.UsageError(f"--cost must be LABEL=COST such as gangue=3, got {text!r}") from None
+        raise click.UsageError(f"--miss-cost must be LABEL=COST such as gangue=3, got {text!r}") from None
+
+
+#: Options that a repeated command leaves out, because they say where its output goes.
+_OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
+
+
+def given_options() -> tuple[list[str], list[str]]:
+    """Return the options of the current command line: those for reading a recording, and those for answering."""
+    context = click.get_current_context()
+    reading = {field.name for field in fields(Reading)}
+    found: tuple[list[str], list[str]] = ([], [])
+    for option in context.command.params:
+        name = option.name or ""
+        given = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if not given or not isinstance(option, click.Option) or name in _OUTPUT:
+            continue
+        values = context.params[name]
+        for value in values if option.multiple else [values]:
+            found[name not in reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], f"{value}"])
+    return found
 
 
 class Models:

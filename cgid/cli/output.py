@@ -94,14 +94,15 @@ def say_error(error: CgidError) -> None:
 def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:
     """Print one object as a line of JSON; values that are not finite become null."""
     # JSON escapes all other control characters, and all characters that are not ASCII.
-    say(json.dumps({"version": version, **_finite(content)}).replace("\x7f", "\\u007f"))
+    say(json.dumps({"version": version, **finite(content)}).replace("\x7f", "\\u007f"))
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return a value for JSON, with null for every number in it that is not finite."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

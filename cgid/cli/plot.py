@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Reading, reading_options
+from cgid.cli.options import PATH, Reading, reading_options, warn_of_volts
 from cgid.cli.output import print_json, say
+from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -72,6 +73,7 @@ def plot(
     require_matplotlib()
     _require_order(begin, end)
     recording = _opened(file, reading)
+    warn_of_volts(recording)
     channels = recording.channels[:MOST_CHANNELS]
     if len(channels) < len(recording.channels):
         say(
@@ -175,6 +177,7 @@ def _opened(file: str, reading: Reading) -> RecordingFile:
 
     if reading.index is None or not is_dataset(file):
         return reading.recording(file)
+    reading.wants_whole_dataset(file)  # refuses what is for recordings
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Contents
     from cgid.store import Dataset
@@ -230,5 +233,5 @@ def _facts(recording: RecordingFile, duration: float, marks: Sequence[Mark] | No
     if recording.start_time is not None:
         facts.append(f"started {recording.start_time:%Y-%m-%d %H:%M:%S}")
     if marks is not None:
-        facts.append(f"{len(marks)} impact{'' if len(marks) == 1 else 's'} found" if marks else "no impacts found")
+        facts.append(f"{counted(len(marks), 'impact')} found" if marks else "no impacts found")
     return ", ".join(facts)

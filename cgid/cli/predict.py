@@ -1,4 +1,4 @@
-"""`cgid predict`: one row for each impact found, the gangue share, a summary; and the page for --report."""
+"""`cgid predict`: a table of the impacts found, the gangue share, a summary; and the page for --report."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from cgid.cli.options import (
     Models,
     Reading,
     answering_options,
+    given_options,
     printing_options,
     question_of,
     reading_options,
     warn_of_model,
 )
 from cgid.cli.output import each_file, say
+from cgid.cli.table import TableOutput, output_options
 from cgid.errors import CgidError
+from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.answers import Answer
@@ -71,6 +74,7 @@ class Pages:
             threshold=rows.threshold,
             warnings=recording.warnings,
             unit_of_decision=rows.kind,
+            hint=rows.hint,
         )
         self._reports.append(report)
 
@@ -140,6 +144,7 @@ class _Prediction:
 
     def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
         """Print the answers for the channels of a recording that use this model."""
+        from cgid.identification.next_steps import Diagnosis
         from cgid.identification.stream import identify_blocks, model_blocks
 
         question, source, rate = self.question, recording.source, recording.sampling_rate
@@ -147,7 +152,9 @@ class _Prediction:
         passing = _Passing(recording, numbers, self.pages is not None)
         blocks = model_blocks(recording, model, numbers, question, seen=passing.see)
         steps = identify_blocks(blocks, rate, model, names, question, source)
-        rows = RecordingRows(source, model, names, question, self.lines, keep=self.pages is not None)
+        diagnosis = Diagnosis(model, rate, source, *given_options())
+        keep = self.pages is not None
+        rows = RecordingRows(source, model, names, question, self.lines, keep=keep, diagnosis=diagnosis)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
         for step in steps:
             rows.feed(step)
@@ -159,6 +166,7 @@ class _Prediction:
         """Print the answer for every signal of a dataset, and how many are right."""
         from cgid.errors import BadData
         from cgid.identification.answers import identify_frames
+        from cgid.identification.next_steps import Diagnosis
         from cgid.store import Dataset
         from cgid.units import UNITS
 
@@ -172,7 +180,9 @@ class _Prediction:
         units = UNITS[dataset.quantity]
         factor = units[dataset.unit] / units[model.unit] * (-1 if self.question.invert else 1)
         warn_of_model(path, path, dataset.sampling_rate, model, self.question)
+        self.lines.begin(path, model, self.question)
         number, tally = count(), _Tally()
+        diagnosis = Diagnosis(model, dataset.sampling_rate, path, *given_options(), labelled=True)
         for batch in dataset.batches():
             answers = identify_frames(
                 batch.signals if factor == 1 else batch.signals * factor,
@@ -182,11 +192,14 @@ class _Prediction:
                 pre_trigger=batch.pre_trigger,
                 drop_height=self._heights(path, batch, model),
             )
+            diagnosis.add(answers)
             for answer, truth, specimen in zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True):
-                self.lines.answer(f"{path} index {next(number)}", 1, answer, truth=truth)
+                self.lines.answer(path, answer, index=next(number), truth=truth)
                 tally.add(answer, truth, specimen)
         if tally.measured:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
+        if (hint := diagnosis.hint()) is not None:
+            self.lines.hint(path, hint)
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the answer for one signal of a dataset."""
@@ -205,7 +218,8 @@ class _Prediction:
         )
         if not answer.probabilities:
             raise BadData(f"{fitting.name}: {answer.problem}")
-        self.lines.answer(fitting.name, 1, answer)
+        self.lines.begin(path, model, self.question)
+        self.lines.answer(path, answer, index=index)
 
     def _heights(self, path: str, batch: Batch, model: Model) -> Floats | float | None:
         """Return the stored drop heights of a batch if the model needs them; else the given one."""
@@ -249,12 +263,13 @@ class _Tally:
         low, high = wilson_interval(share, min(self.measured, len(self.specimens)))
         text = (
             f"accuracy of the most probable label {share:.4f} (95 % interval {low:.4f} to {high:.4f}) "
-            f"on {self.measured} of {n_impacts} labelled impacts; {self.unknown} answered unknown"
+            f"on {self.measured} of {counted(n_impacts, 'labelled impact')}; {self.unknown} answered unknown"
         )
         if self.covered is None:
             return text
         answered = n_impacts - self.unknown
-        right = f", {self.answered_right / answered:.4f} of the {answered} other answers are right" if answered else ""
+        others = counted(answered, "other answer")
+        right = f", {self.answered_right / answered:.4f} of the {others} are right" if answered else ""
         return f"{text}{right}; prediction sets hold the truth in {self.covered / self.measured:.4f}"
 
 
@@ -267,13 +282,14 @@ class _Tally:
 @click.option(
     "--report", type=PATH, metavar="PAGE", help="Write pictures and answers of the recordings as one page, .html."
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing report.")
+@output_options
 @reading_options
 @printing_options
 def predict(
     files: tuple[str, ...],
     sample: bool,
     report: str | None,
+    output: str | None,
     overwrite: bool,
     as_json: bool,
     strict: bool,
@@ -285,14 +301,16 @@ def predict(
     Without --model a force is answered by the default model of pulses, an acceleration by that of vibrations; with
     --mass an acceleration is that of the striker, and becomes a force. A model of windows answers for each window.
 
-    The label is "unknown" when the impact lies outside of what the model was trained on (novelty above 1), or with
-    --coverage when several labels, or none, are left.
+    Stdout is one CSV table, with the probability of each label as p(LABEL). The label is "unknown" when the impact lies
+    outside of what the model was trained on (novelty above 1), or with --coverage when several labels, or none, are
+    left.
 
     Recordings of several impacts have a gangue share over a sliding window, with the interval that holds it with 95 %,
-    a line SHUT where going on begins to cost more than it brings, and a summary. Lines of --json have a kind: impact,
-    window, share, shut, open, warning, summary.
+    a line SHUT where going on begins to cost more than it brings, and a summary; these go to stderr. With --json all of
+    it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
     """
     from cgid import shipped
+    from cgid.recordings import is_dataset
 
     if sample:
         files = (*files, str(shipped.path_of("datasets", shipped.SAMPLE)))
@@ -300,7 +318,9 @@ def predict(
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
     models, question = question_of(**options, invert=reading.invert, milliseconds=reading.milliseconds)
     pages = None if report is None else Pages(report, overwrite)
-    prediction = _Prediction(models=models, question=question, lines=AnswerLines(as_json), pages=pages)
+    table = TableOutput(output, overwrite=overwrite, as_json=as_json)
+    lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)))
+    prediction = _Prediction(models=models, question=question, lines=lines, pages=pages)
 
     def treat(path: str) -> None:
         if reading.wants_whole_dataset(path, question.mass):
@@ -311,7 +331,8 @@ def predict(
         else:
             prediction.recording(reading.recording(path))
 
-    code = each_file(files, treat, strict=strict)
+    with table:
+        code = each_file(files, treat, strict=strict)
     if pages is not None and pages.write():
         say(f"wrote {report}", err=True)
     return code

@@ -10,6 +10,7 @@ import click
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE
 from cgid.cli.output import print_json, progress_bar, say
+from cgid.terminal import counted
 
 #: Blocks of 256 impacts in the preview.
 _BLOCKS = 16
@@ -307,7 +308,7 @@ def _survey(scene: Any, n_signals: int, seed: int, path: Path, overwrite: bool) 
 
 def _say(content: dict[str, Any]) -> None:
     known = "known" if content["drop_height_known"] else "not known"
-    say(f"{content['scene']}: {content['n_signals']} signals, drop height {known}")
+    say(f"{content['scene']}: {counted(content['n_signals'], 'signal')}, drop height {known}")
     say(f"highest accuracy possible {content['accuracy']:.4f} +- {content['accuracy_error']:.4f}")
     say(f"right answers of Bayes' rule {content['right_answers']:.4f}")
     say(f"Brier score {content['brier_score']:.4f} +- {content['brier_error']:.4f}")
@@ -320,13 +321,16 @@ def _say(content: dict[str, Any]) -> None:
         )
         say(f"{one['n_signals']:>10}  {one['kind']:<9}  {accuracy}    {below}    {regret}")
     if content.get("unmeasured"):
-        say(f"cgid: warning: {content['unmeasured']} signals could not be measured and were guessed", err=True)
+        say(
+            f"cgid: warning: {counted(content['unmeasured'], 'signal')} could not be measured, the label was guessed",
+            err=True,
+        )
     if "survey" in content:
         _say_survey(content["survey"])
 
 
 def _say_survey(survey: dict[str, Any]) -> None:
-    say(f"survey, {survey['n_signals']} signals a point")
+    say(f"survey, {counted(survey['n_signals'], 'signal')} a point")
     say(f"{'':<9}  {'':>8}  drop height not known  known")
     for point in survey["points"]:
         value = "" if point["axis"] == "present" else f"{point['value']:g}"

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from cgid import validation
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, crew_options, dead_time_in_seconds, require_one_crew
+from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
-from cgid.errors import CgidError, InvalidValue
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.terminal import counted
+
+if TYPE_CHECKING:
+    from cgid.identification.manifest import Manifest
 
 #: Options for recordings only, and for datasets and scenes only.
 _OF_RECORDINGS = {
@@ -23,6 +28,9 @@ _OF_RECORDINGS = {
     "sampling_rate": "--rate",
     "unit": "--unit",
     "channels": "--channel",
+    "sensitivity": "--sensitivity",
+    "gain": "--gain",
+    "full_scale": "--full-scale",
     "dead_time": "--dead-time",
     "strict": "--strict",
 }
@@ -35,7 +43,7 @@ _OF_DATASETS = {
 
 @click.command(
     cls=Command,
-    short_help="Train a model on datasets, on a scene, or on recordings.",
+    short_help="Train a model on recordings, on datasets, or on a scene.",
     example="cgid train reference -n 2000 -o model.npz",
 )
 @click.argument("data", type=SCENE, nargs=-1, required=True, metavar="DATA...")
@@ -43,8 +51,10 @@ _OF_DATASETS = {
     "-o",
     "--output",
     type=PATH,
-    required=True,
     help="Write this model file, ending in .npz; the model card is written beside it as .md.",
+)
+@click.option(
+    "--template", type=PATH, metavar="FILE.csv", help="Only list the recordings in a manifest for you to fill in."
 )
 @click.option(
     "--family",
@@ -76,9 +86,7 @@ _OF_DATASETS = {
 @click.option(
     "--by",
     type=click.Choice(["window", "impact"]),
-    default="window",
-    show_default=True,
-    help="Choose what the model decides on in recordings.",
+    help="Choose what the model decides on in recordings, by default impacts if silence lies between them.",
 )
 @click.option(
     "--window", "window_time", type=float, default=0.1, show_default=True, help="Set the length of a window [s]."
@@ -97,6 +105,7 @@ _OF_DATASETS = {
     multiple=True,
     help="Read only this channel of the recordings; for several together give 1+2.",
 )
+@chain_options
 @click.option("--dead-time", type=float, help="Set how long a blow rings [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
 @click.option(
@@ -120,47 +129,143 @@ def train(
     context: click.Context,
     /,
     data: tuple[str, ...],
-    output: str,
+    output: str | None,
+    template: str | None,
     plots: bool,
     overwrite: bool,
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Train a model on DATA: datasets made by cgid generate, scenes, or a manifest of labelled recordings.
+    """Train a model on DATA: labelled recordings, datasets made by cgid generate, or scenes.
 
-    A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
+    Recordings are named by a manifest, or by a folder that holds one, or whose subfolders are the labels:
+    coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
 
-    A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, gain, sensor,
-    reference, rate, unit, variable), or a .toml file with a [[recording]] for each file, which may list intervals = [{
-    start, end, label }]. A group (a recording, a day, a support) is never on both sides of a split; each group in turn
-    judges what was chosen and trained on the others. Scenes and datasets beside a manifest are used for training, too,
-    with their level and spectrum moved to those of the recordings.
-    """
+    A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, sensor,
+    reference, rate, unit, variable, sensitivity, gain, full_scale), or a .toml file with a [[recording]] for each
+    file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row for each impact,
+    --template one with a row for each recording; fill in the labels. A group (a recording, a day, a support) is never
+    on both sides of a split; each group in turn judges what was chosen and trained on the others. Scenes and datasets
+    beside recordings are used for training, too, with their level and spectrum moved to those of the recordings.
+
+    \b
+    cgid events monday.wav tuesday.wav -o events.csv
+    cgid train events.csv -o mine.npz
+    """  # noqa: D301 - \b keeps the lines of the example apart
     from cgid.identification.card import check_model_output, write_model
-    from cgid.identification.manifest import is_manifest
     from cgid.measure.features import choose
     from cgid.workers import workers
 
+    if template is not None:
+        return _write_template(data, Path(template), options, overwrite=overwrite)
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
-    manifests = [item for item in data if is_manifest(item)]
-    others = [item for item in data if item not in manifests]
-    _refuse_stray_options(context, _OF_DATASETS if manifests else _OF_RECORDINGS, bool(manifests))
+    recorded = [item for item in data if _recorded(item)]
+    others = [item for item in data if item not in recorded]
+    _refuse_stray_options(context, _OF_DATASETS if recorded else _OF_RECORDINGS, bool(recorded))
     require_one_crew(context)
-    if len(manifests) > 1:
-        raise InvalidValue(f"{manifests[1]}: there must be one manifest, got {len(manifests)}; put all into one")
+    if len(recorded) > 1:
+        raise InvalidValue(f"{recorded[1]}: there must be one manifest, got {len(recorded)}; put all into one")
+    if options["by"] is None:
+        options["by"] = _asked_by(context, others, options["features"])
+    manifest = _manifest(recorded[0]) if recorded else None
     with workers(options.pop("jobs"), options.pop("scheduler")) as options["crew"]:
-        if manifests:
-            training, failures = _from_recordings(manifests[0], others, options)
+        if manifest is not None:
+            training, failures = _from_recordings(manifest, others, options)
         else:
             training, failures = _from_signals(others, options)
     written = write_model(training, path, plots=plots, overwrite=overwrite)
     _say(training, path, written, as_json)
-    for error in failures:
-        say_error(error)
+    if failures:
+        many = "" if len(failures) == 1 else "s"
+        say(f"cgid: warning: the model is without {len(failures)} recording{many} that failed", err=True)
     return failures[0].exit_code if failures else 0
+
+
+def _recorded(item: str) -> bool:
+    """Return whether an argument names recordings: a manifest, a folder of recordings, or one without labels."""
+    from cgid.identification.manifest import ENDINGS, is_manifest
+    from cgid.recordings import is_dataset
+    from cgid.store.description import JOURNAL, MANIFEST
+
+    path = Path(item)
+    try:
+        path.stat()
+    except (OSError, ValueError):
+        return path.suffix.lower() == ".csv"
+    if path.is_dir():
+        marks = (path / MANIFEST, path / JOURNAL, *path.glob("shard-*.h5"))
+        return not any(mark.exists() for mark in marks)
+    return is_manifest(item) or (path.suffix.lower() in ENDINGS and not is_dataset(item))
+
+
+def _manifest(item: str) -> Manifest:
+    """Return the manifest of an argument that names recordings."""
+    from cgid.identification.manifest import folder_manifest, is_manifest, read_manifest, unlabelled
+
+    if is_manifest(item):
+        return read_manifest(item)
+    if not Path(item).is_dir():
+        raise BadData(f"{item}: {unlabelled('a recording', item)}")
+    manifest = folder_manifest(item)
+    counts = Counter(one.label for one in manifest.annotations if not one.reference)
+    told = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
+    say(f"cgid: labels of {manifest.source}: {told}", err=True)
+    return manifest
+
+
+def _asked_by(context: click.Context, others: list[str], features: Any) -> Literal["window", "impact"] | None:
+    """Return what other options say of impacts and windows; None if that is left to the recordings."""
+
+    def given(name: str) -> bool:
+        return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+
+    if features is not None:
+        return None
+    if given("window_time") or given("hop_time"):
+        return "window"
+    return "impact" if given("dead_time") or others else None
+
+
+def _write_template(data: tuple[str, ...], path: Path, options: dict[str, Any], *, overwrite: bool) -> int:
+    """Write a manifest with a row for each recording, its label empty unless its folder says it."""
+    from cgid.files import check_new, write_whole
+    from cgid.identification.manifest import manifest_text, path_from, recordings_in, row_of
+
+    check_new(path, "a manifest", (".csv",), overwrite=overwrite)
+    rows, code = [], 0
+    for item in data:
+        folder = Path(item) if Path(item).is_dir() else Path(item).parent
+        for file in recordings_in(folder) if Path(item).is_dir() else [Path(item)]:
+            content, failed = _content(file, options)
+            code = code or failed
+            given = {"rate": options["sampling_rate"], "unit": options["unit"], "content": content}
+            rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
+    text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
+    write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
+    empty = sum(not row["label"] for row in rows)
+    fill = f"fill in the label of {empty}, then " if empty else "now "
+    many = "" if len(rows) == 1 else "s"
+    say(f"wrote {path}: {len(rows)} recording{many}; {fill}cgid train {path} -o mine.npz", err=True)
+    return code
+
+
+def _content(file: Path, options: dict[str, Any]) -> tuple[str, int]:
+    """Return what is read of a recording, or why it cannot be, and an exit code."""
+    from cgid.recordings import open_recording
+
+    try:
+        recording = open_recording(file, sampling_rate=options["sampling_rate"], unit=options["unit"])
+    except CgidError as error:
+        say_error(error)
+        return "cannot be read", error.exit_code
+    n_channels, unit = len(recording.channels), recording.channels[0].unit or "unit unknown"
+    length = "" if recording.duration is None else f", {recording.duration:.6g} s"
+    return f"{recording.sampling_rate:g} Hz, {unit}, {n_channels} channel{'s' * (n_channels > 1)}{length}", 0
 
 
 #: Options for every training.
@@ -181,10 +286,9 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     return training, []
 
 
-def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
+def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
     from cgid.identification.labelled_recordings import Reading, record
-    from cgid.identification.manifest import read_manifest
     from cgid.identification.rows import Slicing
     from cgid.identification.training import train as train_model
 
@@ -196,26 +300,25 @@ def _from_recordings(manifest: str, others: list[str], options: dict[str, Any]) 
         dead_time=dead_time_in_seconds(options["dead_time"]),
     )
     given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
-    with progress_bar(None, f"{options['by']}s") as progress:
+    with progress_bar(None, "rows") as progress:
         rows = record(
-            read_manifest(manifest),
+            manifest,
             options["features"],
             slicing=slicing,
-            reading=Reading(channels=options["channels"] or None, **given),
+            reading=Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"]),
             level_free=options["level_free"],
             progress=progress,
         )
     rows, synthetic = _with_synthetic(others, rows, options) if others else (rows, None)
+    for note in rows.notes:
+        say(f"cgid: {note}", err=True)
     for warning in rows.warnings:
         say(f"cgid: warning: {warning}", err=True)
     own = {name: options[name] for name in (*_COMMON, "level_free")}
-    try:
-        with progress_bar(None, "groups") as progress:
-            training = train_model(rows, synthetic=synthetic, progress=progress, **own)
-    except CgidError:
-        for failure in rows.failures:  # the unreadable recordings may be the missing ones
-            say_error(failure)
-        raise
+    with progress_bar(None, "groups") as progress:
+        training = train_model(rows, synthetic=synthetic, progress=progress, **own)
+    for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:
+        say(f"cgid: warning: {warning}", err=True)
     return training, list(rows.failures)
 
 
@@ -223,7 +326,6 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
     """Return recorded impacts, and those of datasets and scenes, with the features that both can have."""
     from itertools import chain
 
-    from cgid.errors import BadData
     from cgid.identification.rows import in_unit, measure
     from cgid.measure.features import supported
 
@@ -251,8 +353,8 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
-        what = "windows" if training.model.kind == "window" else "impacts"
-        say(f"cgid: warning: {about['n_left_out']} {what} could not be measured and were left out", err=True)
+        left_out = counted(about["n_left_out"], "window" if training.model.kind == "window" else "impact")
+        say(f"cgid: warning: left out {left_out} that could not be measured", err=True)
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
         told = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"

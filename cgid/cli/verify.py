@@ -10,6 +10,7 @@ import click
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE
 from cgid.cli.output import each_file, print_json, progress_bar, say
+from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
@@ -174,7 +175,7 @@ def _tell(
         return
     if not state:
         state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
-    say(f"{path}: {kind} of {n_files} file{'s' * (n_files > 1)}, {state}")
+    say(f"{path}: {kind} of {counted(n_files, 'file')}, {state}")
     for line in lines:
         told = f"; {'repaired' if line['repaired'] else 'not repaired'}: {line['told']}" if "repaired" in line else ""
         say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")

@@ -21,7 +21,15 @@ from cgid.finite_element.mesh import (
     require_room,
     sphere_mesh,
 )
-from cgid.finite_element.steps import Progress, Records, explicit, implicit, require_times_fit, stable_time_step
+from cgid.finite_element.steps import (
+    Progress,
+    Records,
+    collected,
+    explicit,
+    implicit,
+    require_times_fit,
+    stable_time_step,
+)
 from cgid.physics.bodies import HalfSpace, Sphere, sphere_share
 from cgid.physics.impact import HERTZ_LIMIT, HertzRangeWarning, Impact
 from cgid.physics.laws import Elastic
@@ -183,11 +191,6 @@ class FiniteElementImpact:
         return self.pair.mass.size // 2
 
     @property
-    def n_elements(self) -> int:
-        """Number of elements of both meshes."""
-        return len(self.pair.sphere.mesh.elements) + len(self.pair.plate.mesh.elements)
-
-    @property
     def stable_time_step(self) -> float:
         """Largest stable step of the explicit method [s]."""
         return stable_time_step(self.pair, self._retardation)
@@ -221,20 +224,11 @@ class FiniteElementImpact:
             The time step exceeds the stability limit of the explicit method, or the bodies never separate.
         """
         integrate = {"explicit": explicit, "implicit": implicit}[self.chosen_method]
-        records = integrate(
-            self.pair,
-            self.velocity,
-            float(self.hertz.contact_duration),
-            retardation=self._retardation,
-            time_step=self.time_step,
-            progress=progress,
-        )
+        duration = float(self.hertz.contact_duration)
+        run = integrate(self.pair, self.velocity, duration, self._retardation, self.time_step)
+        records = collected(run, self.pair, duration, progress)
         return history(
-            records,
-            self.pair,
-            velocity=self.velocity,
-            mass=float(self.sphere.mass),
-            is_damped=any(self._retardation),
+            records, self.pair, velocity=self.velocity, mass=float(self.sphere.mass), is_damped=any(self._retardation)
         )
 
 

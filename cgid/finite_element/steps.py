@@ -51,14 +51,7 @@ class Records:
     values: Floats
 
 
-def collected(
-    chunks: Iterator[tuple[Floats, Floats]],
-    pair: Pair,
-    interval: float,
-    step: float,
-    duration: float,
-    progress: Progress | None,
-) -> Records:
+def collected(run: Run, pair: Pair, duration: float, progress: Progress | None) -> Records:
     """Return the records of a run; it ends a while after the last contact force, once the mass centres separate.
 
     A swinging free plate could still hit the sphere after that. `InvalidValue` is raised if the contact outgrows the
@@ -67,7 +60,8 @@ def collected(
     forces: list[Floats] = []
     values: list[Floats] = []
     count = last = 0
-    for some_forces, some_values in chunks:
+    interval, step = run.interval, run.step
+    for some_forces, some_values in run.chunks:
         if some_forces[:, -1].any():
             raise InvalidValue(
                 f"the contact must stay within {REACH:g} times Hertz's contact radius, which the mesh is made for, "
@@ -134,18 +128,21 @@ def stable_time_step(pair: Pair, retardation: tuple[float, float]) -> float:
     return float(min(limits))
 
 
-def explicit(
-    pair: Pair,
-    velocity: float,
-    duration: float,
-    *,
-    retardation: tuple[float, float],
-    time_step: float | None,
-    progress: Progress | None,
-) -> Records:
-    """Return the motion after touch at `velocity` [m/s]; `duration` [s] estimates the contact.
+@dataclass(frozen=True)
+class Run:
+    """Records to come, chunk by chunk (forces and values of `Records`), their interval and the integration step [s]."""
 
-    A step beyond the stability limit, or bodies that never separate, raise `InvalidValue`.
+    chunks: Iterator[tuple[Floats, Floats]]
+    interval: float
+    step: float
+
+
+def explicit(
+    pair: Pair, velocity: float, duration: float, retardation: tuple[float, float], time_step: float | None
+) -> Run:
+    """Return the run after touch at `velocity` [m/s]; `duration` [s] estimates the contact.
+
+    A step beyond the stability limit raises `InvalidValue`.
     """
     limit = stable_time_step(pair, retardation)
     if limit * MOST_STEPS < duration:
@@ -154,8 +151,7 @@ def explicit(
             f"of {duration:.3g} s; use method implicit"
         )
     step, stride = _step_and_stride(limit, duration / PER_DURATION, time_step)
-    chunks = _explicit_chunks(pair, velocity, np.array(retardation), step, stride)
-    return collected(chunks, pair, step * stride, step, duration, progress)
+    return Run(_explicit_chunks(pair, velocity, np.array(retardation), step, stride), step * stride, step)
 
 
 def _step_and_stride(limit: float, interval: float, time_step: float | None) -> tuple[float, int]:
@@ -201,21 +197,15 @@ def _explicit_chunks(
 
 
 def implicit(
-    pair: Pair,
-    velocity: float,
-    duration: float,
-    *,
-    retardation: tuple[float, float],
-    time_step: float | None,
-    progress: Progress | None,
-) -> Records:
-    """Return the motion after touch at `velocity` [m/s]; `duration` [s] estimates the contact.
+    pair: Pair, velocity: float, duration: float, retardation: tuple[float, float], time_step: float | None
+) -> Run:
+    """Return the run after touch at `velocity` [m/s]; `duration` [s] estimates the contact.
 
     Second-order backward differences (BDF2) for displacements and velocities damp what they cannot resolve, so massless
-    nodes and strong damping do no harm. Bodies that never separate raise `InvalidValue`.
+    nodes and strong damping do no harm.
     """
     step = duration / STEPS_PER_DURATION if time_step is None else time_step
-    return collected(_implicit_chunks(pair, velocity, retardation, step), pair, step, step, duration, progress)
+    return Run(_implicit_chunks(pair, velocity, retardation, step), step, step)
 
 
 class _Band:

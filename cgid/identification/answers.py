@@ -13,12 +13,14 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
+from cgid.identification.next_steps import Cause, causes_of, with_frames
 from cgid.identification.question import Question, known_columns
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
+from cgid.recordings.chain import require_measured
 from cgid.signals import Signal
-from cgid.units import UNITS
+from cgid.units import ELECTRICAL, UNITS
 from cgid.validation import UNKNOWN, Floats
 
 
@@ -28,17 +30,31 @@ class Answer:
 
     Attributes
     ----------
-    time, end : of the impact or window in the recording [s]; the end is nan where it is not known
-    label : the decision; "unknown" if outside of the training range, unmeasurable, or rejected by the prediction set
-    probabilities : of each label; empty when the impact could not be measured
-    novelty : distance from the training data, 1 at its edge; nan when the impact could not be measured
-    in_training_range : whether the novelty is at most 1 and the model was trained at this sampling rate
-    problem : why the label is unknown or doubtful; else empty
-    prediction_set : labels that cannot be ruled out at the coverage; None without a coverage or a measurement
-    channel : channel name; a window of several channels joins their names by "+"
-    overlapping : whether another impact began before this one had died away
-    clipped : whether samples stand at the limit of the recorder
-    cut : whether the recording begins or ends within the impact
+    time, end : float [s]
+        Begin and end of the impact or window in the recording; the end is nan where it is not known.
+    label : str
+        The decision; "unknown" for an impact that is outside of the training range, unmeasurable, or rejected by the
+        prediction set.
+    probabilities : mapping of str to float
+        Probability of each label; empty when the impact could not be measured.
+    novelty : float
+        Distance from the training data, 1 at its edge; nan when the impact could not be measured.
+    in_training_range : bool
+        Whether the novelty is at most 1 and the model was trained at this sampling rate.
+    problem : str
+        Why the label is unknown or doubtful; else empty.
+    prediction_set : tuple of str or None
+        Labels that cannot be ruled out at the coverage; None without a coverage or a measurement.
+    channel : str
+        Channel name; a window of several channels joins their names by "+".
+    overlapping : bool
+        Whether another impact began before this one had died away.
+    clipped : bool
+        Whether samples stand at the limit of the recorder.
+    cut : bool
+        Whether the recording begins or ends within the impact.
+    cause : Cause or None
+        What puts it outside of the training range; None where it lies inside or could not be measured.
     """
 
     time: float
@@ -53,6 +69,7 @@ class Answer:
     overlapping: bool = False
     clipped: bool = False
     cut: bool = False
+    cause: Cause | None = None
 
     def __repr__(self) -> str:
         told = ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
@@ -71,14 +88,31 @@ class Answer:
 def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     """Convert the signal to the quantity and unit of the model.
 
-    `mass` [kg] of the accelerated striker turns an acceleration into a force. Raises `MissingOption` if the unit is
-    unknown, `BadData` for another quantity than the model's.
+    Parameters
+    ----------
+    signal : Signal
+    model : Model
+    mass : float, optional [kg]
+        Mass of the accelerated striker, which turns an acceleration into a force.
+
+    Returns
+    -------
+    Signal
+
+    Raises
+    ------
+    MissingOption
+        The unit of the signal is unknown, or the samples are in volts without a sensitivity.
+    BadData
+        The signal has another quantity than the model.
     """
     if signal.unit is None:
         raise MissingOption(
             f"{signal.name}: the unit must be known, neither header nor option says it; give --unit, such as "
             f"{_unit_options(model)}"
         )
+    if model.quantity not in ELECTRICAL:
+        require_measured(signal.unit, signal.name)
     if mass is not None:
         signal = signal.as_force(mass)
     if signal.quantity != model.quantity:
@@ -86,7 +120,10 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
         elif signal.quantity == "level":
-            cure = f"say with --unit what 1 stands for, such as {_unit_options(model)}"
+            cure = (
+                f"say with --unit what 1 stands for, such as {_unit_options(model)}; or how many volts with "
+                "--full-scale '10 V', and the --sensitivity of the sensor"
+            )
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
             f"[{signal.unit}]; {cure}"
@@ -104,10 +141,39 @@ def _unit_options(model: Model) -> str:
 
 
 def identify(signal: Signal, model: Model, question: Question | None = None, **fields: Any) -> list[Answer]:
-    """Return one answer for each impact in a recording, given in the quantity and unit of the model (`suited`).
+    """Return one answer for each impact in a recording.
 
-    `fields` override those of the question, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m]. Raises `BadData`
-    without any impact, `MissingOption` without a needed drop height, `InvalidValue` for choices the model cannot serve.
+    Parameters
+    ----------
+    signal : Signal
+        In the quantity and unit of the model; see `suited`.
+    model : Model
+    question : Question, optional
+        Costs, coverage, drop height and more; by default the most probable label is the answer.
+    **fields
+        Fields of the question that replace its own, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
+
+    Returns
+    -------
+    list of Answer
+        In order of time.
+
+    Raises
+    ------
+    BadData
+        The signal has no impact.
+    MissingOption
+        The model needs a drop height.
+    InvalidValue
+        The model cannot serve a choice of the question.
+
+    Examples
+    --------
+    >>> from cgid import Model, read_recording, shipped
+    >>> model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    >>> (signal,) = read_recording(shipped.path_of("datasets", shipped.SAMPLE))
+    >>> [answer.label for answer in identify(suited(signal, model), model)]
+    ['coal', 'gangue', 'coal', 'gangue', 'coal', 'gangue']
     """
     question = replace(question or Question(), **fields)
     if model.kind == "window":
@@ -168,10 +234,34 @@ def identify_frames(
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
 ) -> list[Answer]:
-    """Return one answer for each frame (n_signals, n_samples) of a single impact; raises as `identify`.
+    """Return one answer for each frame of a single impact.
 
-    The drop height is one number, or one for each frame [m]. Only the decision settings of the question count. The
-    equalisation corrects the sensor's response.
+    Parameters
+    ----------
+    frames : ndarray, (n_signals, n_samples)
+        In the unit of the model.
+    sampling_rate : float [Hz]
+    model : Model
+    question : Question, optional
+        Only its settings of decision count, such as costs and coverage.
+    pre_trigger : int or None
+        Samples before touch, which show baseline and noise; None if they follow from the pulse itself.
+    drop_height : float or array_like, (n_signals,), optional [m]
+        For a model that needs it.
+    detection_limit : float
+        Least height of a pulse over the standard deviation of the noise.
+    equalisation : Equalisation, optional
+        Corrects the sensor's response.
+
+    Returns
+    -------
+    list of Answer
+        One for each frame; the times count from the start of the frame.
+
+    Raises
+    ------
+    BadData, MissingOption, InvalidValue
+        As in `identify`, except that a frame without an impact gets an answer with a problem.
     """
     known = known_columns(model.known, len(frames), drop_height)
     if frames.shape[1] < MINIMUM_FRAME:
@@ -195,12 +285,13 @@ def identify_frames(
         problems = problems_of(
             frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
         )
-    return [
+    found = [
         replace(next(answers), time=time)
         if sound[row]
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
+    return with_frames(found, frames, sampling_rate, model, pre_trigger)
 
 
 def answers_from(
@@ -218,6 +309,8 @@ def answers_from(
     if not len(inputs):
         return
     probabilities, novelties = vote(model.probabilities(inputs)), model.novelty(inputs, guards)
+    outliers = np.flatnonzero(novelties > 1)
+    causes = dict(zip(outliers.tolist(), causes_of(model, inputs[outliers], guards[outliers]), strict=True))
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -230,6 +323,7 @@ def answers_from(
             in_training_range=not (outside or untrained),
             problem=outside or question.doubt(labels) or untrained,
             prediction_set=labels,
+            cause=causes.get(row),
         )
 
 

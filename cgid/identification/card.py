@@ -13,7 +13,7 @@ from cgid.files import check_new, write_together
 from cgid.identification.detection import VIBRATION_DEAD_TIME
 from cgid.identification.model import Model
 from cgid.signals import KNOWN
-from cgid.terminal import printable
+from cgid.terminal import counted, printable
 
 if TYPE_CHECKING:
     from cgid.identification.training import Training
@@ -80,9 +80,21 @@ def write_model(
 
 
 def write_card(model: Model, name: str, pictures: tuple[str, ...] = (), further: Sequence[Section] = ()) -> str:
-    """Return the card of a model; `name` is that of the model file, `pictures` are relative to the card.
+    """Return the card of a model in Markdown.
 
-    `further` are titles and lines of sections to add before the limits.
+    Parameters
+    ----------
+    model : Model
+    name : str
+        Name of the model file.
+    pictures : tuple of str
+        Paths relative to the card.
+    further : sequence of sections
+        Titles and lines of sections to add before the limits.
+
+    Returns
+    -------
+    str
     """
     lines = [f"# Model card: {plain(name)}", ""]
     if model.training["labels_shuffled"]:
@@ -172,7 +184,7 @@ def _of_recordings(model: Model, recorded: Record) -> list[tuple[str, str]]:
     if model.sensors:
         found.append(("reference spectra of sensors", ", ".join(map(plain, model.sensors))))
     if recorded["failures"]:
-        found.append(("could not be read", f"{len(recorded['failures'])} recordings"))
+        found.append(("could not be read", counted(len(recorded["failures"]), "recording")))
     return found
 
 
@@ -199,11 +211,11 @@ def _judgement(model: Model) -> list[str]:
 def _votes(training: Record) -> list[str]:
     """Return the accuracy of rows, running votes and whole recordings."""
     metrics = training["metrics"]
-    recordings = metrics["recordings"]
+    recordings = metrics.get("recordings")
     judged = [
         (f"one {training['recorded']['by']}", metrics),
         *((f"running vote over {row['time']:g} s", row) for row in metrics.get("running", []) if row["n"]),
-        ("vote of a whole recording", recordings),
+        *([] if recordings is None else [("vote of a whole recording", recordings)]),
     ]
     shares = []
     for name, row in judged:
@@ -218,14 +230,13 @@ def _votes(training: Record) -> list[str]:
             row["n"],
             f"{row['accuracy']:.4f}",
         )
-        for row in recordings["rows"]
+        for row in ([] if recordings is None else recordings["rows"])
     ]
     return [
         *table(("decision on", "right", "95 % interval", "number"), shares),
         "",
         "Votes are means of logarithms of probabilities. The intervals count groups, not what lies in them.",
-        "",
-        *table(("recording", "label", "vote", "rows", "right"), votes),
+        *(["", *table(("recording", "label", "vote", "rows", "right"), votes)] if votes else []),
     ]
 
 

@@ -35,13 +35,18 @@ class Estimates:
 
     Attributes
     ----------
-    peak, contact_duration, baseline : (n,)
-    onset : time of touch after the first sample [s], (n,)
-    restitution : above 1 for a pulse that rises more slowly than it falls, (n,)
-    covariance : (n, 5, 5) of ln(peak), ln(contact duration), onset [s], ln(restitution), baseline; 0 if given
-    misfit : squared residual over that of the noise, about 1 for a pulse of the family, (n,)
-    overload : peak over the clipping level, minus 1; 0 without clipping, (n,)
-    converged : (n,)
+    peak, contact_duration, baseline : ndarray, (n,)
+    onset : ndarray, (n,) [s]
+        Time of touch after the first sample.
+    restitution : ndarray, (n,)
+        Above 1 for a pulse that rises more slowly than it falls.
+    covariance : ndarray, (n, 5, 5)
+        Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline; 0 for what was given.
+    misfit : ndarray, (n,)
+        Squared residual over that of the noise, about 1 for a pulse of the family.
+    overload : ndarray, (n,)
+        Peak over the clipping level, minus 1; 0 without clipping.
+    converged : ndarray of bool, (n,)
     """
 
     peak: Floats
@@ -71,9 +76,12 @@ class Posterior:
 
     Attributes
     ----------
-    restitution : nodes, ascending, (n, n_nodes)
-    weight : probability of each node, (n, n_nodes); each row sums to 1
-    peak, contact_duration : posterior means (n,), in the unit of the signal and seconds
+    restitution : ndarray, (n, n_nodes)
+        Nodes of the quadrature, ascending.
+    weight : ndarray, (n, n_nodes)
+        Probability of each node; each row sums to 1.
+    peak, contact_duration : ndarray, (n,)
+        Posterior means, in the unit of the signal and seconds.
     """
 
     restitution: Floats

@@ -35,6 +35,12 @@ _LATE = 0.5e-3
 FOUND_LIMIT = 2.0
 #: With at least this many samples before an impact, missing ones are mirrored.
 _ENOUGH = 8
+#: Where the recording begins so shortly before an impact that fewer than this share of the quiet part is there, the
+#: quietest stretch of the frame stands in for it. It is searched at this many places a length.
+_FEW, _PLACES = 0.25, 4
+#: A vibration is cut off by the start of the recording if its first samples are above this share of its peak and this
+#: many standard deviations of the noise. The first samples last this long [s], because a vibration crosses zero.
+_BEGUN, _BEGUN_OVER_NOISE, _FIRST_TIME = 0.2, 6.0, 0.08e-3
 #: A clipped value is at least this share of the largest deviation.
 _CLIPPED_SHARE = 0.5
 
@@ -72,16 +78,25 @@ class Event:
 
     Attributes
     ----------
-    channel : where it was heard; of joint channels, the one with the strongest signal
-    onset, end : index in the recording of its first sample, and of the first sample after it
-    samples : the frame, (n_samples,) or (n_channels, n_samples); the baseline replaces the next impact, and fills the
-        frame after the end of the recording; a quiet part that is too short is extended by mirroring
-    pre_trigger : samples of the frame that are certainly before touch; None if it follows from the pulse itself
-    overlapping : whether another impact begins before this one is over, or this one before the previous is over
-    clipped : whether three samples in a row hold the highest or lowest value
-    cut : whether the recording begins or ends within the impact
-    problem : why the impact cannot be measured, if the frame does not show it; else empty
-    detection_limit : for `cgid.measure.features.extract_array`
+    channel : int
+        Where it was heard; of joint channels, the one with the strongest signal.
+    onset, end : int
+        Index in the recording of its first sample, and of the first sample after it.
+    samples : ndarray, (n_samples,) or (n_channels, n_samples)
+        The frame; the baseline replaces the next impact, and fills the frame after the end
+        of the recording; a quiet part that is too short is extended by mirroring.
+    pre_trigger : int or None
+        Samples of the frame that are certainly before touch; None if it follows from the pulse itself.
+    overlapping : bool
+        Whether another impact begins before this one is over, or this one before the previous is over.
+    clipped : bool
+        Whether three samples in a row hold the highest or lowest value.
+    cut : bool
+        Whether the recording begins or ends within the impact.
+    problem : str
+        Why the impact cannot be measured, if the frame does not show it; else empty.
+    detection_limit : float
+        Least height of a pulse over the standard deviation of the noise, for measuring it.
     """
 
     channel: int
@@ -224,14 +239,19 @@ class FrameCutter:
         interrupted = lasted < 0 and following is not None and behind == following.sample
         end = behind if lasted < 0 else min(onset.sample + lasted, max(behind, onset.sample + 1))
         self._before[onset.row] = onset, interrupted
-        began_cut = onset.sample < (framing.lead if framing.pre_trigger is not None else 1)
         ended_cut = end == stop
         start = max(onset.sample - framing.quiet, 0, 0 if before is None else (before.last or before.sample) + 1)
         if following is not None:
             behind = min(behind, max(following.sample - framing.late, onset.sample + 1))
         rows = samples if self._joint else samples[onset.channel : onset.channel + 1]
-        frame, baseline = self._frame(rows[:, start - first : behind - first], onset, start, length)
-        mine = float(baseline[onset.channel if self._joint else 0])
+        part = rows[:, start - first : behind - first]
+        heard = onset.channel if self._joint else 0
+        stretch = quietest(part[heard], framing.quiet) if before is None and start == 0 else slice(0, 0)
+        frame, baseline = self._frame(part, onset, start, length, stretch)
+        mine = float(baseline[heard])
+        began_cut = onset.sample < 1
+        if framing.pre_trigger is not None and onset.sample < framing.lead:
+            began_cut = start > 0 or has_begun(part[heard], onset.sample, mine, stretch, framing.lead)
         return Event(
             channel=onset.channel,
             onset=onset.sample,
@@ -246,10 +266,17 @@ class FrameCutter:
             problem=self._problem(began_cut, ended_cut, end - onset.sample),
         )
 
-    def _frame(self, part: NDArray[Any], onset: Onset, start: int, length: int) -> tuple[NDArray[Any], Floats]:
-        """Return the frames (n_channels, n_samples) around a part that begins at `start`, and their baselines."""
+    def _frame(
+        self, part: NDArray[Any], onset: Onset, start: int, length: int, stretch: slice
+    ) -> tuple[NDArray[Any], Floats]:
+        """Return the frames (n_channels, n_samples) around a part that begins at `start`, and their baselines.
+
+        `stretch` of the part stands in for the quiet part if there is little of that; it may be empty.
+        """
         framing = self._framing
         quiet = part[:, : max(onset.sample - framing.lead - start, 0)]
+        if quiet.shape[1] < _FEW * framing.quiet and stretch.stop:
+            quiet = part[:, stretch]
         missing = framing.quiet - (onset.sample - start)
         enough = quiet.shape[1] >= _ENOUGH
         if enough:
@@ -278,6 +305,32 @@ class FrameCutter:
                 f"after {lasted / framing.sampling_rate * 1e3:.3g} ms: record longer"
             )
         return ""
+
+
+def quietest(samples: Floats, longest: int) -> slice:
+    """Return the stretch of the samples (n,) with the least variance: `longest` long, or a quarter of the samples.
+
+    It is empty for fewer than 4 `_ENOUGH` samples.
+    """
+    length = min(longest, samples.size // 4)
+    if length < _ENOUGH:
+        return slice(0, 0)
+    starts = np.arange(0, samples.size - length + 1, max(length // _PLACES, 1))
+    powers = [float(np.var(samples[start : start + length], dtype=np.float64)) for start in starts.tolist()]
+    start = int(starts[int(np.argmin(powers))])
+    return slice(start, start + length)
+
+
+def has_begun(samples: Floats, onset: int, baseline: float, stretch: slice, lead: int) -> bool:
+    """Return whether a vibration (n,) was going on at the first sample; `stretch` of it is noise.
+
+    `lead` samples last `LEAD_TIME`.
+    """
+    count = max(round(lead * _FIRST_TIME / LEAD_TIME), 3)
+    first = float(np.abs(samples[:count] - baseline).max())
+    peak = float(np.abs(samples[: onset + lead] - baseline).max())
+    noise = float(np.std(samples[stretch], dtype=np.float64)) if stretch.stop else 0.0
+    return first > max(_BEGUN * peak, _BEGUN_OVER_NOISE * noise)
 
 
 def _is_clipped(deviation: Floats) -> bool:

@@ -48,6 +48,11 @@ class Standardiser:
         logs = np.log(np.maximum(features, self.floor), where=self.logarithmic, out=features.copy())
         return np.asarray((logs - self.mean) / self.scale)
 
+    def at(self, standardised: float) -> Floats:
+        """Return the features (n_features,) whose standardised values are all this one."""
+        plain = self.mean + standardised * self.scale
+        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, plain, 0.0)), plain)
+
 
 def squares(standardised: Floats) -> Floats:
     """Return all features and their pairwise products, (n, m + m (m + 1) / 2)."""
@@ -103,6 +108,14 @@ class Neighbourhood:
         offsets = standardised[None] - self.centres[:, None]
         white = offsets @ np.swapaxes(self.whitening, 1, 2)
         return np.asarray(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit)
+
+    def foremost(self, standardised: Floats) -> NDArray[np.intp]:
+        """Return the number of the feature that adds most to the squared distance of each row, (n,)."""
+        offsets = standardised[None] - self.centres[:, None]
+        white = offsets @ np.swapaxes(self.whitening, 1, 2)
+        nearest = np.argmin(np.sum(white**2, axis=2), axis=0)
+        rows = np.arange(len(standardised))
+        return np.asarray(np.argmax((offsets * (white @ self.whitening))[nearest, rows], axis=1))
 
 
 Arrays = Mapping[str, NDArray[Any]]

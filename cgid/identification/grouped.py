@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
 from cgid.identification.classifier import ImpactClassifier, best_temperature
+from cgid.identification.events import EVENT_TIME
 from cgid.identification.families import Neighbourhood, softmax
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
 from cgid.validation import Floats
@@ -28,6 +30,10 @@ from cgid.workers import ALONE, Workers
 MOST_FOLDS = 20
 #: A later candidate must be better by this accuracy: with few recordings, smaller differences mean little.
 MARGIN = 0.01
+#: Fewest blocks of time of a single recording; more, up to `MOST_FOLDS`, where a label would lie in too few of them.
+FEWEST_BLOCKS = 8
+#: Impacts on two channels within this time are one blow [s].
+_ONE_BLOW = 10e-3
 Weights = Mapping[str, float] | str | None
 
 
@@ -90,6 +96,31 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None
                 f"label {label} must have recordings in at least 2 groups, one to train and one to judge, got {count}; "
                 "add some, or correct the label"
             )
+
+
+def in_blocks_of_time(rows: Rows) -> Rows:
+    """Return the rows of a single recording with successive blocks of time as their groups.
+
+    A block has about as many rows as another one. Rows that lie in two blocks, with what they share of their samples,
+    are left out: they would be on both sides of a split.
+    """
+    assert rows.slicing is not None
+    before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (_ONE_BLOW, EVENT_TIME)
+    time = np.unique(rows.time)
+    for wanted, n_blocks in product((3, 2), range(FEWEST_BLOCKS, MOST_FOLDS + 1)):
+        last = np.arange(1, n_blocks) * len(time) // n_blocks
+        edges = (time[last - 1] + time[last]) / 2 if len(time) >= n_blocks else np.empty(0)
+        block = np.searchsorted(edges, rows.time - before)
+        whole = block == np.searchsorted(edges, rows.time + after)
+        if all(len(np.unique(block[whole & (rows.labels == label)])) >= wanted for label in np.unique(rows.labels)):
+            ends = [f"{edge:.6g}" for edge in (float(time[0]), *edges.tolist(), float(time[-1]))]
+            names = tuple(f"{start} to {end} s" for start, end in pairwise(ends))
+            warning = (
+                f"all rows are from one recording: {n_blocks} blocks of its time judge each other, which flatters a "
+                "model; recordings of other days or supports judge it better"
+            )
+            return replace(rows, group=block, groups=names, warnings=(*rows.warnings, warning))[whole]
+    return rows
 
 
 def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed: int) -> Iterator[NDArray[np.bool_]]:

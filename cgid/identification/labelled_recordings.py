@@ -8,8 +8,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import compress, groupby
+from itertools import compress, groupby, product
 from typing import Any, NoReturn
 
 import numpy as np
@@ -22,10 +23,12 @@ from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
+from cgid.identification.silence import Silence, silence_of
 from cgid.identification.windows import Grid, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
+from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import told
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
@@ -35,14 +38,18 @@ from cgid.validation import Floats
 class Reading:
     """Settings for reading recordings: metadata that files and manifest lack, and the handling of unreadable files.
 
-    For the first three see `cgid.recordings.open_recording`. If `strict`, the first unreadable recording raises; else
-    it is reported and the others are read.
+    For all but `strict` and `failed` see `cgid.recordings.open_recording`. If `strict`, the first unreadable recording
+    raises; else `failed` receives its error at once, and the others are read.
     """
 
     sampling_rate: float | None = None
     unit: str | None = None
     channels: tuple[int | str, ...] | None = None
     strict: bool = False
+    sensitivity: Statement | None = None
+    gain: Statement | None = None
+    full_scale: Statement | None = None
+    failed: Callable[[CgidError], object] = lambda error: None
 
     def note(self, error: CgidError, failures: list[CgidError]) -> None:
         """Record the error of a recording, or raise it if strict."""
@@ -67,10 +74,32 @@ class AnnotatedFile:
     unit: str
     digest: str
 
+    @property
+    def upright(self) -> float:
+        """1, or -1 if a negative gain turns the samples over."""
+        return -1.0 if (self.annotations[0].gain or 1.0) < 0 else 1.0
+
+    def blocks(self) -> Iterator[NDArray[Any]]:
+        """Yield the samples; raise `BadData` at the end if an annotation starts behind it."""
+        count = 0
+        for block in self.recording.blocks():
+            count += block.shape[1]
+            yield block
+        self.require_inside(count)
+
+    def require_inside(self, n_samples: int | None) -> None:
+        """Raise `BadData` if the last annotation starts behind a number of samples, if that is known."""
+        last, rate = self.annotations[-1], self.recording.sampling_rate
+        if n_samples is not None and last.start * rate >= n_samples:
+            raise BadData(
+                f"{last.name}: start must lie inside the recording, which lasts {n_samples / rate:g} s, got "
+                f"{last.start:g} s; correct it, or the path"
+            )
+
     def scale(self, annotation: Annotation, unit: str) -> float:
         """Return the factor from the file's values to a unit, with the recorder's gain divided out."""
         units = UNITS[quantity_of(unit)]
-        return units[self.unit] / units[unit] / annotation.gain
+        return units[self.unit] / units[unit] / (annotation.gain or 1.0)
 
 
 def open_all(
@@ -112,7 +141,7 @@ def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotatio
     """
     rate = file.recording.sampling_rate
     bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
-    for k, own in groupby(_cut(file.recording.blocks(), bounds), lambda part: part[0]):
+    for k, own in groupby(_cut(file.blocks(), bounds), lambda part: part[0]):
         scale = file.scale(file.annotations[k], unit)
         yield file.annotations[k], (samples * scale for _, samples in own)
 
@@ -150,22 +179,36 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
         unit=first.unit or reading.unit,
         channel=first.channels or reading.channels,
         variable=first.variable,
+        sensitivity=first.sensitivity or reading.sensitivity,
+        # A gain of one annotation is divided out of its interval alone.
+        gain=first.recording_gain or (None if any(one.gain is not None for one in annotations) else reading.gain),
+        full_scale=first.full_scale or reading.full_scale,
     )
+    unit = unit_of(recording)
+    try:
+        with first.path.open("rb") as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as error:
+        raise NoInput(f"{first.path}: the file cannot be read ({error.strerror}); check it") from None
+    file = AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest)
+    file.require_inside(recording.n_samples)
+    return file
+
+
+def unit_of(recording: RecordingFile) -> str:
+    """Return the unit of all channels; raises `MissingOption` if it is not known, `BadData` if there are several."""
     units = {channel.unit for channel in recording.channels}
     unit = recording.channels[0].unit
     if unit is None:
         raise MissingOption(
             f"{recording.source}: the file does not say the unit; give it with --unit U, such as --unit g"
         )
+    for channel in recording.channels:
+        require_measured(channel.unit, recording.source)
     if len(units) > 1:
         got = " and ".join(sorted(str(unit) for unit in units))
         raise BadData(f"{recording.source}: channels must be in one unit, got {got}; choose with --channel")
-    try:
-        with first.path.open("rb") as content:
-            digest = hashlib.file_digest(content, "sha256").hexdigest()
-    except OSError as error:
-        raise NoInput(f"{first.path}: the file cannot be read ({error.strerror}); check it") from None
-    return AnnotatedFile(annotations=annotations, recording=recording, unit=unit, digest=digest)
+    return unit
 
 
 def _require_alike(file: AnnotatedFile, first: AnnotatedFile) -> None:
@@ -222,13 +265,20 @@ def record(
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts.
 
-    By default these are all of `cgid.identification.rows.sets_for` that can be measured on every recording. `progress`
-    receives the number of rows measured. Raises `BadData` if no recording yields a row or files of different groups are
-    equal, `InvalidValue` for a bad choice, and if strict the error of the first unreadable recording.
+    By default these are all of `cgid.identification.rows.sets_for` that can be measured on every recording. Where the
+    slicing leaves it open, the features say whether rows are impacts or windows, else what the recordings hold
+    (`cgid.identification.silence`); `Rows.notes` says which. `progress` receives the number of rows measured.
+
+    Raises `BadData` if no recording yields a row or files of different groups are equal, `InvalidValue` for a bad
+    choice, and if strict the error of the first unreadable recording.
     """
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures: list[CgidError] = []
     files = open_all(manifest, reading, failures)
+    for failure in failures:
+        reading.failed(failure)
+    n_said = len(failures)
+    slicing, notes, warnings = _decided(files, slicing, features)
     names = _names(features, files, slicing, level_free)
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
@@ -243,9 +293,44 @@ def record(
         said = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
-            "correct start and end, or what is decided on"
+            f"correct start and end, or give --by {'impact' if slicing.by == 'window' else 'window'}"
         )
-    return replace(_joined(measured, cutting), references=references, failures=tuple(failures))
+    for failure in failures[n_said:]:
+        reading.failed(failure)
+    rows = _joined(measured, cutting)
+    return replace(
+        rows, references=references, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings)
+    )
+
+
+def _decided(
+    files: Sequence[AnnotatedFile], slicing: Slicing, features: Sequence[str] | None
+) -> tuple[Slicing, tuple[str, ...], tuple[str, ...]]:
+    """Return the slicing by impact or by window, a note that says why if that was open, and warnings."""
+    if slicing.by == "impact":
+        return slicing, (), ()
+    if slicing.by is None and features is not None:
+        return replace(slicing, by="window" if kind_of(choose(features)) == "window" else "impact"), (), ()
+    held = _silence(files, slicing)
+    if slicing.by is None and held.has_single_impacts:
+        return replace(slicing, by="impact"), (f"trained on impacts, because {held}; --by window for windows",), ()
+    if slicing.by is None:
+        note = f"trained on windows of {slicing.window_time:g} s, because only {held}; --by impact for impacts"
+        return replace(slicing, by="window"), (note,), ()
+    if not held.has_single_impacts or held.is_cut:
+        return slicing, (), ()
+    return slicing, (), (f"most windows tell nothing, {held}; leave out --by, or give --by impact",)
+
+
+def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
+    """Return what all files hold; those that cannot be read are said when they are measured."""
+    held = Silence()
+    for file in files:
+        with suppress(CgidError):
+            intervals = [(one.start, one.end) for one in file.annotations]
+            kind = kind_for(quantity_of(file.unit))
+            held += silence_of(file.recording, kind, intervals, slicing.dead_time, invert=file.upright < 0)
+    return held
 
 
 def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cutting) -> Rows:
@@ -274,7 +359,7 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
         digests=tuple(file.digest for file, _ in measured),
         unit=cutting.unit,
         sampling_rates=(min(rates), max(rates)),
-        n_channels=len(recordings[0].channels),
+        n_channels=len(recordings[0].channels) if cutting.slicing.by == "window" else 1,
         slicing=cutting.slicing,
         time=np.concatenate([times for _, times, _ in pieces])[complete],
         left_out=int((~complete).sum()),
@@ -293,11 +378,6 @@ def _names(
 ) -> tuple[str, ...]:
     """Return the features to measure: the given ones, or those of all sets that every recording supports."""
     rate = min(file.recording.sampling_rate for file in files)
-    n_channels = len(files[0].recording.channels)
-    if slicing.by == "impact" and n_channels > 1:
-        raise InvalidValue(
-            f"impacts must be those of one channel, got {n_channels}; choose with --channel, or decide on windows"
-        )
     kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
     if features is not None:
         asked = choose(features)
@@ -371,31 +451,37 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
 
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
-    """Yield annotation, times and features of the impacts in annotated intervals; the detector sees all samples."""
+    """Yield annotation, times and features of the impacts in annotated intervals; the detector sees all samples.
+
+    As in prediction, each channel is a sensor of its own: a blow is a row for each channel that hears it.
+    """
     recording = file.recording
+    sign = file.upright
     detector = ImpactDetector(
         recording.sampling_rate,
+        len(recording.channels),
         kind="vibration" if kind_of(cutting.names) == "vibration" else "pulse",
         dead_time=cutting.slicing.dead_time,
     )
-    for block in recording.blocks():
-        yield from _measured_events(detector.feed(block), file, cutting)
+    for block in file.blocks():
+        yield from _measured_events(detector.feed(sign * block), file, cutting)
     yield from _measured_events(detector.finish(), file, cutting)
 
 
 def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
-    for annotation in file.annotations:
-        own = [event for event in events if annotation.start <= event.time < annotation.end]
+    for annotation, channel in product(file.annotations, range(len(file.recording.channels))):
+        within = [event for event in events if annotation.start <= event.time < annotation.end]
+        own = [event for event in within if event.channel == channel]
         for numbers, frames in frames_alike(own):
             some = [own[number] for number in numbers]
             features = extract_array(
-                frames * file.scale(annotation, cutting.unit),
+                frames * abs(file.scale(annotation, cutting.unit)),
                 file.recording.sampling_rate,
                 cutting.names,
                 pre_trigger=some[0].pre_trigger,
                 invalid="nan",
                 detection_limit=some[0].detection_limit,
-                equalisation=cutting.equalisations[annotation.sensor][0] if annotation.sensor else None,
+                equalisation=cutting.equalisations[annotation.sensor][channel] if annotation.sensor else None,
             )
             features[[bool(event.problem) for event in some]] = np.nan
             yield annotation, np.array([event.time for event in some]), features

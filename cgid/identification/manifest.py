@@ -1,7 +1,8 @@
 """The manifest of labelled recordings: labels of files or intervals, and the groups they belong to.
 
 A CSV file has one row per interval, with any of `COLUMNS`. A TOML file has one `[[recording]]` per file, with keys of
-the same names; top-level values apply to all recordings. Paths are relative to the manifest.
+the same names; top-level values apply to all recordings. Paths are relative to the manifest. A folder whose subfolders
+are labels is a manifest, too. `manifest_text` writes one for the user to fill in.
 """
 
 from __future__ import annotations
@@ -9,6 +10,9 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
+import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,21 +20,34 @@ from pathlib import Path
 from typing import Any
 
 from cgid import validation
-from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.files import parse_toml, read_regular
+from cgid.recordings.chain import Chain, Gain
 from cgid.units import quantity_of
 
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
-    "variable",
+    *("variable", "sensitivity", "full_scale"),
+)
+#: Columns of a CSV file that only inform the person who labels the rows.
+INFORMATIVE = ("time [s]", "peak", "peak_unit", "flags", "content", "note")
+#: Columns of numbers, which a spreadsheet may write with a decimal comma.
+_NUMBERS = ("start", "end", "gain", "rate")
+#: Manifests that a folder may hold, and endings of the recordings in it.
+_NAMES = ("manifest.csv", "events.csv", "manifest.toml")
+ENDINGS = (
+    *(".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".wav", ".flac", ".ogg", ".npy", ".npz", ".h5", ".hdf5"),
+    *(".hdf", ".mat", ".tdms", ".uff", ".unv", ".parquet"),
 )
 #: Most characters of a label, group or sensor.
 _LONGEST_WORD = 100
 #: Largest size [bytes] and number of keys of a manifest.
 LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
+#: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
+_HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
+_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable", "sensitivity", "full_scale")
 #: Most mistakes reported at once.
 _MOST_MISTAKES = 20
 
@@ -49,10 +66,12 @@ class Annotation:
     group : unit that splits keep together, such as a day or a support; default: the recording
     start, end : [s]; `end` is infinite for the end of the recording
     channels : numbers from 1, or names, of the channels of a row; None for all
-    gain : divisor of the samples
+    gain : divisor of the samples of the interval, a negative one turns them over; None if none is stated
+    recording_gain : gain that differs between the channels, or is that of a charge amplifier; for the whole recording
     sensor : sensor whose reference run equalises the response; empty for none
     reference : whether this is the reference run of the sensor
-    sampling_rate, unit, variable : for files without them, see `cgid.recordings.open_recording`
+    sampling_rate, unit, variable, sensitivity, full_scale : for files without them, see
+        `cgid.recordings.open_recording`
     """
 
     path: Path
@@ -62,12 +81,15 @@ class Annotation:
     start: float = 0.0
     end: float = math.inf
     channels: tuple[int | str, ...] | None = None
-    gain: float = 1.0
+    gain: float | None = None
+    recording_gain: tuple[str, ...] | None = None
     sensor: str = ""
     reference: bool = False
     sampling_rate: float | None = None
     unit: str | None = None
     variable: str | None = None
+    sensitivity: tuple[str, ...] | None = None
+    full_scale: tuple[str, ...] | None = None
 
     @property
     def name(self) -> str:
@@ -101,6 +123,13 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     rate, unit, variable = row.get("rate"), row.get("unit"), row.get("variable")
     if unit is not None:
         quantity_of(unit if isinstance(unit, str) else repr(unit))
+    gain, sensitivity, full_scale = (_of_channels(row.get(name)) for name in ("gain", "sensitivity", "full_scale"))
+    sign = 1.0
+    if gain is not None and len(gain) == 1 and gain[0].startswith("-"):
+        sign, gain = -1.0, (gain[0][1:],)
+    Chain.of(sensitivity, gain, full_scale)
+    one_gain = Gain.of(gain[0]) if gain is not None and len(gain) == 1 and "=" not in gain[0] else None
+    is_factor = one_gain is not None and not one_gain.is_of_charge
     return Annotation(
         path=folder / path,
         written=path,
@@ -109,12 +138,15 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         start=start,
         end=end,
         channels=_channels(row.get("channel")),
-        gain=_gain(row.get("gain", 1.0)),
+        gain=sign * one_gain.value if one_gain is not None and is_factor else -1.0 if sign < 0 else None,
+        recording_gain=None if is_factor else gain,
         sensor=sensor,
         reference=reference,
         sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
         unit=unit,
         variable=None if variable is None else _word("variable", variable),
+        sensitivity=sensitivity,
+        full_scale=full_scale,
     )
 
 
@@ -135,21 +167,19 @@ def _number(name: str, value: Any, what: str) -> float:
     return number
 
 
-def _positive(name: str, value: Any, unit: str = "") -> float:
-    number = _number(name, value, f" in {unit}" if unit else ", a factor or with dB behind it")
+def _positive(name: str, value: Any, unit: str) -> float:
+    number = _number(name, value, f" in {unit}")
     if not 0 < number < math.inf:
-        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}".rstrip())
+        raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}")
     return number
 
 
-def _gain(value: Any) -> float:
-    """Return a gain as a factor; a string may give it in dB."""
-    if not isinstance(value, str) or not value.lower().endswith("db"):
-        return _positive("gain", value)
-    level = _number("gain", value[:-2], " in dB")
-    if not abs(level) <= 400:
-        raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
-    return float(10.0 ** (level / 20))
+def _of_channels(value: Any) -> tuple[str, ...] | None:
+    """Return the values of a cell: one for all channels, or several NAME=VALUE, in a list or with ; between them."""
+    if value is None:
+        return None
+    listed = value.split(";") if isinstance(value, str) else value if isinstance(value, list) else [value]
+    return tuple(str(one).strip() if not isinstance(one, bool) else repr(one) for one in listed)
 
 
 def _truth(name: str, value: Any) -> bool:
@@ -189,6 +219,11 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
             found.append(f"{path}: a recording must lie in one group as a whole, got {' and '.join(groups[:2])}")
         own.sort(key=lambda one: (str(one.channels), one.start))
         for before, after in pairwise(own):
+            for name in ("sensitivity", "recording_gain", "full_scale"):
+                first, second = getattr(before, name), getattr(after, name)
+                if before.channels == after.channels and first != second:
+                    what = f"{' and '.join(first or ('none',))} and {' and '.join(second or ('none',))}"
+                    found.append(f"{path}: a recording must have one {name.removeprefix('recording_')}, got {what}")
             if before.channels == after.channels and after.start < before.end:
                 what = f"{before.label or 'a reference run'} and {after.label or 'a reference run'}"
                 found.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")
@@ -212,15 +247,33 @@ class Manifest:
 
 
 def is_manifest(path: str | Path) -> bool:
-    """Return whether a file is a manifest: any .csv, or a .toml (which could be a scene) with recordings."""
+    """Return whether a file is a manifest: a .csv that is no recording, or a .toml (no scene) with recordings."""
     path = Path(path)
     if path.suffix.lower() == ".csv":
-        return True
+        return not (path.is_file() and _is_table_of_numbers(path))
     if path.suffix.lower() != ".toml" or not path.is_file():
         return False
     try:
         return "recording" in _toml(path)
     except CgidError:
+        return False
+
+
+def _is_table_of_numbers(path: Path) -> bool:
+    """Return whether the first lines of a CSV file name no column of a manifest and hold a row of numbers."""
+    try:
+        with path.open("rb") as file:
+            lines = file.read(_HEAD).decode("utf-8-sig", "replace").splitlines()
+    except OSError:
+        return False
+    rows = [[cell.strip().strip('"').lower() for cell in re.split("[,;\t]", line)] for line in lines]
+    return not any({"path", "label"} & set(cells) for cells in rows) and any(map(_all_numbers, rows))
+
+
+def _all_numbers(cells: Sequence[str]) -> bool:
+    try:
+        return [float(cell) for cell in cells if cell] != []
+    except ValueError:
         return False
 
 
@@ -232,7 +285,15 @@ def read_manifest(path: str | Path) -> Manifest:
     path = Path(path)
     rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
     annotations, mistakes = [], []
+    empty = [where for where, row in rows if not row.get("label") and not row.get("reference")]
+    if empty:
+        mistakes.append(
+            f"{path}: every row must have a label, {len(empty)} of {len(rows)} have none (the first is {empty[0]}); "
+            "fill in the column label, or delete these rows"
+        )
     for where, row in rows:
+        if where in empty:
+            continue
         try:
             annotations.append(annotation_of(row, path.parent, labels))
         except InvalidValue as error:
@@ -273,11 +334,15 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
             continue
         if not names:
             names = [cell.lower() for cell in cells]
-            _check_names(names, COLUMNS, f"{path}: columns", required="path")
+            read = [name for name in names if name not in INFORMATIVE]
+            _check_names(read, COLUMNS, f"{path}: columns", required="path")
             continue
         if len(cells) > len(names):
             raise BadData(f"{path}: row {number}: must have {len(names)} cells as the header, got {len(cells)}")
-        rows.append((f"row {number}", {name: cell for name, cell in zip(names, cells, strict=False) if cell}))
+        row = {name: cell for name, cell in zip(names, cells, strict=False) if cell and name not in INFORMATIVE}
+        if separator != ",":
+            row |= {name: row[name].replace(",", ".") for name in _NUMBERS if name in row}
+        rows.append((f"row {number}", row))
     return rows, None
 
 
@@ -323,3 +388,89 @@ def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, requ
             raise BadData(f"{what} must be out of {', '.join(allowed)}, {fault}")
     if required is not None and required not in names:
         raise BadData(f"{what} must include {required}, got {', '.join(names) or 'none'}")
+
+
+# -- folders, and files to fill in ------------------------------------------------------------------------
+
+
+def folder_manifest(folder: str | Path) -> Manifest:
+    """Return the manifest of a folder: the one that it holds, else its subfolders are labels.
+
+    In a subfolder, each file is a recording. Files of a folder further down are one group, such as a day. Raises
+    `BadData` if there is no recording or nothing tells the labels.
+    """
+    folder = Path(folder)
+    held = [folder / name for name in _NAMES if (folder / name).is_file()]
+    if len(held) > 1:
+        raise BadData(
+            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in held)}; name one"
+        )
+    if held:
+        return read_manifest(held[0])
+    rows = [row_of(file, folder) for file in recordings_in(folder)]
+    loose = [row["path"] for row in rows if not row["label"]]
+    if loose:
+        raise BadData(f"{folder}: {unlabelled(loose[0], str(folder))}")
+    annotations = []
+    for row in rows:
+        try:
+            annotations.append(annotation_of(row, folder, None))
+        except InvalidValue as error:
+            raise BadData(f"{folder}: {row['path']}: {error}") from None
+    return Manifest(source=str(folder), annotations=tuple(annotations))
+
+
+def row_of(file: Path, folder: Path) -> dict[str, str]:
+    """Return path, label and group of a recording in a folder; outside of its subfolders it has no label."""
+    parts = file.relative_to(folder).parts
+    return {"path": "/".join(parts), "label": "".join(parts[:-1][:1]), "group": "/".join(parts[1:-1])}
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """Return the files in a folder and its subfolders that end as recordings do, sorted.
+
+    Raises `BadData` if there is none, `NoInput` if the folder cannot be read.
+    """
+    try:
+        found = sorted(file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+    except OSError as error:
+        raise NoInput(f"{folder}: the folder cannot be read ({error.strerror}); check its rights") from None
+    hidden = {file for file in found if any(part.startswith(".") for part in file.relative_to(folder).parts)}
+    files = [file for file in found if file not in hidden and not is_manifest(file)]
+    if not files:
+        what = "its files have other endings" if any(folder.iterdir()) else "it is empty"
+        raise BadData(f"{folder}: a folder must hold recordings ({', '.join(ENDINGS)}), {what}; choose another one")
+    return files
+
+
+def unlabelled(name: str, given: str) -> str:
+    """Return the fault of a recording without a label, and the commands that label what was `given`."""
+    return (
+        f"{name} must have labels to train on and has none; run cgid events {shlex.quote(given)} -o events.csv for a "
+        "row for each impact, fill in the column label, then cgid train events.csv -o mine.npz"
+    )
+
+
+def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
+    """Return the content of a CSV manifest; columns without a value are left out, but for path, label and the given.
+
+    >>> print(manifest_text([{"path": "a.wav", "start": "0.5", "peak": "12"}]), end="")
+    path,start,label,peak
+    a.wav,0.5,,12
+    """
+    order = dict.fromkeys(("path", "channel", "start", "end", "label", *INFORMATIVE, *COLUMNS))
+    kept = [name for name in order if name in ("path", "label", *columns) or any(row.get(name) for row in rows)]
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, kept, restval="", extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def path_from(folder: Path, file: str | Path) -> str:
+    """Return the path of a file as a manifest in a folder says it."""
+    try:
+        path = Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:  # another drive
+        path = Path(file).absolute().as_posix()
+    return f"./{path}" if path.startswith("#") else path  # a comment begins with #

@@ -147,18 +147,24 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     return max(float(low), 0.0), min(float(high), 1.0)
 
 
+#: A recording or interval of fewer rows than this has no vote worth naming; a blow on two channels is two rows.
+FEWEST_VOTING = 3
+
+
 def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
     """Return the metrics of rows, whole recordings and running votes; their intervals count groups."""
     classes = np.unique(rows.labels)
     metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
     hits = classes[np.argmax(probabilities, axis=1)] == rows.labels
     metrics["accuracy_interval_95"] = list(clustered_interval(hits, rows.group))
+    if rows.kind == "window":
+        metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
+    if len(rows.labels) < FEWEST_VOTING * len(rows.sources):  # intervals around single impacts
+        return {**metrics, "prediction_sets": []}
     recordings = _recordings(rows, probabilities)
     voted = np.array([row["vote"] == row["label"] for row in recordings])
     owner = np.array([rows.groups.index(row["group"]) for row in recordings])
     metrics["recordings"] = {"n": len(voted), **_share(voted, owner), "rows": recordings}
-    if rows.kind == "window":
-        metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
     return {**metrics, "prediction_sets": []}
 
 

@@ -188,12 +188,16 @@ class Model:
         return Neighbourhood(self.arrays[names[0]], self.arrays[names[1]], self.neighbourhood_limit)
 
     def probabilities(self, inputs: Floats) -> Floats:
-        """Return the probability of each label, (n_impacts, n_labels).
+        """Return the probability of each label.
 
         Parameters
         ----------
         inputs : ndarray, (n_impacts, n_inputs)
             In the order of `self.inputs`.
+
+        Returns
+        -------
+        ndarray, (n_impacts, n_labels)
         """
         found = _in_blocks(
             lambda rows: softmax(self._classifier.scores(rows) / self.temperature),
@@ -219,8 +223,7 @@ class Model:
         guards : ndarray, (n_impacts, n_guards), optional
             In the order of `self.guards`; required if the model has any.
         """
-        near = self._neighbourhood
-        distance = _in_blocks(near.novelty, self._standardised(inputs), near.centres.size)
+        distance = self.distance(inputs)
         if guards is None and not self.guards:
             return distance
         guards = None if guards is None else validation.plain("guards", guards)
@@ -231,6 +234,19 @@ class Model:
                 f"got {'none' if guards is None else f'shape {guards.shape}'}"
             )
         return np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
+
+    def distance(self, inputs: Floats) -> Floats:
+        """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""
+        near = self._neighbourhood
+        return _in_blocks(near.novelty, self._standardised(inputs), near.centres.size)
+
+    def foremost(self, inputs: Floats) -> NDArray[np.intp]:
+        """Return the number of the input that contributes most to the distance of each impact, (n_impacts,)."""
+        return self._neighbourhood.foremost(self._standardised(inputs))
+
+    def usual(self, deviations: float) -> tuple[Floats, Floats]:
+        """Return the range of each input within this many standard deviations of the training, two (n_inputs,)."""
+        return self._standardiser.at(-deviations), self._standardiser.at(deviations)
 
     def prediction_set(
         self, probabilities: Floats, coverage: float, *, class_conditional: bool = False

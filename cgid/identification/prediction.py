@@ -16,7 +16,8 @@ from cgid.errors import BadData
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.question import Question
-from cgid.identification.stream import factor_of, identify_blocks, scaled
+from cgid.identification.stream import factor_of, identify_blocks
+from cgid.recordings.chain import scaled
 from cgid.shipped import model_path
 from cgid.signals import Signal
 

@@ -33,20 +33,34 @@ class Question:
 
     Attributes
     ----------
-    costs : cost of missing each label, see `Model.decide`
-    coverage : share of prediction sets that hold the truth; rejects sets without exactly one label; None: no rejection
-    class_conditional : whether each label by itself has this coverage, see `Model.prediction_set`
-    drop_height : of the rocks, for a model that needs it [m]
-    mass : of the accelerated striker [kg]; turns an acceleration into a force
-    invert : whether pulses point downwards
-    sensors : names of sensors that the model knows: one for all channels, or one for each
-    dead_time : see `cgid.identification.detection.find_impacts` [s]
-    vote_time : windows are decided on the mean log-probability over this time [s]; 0: no voting; None: `VOTE_TIME`
-    batch : number of impacts to collect before identification; 1: no waiting
-    share_time : window of a gangue share [s]; None: `SHARE_TIME`
-    share_step : time between the ends of successive windows of shares [s]; None: half a window
-    gangue : labels of rocks that must not be drawn; by default "gangue"
-    gangue_cost : of one drawn gangue impact, in lost coal impacts; None: 1
+    costs : mapping of str to float
+        Cost of missing each label, see `Model.decide`.
+    coverage : float, optional
+        Share of prediction sets that hold the truth; rejects sets without exactly one label; None: no rejection.
+    class_conditional : bool
+        Whether each label by itself has this coverage, see `Model.prediction_set`.
+    drop_height : float, optional [m]
+        How far the rocks fell, for a model that needs it.
+    mass : float, optional [kg]
+        Mass of the accelerated striker; turns an acceleration into a force.
+    invert : bool
+        Whether pulses point downwards.
+    sensors : tuple of str
+        Names of sensors that the model knows: one for all channels, or one for each.
+    dead_time : float, optional [s]
+        Time after an impact in which no other begins, see `find_impacts`.
+    vote_time : float, optional [s]
+        Windows are decided on the mean log-probability over this time; 0: no voting; None: `VOTE_TIME`.
+    batch : int
+        Number of impacts to collect before identification; 1: no waiting.
+    share_time : float, optional [s]
+        Window of a gangue share; None: `SHARE_TIME`.
+    share_step : float, optional [s]
+        Time between the ends of successive windows of shares; None: half a window.
+    gangue : tuple of str
+        Labels of rocks that must not be drawn; by default "gangue".
+    dilution_cost : float, optional
+        Cost of one drawn gangue impact, in lost coal impacts; None: 1.
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -62,7 +76,7 @@ class Question:
     share_time: float | None = None
     share_step: float | None = None
     gangue: tuple[str, ...] = ()
-    gangue_cost: float | None = None
+    dilution_cost: float | None = None
 
     def __post_init__(self) -> None:
         if self.costs and self.coverage is not None:
@@ -74,7 +88,7 @@ class Question:
         if not validation.positive("window", self.share_length, "s") >= SHORTEST_SHARE_TIME:
             raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.share_length:g} s")
         validation.positive("step", self.step, "s")
-        validation.positive("gangue_cost", self.cost_of_gangue)
+        validation.positive("dilution_cost", self.cost_of_dilution)
 
     # -- decision -------------------------------------------------------------------------------------
 
@@ -148,14 +162,14 @@ class Question:
         return self.gangue or ("gangue",)
 
     @property
-    def cost_of_gangue(self) -> float:
+    def cost_of_dilution(self) -> float:
         """Cost of one drawn gangue impact, in lost coal impacts."""
-        return 1.0 if self.gangue_cost is None else self.gangue_cost
+        return 1.0 if self.dilution_cost is None else self.dilution_cost
 
     @property
     def asks_for_shares(self) -> bool:
         """Whether an option asks for shares, so that even a single impact has them."""
-        return bool(self.gangue) or self.share_time is not None or self.gangue_cost is not None
+        return bool(self.gangue) or self.share_time is not None or self.dilution_cost is not None
 
     def separates_gangue(self, model: Model) -> bool:
         """Return whether a model separates gangue from other labels."""

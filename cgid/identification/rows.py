@@ -44,18 +44,19 @@ MOST_SYNTHETIC = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Slicing:
-    """How recordings become rows: by window, with length and hop [s], or by impact.
+    """How recordings become rows: by window, with length and hop [s], or by impact; None leaves it to the recordings.
 
     For `dead_time` [s] see `cgid.identification.detection.ImpactDetector`.
     """
 
-    by: Literal["window", "impact"] = "window"
+    by: Literal["window", "impact"] | None = None
     window_time: float = WINDOW_TIME
     hop_time: float = WINDOW_TIME / 2
     dead_time: float | None = None
 
     def __post_init__(self) -> None:
-        validation.choice("by", self.by, ("window", "impact"))
+        if self.by is not None:
+            validation.choice("by", self.by, ("window", "impact"))
         require_times(self.window_time, self.hop_time)
 
 
@@ -65,20 +66,35 @@ class Rows:
 
     Attributes
     ----------
-    names : features, measured on each of `n_channels` channels
-    features : (n_rows, n_channels * n_names), channel by channel
-    group : unit that splits keep together, (n_rows,): the specimen of a synthetic impact, or a number in `groups`;
-        below 0 for synthetic rows among recorded ones, which never judge
-    source : number in `sources` of the scene, dataset or annotated interval of each row, (n_rows,)
-    digests : SHA-256 of scenes, datasets or files
-    known : values of `known_names`, which are from `cgid.signals.KNOWN`, (n_rows, n_known)
-    sampling_rates : lowest and highest [Hz]
-    slicing : None for rows of scenes and datasets
-    time : start of a window, or time of an impact, in its recording [s], (n_rows,)
-    references : reference spectra of the sensors, each (n_channels, n_bands)
-    left_out : number of rows that could not be measured
-    failures : errors of unreadable recordings
-    warnings : damage of the other recordings, and intervals without a row; one line each
+    names : tuple of str
+        Features, measured on each of `n_channels` channels.
+    features : ndarray, (n_rows, n_channels * n_names)
+        Values, channel by channel.
+    group : ndarray of int, (n_rows,)
+        Unit that splits keep together: the specimen of a synthetic impact, or a number in `groups`; below 0 for
+        synthetic rows among recorded ones, which never judge.
+    source : ndarray of int, (n_rows,)
+        Number in `sources` of the scene, dataset or annotated interval of each row.
+    digests : tuple of str
+        SHA-256 of scenes, datasets or files.
+    known : ndarray, (n_rows, n_known)
+        Values of `known_names`, which are from `cgid.signals.KNOWN`.
+    sampling_rates : tuple of two floats [Hz]
+        Lowest and highest.
+    slicing : Slicing or None
+        How recordings are cut into windows; None for rows of scenes and datasets.
+    time : ndarray, (n_rows,) [s]
+        Start of a window, or time of an impact, in its recording.
+    references : mapping of str to ndarray, (n_channels, n_bands)
+        Reference spectra of the sensors.
+    left_out : int
+        Number of rows that could not be measured.
+    failures : tuple of CgidError
+        Errors of unreadable recordings.
+    warnings : tuple of str
+        Damage of the other recordings, and intervals without a row; one line each.
+    notes : tuple of str
+        What was decided for the user, and why; one line each.
     """
 
     names: tuple[str, ...]
@@ -100,6 +116,7 @@ class Rows:
     left_out: int = 0
     failures: tuple[CgidError, ...] = ()
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def kind(self) -> Kind:
@@ -212,8 +229,29 @@ def measure(
 ) -> Rows:
     """Return the rows of labelled batches; memory holds one batch of signals, or a few for each worker.
 
-    Raises `BadData` if there is no signal, or batches differ in their unit or lack a known quantity; `InvalidValue` for
-    an unknown feature or known quantity.
+    Parameters
+    ----------
+    batches : iterable of Batch
+        Such as `synthesise(...)` or `Dataset(...)`.
+    features : iterable of str, optional
+        Names of features; by default those of the default model.
+    progress : callable, optional
+        Is called with the number of signals of each batch.
+    known : tuple of str
+        Known quantities of each impact that the model will ask for, such as "drop_height".
+    crew : Workers
+        Processes that measure.
+
+    Returns
+    -------
+    Rows
+
+    Raises
+    ------
+    BadData
+        There is no signal, or batches differ in their unit or lack a known quantity.
+    InvalidValue
+        A feature or known quantity does not exist.
     """
     batches, names = chosen_for(batches, features)
     for name in known:

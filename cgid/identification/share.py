@@ -11,13 +11,13 @@ likely a gangue as a coal. Its likelihood at a share q is L:
 The product of L over the window, times a uniform prior, is the posterior density of q. It assumes independent impacts
 that the model answers as well as those of its test. If rocks bounce, or on another rig, the interval is too narrow.
 
-Going on takes the next impact, whatever it is. A gangue costs `gangue_cost`, because it must be carried, washed and
+Going on takes the next impact, whatever it is. A gangue costs `dilution_cost`, because it must be carried, washed and
 dumped. Shutting leaves it; a coal left behind costs 1, the unit. Per impact, going on costs
 
-    gangue_cost * q - (1 - q)
+    dilution_cost * q - (1 - q)
 
 more than shutting. This is linear in q, so its expectation needs only the mean of q. Its sign changes at
-q = 1 / (1 + gangue_cost). If the share is known and only rises, waiting beyond that never pays.
+q = 1 / (1 + dilution_cost). If the share is known and only rises, waiting beyond that never pays.
 """
 
 from __future__ import annotations
@@ -50,12 +50,18 @@ class Share:
 
     Attributes
     ----------
-    time : end of the window [s]
-    start : its begin [s]; impacts after it and up to `time` count
-    share : posterior mean; nan without any impact
-    low, high : shortest interval of probability `LEVEL`; 0 and 1 without any impact
-    n_impacts : impacts that were identified
-    n_unknown : unmeasurable impacts or those outside of the training range, which do not count
+    time : float [s]
+        End of the window.
+    start : float [s]
+        Begin of the window; impacts after it and up to `time` count.
+    share : float
+        Posterior mean; nan without any impact.
+    low, high : float
+        Shortest interval of probability `LEVEL`; 0 and 1 without any impact.
+    n_impacts : int
+        Impacts that were identified.
+    n_unknown : int
+        Unmeasurable impacts or those outside of the training range, which do not count.
     """
 
     time: float
@@ -75,11 +81,22 @@ class Share:
 
 
 class ShareWindow:
-    """The impacts of the last `length` seconds, and their gangue share.
+    """The impacts of the last seconds, and their gangue share.
 
-    `trained_share` in (0, 1) is that of gangue in the training of the model. `weight` in (0, 1] is that of one answer,
-    because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap. Raises `InvalidValue`
-    for numbers outside of these ranges.
+    Parameters
+    ----------
+    length : float [s]
+        Of the window.
+    trained_share : float, in (0, 1)
+        Share of gangue in the training of the model.
+    weight : float, in (0, 1]
+        Weight of one answer, because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap.
+    channel : str
+
+    Raises
+    ------
+    InvalidValue
+        A number is outside of its range.
 
     Examples
     --------
@@ -193,20 +210,20 @@ class Shutting:
     """Watch the share of one channel and report when the expected cost of going on changes sign.
 
     Each window of impacts counts by itself. Initially, going on pays. Above the share `threshold`, going on costs more
-    than shutting. Raises `InvalidValue` unless `gangue_cost` [lost coal impacts per drawn gangue] is above 0.
+    than shutting. Raises `InvalidValue` unless `dilution_cost` [lost coal impacts per drawn gangue] is above 0.
 
     >>> round(Shutting(3.0).threshold, 3)
     0.25
     """
 
-    def __init__(self, gangue_cost: float = 1.0) -> None:
-        self.gangue_cost = validation.number("gangue_cost", gangue_cost, "", validation.positive)
-        self.threshold = 1.0 / (1.0 + self.gangue_cost)
+    def __init__(self, dilution_cost: float = 1.0) -> None:
+        self.dilution_cost = validation.number("dilution_cost", dilution_cost, "", validation.positive)
+        self.threshold = 1.0 / (1.0 + self.dilution_cost)
         self._shut = False
 
     def cost(self, share: Share) -> float:
         """Return the cost of going on minus shutting [lost coal impacts per impact]; nan without any impact."""
-        return self.gangue_cost * share.share - (1.0 - share.share)
+        return self.dilution_cost * share.share - (1.0 - share.share)
 
     def watch(self, share: Share) -> Turn | None:
         """Return the turn at this window; None without a change, or with too few impacts."""
@@ -222,7 +239,15 @@ class Shutting:
 class CavingWatch:
     """Follow the answers of a recording, each channel by itself: a channel is a support with its own window.
 
-    The share window, its step, the labels and the cost of gangue come from the question; `weight` as in `ShareWindow`.
+    Parameters
+    ----------
+    model : Model
+    channels : sequence of str
+        Names of the channels.
+    question : Question
+        Holds the share window, its step, the labels and the cost of gangue.
+    weight : float
+        As in `ShareWindow`.
     """
 
     def __init__(self, model: Model, channels: Sequence[str], question: Question, weight: float = 1.0) -> None:
@@ -233,9 +258,9 @@ class CavingWatch:
             name: ShareWindow(question.share_length, trained_share=share, weight=weight, channel=name)
             for name in channels
         }
-        self._rules = {name: Shutting(question.cost_of_gangue) for name in channels}
+        self._rules = {name: Shutting(question.cost_of_dilution) for name in channels}
         #: Share above which going on costs more than shutting.
-        self.threshold = Shutting(question.cost_of_gangue).threshold
+        self.threshold = Shutting(question.cost_of_dilution).threshold
         self._waiting: deque[Answer] = deque()
         self._steps = 0
         # Channels whose last window was empty and has been returned.
@@ -296,8 +321,21 @@ _Z = 1.959963984540054
 
 
 def wilson_interval(share: float, total: float) -> tuple[float, float]:
-    """Return the 95 % score interval of a share of `total` independent trials (Wilson 1927).
+    """Return the 95 % score interval of a share of independent trials (Wilson 1927).
 
+    Parameters
+    ----------
+    share : float, in [0, 1]
+    total : float
+        Number of trials.
+
+    Returns
+    -------
+    tuple of two floats
+        Lower and upper end.
+
+    Examples
+    --------
     >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
     [0.8256, 0.9448]
     """

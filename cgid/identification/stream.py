@@ -24,6 +24,7 @@ from cgid.identification.windows import RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import ImpactKind
+from cgid.recordings.chain import scaled
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
@@ -43,12 +44,14 @@ class Step:
     until : all answers before this time have arrived [s]
     silent : at the end, one reason for each channel without answers
     warnings : at the end
+    upside_down : at the end, the channels whose pulses seem to point downwards
     """
 
     answers: list[Answer]
     until: float
     silent: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    upside_down: tuple[str, ...] = ()
 
 
 def identify_recording(
@@ -119,18 +122,6 @@ def factor_of(model: Model, unit: str | None, source: str, channel: str = "1", *
     return float(suited(one, model, mass).samples[0])
 
 
-def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator[NDArray[Any]]:
-    """Yield blocks (n_channels, n_samples) with channels multiplied by their factors."""
-    if all(factor == 1.0 for factor in factors):
-        yield from blocks
-        return
-    column = np.array(factors)[:, np.newaxis]
-    for block in blocks:
-        with np.errstate(over="ignore"):  # the detector rejects infinite samples
-            scaled_block = block * column.astype(block.dtype)
-        yield scaled_block
-
-
 def identify_blocks(
     blocks: Iterable[NDArray[Any]],
     sampling_rate: float,
@@ -196,7 +187,8 @@ def _impacts(
     for row in sorted(silent):
         name = source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
         reasons.append(f"{name}: {detector.why_silent(row, model.unit)}")
-    yield answered(tuple(reasons))
+    turned = tuple(name for row, name in enumerate(channels) if detector.is_upside_down(row))
+    yield replace(answered(tuple(reasons)), upside_down=turned)
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ from cgid.identification.grouped import (
     candidates_for,
     choose_candidate,
     final,
+    in_blocks_of_time,
     judge,
     require_groups,
 )
@@ -66,8 +67,19 @@ FEWEST_CALIBRATION_SPECIMENS = 20
 class Training:
     """A trained model, its metrics, and its answers for the test rows.
 
-    For `metrics` see `cgid.identification.metrics.evaluate` and, under "prediction_sets", `evaluate_sets`.
-    `test_labels` are (n_test,), `test_probabilities` (n_test, n_labels).
+    Attributes
+    ----------
+    model : Model
+        Ready for `Model.save` and for identifying.
+    metrics : dict
+        What `cgid.identification.metrics.evaluate` measures on the test rows, such as "accuracy" and
+        "accuracy_interval_95"; under "prediction_sets" the coverage of prediction sets.
+    test_labels : ndarray of str, (n_test,)
+        The truth of the test rows.
+    test_probabilities : ndarray, (n_test, n_labels)
+        The model's probabilities, in the order of `model.labels`.
+    classifier : ImpactClassifier
+        The scikit-learn estimator behind the model.
     """
 
     model: Model
@@ -153,6 +165,8 @@ def train(
             validation.choice("feature of rows", name, rows.names)
     else:
         rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
+    if rows.slicing is not None and len(set(rows.digests)) == 1 and len(rows.groups) == 1:
+        rows = in_blocks_of_time(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
     _require_labels(rows, class_weights)
     record: dict[str, Any] = {

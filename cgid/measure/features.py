@@ -62,11 +62,25 @@ def kind_of(features: Iterable[str]) -> Kind:
 
 
 def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
-    """Return the names of features in order; for None all of the kind that need no extra.
+    """Return the names of features in order, with the columns of banks.
 
-    The name of a bank, such as `mel_*_hz`, stands for all of its columns. Raise `InvalidValue` for an unknown or
-    repeated name, or if there is none.
+    Parameters
+    ----------
+    features : iterable of str or None
+        Names of features or banks: `mel_*_hz` stands for all of its columns. None: all of the kind that need no extra.
+    kind : {"pulse", "vibration", "window"}
 
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    InvalidValue
+        A name is unknown or repeated, or there is none.
+
+    Examples
+    --------
     >>> choose(["level_total", "early_level_*_hz"])[:3]
     ('level_total', 'early_level_0_500_hz', 'early_level_500_1000_hz')
     """

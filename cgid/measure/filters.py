@@ -101,7 +101,20 @@ def fft_filter(
 
 
 def filter_gain(frequency: Floats, sampling_rate: float, low: float | None, high: float | None, taper: float) -> Floats:
-    """Return the gain of `fft_filter` at frequencies [Hz], between 0 and 1."""
+    """Return the gain of `fft_filter`.
+
+    Parameters
+    ----------
+    frequency : ndarray [Hz]
+    sampling_rate : float [Hz]
+    low, high, taper : float or None
+        As in `fft_filter`.
+
+    Returns
+    -------
+    ndarray
+        Between 0 and 1.
+    """
     width = validation.number("taper", validation.between("taper", taper, 0, 1))
     nyquist = sampling_rate / 2
     gain = np.ones(frequency.shape)
@@ -127,7 +140,7 @@ def _below(frequency: Floats, edge: float, taper: float) -> Floats:
     return np.asarray(0.5 - 0.5 * sin(np.pi * place))
 
 
-def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_TAPER) -> Floats:
+def low_pass_response(sampling_rate: float, edge: float) -> Floats:
     """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric.
 
     Raise `InvalidValue` unless the edge (the sensor's bandwidth) [Hz] is within 2^-14 and 1/2 of the sampling rate
@@ -140,7 +153,8 @@ def low_pass_response(sampling_rate: float, edge: float, taper: float = SENSOR_T
     edge = validation.number("bandwidth", edge, "Hz")
     validation.between("bandwidth", edge, _LOWEST_EDGE * sampling_rate, sampling_rate / 2, "Hz")
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
-    gain = filter_gain(np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64), sampling_rate, None, edge, taper)
+    frequency = np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64)
+    gain = filter_gain(frequency, sampling_rate, None, edge, SENSOR_TAPER)
     response = np.fft.irfft(gain, n=n)[: n // 2]
     # Ringing below 1e-5 of the largest value is cut off.
     kept = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])

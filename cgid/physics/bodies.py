@@ -14,7 +14,13 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """A solid elastic sphere of `material` and `radius` [m]."""
+    """A solid elastic sphere.
+
+    Parameters
+    ----------
+    material : Material
+    radius : array_like, above 0 [m]
+    """
 
     material: Material
     radius: ArrayLike
@@ -33,7 +39,12 @@ class Sphere:
 
 @dataclass(frozen=True, kw_only=True)
 class HalfSpace:
-    """An elastic half space of `material`, at rest, of infinite mass: a model of a thick plate."""
+    """An elastic half space at rest, of infinite mass: a model of a thick plate.
+
+    Parameters
+    ----------
+    material : Material
+    """
 
     material: Material
 
@@ -43,10 +54,15 @@ class HalfSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class ThinPlate:
-    """A plate of `material` and `thickness` [m], so wide that no wave returns from its edges during contact.
+    """A plate so wide that no wave returns from its edges during contact.
 
     The point of impact moves at the speed `P / Z`, and flexural waves carry the energy away
     (Zener 1941, Phys. Rev. 59, 669).
+
+    Parameters
+    ----------
+    material : Material
+    thickness : array_like, above 0 [m]
     """
 
     material: Material

@@ -8,6 +8,7 @@ other impacts are integrated.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -295,7 +296,8 @@ def _interpreted(module: ModuleType) -> dict[str, Callable[..., None]]:
     names = dict(vars(module))
     for name, function in vars(module).items():
         if hasattr(function, "py_func"):
-            names[name] = FunctionType(function.py_func.__code__, names)
+            home = sys.modules[function.__module__]
+            names[name] = FunctionType(function.py_func.__code__, names) if home is module else _interpreted(home)[name]
     return names
 
 

@@ -380,7 +380,8 @@ class Impact:
 
         Returns
         -------
-        ndarray, (*shape of the impacts and onset, n_samples) [N]
+        ndarray, (..., n_samples) [N]
+            The leading axes are those of the impacts and onsets.
         """
         dtype = _output(dtype, self.force_scale)
         n_samples = validation.count("n_samples", n_samples)

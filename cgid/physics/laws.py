@@ -61,7 +61,17 @@ def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, the
 
 
 def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> Floats:
-    """Return the speed after a free fall, `sqrt(2 g H)` [m/s] (Yang 2018, Eq. 15).
+    """Return the speed after a free fall, `sqrt(2 g H)` (Yang 2018, Eq. 15).
+
+    Parameters
+    ----------
+    height : array_like [m]
+        Not negative.
+    gravity : float [m/s^2]
+
+    Returns
+    -------
+    ndarray [m/s]
 
     Examples
     --------

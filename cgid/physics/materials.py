@@ -54,6 +54,13 @@ class MaterialRange:
     """Lowest and highest published values for a rock, with their sources.
 
     They are sample measurements, not bounds: real rock may lie outside.
+
+    Parameters
+    ----------
+    density : tuple of two floats [kg/m^3]
+    youngs_modulus : tuple of two floats [Pa]
+    poisson_ratio : tuple of two floats
+    sources : tuple of str
     """
 
     density: tuple[float, float]

@@ -1,4 +1,4 @@
-"""Modes of a tail beam, computed or measured by a tap test, and their frequency response."""
+"""Modes of a tail beam, computed or measured by a tap test."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
 from cgid.physics.plates import Shapes
-from cgid.physics.response import DERIVATIVES
 from cgid.validation import Floats
 
 Point = tuple[ArrayLike, ArrayLike]
@@ -31,10 +30,17 @@ class Modes:
     Mode r obeys `q_r'' + 2 zeta_r omega_r q_r' + omega_r^2 q_r = shape_r(impact) P / m_r`; a point of the panel moves
     by the sum of `shape_r(point) q_r`.
 
-    frequency : undamped natural frequencies [Hz], ascending, (n_modes,)
-    modal_mass : integral of mass per area times squared shape [kg], (n_modes,)
-    length, width : size of the panel [m]
-    shapes : functions over the unit square, each with mean square 1/4
+    Parameters
+    ----------
+    frequency : ndarray, (n_modes,) [Hz]
+        Undamped natural frequencies, ascending.
+    damping_ratio : ndarray, (n_modes,)
+    modal_mass : ndarray, (n_modes,) [kg]
+        Integral of mass per area times squared shape.
+    length, width : float [m]
+        Size of the panel.
+    shapes : callable
+        Functions over the unit square, each with mean square 1/4.
     """
 
     frequency: Floats
@@ -48,25 +54,39 @@ class Modes:
         validation.hold(self, "frequency", "damping_ratio", "modal_mass")
 
     def shape(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Return the dimensionless shapes (*points, n_modes) of all modes at points of the panel.
+        """Return the dimensionless shapes of all modes at points of the panel.
 
-        x [m] runs from the held edge along the length, y [m] from one side over the width; they broadcast. A point off
-        the panel raises `InvalidValue`.
+        Parameters
+        ----------
+        x, y : array_like [m]
+            Along the length from the held edge, and over the width from one side; they broadcast.
+
+        Returns
+        -------
+        ndarray, (..., n_modes)
+
+        Raises
+        ------
+        InvalidValue
+            A point lies off the panel.
         """
         along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
         values = self.shapes.at(along.ravel(), across.ravel())
         return values.reshape(*along.shape, self.frequency.size)
 
     def participation(self, impact: Point, sensor: Point) -> Floats:
-        """Return `shape(impact) shape(sensor) / modal_mass` of each mode [1/kg], (*points, n_modes).
+        """Return `shape(impact) shape(sensor) / modal_mass` of each mode.
 
-        `impact` and `sensor` are the points (x, y) [m] of the force and of the measured motion.
+        Parameters
+        ----------
+        impact, sensor : tuple of two array_like [m]
+            The points (x, y) of the force and of the measured motion.
+
+        Returns
+        -------
+        ndarray, (..., n_modes) [1/kg]
         """
         return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
-
-    def up_to(self, frequency: float) -> Modes:
-        """Return the modes up to a frequency [Hz]; evaluating fewer shapes costs less."""
-        return self.taken(np.flatnonzero(self.frequency <= validation.not_negative("frequency", frequency, "Hz")))
 
     def taken(self, modes: NDArray[np.intp]) -> Modes:
         """Return the modes with these indices, which must ascend."""
@@ -95,10 +115,16 @@ def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
 class MeasuredModes:
     """Modes from a tap test, for one point of impact and one sensor; all fields are (n_modes,).
 
-    frequency : [Hz], above 0, ascending
-    damping_ratio : above 0 and below 1
-    modal_mass : [kg], above 0, consistent with the scale of the shapes
-    shape_impact, shape_sensor : dimensionless shapes at the two points
+    Parameters
+    ----------
+    frequency : array_like [Hz]
+        Above 0, ascending.
+    damping_ratio : array_like
+        Above 0 and below 1.
+    modal_mass : array_like [kg]
+        Above 0, consistent with the scale of the shapes.
+    shape_impact, shape_sensor : array_like
+        Dimensionless shapes at the two points.
     """
 
     frequency: ArrayLike
@@ -125,25 +151,31 @@ class MeasuredModes:
         )
         return np.asarray(impact * sensor / mass)
 
-    def up_to(self, frequency: float) -> MeasuredModes:
-        """Return the modes up to a frequency [Hz]; raise `InvalidValue` if there are none."""
-        highest, natural = validation.positive("frequency", frequency, "Hz"), np.asarray(self.frequency)
-        if natural[0] > highest:
-            raise InvalidValue(
-                f"frequency must reach the lowest measured mode at {natural[0]:g} Hz, got {highest:g} Hz; "
-                "raise it or measure lower modes"
-            )
-        return MeasuredModes(**{name: np.asarray(getattr(self, name))[natural <= highest] for name in COLUMNS})
-
 
 def read_measured_modes(path: str | Path) -> MeasuredModes:
     r"""Read a table of modes from a UTF-8 file of comma-separated values.
 
     The first line names the columns with their units, in any order: `frequency [Hz]`, `damping_ratio [1]`,
     `modal_mass [kg]`, `shape_impact [1]`, `shape_sensor [1]`; other columns are ignored. Each further line holds one
-    mode; empty lines and lines that begin with # are ignored. A file that cannot be opened raises `NoInput`; one that
-    is not regular, too large or invalid raises `BadData`, with the line of the error.
+    mode; empty lines and lines that begin with # are ignored.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    MeasuredModes
+
+    Raises
+    ------
+    NoInput
+        The file cannot be opened.
+    BadData
+        The file is not regular, too large or invalid; the message names the line.
+
+    Examples
+    --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "tap.csv"
@@ -214,35 +246,3 @@ def _require_rule(name: str, value: ArrayLike) -> Floats:
     if name == "damping_ratio":
         return validation.damping_ratio(name, value)
     return validation.positive(name, value, COLUMNS[name])
-
-
-def frequency_response(
-    frequency: ArrayLike, modes: Modes | MeasuredModes, participation: Floats, *, quantity: str
-) -> NDArray[np.complex128]:
-    """Return motion over force at frequencies [Hz], for `exp(+j omega t)`: complex, (*points, n_frequencies).
-
-    `sum participation (j omega)^n / (omega_r^2 - omega^2 + 2 j zeta_r omega_r omega)` with n = 0, 1, 2 for displacement
-    [m/N], velocity [m/s/N] and acceleration [m/s^2/N]: Ewins (2000), Modal Testing, section 2. Participation is
-    (*points, n_modes) [1/kg]. The omitted higher modes show as a stiffness below them.
-
-    At resonance one mode moves as far as its damping allows, a quarter period behind the force:
-
-    >>> modes = MeasuredModes(
-    ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
-    ... )
-    >>> response = frequency_response([100.0], modes, modes.participation(), quantity="acceleration")
-    >>> complex(response[0].round(9))
-    1j
-    """
-    validation.choice("quantity", quantity, DERIVATIVES)
-    omega = 2 * np.pi * np.atleast_1d(validation.not_negative("frequency", frequency, "Hz"))[:, None]
-    natural, damping = (np.asarray(part, dtype=np.float64) for part in (modes.frequency, modes.damping_ratio))
-    if participation.shape[-1:] != natural.shape:
-        raise InvalidValue(
-            f"participation must have one number for each of the {natural.size} modes in its last axis, got shape "
-            f"{participation.shape}"
-        )
-    natural = 2 * np.pi * natural
-    each = (1j * omega) ** DERIVATIVES[quantity] / (natural**2 - omega**2 + 2j * damping * natural * omega)
-    # Not a matrix product: its last bits depend on the library and its threads.
-    return np.asarray(np.einsum("...m,fm->...f", participation, each))

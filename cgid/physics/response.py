@@ -38,8 +38,12 @@ _TABLE = 256
 class Resonance:
     """A resonance of low-pass form, `w^2 / (s^2 + 2 zeta w s + w^2)`: a sensor on its mounting.
 
-    frequency : [Hz], above 0
-    damping_ratio : above 0 and below 1
+    Parameters
+    ----------
+    frequency : float [Hz]
+        Above 0.
+    damping_ratio : float
+        Above 0 and below 1.
     """
 
     frequency: float
@@ -59,8 +63,12 @@ class Resonance:
 class LowPass:
     """A Butterworth low-pass, such as an anti-alias filter.
 
-    frequency : 3 dB cut-off [Hz]
-    order : 1 to 12
+    Parameters
+    ----------
+    frequency : float [Hz]
+        3 dB cut-off.
+    order : int
+        1 to 12.
     """
 
     frequency: float
@@ -105,11 +113,18 @@ class Response:
     `InvalidValue` is raised for a force with modes, a motion without, or a force without filters: nothing would
     respond.
 
-    sampling_rate : of the recorder [Hz]
-    quantity : measured by the sensor, the contact force itself or the motion of a beam
-    modes : of the beam; None for a force
-    filters : of the sensor and the recorder
-    tolerance : permitted error over the largest sample; sets the steps per contact and which quiet poles are omitted
+    Parameters
+    ----------
+    sampling_rate : float [Hz]
+        Sampling rate of the recorder.
+    quantity : {"force", "acceleration", "velocity", "displacement"}
+        What the sensor measures: the contact force itself, or a motion of the beam.
+    modes : Modes or MeasuredModes, optional
+        Modes of the beam; None for a force.
+    filters : tuple of Resonance or LowPass
+        Filters of the sensor and the recorder.
+    tolerance : float
+        Permitted error over the largest sample; sets the steps per contact and which quiet poles are omitted.
     """
 
     sampling_rate: float
@@ -215,9 +230,19 @@ class Response:
         return np.concatenate([participation * own, mixed], axis=1), direct
 
     def frequency_response(self, frequencies: ArrayLike, participation: ArrayLike | None = None) -> Complex:
-        """Return the complex response to a unit force at frequencies [Hz], (n_frequencies,).
+        """Return the complex response to a unit force at frequencies [Hz], (n_frequencies,), for `exp(+j omega t)`.
 
-        Participation is (n_modes,), or None for a force.
+        Participation is (n_modes,) [1/kg], or None for a force.
+
+        At resonance one mode of 50 kg moves as far as its damping allows, a quarter period behind the force:
+
+        >>> from cgid.physics.modes import MeasuredModes
+        >>> mode = MeasuredModes(
+        ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
+        ... )
+        >>> response = Response(sampling_rate=1e4, quantity="acceleration", modes=mode)
+        >>> complex(response.frequency_response([100.0], mode.participation())[0].round(9))
+        1j
         """
         rows = None if participation is None else np.atleast_2d(np.asarray(participation, np.float64))
         amplitude, direct = self.amplitudes(rows)

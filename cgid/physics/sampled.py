@@ -92,10 +92,16 @@ class SampledPulses:
     it starts as the square root of time (a viscoelastic sphere) or as its power 3/2. Negative values of the spline
     become 0.
 
-    shares : fractions of the contact, rising from 0 to 1, such as `shares_of_contact`, (n_points,)
-    forces : [N], not negative, (n, n_points)
-    contact_duration : [s], (n,)
+    Parameters
+    ----------
+    shares : ndarray, (n_points,)
+        Fractions of the contact, rising from 0 to 1, such as `shares_of_contact`.
+    forces : ndarray, (n, n_points) [N]
+        Contact forces at these fractions, not negative.
+    contact_duration : ndarray, (n,) [s]
 
+    Examples
+    --------
     >>> shares = shares_of_contact(33)
     >>> pulses = SampledPulses(shares=shares, forces=800 * np.sin(np.pi * shares)[None] ** 1.5, contact_duration=[5e-4])
     >>> pulses.force([[1.25e-4]]).round(1).tolist()

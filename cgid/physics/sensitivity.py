@@ -156,31 +156,6 @@ def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitiv
     )
 
 
-def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
-    """Return the names in descending order of absolute value; equal ones keep their order.
-
-    Parameters
-    ----------
-    sensitivity : mapping of str to scalar
-        One response of a `Sensitivity` of a single impact.
-
-    Raises
-    ------
-    InvalidValue
-        A value is not a single number.
-
-    Examples
-    --------
-    >>> ordering({"density": 0.4, "radius": 1.0, "youngs_modulus": -0.396})
-    ('radius', 'density', 'youngs_modulus')
-    """
-    sizes = {name: np.abs(validation.real(name, value)) for name, value in sensitivity.items()}
-    for name, size in sizes.items():
-        if size.ndim:
-            raise InvalidValue(f"{name} must be a single number to be put in order, got shape {size.shape}")
-    return tuple(sorted(sizes, key=lambda name: -float(sizes[name])))
-
-
 def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact:
     """Return the impacts over a grid of parameters: one parameter gives a curve, two a response surface.
 

@@ -33,8 +33,12 @@ _PI_TO_THE_FIFTH = 306.01968478528147
 class Ribs:
     """Equal flat bars along the length of a skin, welded on edge to its back, evenly spaced over its width.
 
-    depth : perpendicular to the skin [m]
-    thickness : of one bar [m]
+    Parameters
+    ----------
+    depth : float [m]
+        Depth perpendicular to the skin.
+    thickness : float [m]
+        Thickness of one bar.
     """
 
     number: int
@@ -90,13 +94,23 @@ class TailBeam:
     thicknesses, 18 % at 6. Smeared ribs are valid for waves longer than `2 * rib_spacing`: see
     `highest_smeared_frequency`.
 
-    material : with scalar constants
-    length : along x [m], from the held edge of a cantilever to its free one
-    width : along y [m]
-    thickness : of the skin [m]
-    edges : "simply-supported" or "clamped" (all four), or "cantilever" (held at x = 0 only)
-    damping_ratio : of every mode, above 0 and below 1
+    Parameters
+    ----------
+    material : Material
+        Its constants are scalars.
+    length : float [m]
+        Along x, from the held edge of a cantilever to its free one.
+    width : float [m]
+        Along y.
+    thickness : float [m]
+        Of the skin.
+    edges : {"simply-supported", "clamped", "cantilever"}
+        All four edges simply supported or clamped, or one edge held, at x = 0.
+    damping_ratio : float
+        Damping ratio of every mode, above 0 and below 1.
 
+    Examples
+    --------
     The plate of Yang, Zeng & Wan (2018), simply supported:
 
     >>> from cgid.physics.materials import STEEL

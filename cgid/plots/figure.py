@@ -1,10 +1,11 @@
-"""Matplotlib without a screen, colours and file formats; pictures of models, responses and ceilings."""
+"""Matplotlib without a screen, colours and file formats; pictures of models and ceilings."""
 
 from __future__ import annotations
 
 import io
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -138,14 +139,21 @@ def _confusion(counts: NDArray[np.int_], classes: tuple[str, ...]) -> bytes:
 
 
 def _reliability(bins: list[list[float]]) -> bytes:
-    figure = require_matplotlib()(figsize=(4.2, 3.8), layout="constrained")
-    axes = figure.subplots()
-    confidence, accuracy, _ = zip(*bins, strict=True)
+    """Draw the share of right answers over their probability, above the number of answers in each bin."""
+    figure = require_matplotlib()(figsize=(4.2, 4.8), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    confidence, accuracy, counts = zip(*bins, strict=True)
     axes.plot([0, 1], [0, 1], color="0.7", label="calibrated")
     axes.plot(confidence, accuracy, "o-", label="model")
     lowest = min(0.5, *confidence, *accuracy)
-    axes.set(xlabel="probability of the answer", ylabel="share of right answers", xlim=(lowest, 1), ylim=(lowest, 1))
+    axes.set(ylabel="share of right answers", xlim=(lowest, 1), ylim=(lowest, 1))
     axes.legend()
+    gaps = [later - earlier for earlier, later in pairwise(confidence)]
+    below.bar(confidence, counts, width=0.5 * min(gaps, default=0.1), color="C0", alpha=0.6)
+    for place, count in zip(confidence, counts, strict=True):
+        below.annotate(f"{count:.0f}", (place, count), (0, 2), textcoords="offset points", ha="center", fontsize=6)
+    below.margins(y=0.25)
+    below.set(xlabel="probability of the answer", ylabel="answers", xlim=(lowest, 1))
     return png(figure)
 
 
@@ -160,37 +168,6 @@ def _roc(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ..
     axes.plot([0, 1], [0, 1], color="0.7")
     axes.set(xlabel="share of the others taken for it", ylabel="share of it that is found")
     axes.legend()
-    return png(figure)
-
-
-def frequency_response_picture(frequency: Floats, responses: Mapping[str, NDArray[np.complex128]], unit: str) -> bytes:
-    """Return frequency responses as PNG: level above phase.
-
-    Parameters
-    ----------
-    frequency : ndarray, (n_frequencies,)
-        [Hz], above 0.
-    responses : dict of ndarray of complex, (n_frequencies,)
-        By name in the legend.
-    unit : str
-        Unit of the responses, such as "m/s^2/N"; it is 0 dB.
-    """
-    figure = require_matplotlib()(figsize=(7.2, 5.0), layout="constrained")
-    level, phase = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    for name, response in responses.items():
-        # At a node of a mode the response is 0, which has no level.
-        height = np.where(response == 0, np.nan, np.abs(response))
-        level.plot(frequency, 20 * np.log10(height), lw=1, label=name)
-        degrees = np.degrees(np.angle(response))
-        # Break the line where the phase wraps around.
-        degrees[1:][np.abs(np.diff(degrees)) > 180] = np.nan
-        phase.plot(frequency, degrees, lw=1)
-    level.set(ylabel=f"dB re 1 {unit}", xscale="log", xlim=(frequency[0], frequency[-1]))
-    phase.set(xlabel="frequency [Hz]", ylabel="phase [degrees]", ylim=(-185, 185), yticks=range(-180, 181, 90))
-    for axes in (level, phase):
-        axes.grid(alpha=0.3, which="both")
-    if len(responses) > 1:
-        level.legend(fontsize="small")
     return png(figure)
 
 

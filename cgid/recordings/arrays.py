@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import DATASET_CURE, MAX_CHANNELS, Contents, understood
-from cgid.recordings.variables import Value, Values, Variable, contents_of, is_statement, orientation
+from cgid.recordings.variables import (
+    Value,
+    Values,
+    Variable,
+    contents_of,
+    full_scale_of,
+    is_statement,
+    orientation,
+)
 
 if TYPE_CHECKING:
     from cgid.store.reading import ForeignArray
@@ -104,7 +112,12 @@ def read_npy(path: Path, source: str) -> Contents:
 
             yield from _blocks(read, head, length, channels)
 
-    return Contents(n_channels=head.n_channels, blocks=blocks, n_samples=head.n_samples)
+    return Contents(
+        n_channels=head.n_channels,
+        blocks=blocks,
+        n_samples=head.n_samples,
+        full_scales=[full_scale_of(head.dtype)] * head.n_channels,
+    )
 
 
 def array_head(start: bytes, source: str) -> ArrayHead:
@@ -238,6 +251,7 @@ def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, sou
         n_channels=head.n_channels,
         n_samples=head.n_samples,
         blocks=blocks,
+        full_scale=full_scale_of(head.dtype),
         fault=fault,
     )
 

@@ -18,6 +18,7 @@ from threading import Timer
 from typing import IO, Any
 
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
+from cgid.recordings.chain import Chain, Statement
 from cgid.recordings.recording import DATASET_CURE, Contents, RecordingFile, told
 from cgid.recordings.sound import WAV_MAGICS
 from cgid.signals import Signal
@@ -148,6 +149,9 @@ def open_recording(
     unit: str | None = None,
     channel: int | str | Sequence[int | str] | None = None,
     variable: str | None = None,
+    sensitivity: Statement | None = None,
+    gain: Statement | None = None,
+    full_scale: Statement | None = None,
 ) -> RecordingFile:
     r"""Open a recording; its content determines the format, not its name.
 
@@ -176,6 +180,12 @@ def open_recording(
 
     A WAV, FLAC, OGG, LVM or TDMS file that is cut off gives its whole samples and `RecordingFile.warnings`.
 
+    Volts and coulombs become N or m/s^2 where `sensitivity` or the file says what the sensor gives: a line ``#
+    sensitivity: 10.2 mV/g`` above a text or in the header of a UFF, an attribute, property or value of such a name.
+    Without it they stay as they are. Each of `sensitivity`, `gain` and `full_scale` may be one value for all channels,
+    a mapping of channel names or numbers to values, or a list of values, each with or without ``NAME=`` before it; that
+    of a channel goes before that of all.
+
     Parameters
     ----------
     path : str or Path
@@ -184,11 +194,20 @@ def open_recording(
         [Hz]; required if the file does not state it. If both do, they must agree to 0.1 %, and this one, which is not
         rounded, is used.
     unit : str, optional
-        Unit of the numbers if the file does not state it; nothing is converted.
+        Unit of the numbers if the file does not state it; nothing is converted by it.
     channel : int, str or sequence of these, optional
         Channels to read: number from 1 (the time column does not count) or name in the header; "1+2" is both.
     variable : str, optional
         Array, table or group of the file to read.
+    sensitivity : str, mapping or list, optional
+        What the sensor gives, such as "10.2 mV/g", "2.3 mV/N", "100 mV/(m/s^2)" or "3.1 pC/g", for samples in volts or
+        coulombs. A charge sensor with samples in volts needs the gain of its amplifier, such as "1 mV/pC".
+    gain : float, str, mapping or list, optional
+        Amplification before the recorder, which is divided out: 10, "x10", "20 dB", or "1 mV/pC" of a charge amplifier.
+    full_scale : str, float, mapping or list, optional
+        What full scale stands for in a sound file or in signed integers of 16 bit, such as "10 V" or "50 g"; a plain
+        number is in `unit`. "10 V at 24 bit" is for integers of a type that does not show the resolution of the
+        converter, such as in a text or of 32 bit.
 
     Returns
     -------
@@ -201,11 +220,11 @@ def open_recording(
     BadData
         The file is empty, damaged, a dataset or not a recording; it contradicts itself or `unit`.
     MissingOption
-        Neither the file nor `sampling_rate` gives the sampling rate.
+        Neither the file nor `sampling_rate` gives the sampling rate; or a charge sensor lacks its gain.
     MissingExtra
         The format needs a library that is not installed.
     InvalidValue
-        `sampling_rate`, `unit`, `channel` or `variable` is invalid, or `sampling_rate` contradicts the file.
+        An argument is invalid, does not fit the samples, or contradicts the file.
 
     Examples
     --------
@@ -217,7 +236,18 @@ def open_recording(
     ...     blocks = [block.tolist() for block in recording.blocks(2)]
     >>> recording.channels, blocks
     ((Channel(name='1', unit='kN'),), [[[0.0, 1.5]], [[0.5]]])
+
+    An accelerometer of 100 mV/g, whose samples are in volts:
+
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.csv"
+    ...     _ = file.write_text("time (s),beam (V)\n0.0,0.0\n0.1,0.2\n")
+    ...     recording = open_recording(file, sensitivity="100 mV/g")
+    ...     blocks = [block.tolist() for block in recording.blocks()]
+    >>> recording.channels[0].unit, recording.channels[0].origin, blocks
+    ('m/s^2', 'from V, sensitivity 100 mV/g', [[[0.0, 19.6133]]])
     """
+    chain = Chain.of(sensitivity, gain, full_scale)
     if sampling_rate is not None:
         sampling_rate = require_rate(sampling_rate)
     if unit is not None:
@@ -234,6 +264,7 @@ def open_recording(
                 sampling_rate=sampling_rate,
                 unit=unit,
                 channel=channel,
+                chain=chain,
             )
     except BaseException:
         spool.close()
@@ -249,6 +280,9 @@ def read_recording(
     unit: str | None = None,
     channel: int | str | Sequence[int | str] | None = None,
     variable: str | None = None,
+    sensitivity: Statement | None = None,
+    gain: Statement | None = None,
+    full_scale: Statement | None = None,
 ) -> list[Signal]:
     r"""Read a whole recording into memory: one `Signal` per channel, (n_samples,) each.
 
@@ -258,14 +292,33 @@ def read_recording(
     Examples
     --------
     >>> import tempfile
+    >>> import numpy as np
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "hit.csv"
     ...     _ = file.write_text("time (ms),force (kN)\n0.00,0.0\n0.01,1.5\n0.02,0.5\n")
     ...     (signal,) = read_recording(file)
     >>> signal.samples.tolist(), signal.unit, round(signal.sampling_rate, 6)
     ([0.0, 1.5, 0.5], 'kN', 100000.0)
+
+    Integers of a recorder with a range of 10 V, and a hammer of 2 mV/N:
+
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "hit.npy"
+    ...     np.save(file, np.array([0, 16384, 0], np.int16))
+    ...     (signal,) = read_recording(file, sampling_rate=51200, full_scale="10 V", sensitivity="2 mV/N")
+    >>> signal.samples.tolist(), signal.unit
+    ([0.0, 2500.0, 0.0], 'N')
     """
-    return open_recording(path, sampling_rate=sampling_rate, unit=unit, channel=channel, variable=variable).signals()
+    return open_recording(
+        path,
+        sampling_rate=sampling_rate,
+        unit=unit,
+        channel=channel,
+        variable=variable,
+        sensitivity=sensitivity,
+        gain=gain,
+        full_scale=full_scale,
+    ).signals()
 
 
 # ---- streams: saved to a temporary file, because some formats have their index at the end ----------------------------

@@ -5,7 +5,7 @@ Nothing here is specific to Unix, but Windows is untested.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, BinaryIO
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.recordings.recording import MAX_CHANNELS, rates_agree
+from cgid.recordings.chain import Chain, scaled
+from cgid.recordings.recording import MAX_CHANNELS, Channel, Contents, rates_agree
 from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, WaveHead, read_wave_head
 from cgid.units import quantity_of
 from cgid.validation import require_rate
@@ -38,7 +39,8 @@ _FILES = {
 class LiveStream:
     """Samples that arrive while they are recorded; made by `live_stream`, iterated over once.
 
-    unit : of all channels; by default "FS" for a WAV and for integers, which are scaled to full scale
+    channels : by default in "FS" for a WAV and for integers, which are scaled to full scale
+    factors : of the samples of each channel as they enter, to its unit
     n_samples : of each channel so far
     warnings : what was left out, one line each; complete when the stream has ended
     head : first bytes of the samples, read to recognise the format
@@ -47,14 +49,19 @@ class LiveStream:
 
     file: BinaryIO
     coding: Coding
-    n_channels: int
     sampling_rate: float
-    unit: str | None = None
+    channels: Sequence[Channel]
+    factors: Sequence[float] = ()
     source: str = "stdin"
     n_samples: int = 0
     warnings: list[str] = field(default_factory=list)
     head: bytes = b""
     size: int | None = None
+
+    @property
+    def n_channels(self) -> int:
+        """Number of channels."""
+        return len(self.channels)
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
         """Yield arrived samples, (n_channels, n), as soon as one is whole; never wait for a full block.
@@ -66,7 +73,7 @@ class LiveStream:
         while True:
             whole = len(pending) - len(pending) % frame_size
             if whole:
-                yield from self._blocks(pending[:whole])
+                yield from scaled(self._blocks(pending[:whole]), self.factors)
                 pending = pending[whole:]
             most = max(1, _MOST_NUMBERS // self.n_channels) * frame_size
             raw = _available(self.file, most if left is None else min(most, left))
@@ -108,13 +115,14 @@ def live_stream(
     sample_format: str | None = None,
     unit: str | None = None,
     source: str = "stdin",
+    chain: Chain | None = None,
 ) -> LiveStream:
     """Return a stream of samples: a WAV by its header, anything else as raw numbers with interleaved channels.
 
     Raw numbers need `sampling_rate` [Hz], `n_channels` and a `sample_format` such as "s16le", "s24le", "f32le" or "u8".
-    Integers are scaled to a full scale of 1.0, floats are kept. Raises `MissingOption` if neither stream nor options
-    tell how to read it, `InvalidValue` if an option is invalid or contradicts the WAV header, `BadData` if the stream
-    is empty or its WAV header damaged.
+    Integers are scaled to a full scale of 1.0, floats are kept; `chain` turns both into N or m/s^2. Raises
+    `MissingOption` if neither stream nor options tell how to read it, `InvalidValue` if an option is invalid or
+    contradicts the WAV header, `BadData` if the stream is empty or its WAV header damaged.
 
     Examples
     --------
@@ -138,9 +146,8 @@ def live_stream(
         return LiveStream(
             file=file,
             coding=head.coding,
-            n_channels=head.n_channels,
             sampling_rate=given or head.sampling_rate,
-            unit=unit or "FS",
+            **_channels(head.n_channels, unit, "FS", chain, source),
             source=source,
             size=head.data_size if 0 < head.data_size < ENDLESS else None,
             warnings=head.warnings,
@@ -159,12 +166,25 @@ def live_stream(
     return LiveStream(
         file=file,
         coding=coding,
-        n_channels=n_channels,
         sampling_rate=given,
-        unit=unit or (None if coding.kind == "f" else "FS"),
+        **_channels(n_channels, unit, None if coding.kind == "f" else "FS", chain, source),
         source=source,
         head=start,
     )
+
+
+def _channels(n: int, unit: str | None, fallback: str | None, chain: Chain | None, source: str) -> dict[str, Any]:
+    """Return the channels of a stream and the factors of their samples."""
+    contents = Contents(
+        n_channels=n, blocks=lambda length, channels: iter(()), fallback_unit=fallback, full_scales=[1.0] * n
+    )
+    links = (chain or Chain()).links(contents, range(n), unit, source)
+    return {
+        "channels": [
+            Channel(name=str(number), unit=link.unit, origin=link.origin) for number, link in enumerate(links, 1)
+        ],
+        "factors": [link.factor for link in links],
+    }
 
 
 def _require_agreement(

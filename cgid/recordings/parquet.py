@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -18,8 +18,12 @@ from cgid.recordings.text_layout import Column, column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.recordings.variables import (
     Value,
+    Values,
     Variable,
+    full_scale_of,
+    stated_gains,
     stated_rate,
+    stated_sensitivities,
     stated_start,
     stated_time_unit,
     stated_units,
@@ -89,9 +93,17 @@ def read_parquet(path: Path, source: str) -> Contents:
         units=units,
         sampling_rate=rate,
         rate_from=rate_from,
+        full_scales=[file.full_scale(name) for name, *_ in kept],
+        sensitivities=[_own(stated_sensitivities, values, file.said) for _, _, values, _ in kept],
+        gains=[_own(stated_gains, values, file.said) for _, _, values, _ in kept],
         start_time=start,
         warnings=warnings,
     )
+
+
+def _own(stated: Callable[[Values, int], list[str | None] | None], values: Values, said: Values) -> str | None:
+    """Return what the metadata of a field state, else those of the file."""
+    return (stated(values, 1) or stated(said, 1) or [None])[0]
 
 
 def _is_time(column: Column) -> bool:
@@ -138,6 +150,13 @@ class _Parquet:
             is_number = pa.types.is_integer(one.type) or pa.types.is_floating(one.type)
             is_stamp = pa.types.is_timestamp(one.type) or pa.types.is_duration(one.type)
             yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
+
+    def full_scale(self, name: str) -> float | None:
+        """Return the number of full scale of a column of integers, None if it is not known."""
+        import pyarrow as pa
+
+        kind = self._schema.field(name).type
+        return full_scale_of(np.dtype(kind.to_pandas_dtype())) if pa.types.is_integer(kind) else None
 
     def first_time(self, name: str) -> datetime | None:
         """Return the first timestamp of a column."""

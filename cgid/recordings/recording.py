@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption, NoInput
+from cgid.recordings.chain import Chain, scaled
 from cgid.signals import Signal
 from cgid.units import UNITS, quantity_of
 from cgid.validation import require_rate
@@ -52,6 +53,10 @@ class Contents:
     sampling_rate : as stated by the file [Hz]
     rate_from : place in the file that states the sampling rate
     fallback_unit : unit if neither the file nor the user gives one
+    full_scales : one per channel, the number of full scale: 1 in sound files, 2^15 in integers of 16 bit; None if
+        the file does not say it
+    sensitivities, gains : one text per channel, such as "10.2 mV/g", None if the file states none; they count for
+        samples in volts or coulombs
     start_time : time of the first sample, as stated by the file
     warnings : damaged parts that were left out, one line each; may grow during reading. What is no damage is a `Remark`
     """
@@ -64,6 +69,9 @@ class Contents:
     sampling_rate: float | None = None
     rate_from: str = "header"
     fallback_unit: str | None = None
+    full_scales: Sequence[float | None] = ()
+    sensitivities: Sequence[str | None] = ()
+    gains: Sequence[str | None] = ()
     start_time: datetime | None = None
     warnings: list[str] = field(default_factory=list)
 
@@ -200,10 +208,14 @@ class Channel:
         Name in the file, else number from 1.
     unit : str or None
         None if neither the file nor the user states it.
+    origin : str
+        How the numbers of the file became samples in this unit, such as "from V, sensitivity 10.2 mV/g"; "" if they
+        are as they were.
     """
 
     name: str
     unit: str | None = None
+    origin: str = field(default="", repr=False, compare=False)
 
     @property
     def quantity(self) -> str | None:
@@ -239,14 +251,18 @@ class RecordingFile:
         sampling_rate: float | None,
         unit: str | None,
         channel: int | str | Sequence[int | str] | None,
+        chain: Chain | None = None,
     ) -> None:
         contents.require_channels(source)
         self._contents = contents
         self._selected = _selected(contents, channel, source)
         self.source, self.format = source, format
         self.sampling_rate = require_rate(contents.rate(sampling_rate, source))
+        links = (chain or Chain()).links(contents, self._selected, unit, source)
+        self._factors = [link.factor for link in links]
         self.channels = tuple(
-            Channel(name=contents.label(index), unit=contents.unit(index, unit, source)) for index in self._selected
+            Channel(name=contents.label(index), unit=link.unit, origin=link.origin)
+            for index, link in zip(self._selected, links, strict=True)
         )
         self.n_samples, self.start_time = contents.n_samples, contents.start_time
 
@@ -331,7 +347,7 @@ class RecordingFile:
         # Memory must not grow with the number of channels either.
         length = min(length, max(MOST_NUMBERS // self._contents.n_channels, 1))
         with told(self.source):
-            for block in self._contents.blocks(length, self._selected):
+            for block in scaled(self._contents.blocks(length, self._selected), self._factors):
                 count += block.shape[1]
                 yield block
         if not count:

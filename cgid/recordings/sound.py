@@ -257,6 +257,7 @@ def read_wav(path: Path, source: str) -> Contents:
         sampling_rate=head.sampling_rate,
         rate_from="header of the WAV file",
         fallback_unit="FS",
+        full_scales=[1.0] * head.n_channels,
         start_time=head.start_time,
         warnings=warnings,
     )
@@ -340,6 +341,7 @@ def read_audio(path: Path, source: str) -> Contents:
         sampling_rate=rate,
         rate_from="header of the audio file",
         fallback_unit="FS",
+        full_scales=[1.0] * n_channels,
         warnings=sound.warnings,
     )
 

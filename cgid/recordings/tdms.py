@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import Contents, Remark, library, understood
-from cgid.recordings.variables import Value, Variable, contents_of, is_statement
+from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement
 
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
@@ -98,7 +98,8 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of one group of a TDMS file; an index file next to it is not used.
 
     Rate, unit and start come from waveform properties of the channels (``wf_increment``, ``unit_string``,
-    ``wf_start_time``), else from properties of group or file, or from a channel of times. A cut file gives the samples
+    ``wf_start_time``), else from properties of group or file, or from a channel of times. A property such as
+    ``Sensitivity`` or ``Sensor Sensitivity [mV/g]`` gives the sensitivity. A cut file gives the samples
     that are whole in all channels. Raises `BadData` if the file is damaged, holds no numbers or several groups, or its
     channels differ in length or rate; `MissingExtra` without nptdms.
     """
@@ -131,7 +132,16 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
     start, offset = about.get("wf_start_time"), channel.properties.get("wf_start_offset", 0.0)
     if isinstance(start, datetime) and isinstance(offset, int | float) and abs(offset) < 1e9:
         about["wf_start_time"] = start + timedelta(seconds=float(offset))
-    return Variable(name=channel.name, group=group, n_channels=1, n_samples=len(channel), blocks=blocks, about=about)
+    return Variable(
+        name=channel.name,
+        group=group,
+        n_channels=1,
+        n_samples=len(channel),
+        blocks=blocks,
+        about=about,
+        # That of the numbers after the scales of NI, which nptdms applies.
+        full_scale=full_scale_of(channel.dtype),
+    )
 
 
 def _values(properties: Any) -> dict[str, Value]:

@@ -360,6 +360,8 @@ def _assembled(header: Header, body: Body) -> Contents:
         "sampling_rate": rate,
         "rate_from": "header" if measured is None else "time column",
         "start_time": header.start_time,
+        "sensitivities": _for_each(header.sensitivities, len(kept)),
+        "gains": _for_each(header.gains, len(kept)),
     }
     if is_whole and finite.all():
         return Contents.of_array(np.ascontiguousarray(rows.T[kept]), **about)
@@ -376,6 +378,11 @@ def _assembled(header: Header, body: Body) -> Contents:
                 yield samples[:, first : first + length]
 
     return Contents(n_channels=len(kept), blocks=blocks, **about)
+
+
+def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:
+    """Return the value of each channel, from one for all or one for each; none if there are others."""
+    return stated * n_channels if len(stated) == 1 else stated if len(stated) == n_channels else ()
 
 
 def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:

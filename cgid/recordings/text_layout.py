@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
 
 from cgid.errors import BadData
-from cgid.units import KNOWN_UNITS, hertz_of, known_unit, seconds_of
+from cgid.units import KNOWN_UNITS, hertz_of, known_unit, number_and_unit, ratio_of, seconds_of
 
 #: First bytes, enough to recognise the encoding; the header ends within them.
 SNIFFED = 1 << 18
@@ -293,6 +293,12 @@ _STATED_START = re.compile(
     r"(\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+Z-]*)[\s\",;]*"
 )
 _STATED_UNIT = re.compile(r"[\s#%;/\"]*(?i:units?|单位)[\s\"]*[:=][\s\"]*([^\s\",;]+)[\s\",;]*")
+#: A sensitivity or a gain of all channels, or one of each with commas or semicolons between them.
+_STATED_CHAIN = re.compile(
+    r"[\s#%;/\"]*(?:sensor[\s_-]*|transducer[\s_-]*|charge[\s_-]*)?(sensitivity|sensitivities|gain|gains)\s*"
+    r"(?:[\[(]\s*(.+?)\s*[\])]\s*)?[:=]\s*(.*?)[\s\";,]*",
+    re.IGNORECASE,
+)
 _COLUMNS_FOLLOW = re.compile(r"(?i:columns?|fields?|channels?|header)\s*[:=]\s*")
 _WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\]])?|[(\[][^()\[\]]*[)\]]')
 
@@ -337,6 +343,31 @@ class Header:
     sampling_rates: tuple[float, ...] = ()
     unit: str | None = None
     start_time: datetime | None = None
+    sensitivities: tuple[str, ...] = ()
+    gains: tuple[str, ...] = ()
+
+
+def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
+    """Return "sensitivities" or "gains" and the values that a line states, None for any other line.
+
+    Numbers need a decimal point, because commas divide values.
+
+    Examples
+    --------
+    >>> stated_chain("# sensitivity: 10.2 mV/g, 2.3 mV/N"), stated_chain("# Sensitivity [mV/g] = 100")
+    (('sensitivities', ('10.2 mV/g', '2.3 mV/N')), ('sensitivities', ('100 mV/g',)))
+    >>> stated_chain("# gain: 1 mV/pC"), stated_chain("# sensitivity: 10,2 mV/g"), stated_chain("time, force")
+    (('gains', ('1 mV/pC',)), None, None)
+    """
+    found = _STATED_CHAIN.fullmatch(line)
+    if found is None:
+        return None
+    values = [f"{value.strip()} {found[2] or ''}".strip() for value in re.split("[,;]", found[3])]
+    if found[1].lower().startswith("gain"):
+        return "gains", tuple(values)
+    numbers = [number_and_unit(value) for value in values]
+    is_whole = all(number is not None and ratio_of(number[1]) is not None for number in numbers)
+    return ("sensitivities", tuple(values)) if is_whole else None
 
 
 def column_of(text: str) -> Column:
@@ -383,6 +414,9 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
                 header = replace(header, start_time=datetime.fromisoformat(found[1]))
         elif found := _STATED_UNIT.fullmatch(comment):
             header = replace(header, unit=known_unit(found[1]))
+        elif chain := stated_chain(comment):
+            what, values = chain
+            header = replace(header, gains=values) if what == "gains" else replace(header, sensitivities=values)
         elif columns := _columns(line, layout):
             columns = _under(before, columns)
             if _has_unit_or_time(columns) or not _has_unit_or_time(best):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.recordings.recording import Contents, library, rates_agree, understood
+from cgid.recordings.text_layout import stated_chain
 from cgid.units import known_unit, seconds_of
 
 #: Largest file [bytes], as pyuff reads files whole and needs several times their size.
@@ -72,6 +73,11 @@ class _DataSet:
                 return datetime.strptime(self.header["id3"].strip(), form)
         return None
 
+    def said(self, what: str) -> str | None:
+        """Return the sensitivity or the gain in one of the identification lines, None without one."""
+        found = [stated_chain(self.header[f"id{number}"]) for number in range(1, 6)]
+        return next((one[1][0] for one in found if one is not None and one[0] == what and len(one[1]) == 1), None)
+
     @property
     def is_recording(self) -> bool:
         """Whether the data set holds samples over time."""
@@ -86,7 +92,8 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
     """Return the channels of a universal file: its data sets 58 that are responses over time.
 
     `variable` is the number of a data set 58, from 1, or its name; None takes all over time, which must agree in length
-    and rate. The rate comes from the increment of the abscissa, the unit from the label of the ordinate. Raises
+    and rate. The rate comes from the increment of the abscissa, the unit from the label of the ordinate, a sensitivity
+    from an identification line such as "Sensitivity: 10.2 mV/g". Raises
     `BadData` if the file is too large, cut off or damaged, has no such data set, or data sets differ; or if numbers are
     complex, at uneven times or not over time. Raises `MissingExtra` without pyuff.
     """
@@ -111,6 +118,8 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
         # If the names are not unique, node and direction are.
         names=names if len(set(names)) == len(names) else [one.position for one in chosen],
         units=[known_unit(one.header["ordinate_axis_units_lab"]) for one in chosen],
+        sensitivities=[one.said("sensitivities") for one in chosen],
+        gains=[one.said("gains") for one in chosen],
         sampling_rate=_rate(first.step),
         rate_from="increment of the abscissa",
         start_time=first.start_time,

@@ -22,7 +22,7 @@ from cgid.errors import BadData
 from cgid.recordings.recording import Blocks, Contents, Remark, rates_agree, require_one_rate
 from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
-from cgid.units import hertz_of, known_unit, plain_unit, seconds_of
+from cgid.units import hertz_of, known_unit, number_and_unit, plain_unit, ratio_of, seconds_of
 
 #: Values with names in a file; a list has one value per channel.
 Value = float | str | datetime | list[str]
@@ -37,21 +37,32 @@ _INTERVAL_NAMES = frozenset(
 _UNIT_NAMES = frozenset(("unit", "units", "unitstring", "yunit", "yunits", "engineeringunit", "engineeringunits"))
 _START_NAMES = frozenset(("starttime", "wfstarttime", "startdatetime", "acquisitionstart", "recordingstart"))
 _CHANNEL_NAMES = frozenset(("channelnames", "channelname", "channels", "channellabels", "labels"))
-_NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES
+_GAIN_NAMES = frozenset(("gain", "chargegain", "amplifiergain"))
+_NAMES = _RATE_NAMES | _INTERVAL_NAMES | _UNIT_NAMES | _START_NAMES | _CHANNEL_NAMES | _GAIN_NAMES
 
 _NUMBER = re.compile(r"\s*([+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s]\S*)?\s*")
+#: A name of a sensitivity or of its unit, and the unit in brackets behind it.
+_SENSITIVITY = re.compile(
+    r"(?i:(?:.*[\W_])?(?:sensor|transducer)?sensitivity(?:[\W_]*(?:value|(unit|units)))?)\s*(?:[(\[](.+)[)\]])?\s*"
+)
+#: Longest name of a statement.
+_LONGEST_NAME = 200
 _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
 
 
 def is_statement(name: str) -> bool:
-    """Return whether a value of this name could state a rate, a unit, a start or channel names.
+    """Return whether a value of this name could state a rate, a unit, a start, channel names or a sensitivity.
 
     Examples
     --------
-    >>> [is_statement(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "gain")]
-    [True, True, False, False]
+    >>> [is_statement(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "Sensor_Sensitivity")]
+    [True, True, False, True]
     """
-    return _plain(name)[0] in _NAMES
+    return _plain(name)[0] in _NAMES or _sensitivity(name) is not None
+
+
+def _sensitivity(name: str) -> re.Match[str] | None:
+    return _SENSITIVITY.fullmatch(name) if len(name) <= _LONGEST_NAME else None
 
 
 def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
@@ -96,6 +107,60 @@ def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
             units = [known_unit(unit) for unit in written]
             return units if any(units) else None
     return None
+
+
+def stated_sensitivities(values: Values, n_channels: int) -> list[str | None] | None:
+    """Return the sensitivity of each channel as a text, None if none is stated; without a unit it is none.
+
+    The unit may stand behind the number, in the name, or in a value of its own.
+
+    Examples
+    --------
+    >>> stated_sensitivities({"Sensitivity": "10.2 mV/g"}, 1), stated_sensitivities({"sensitivity [mV/N]": 2.3}, 2)
+    (['10.2 mV/g'], ['2.3 mV/N', '2.3 mV/N'])
+    >>> stated_sensitivities({"Sensor_Sensitivity": 100.0, "Sensor_Sensitivity_Units": "mVolts/g"}, 1)
+    ['100 mVolts/g']
+    """
+    found, unit = None, ""
+    for name, value in values.items():
+        named = _sensitivity(name)
+        if named is not None and named[1] and isinstance(value, str):
+            unit = value
+        elif named is not None and not named[1] and found is None:
+            found, unit = value, named[2] or unit
+    written = found if isinstance(found, list) and len(found) == n_channels else [found] * n_channels
+    texts = [_with_unit(one, unit) for one in written]
+    return texts if any(texts) else None
+
+
+def _with_unit(value: Any, unit: str) -> str | None:
+    text = f"{value:.10g}" if isinstance(value, int | float) else str(value)
+    found = number_and_unit(text)
+    if found is None:
+        return None
+    text = text if found[1] else f"{text} {unit}"
+    return text if ratio_of(found[1] or unit) is not None else None
+
+
+def stated_gains(values: Values, n_channels: int) -> list[str | None] | None:
+    """Return the gain of each channel as a text, None without one."""
+    for _, value, _, _ in _named(values, _GAIN_NAMES):
+        if isinstance(value, str | float | int):
+            return [f"{value:.10g}" if isinstance(value, float | int) else value] * n_channels
+    return None
+
+
+def full_scale_of(dtype: np.dtype[Any]) -> float | None:
+    """Return the number of full scale of signed integers of 8 or 16 bit, None for other types.
+
+    Unsigned ones have no known middle, and 24 bit of a converter may lie at either end of 32.
+
+    Examples
+    --------
+    >>> full_scale_of(np.dtype("int16")), full_scale_of(np.dtype("uint16")), full_scale_of(np.dtype("int32"))
+    (32768.0, None, None)
+    """
+    return 2.0 ** (8 * dtype.itemsize - 1) if dtype.kind == "i" and dtype.itemsize <= 2 else None
 
 
 def stated_names(values: Values, n_channels: int) -> list[str] | None:
@@ -196,6 +261,7 @@ class Variable:
     group : path of its group, parts divided by slashes, "" at the top
     blocks : as in `Contents`
     about : named values attached to it
+    full_scale : number of full scale of integers, None if unknown
     fault : why its samples cannot be read, "" if they can
     warning : which samples are missing, "" if none
     """
@@ -206,6 +272,7 @@ class Variable:
     blocks: Blocks
     group: str = ""
     about: Values = field(default_factory=dict)
+    full_scale: float | None = None
     fault: str = ""
     warning: str = ""
 
@@ -292,9 +359,10 @@ def contents_of(
         names = _first(levels[0], lambda values: stated_names(values, first.n_channels)) or []
     else:
         names = [one.name for one in chosen]
-    units: list[str | None] = []
+    units, sensitivities, gains = list[str | None](), list[str | None](), list[str | None]()
     for one, level in zip(chosen, levels, strict=True):
-        units += _first(level, partial(stated_units, n_channels=one.n_channels)) or [None] * one.n_channels
+        for found, stated_of in ((units, stated_units), (sensitivities, stated_sensitivities), (gains, stated_gains)):
+            found += _first(level, partial(stated_of, n_channels=one.n_channels)) or [None] * one.n_channels
     start: datetime | None = _first(levels[0], stated_start)
     return Contents(
         n_channels=sum(one.n_channels for one in chosen),
@@ -304,6 +372,9 @@ def contents_of(
         units=units,
         sampling_rate=rates[0][0],
         rate_from=rates[0][1],
+        full_scales=[one.full_scale for one in chosen for _ in range(one.n_channels)],
+        sensitivities=sensitivities,
+        gains=gains,
         start_time=start,
         warnings=warnings + [f"{one.path}: {one.warning}" for one in chosen if one.warning],
     )

@@ -42,36 +42,16 @@ TABLE_2 = {
     4: PrintedContact("4.1618", "8.7739e8"),
 }
 
+_COMPARED = ("peak_displacement", "peak_force", "peak_pressure", "peak_sphere_energy", "peak_plate_energy")
 #: Table 3: squared linear correlation R^2 of simulation and theory, by sphere and quantity.
 TABLE_3 = {
-    1: {
-        "peak_displacement": 0.99278,
-        "peak_force": 0.96221,
-        "peak_pressure": 0.8174,
-        "peak_sphere_energy": 0.85459,
-        "peak_plate_energy": 0.94942,
-    },
-    2: {
-        "peak_displacement": 0.99864,
-        "peak_force": 0.97592,
-        "peak_pressure": 0.85486,
-        "peak_sphere_energy": 0.99078,
-        "peak_plate_energy": 0.90207,
-    },
-    3: {
-        "peak_displacement": 0.99724,
-        "peak_force": 0.99872,
-        "peak_pressure": 0.7483,
-        "peak_sphere_energy": 0.99215,
-        "peak_plate_energy": 0.94612,
-    },
-    4: {
-        "peak_displacement": 0.99714,
-        "peak_force": 0.99868,
-        "peak_pressure": 0.79499,
-        "peak_sphere_energy": 0.97595,
-        "peak_plate_energy": 0.84714,
-    },
+    sphere: dict(zip(_COMPARED, row, strict=True))
+    for sphere, row in {
+        1: (0.99278, 0.96221, 0.8174, 0.85459, 0.94942),
+        2: (0.99864, 0.97592, 0.85486, 0.99078, 0.90207),
+        3: (0.99724, 0.99872, 0.7483, 0.99215, 0.94612),
+        4: (0.99714, 0.99868, 0.79499, 0.97595, 0.84714),
+    }.items()
 }
 
 

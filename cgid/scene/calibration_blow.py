@@ -120,7 +120,7 @@ def prepared(scene: Scene, blow: Blow) -> PreparedBlow:
             f"{motion.name}: motion must be {sensor.quantity} in {sensor.unit} or alike, as the sensor of scene "
             f"{scene.name}, got {motion.quantity or 'no unit'}"
         )
-    if abs(motion.sampling_rate / rate - 1) > 1e-9:
+    if abs(motion.sampling_rate / rate - 1) > 1e-6:
         raise InvalidValue(
             f"{motion.name}: sampling_rate must be that of scene {scene.name}, {rate:g} Hz, got "
             f"{motion.sampling_rate:g} Hz; change the scene with varied(scene, sampling_rate=...) or resample"

@@ -1,20 +1,70 @@
-"""Distributions of the numbers of a population, all drawn by inversion of their distribution function.
+"""The numbers of a scene file: their units and limits, and the distributions that they are drawn from.
 
-One uniform number gives one value, so values do not depend on how many are drawn at once.
+A number is `"3.1 GPa"` or, in the SI unit, `3.1e9`. All distributions are drawn by inversion of their distribution
+function: one uniform number gives one value, so values do not depend on how many are drawn at once.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, model_validator
 
 from cgid.elementary import exp, expm1, log, log1p, normal_quantile, normal_share, power
-from cgid.scene.units import LIMITS, Number
 from cgid.units import DIMENSIONS, parse
 from cgid.validation import Floats
+
+#: Dimension -> lowest and highest value in SI units: wider than any real impact, but no formula overflows within them.
+LIMITS: dict[str, tuple[float, float]] = {
+    "density": (1e-3, 1e5),
+    "modulus": (1e3, 1e15),
+    "length": (1e-6, 1e4),
+    "speed": (1e-3, 1e4),
+    "frequency": (1e-3, 1e9),
+    "force": (1e-9, 1e15),
+    "time": (1e-9, 1e4),
+    "acceleration": (1e-3, 1e4),
+    "mass": (1e-6, 1e9),
+}
+
+
+def _reader(dimension: str) -> BeforeValidator:
+    return BeforeValidator(partial(parse, dimension=dimension))
+
+
+def _limits(dimension: str) -> Any:
+    lowest, highest = LIMITS[dimension]
+    return Field(ge=lowest, le=highest)
+
+
+Density = Annotated[float, _reader("density"), _limits("density")]
+Modulus = Annotated[float, _reader("modulus"), _limits("modulus")]
+Length = Annotated[float, _reader("length"), _limits("length")]
+Frequency = Annotated[float, _reader("frequency"), _limits("frequency")]
+Mass = Annotated[float, _reader("mass"), _limits("mass")]
+#: A level in the unit of the sensor's quantity, parsed by `cgid.scene.sensor`.
+Level = Annotated[float, Field(ge=0, le=LIMITS["force"][1])]
+Acceleration = Annotated[float, _reader("acceleration"), _limits("acceleration")]
+#: Shortest recording [s].
+SHORTEST_RECORDING = 1e-3
+#: A time in a recording, and its duration: at most a day.
+Moment = Annotated[float, _reader("time"), Field(ge=0, le=86_400)]
+Duration = Annotated[float, _reader("time"), Field(ge=SHORTEST_RECORDING, le=86_400)]
+#: Angle to the horizontal [rad], less than vertical.
+Inclination = Annotated[float, _reader("angle"), Field(ge=0, le=1.5)]
+Speed = Annotated[float, _reader("speed"), _limits("speed")]
+Decibel = Annotated[float, _reader("decibel"), Field(ge=-200, le=200)]
+#: A frequency of events, which may be 0.
+Rate = Annotated[float, _reader("frequency"), Field(ge=0, le=LIMITS["frequency"][1])]
+#: A dimensionless number; strings and booleans are rejected.
+Number = Annotated[float, Strict()]
+Whole = Annotated[int, Strict()]
+Ratio = Annotated[float, _reader("ratio")]
+
+# ---- distributions ---------------------------------------------------------------------------------------------------
 
 #: The smallest and largest uniform numbers (`cgid.scene.draws`).
 SMALLEST_UNIFORM, LARGEST_UNIFORM = 2.0**-54, 1 - 2.0**-53
@@ -36,7 +86,13 @@ class _Distribution(BaseModel):
 
 
 class Constant(_Distribution):
-    """Always the same value."""
+    """Always the same value.
+
+    Parameters
+    ----------
+    value : float
+        The value.
+    """
 
     distribution: Literal["constant"] = "constant"
     value: float
@@ -47,7 +103,15 @@ class Constant(_Distribution):
 
 
 class Choice(_Distribution):
-    """One of several values, with weights (equal by default)."""
+    """One of several values, with weights (equal by default).
+
+    Parameters
+    ----------
+    values : tuple of float
+        The values.
+    weights : tuple of float, optional
+        How often each is drawn, relative to the others.
+    """
 
     distribution: Literal["choice"]
     values: tuple[float, ...] = Field(min_length=1)
@@ -87,7 +151,15 @@ class _Bounded(_Distribution):
 
 
 class Uniform(_Bounded):
-    """Uniform between two bounds."""
+    """Uniform between two bounds.
+
+    Parameters
+    ----------
+    lowest : float
+        Lower bound.
+    highest : float
+        Upper bound.
+    """
 
     distribution: Literal["uniform"]
 
@@ -97,7 +169,15 @@ class Uniform(_Bounded):
 
 
 class LogUniform(_Bounded):
-    """The logarithm is uniform between two bounds."""
+    """The logarithm is uniform between two bounds.
+
+    Parameters
+    ----------
+    lowest : float
+        Lower bound.
+    highest : float
+        Upper bound.
+    """
 
     distribution: Literal["log-uniform"]
 
@@ -150,7 +230,19 @@ class _Truncatable(_Distribution):
 
 
 class Normal(_Truncatable):
-    """Gaussian; as "truncated-normal" between a lowest and a highest value."""
+    """Gaussian; as "truncated-normal" between a lowest and a highest value.
+
+    Parameters
+    ----------
+    mean : float
+        Mean before truncation.
+    deviation : float
+        Standard deviation before truncation.
+    lowest : float, optional
+        Values below are not drawn.
+    highest : float, optional
+        Values above are not drawn.
+    """
 
     distribution: Literal["normal", "truncated-normal"]
     mean: float
@@ -172,7 +264,19 @@ class Normal(_Truncatable):
 
 
 class Lognormal(_Truncatable):
-    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`."""
+    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`.
+
+    Parameters
+    ----------
+    median : float
+        Median before truncation.
+    sigma : float
+        Standard deviation of the natural logarithm.
+    lowest : float, optional
+        Values below are not drawn.
+    highest : float, optional
+        Values above are not drawn.
+    """
 
     distribution: Literal["lognormal"]
     median: float = Field(gt=0)
@@ -189,6 +293,17 @@ class RosinRammler(_Truncatable):
     """Rosin & Rammler (1933): the share below x is `1 - exp(-(x / characteristic)^uniformity)`.
 
     The law was found for the *mass* that passes a sieve; here it applies to the number of impacts.
+
+    Parameters
+    ----------
+    characteristic : float
+        Value below which 63 % of the draws lie.
+    uniformity : float
+        The higher, the narrower the distribution.
+    lowest : float, optional
+        Values below are not drawn.
+    highest : float, optional
+        Values above are not drawn.
     """
 
     distribution: Literal["rosin-rammler"]

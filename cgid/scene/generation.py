@@ -32,10 +32,9 @@ from cgid.scene.schema import Scene
 from cgid.scene.synthesis import columns_of, synthesise
 from cgid.signals import Batch
 from cgid.store import TableHeader, check_output, check_table_output, table_writer
-from cgid.store.compression import COMPRESSIONS, library, require
 from cgid.store.dataset import dataset_goal, part_of, shard_content
-from cgid.store.description import DATASET_FILES, FORMAT, JOURNAL, SCHEMA_VERSION, ShardEntry
-from cgid.store.hdf5 import ShardPlan
+from cgid.store.description import COMPRESSIONS, DATASET_FILES, FORMAT, JOURNAL, SCHEMA_VERSION, ShardEntry
+from cgid.store.hdf5 import ShardPlan, library, require
 from cgid.store.run import begun, is_single_file, taking_part
 from cgid.workers import Workers, workers
 

@@ -176,10 +176,13 @@ class SolvedImpacts:
 
     Attributes
     ----------
-    pulses : n pulses: forces [N] and durations [s] of spheres of 1 m
-    columns : `PARAMETERS` in SI units, with the restitution as solved, and `MAKING`: the requested restitution and the
-        retardation time of the sphere's material [s]; each (n,)
-    made : scene, seed, mesh and steps of the solution
+    pulses : SampledPulses
+        Forces [N] and durations [s] of n spheres of 1 m.
+    columns : mapping of str to ndarray, (n,)
+        `PARAMETERS` in SI units, with the restitution as solved, and `MAKING`: the requested restitution and the
+        retardation time of the sphere's material [s].
+    made : mapping
+        Scene, seed, mesh and steps of the solution.
     """
 
     pulses: SampledPulses

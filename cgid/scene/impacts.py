@@ -328,7 +328,7 @@ class Blows:
 
 def draw(scene: Scene, seed: int, block: int) -> Blows:
     """Return the true pulses of one block of 256, as `blows_of`; rocks of a stream as if they fell into frames."""
-    return blows_of(Plan(scene=scene, outputs=frozenset(("pulses",))), seed, block)
+    return blows_of(Plan(scene=scene, kind="pulses"), seed, block)
 
 
 def blows_of(asked: Plan, seed: int, block: int) -> Blows:

@@ -174,7 +174,7 @@ def reference_peak(scene: Scene) -> float:
 
     It sets the level of a recorded background for all signals of a scene, in the SI unit of the sensor.
     """
-    asked = Plan(scene=scene, outputs=frozenset(("frames",)))
+    asked = Plan(scene=scene)
     peaks = [_peaks(blows_of(asked, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
     # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact scales with v^(6/5).

@@ -1,4 +1,4 @@
-"""Decide which stages run for the requested outputs of a scene, and why.
+"""Decide which stages run for the requested output of a scene, and why.
 
 Each stage has one function that turns the plan into a `Decision`; all code that makes frames, recordings or tables asks
 `Plan.runs(stage)`. Only what depends on drawn numbers is decided elsewhere: whether an impact has a closed form
@@ -25,7 +25,7 @@ from cgid.scene.draws import parameter_units
 from cgid.scene.extremes import largest_error, tolerance_of
 from cgid.scene.schema import Scene, samples_of
 
-#: The possible outputs, in processing order.
+#: The possible outputs.
 OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
 #: Properties of `Impact` and their units.
 QUANTITIES = {
@@ -61,7 +61,15 @@ _MOST_LISTED = 13
 
 
 class Decision(NamedTuple):
-    """Whether a stage runs, why, and the error of what it omits, relative to the peak (0: nothing changes)."""
+    """Whether a stage runs, and why.
+
+    Attributes
+    ----------
+    runs : bool
+    why : str
+    error_bound : float
+        Error of what is omitted, relative to the peak; 0 if nothing changes.
+    """
 
     runs: bool
     why: str
@@ -70,25 +78,29 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """The requested outputs of a scene; see `plan`.
+    """The requested output of a scene; see `plan`.
 
     Attributes
     ----------
-    outputs : out of `OUTPUTS`
-    features : out of `cgid.measure.features`; empty unless features are requested
-    quantities : out of `QUANTITIES`: those requested or needed for other outputs
-    dtype : of stored samples
+    kind : str
+        The requested output, out of `OUTPUTS`.
+    features : tuple of str
+        Names of features; empty unless features are requested.
+    quantities : tuple of str
+        Out of `QUANTITIES`: those requested, or needed for another output.
+    dtype : {"float32", "float64"}
+        Of stored samples.
     """
 
     scene: Scene
-    outputs: frozenset[str]
+    kind: str = "frames"
     features: tuple[str, ...] = ()
     quantities: tuple[str, ...] = STORED
     dtype: Literal["float32", "float64"] = "float32"
 
     def __repr__(self) -> str:
         running = ", ".join(stage for stage, decision in self.decisions.items() if decision.runs)
-        return f"Plan({', '.join(sorted(self.outputs, key=OUTPUTS.index))} of scene {self.scene.name!r}: {running})"
+        return f"Plan({self.kind} of scene {self.scene.name!r}: {running})"
 
     @cached_property
     def decisions(self) -> dict[str, Decision]:
@@ -109,24 +121,19 @@ class Plan:
         return self if scene is self.scene else replace(self, scene=scene)
 
     @property
-    def kind(self) -> str:
-        """The last of the outputs in processing order."""
-        return max(self.outputs, key=OUTPUTS.index)
-
-    @property
     def signals(self) -> bool:
-        """Whether the outputs need signals."""
-        return self.sensed or "pulses" in self.outputs
+        """Whether the output needs signals."""
+        return self.sensed or self.kind == "pulses"
 
     @property
     def sensed(self) -> bool:
-        """Whether the outputs need signals as the sensor gives them."""
-        return not self.outputs.isdisjoint(("frames", "recordings", "features"))
+        """Whether the output needs signals as the sensor gives them."""
+        return self.kind in ("frames", "recordings", "features")
 
     @property
     def kept(self) -> bool:
         """Whether whole signals are requested."""
-        return not self.outputs.isdisjoint(("pulses", "frames", "recordings"))
+        return self.kind in ("pulses", "frames", "recordings")
 
     @property
     def column_units(self) -> dict[str, str]:
@@ -135,7 +142,7 @@ class Plan:
             return {}
         parameters = parameter_units(self.scene)
         rate = {"sampling_rate": "Hz"} if self.scene.draws("sampling_rate") else {}
-        if "features" in self.outputs:
+        if self.kind == "features":
             measured = {name: FEATURES[name].unit_for(self.scene.sensor.unit) for name in self.features}
             return measured | {f"{TRUE}{name}": unit for name, unit in parameters.items()} | rate
         drawn = {name for source in self.scene.sources for name in source.laws} | {"onset"}
@@ -159,43 +166,59 @@ class Plan:
 
 def plan(
     scene: Scene,
-    outputs: Iterable[str] = ("frames",),
+    output: str = "frames",
     *,
     features: Iterable[str] | None = None,
     quantities: Iterable[str] | None = None,
     dtype: Literal["float32", "float64"] = "float32",
 ) -> Plan:
-    """Return the plan for these outputs of a scene.
+    """Return the plan for an output of a scene.
 
     "parameters" are the drawn numbers, "closed-form" gives quantities of impacts without their pulses, "pulses" are
     forces without beam and sensor, "frames" are signals as the sensor gives them. "features" are measured on such
-    signals, which are kept only if frames are requested as well. A stream has "recordings" and nothing else.
+    signals, which are not kept. A stream has "recordings" and nothing else.
 
-    Features default to all of the sensor's kind that sampling rate and frames allow, quantities to all. Raises
-    `InvalidValue` for unknown names, and where the requests contradict each other or the scene.
+    Parameters
+    ----------
+    scene : Scene
+    output : {"parameters", "closed-form", "pulses", "frames", "recordings", "features"}
+    features : iterable of str, optional
+        By default all of the sensor's kind that sampling rate and frames allow.
+    quantities : iterable of str, optional
+        Of the closed forms; by default all.
+    dtype : {"float32", "float64"}
+        Of stored samples.
 
+    Returns
+    -------
+    Plan
+        Its `decisions` say for every stage whether it runs, and why.
+
+    Raises
+    ------
+    InvalidValue
+        A name is unknown, or the requests contradict each other or the scene.
+
+    Examples
+    --------
     >>> from cgid.scene import load_scene
     >>> from cgid.shipped import scene_path
-    >>> asked = plan(load_scene(scene_path("reference")), ["closed-form"], quantities=["contact_duration"])
+    >>> asked = plan(load_scene(scene_path("reference")), "closed-form", quantities=["contact_duration"])
     >>> [stage for stage, decision in asked.decisions.items() if decision.runs]
     ['impacts']
     """
-    asked = frozenset((outputs,) if isinstance(outputs, str) else outputs)
-    if not asked:
-        raise InvalidValue(f"outputs must be at least one of {', '.join(OUTPUTS)}, got none")
-    for output in sorted(asked):
-        validation.choice("output", output, OUTPUTS)
-    for name, given, output in (("features", features, "features"), ("quantities", quantities, "closed-form")):
-        if given is not None and output not in asked:
-            raise InvalidValue(f"{name} must come with the output {output!r}, which is not asked; leave them out")
-    _require_recordings(scene, asked)
+    validation.choice("output", output, OUTPUTS)
+    for name, given, needed in (("features", features, "features"), ("quantities", quantities, "closed-form")):
+        if given is not None and output != needed:
+            raise InvalidValue(f"{name} must come with the output {needed!r}, which is not asked; leave them out")
+    _require_recordings(scene, output)
     validation.choice("dtype", dtype, ("float32", "float64"))
-    made = Plan(scene=scene, outputs=asked, dtype=dtype)
-    wanted = _quantities(quantities) if "closed-form" in asked else ()
+    made = Plan(scene=scene, kind=output, dtype=dtype)
+    wanted = _quantities(quantities) if output == "closed-form" else ()
     return replace(
         made,
-        features=_features(scene, features) if "features" in asked else (),
-        quantities=tuple(dict.fromkeys((*STORED, *wanted))) if made.signals else wanted,
+        features=_features(scene, features) if output == "features" else (),
+        quantities=STORED if made.signals else wanted,
     )
 
 
@@ -215,15 +238,15 @@ def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-def _require_recordings(scene: Scene, outputs: frozenset[str]) -> None:
+def _require_recordings(scene: Scene, output: str) -> None:
     """Raise `InvalidValue` unless a stream makes only recordings, and other scenes make none."""
-    if scene.stream is not None and outputs != {"recordings"}:
+    if scene.stream is not None and output != "recordings":
         raise InvalidValue(
-            f"outputs of scene {scene.name} must be recordings, for it is a stream, got {', '.join(sorted(outputs))}; "
+            f"output of scene {scene.name} must be recordings, for it is a stream, got {output}; "
             "make recordings of it (cgid generate SCENE -o RECORDING.h5)"
         )
-    if scene.stream is None and "recordings" in outputs:
-        raise InvalidValue(f"outputs of scene {scene.name} must not be recordings, for which it needs a section stream")
+    if scene.stream is None and output == "recordings":
+        raise InvalidValue(f"output of scene {scene.name} must not be recordings, for which it needs a section stream")
 
 
 def _features(scene: Scene, features: Iterable[str] | None) -> tuple[str, ...]:
@@ -273,7 +296,7 @@ def _arrivals(asked: Plan) -> Decision:
     stream = asked.scene.stream
     if stream is None:
         return Decision(False, "the scene is no stream")
-    if "recordings" not in asked.outputs:
+    if asked.kind != "recordings":
         return Decision(False, "no recordings are asked for")
     how = "Poisson" if stream.arrivals.rate is not None else "listed"
     mixture = "" if stream.mixture is None else ", the mixture changes"
@@ -465,7 +488,7 @@ def _digitising(asked: Plan) -> Decision:
 
 def _measuring(asked: Plan) -> Decision:
     names = asked.features
-    if "features" not in asked.outputs:
+    if asked.kind != "features":
         return Decision(False, "no features are asked for")
     listed = ", ".join(names) if len(names) <= _MOST_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
     fitted = "a fit" if any(FEATURES[name].fitted for name in names) else "no fit"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,13 +12,13 @@ import numpy as np
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.files import require_room
+from cgid.scene.distributions import SHORTEST_RECORDING
 from cgid.scene.draws import require_seed
 from cgid.scene.generation import attributes_of, in_order
 from cgid.scene.noise import background_of
 from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import Scene, samples_of
 from cgid.scene.stream import impact_units, joined, parts_of_recording
-from cgid.scene.units import SHORTEST_RECORDING
 from cgid.store.description import (
     JOURNAL,
     LARGEST_RECORDING,
@@ -210,11 +210,5 @@ def _description_of(path: Path) -> dict[str, Any] | None:
 
 def _plan_of(path: Path) -> RecordingPlan:
     """Return the plan of an existing recording."""
-    made = Recording(path)
-    return RecordingPlan(
-        n_samples=made.n_samples,
-        dtype=made.samples(0, 1).dtype.name,
-        sampling_rate=made.sampling_rate,
-        unit=made.unit,
-        attributes=made.attributes,
-    )
+    made = vars(Recording(path))
+    return RecordingPlan(**{field.name: made[field.name] for field in fields(RecordingPlan)})

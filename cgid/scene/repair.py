@@ -11,7 +11,7 @@ import re
 import stat
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import accumulate
@@ -48,7 +48,7 @@ from cgid.store.description import (
     sums_of,
     sums_text,
 )
-from cgid.store.verification import Finding, Verified, compression_of, damaged_rows, examine_file
+from cgid.store.verification import Finding, Verified, compression_of, damage_in_words, examine_file
 
 #: Versions of cgid whose numbers depended on the processor.
 _DEPENDENT = "cgid 0.1."
@@ -66,7 +66,14 @@ Progress = Callable[[int], object]
 class Repair:
     """The result for one finding.
 
-    told : the action taken, or the reason for its failure
+    Attributes
+    ----------
+    finding : Finding
+        What was damaged or missing.
+    done : bool
+        Whether the file is whole again.
+    told : str
+        The action taken, or the reason for its failure.
     """
 
     finding: Finding
@@ -77,9 +84,24 @@ class Repair:
 def repair(verified: Verified, scene: Scene | None = None, progress: Progress | None = None) -> Iterator[Repair]:
     """Make damaged or missing files again, each atomically, and remove the leftovers of killed runs.
 
-    Yields a `Repair` for each finding that is neither foreign nor pending. Only a dataset with a recorded background
-    needs `scene`. `progress` receives the number of signals or samples made since the last call.
-    Raises `CannotCreate` if a run writes into the folder or another dataset has replaced it since it was verified.
+    Parameters
+    ----------
+    verified : Verified
+        The result of `cgid.store.verification.verify`.
+    scene : Scene, optional
+        Only a dataset with a recorded background needs it.
+    progress : callable, optional
+        Is called with the number of signals or samples made since the last call.
+
+    Yields
+    ------
+    Repair
+        For each finding that is neither foreign nor pending.
+
+    Raises
+    ------
+    CannotCreate
+        A run writes into the folder, or another dataset has replaced it since it was verified.
     """
     room = _Room(verified.path)
     # Manifest and sums come last because they are made from the other files.
@@ -178,40 +200,34 @@ class _Room:
 class _Recipe:
     """Everything that determines the bytes of a file.
 
-    kind : `FORMAT` or `RECORDING_FORMAT`
-    attributes : root attributes
+    attributes : its root attributes
     number : of the first signal, or of the recording
-    n_signals : 1 for a recording
+    n_signals : None for a recording
     """
 
-    kind: str
     attributes: Mapping[str, Any]
     scene: Scene
     seed: int
     number: int
-    n_signals: int
+    n_signals: int | None
     dtype: str
     compression: str
 
     @property
     def size(self) -> int:
         """Approximate size of the file [bytes]."""
-        return self.n_signals * (samples_of(self.scene) * np.dtype(self.dtype).itemsize + _ROW)
+        return (self.n_signals or 1) * (samples_of(self.scene) * np.dtype(self.dtype).itemsize + _ROW)
 
 
 def _recipe_of_shard(finding: Finding, entry: ShardEntry, manifest: Manifest, given: Scene | None) -> _Recipe:
     """Return the recipe of a shard; raises `BadData` if it is readable and belongs to another dataset."""
-    path, attributes = finding.file, manifest.attributes
+    path = finding.file
     manifest.require_own(path, finding.examined.get("attributes", {}))
     about: Mapping[str, Any] = vars(manifest)
     if manifest.dtype is None:  # manifests of version 1 do not say it, but the other shards do
-        readable = (examine_file(path.with_name(other.file)) for other in manifest.shards)
-        about = next((examined for examined in readable if not examined["fault"]), {})
-        if not about:
-            raise BadData(f"{path.parent}: no shard says any more how its signals are stored; generate it again")
-        about = {**about, "compression": compression_of(about)}
-    numbered = {**attributes, "first_signal": entry.first_signal}
-    recipe = _recipe(path.with_name(MANIFEST), FORMAT, numbered, about, entry.n_signals, given)
+        about = _readable(path, [path.with_name(other.file) for other in manifest.shards])
+    attributes = {**manifest.attributes, "first_signal": entry.first_signal}
+    recipe = _recipe(path.with_name(MANIFEST), attributes, about, entry.n_signals, given)
     size = entry.n_signals * about["n_samples"] * np.dtype(about["dtype"]).itemsize
     if size > LARGEST_SHARD:
         raise BadData(f"a shard must be at most {LARGEST_SHARD >> 30} GiB, got {size / 2**30:.3g} GiB of signals")
@@ -220,38 +236,40 @@ def _recipe_of_shard(finding: Finding, entry: ShardEntry, manifest: Manifest, gi
 
 def _recipe_of_file(finding: Finding, given: Scene | None) -> _Recipe:
     """Return the recipe of a single file or recording, from its own attributes or those of a sibling."""
-    path, examined = finding.file, finding.examined
-    attributes = dict(examined.get("attributes", {}))
-    if not examined or examined["fault"]:
+    path, about = finding.file, dict(finding.examined)
+    attributes = about.get("attributes", {})
+    if not about or about["fault"]:
         if not re.fullmatch(RECORDING_NAME, path.name):
             raise BadData(
                 f"{path}: does not say any more how it was made; if it was made by cgid, make it again by cgid "
                 "generate with --overwrite"
             )
-        others = sorted(
-            other for other in path.parent.glob("recording-*.h5") if other != path and not other.is_symlink()
-        )
-        readable = (found for found in map(examine_file, others) if not found["fault"])
-        examined = next(readable, {})
-        if not examined:
-            raise BadData(f"{path}: no recording beside it says how they were made; generate them again")
-        attributes = {**examined["attributes"], "recording": int(path.stem.removeprefix("recording-"))}
+        about = _readable(path, sorted(path.parent.glob("recording-*.h5")))
+        attributes = {**about["attributes"], "recording": int(path.stem.removeprefix("recording-"))}
     kind = attributes.get("format")
     if kind not in (FORMAT, RECORDING_FORMAT):
         raise BadData(f"{path}: is no file that is made again in part; make it again by the command that made it")
-    about = {**examined, "compression": compression_of(examined)}
-    n_signals = examined["chunks"]["signals"][-1][1] if kind == FORMAT else 1
-    recipe = _recipe(path, kind, attributes, about, n_signals, given)
-    here = _versions(recipe)
-    if finding.sha256 is None and attributes.get("versions") != here:
+    about["compression"] = compression_of(about)
+    recipe = _recipe(path, attributes, about, about["chunks"]["signals"][-1][1] if kind == FORMAT else None, given)
+    if finding.sha256 is None and attributes.get("versions") != _versions(recipe):
         raise BadData(
             f"{path}: must be made again by the versions that made it; nothing was replaced: {_why_other(recipe)}"
         )
     return recipe
 
 
+def _readable(path: Path, others: Iterable[Path]) -> dict[str, Any]:
+    """Return the result of `examine_file`, with the compression, for the first of the other files that can be read."""
+    for other in others:
+        if other != path and not other.is_symlink():
+            examined = examine_file(other)
+            if not examined["fault"]:
+                return {**examined, "compression": compression_of(examined)}
+    raise BadData(f"{path}: no file beside it says how it was made; generate it again")
+
+
 def _recipe(
-    path: Path, kind: str, attributes: Mapping[str, Any], about: Mapping[str, Any], n_signals: int, given: Scene | None
+    path: Path, attributes: Mapping[str, Any], about: Mapping[str, Any], n_signals: int | None, given: Scene | None
 ) -> _Recipe:
     """Return the recipe of a file; `path` is the file that describes it.
 
@@ -264,11 +282,10 @@ def _recipe(
             f"{about['n_samples']}; make it again by cgid generate"
         )
     return _Recipe(
-        kind=kind,
         attributes=attributes,
         scene=scene,
         seed=_whole_number(path, attributes, "seed"),
-        number=_whole_number(path, attributes, "first_signal" if kind == FORMAT else "recording"),
+        number=_whole_number(path, attributes, "recording" if n_signals is None else "first_signal"),
         n_signals=n_signals,
         dtype=about["dtype"],
         compression=about["compression"],
@@ -324,22 +341,19 @@ def _whole_number(path: Path, attributes: Mapping[str, Any], name: str) -> int:
 
 def _make(recipe: _Recipe, path: Path, progress: Progress | None) -> None:
     """Write the new content into an empty file."""
-    scene, seed, number = recipe.scene, recipe.seed, recipe.number
-    if recipe.kind == RECORDING_FORMAT:
-        own = ("format", "schema_version", "n_impacts")
-        attributes = {name: value for name, value in recipe.attributes.items() if name not in own}
+    scene, seed, number, n_signals = recipe.scene, recipe.seed, recipe.number, recipe.n_signals
+    own = ("first_signal",) if n_signals is not None else ("format", "schema_version", "n_impacts")
+    attributes = {name: value for name, value in recipe.attributes.items() if name not in own}
+    if n_signals is None:
         write_recording(path, recording_plan(scene, attributes, recipe.dtype), scene, seed, number, progress)
         return
-    attributes = {name: value for name, value in recipe.attributes.items() if name != "first_signal"}
     plan = shard_plan(scene, attributes, recipe.dtype, recipe.compression)
     dtype: Any = recipe.dtype
-    batches = synthesise(scene, recipe.n_signals, seed, first=number, dtype=dtype)
-    if plan.size(recipe.n_signals) > LARGEST_SHARD:  # only an exported dataset is that large
-        write_dataset(path, plan, number, recipe.n_signals, batches, progress)
-        return
-    path.write_bytes(
-        shard_content(plan, number, recipe.n_signals, next_signals(batches, recipe.n_signals, progress))[0]
-    )
+    batches = synthesise(scene, n_signals, seed, first=number, dtype=dtype)
+    if plan.size(n_signals) > LARGEST_SHARD:  # only an exported dataset is that large
+        write_dataset(path, plan, number, n_signals, batches, progress)
+    else:
+        path.write_bytes(shard_content(plan, number, n_signals, next_signals(batches, n_signals, progress))[0])
 
 
 def _require_same(recipe: _Recipe, made: Path, finding: Finding) -> None:
@@ -393,63 +407,45 @@ def _why_other(recipe: _Recipe) -> str:
 
 def _sum_again(file: Path, manifest: Manifest | None) -> str:
     """Rewrite `SHA256SUMS` from the manifest, or from recordings, which have their own checksums."""
-    folder = file.parent
     if manifest is not None:
-        write_whole(file, sums_text(sums_of(manifest.shards, (folder / MANIFEST).read_bytes())))
+        write_whole(file, sums_text(sums_of(manifest.shards, file.with_name(MANIFEST).read_bytes())))
         return "written again from the manifest"
-    names = sorted(path.name for path in folder.iterdir() if re.fullmatch(RECORDING_NAME, path.name))
-    named = set(re.findall(RECORDING_NAME, (read_text(file) or b"").decode("latin-1")))
-    if not named <= set(names):
-        raise BadData(f"{file}: names recordings that are missing, such as {min(named - set(names))}; generate again")
-    for name in names:
-        _require_whole(folder / name, SUMS)
-    write_whole(file, sums_text({name: file_facts(folder / name)["sha256"] for name in names}))
-    return f"written again from the {len(names)} recordings that are there"
+    sums = {path.name: file_facts(path)["sha256"] for path, _ in _whole_files(file, RECORDING_NAME)}
+    write_whole(file, sums_text(sums))
+    return f"written again from the {len(sums)} recordings that are there"
 
 
 def _relist(file: Path) -> str:
     """Rewrite a lost manifest from the shards in its folder, which must be whole and of one dataset."""
-    folder = file.parent
-    shards = sorted(path for path in folder.iterdir() if re.fullmatch(SHARD_NAME, path.name))
-    # A new manifest would omit missing shards that the sums or the damaged manifest still name.
     sums: dict[str, str] = {}
     with suppress(BadData):  # damaged sums are rewritten from the manifest later
-        sums = read_sums(folder) or {}
-    named = set(re.findall(SHARD_NAME, (read_text(file) or b"").decode("latin-1"))) | (sums.keys() - {MANIFEST})
-    if len(named) > len(shards):
-        raise BadData(
-            f"{file}: names {len(named)} shards, {len(shards)} are there, and without a manifest those that are "
-            "missing cannot be made again; generate the dataset again"
-        )
+        sums = read_sums(file.parent) or {}
     entries: list[ShardEntry] = []
-    described: dict[str, Any] = {}
     attributes: dict[str, Any] = {}
-    for shard in shards:
-        examined = _require_whole(shard, MANIFEST)
+    examined: dict[str, Any] = {}
+    for shard, examined in _whole_files(file, SHARD_NAME, sums.keys() - {MANIFEST}):
         said = dict(examined["attributes"])
         labels: Counter[str] = Counter()
         for batch in Dataset(shard).batches():
             labels.update(batch.labels.tolist())
-        first = said.pop("first_signal", 0)
-        facts = file_facts(shard)
-        entries.append(
-            ShardEntry(first_signal=first, n_signals=labels.total(), labels=dict(sorted(labels.items())), **facts)
-        )
+        first, counts = said.pop("first_signal", 0), dict(sorted(labels.items()))
+        entries.append(ShardEntry(first_signal=first, n_signals=labels.total(), labels=counts, **file_facts(shard)))
         attributes = attributes or said
         if said != attributes:
-            raise BadData(f"{shard}: is not of the dataset that {shards[0].name} is of; take it away, or generate anew")
-        described = {name: examined[name] for name in ("n_samples", "dtype")}
-        described["compression"] = compression_of(examined)
-    n_signals = sum(entry.n_signals for entry in entries)
-    starts = list(accumulate((entry.n_signals for entry in entries), initial=0))[:-1]
+            raise BadData(
+                f"{shard}: is not of the dataset that {entries[0].file} is of; take it away, or generate anew"
+            )
+    *starts, n_signals = accumulate((entry.n_signals for entry in entries), initial=0)
     if not entries or [entry.first_signal for entry in entries] != starts:
-        raise BadData(f"{folder}: its shards must follow each other from signal 0 on; generate the dataset again")
+        raise BadData(f"{file.parent}: its shards must follow each other from signal 0 on; generate the dataset again")
     manifest = Manifest(
         n_signals=n_signals,
         attributes=in_order(attributes),
         shards=tuple(entries),
         shard_signals=entries[0].n_signals,
-        **described,
+        n_samples=examined["n_samples"],
+        dtype=examined["dtype"],
+        compression=compression_of(examined),
     ).to_bytes()
     if sums and sums != sums_of(entries, manifest):
         raise BadData(f"{file}: must come out with the sums of {SUMS}, it does not; generate the dataset again")
@@ -457,14 +453,26 @@ def _relist(file: Path) -> str:
     return f"made again from the {len(entries)} shards that are there, of {n_signals} signals"
 
 
-def _require_whole(path: Path, listed_in: str) -> dict[str, Any]:
-    """Return the result of `examine_file`; raises `BadData` unless the file is whole."""
-    if path.is_symlink():
-        raise BadData(f"{path}: {LINKED}")
-    examined = examine_file(path)
-    if examined["fault"] or any(damaged_rows(chunks) for chunks in examined["chunks"].values()):
+def _whole_files(file: Path, name: str, listed: Collection[str] = ()) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Yield the files from which a manifest or `SHA256SUMS` is rewritten, each with the result of `examine_file`.
+
+    Raises `BadData` unless they are whole, and as many as `file`, which may be damaged, and `listed` name: a new one
+    would omit missing files.
+    """
+    found = sorted(path for path in file.parent.iterdir() if re.fullmatch(name, path.name))
+    named = {*re.findall(name, (read_text(file) or b"").decode("latin-1")), *listed}
+    if len(named) > len(found):
         raise BadData(
-            f"{path}: must be whole to make a new {listed_in} from, it is not, and without that it cannot be "
-            "made again; generate the dataset again"
+            f"{file}: names {len(named)} files, {len(found)} are there, and without it those that are missing cannot "
+            "be made again; generate them again"
         )
-    return examined
+    for path in found:
+        if path.is_symlink():
+            raise BadData(f"{path}: {LINKED}")
+        examined = examine_file(path)
+        if damage_in_words(examined):
+            raise BadData(
+                f"{path}: must be whole to make a new {file.name} from, it is not, and without that it cannot be made "
+                "again; generate the dataset again"
+            )
+        yield path, examined

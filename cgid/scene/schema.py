@@ -45,7 +45,33 @@ _MOST_MISTAKES = 20
 
 
 class Scene(Section):
-    """A complete scene; see `load_scene`."""
+    """A complete scene; see `load_scene`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the scene, which datasets and model cards carry.
+    description : str
+        What the scene is, for readers.
+    impact : ImpactSection
+        The laws of the impact and the target.
+    sampling : SamplingSection
+        How signals are sampled.
+    sensor : Sensor
+        The sensor; without it an exact recorder of the force.
+    tail_beam : TailBeamSection, optional
+        The beam that the rocks hit and a sensor of motion sits on.
+    randomise : RandomiseSection, optional
+        Settings that are drawn instead of fixed.
+    populations : tuple of Population
+        The rocks that fall.
+    taps : tuple of Tap
+        Pulses of a prescribed shape, such as those of a hammer.
+    stream : StreamSection, optional
+        One long recording of many rocks, instead of a frame for each impact.
+    background : BackgroundSection, optional
+        Hum, noise or a recording that is added to the signals.
+    """
 
     name: str = Field(min_length=1, max_length=64)
     description: str = ""
@@ -204,6 +230,10 @@ def load_scene(path: str | Path) -> Scene:
     ----------
     path : str or Path
         A file, or the name of a shipped scene, as `cgid check --list` prints them; a `Path` is always a file.
+
+    Returns
+    -------
+    Scene
 
     Raises
     ------

@@ -25,8 +25,22 @@ from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPl
 from cgid.physics.materials import Material
 from cgid.physics.modes import COLUMNS, MeasuredModes, read_measured_modes
 from cgid.physics.tail_beam import Ribs, TailBeam
-from cgid.scene.distributions import Distribution, measured, measured_within, within
-from cgid.scene.units import LIMITS, Acceleration, Density, Frequency, Length, Mass, Modulus, Number, Ratio, Whole
+from cgid.scene.distributions import (
+    LIMITS,
+    Acceleration,
+    Density,
+    Distribution,
+    Frequency,
+    Length,
+    Mass,
+    Modulus,
+    Number,
+    Ratio,
+    Whole,
+    measured,
+    measured_within,
+    within,
+)
 from cgid.validation import Floats
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. The order defines their indices.
@@ -62,7 +76,15 @@ class Section(BaseModel):
 
 
 class SecondHit(Section):
-    """A repetition of the pulse, `delay` after touch and `ratio` times as high; the two may overlap."""
+    """A repetition of the pulse, `delay` after touch and `ratio` times as high; the two may overlap.
+
+    Parameters
+    ----------
+    delay : distribution [s]
+        Time from the first touch to the second.
+    ratio : distribution
+        Height of the second pulse over that of the first.
+    """
 
     delay: _Time
     ratio: Annotated[Distribution, measured("ratio"), _between(1e-3, 1e3)]
@@ -76,7 +98,6 @@ class _Source(Section):
     label: Annotated[str, AfterValidator(partial(validation.label, "label"))]
     weight: Number = Field(default=1.0, gt=0, le=1e9)
     second_hit: SecondHit | None = None
-    # Share of the peak at which the pulse is clipped, as by a sensor whose range is too small.
     clipped_at: Annotated[Distribution, measured("ratio"), _between(1e-3, 1.0)] | None = None
 
     @property
@@ -89,7 +110,33 @@ class _Source(Section):
 
 
 class Population(_Source):
-    """Particles of one kind and how they fall; several populations may share a label."""
+    """Particles of one kind and how they fall; several populations may share a label.
+
+    Parameters
+    ----------
+    label : str
+        Class of the rocks, such as "coal": 1 to 100 letters, digits, blanks, `_`, `.` or `-`; "unknown" is reserved.
+    weight : float
+        How often this population is drawn, relative to the others.
+    second_hit : SecondHit, optional
+        The pulse comes a second time.
+    clipped_at : distribution, optional
+        Share of the peak at which the pulse is clipped, as by a sensor whose range is too small.
+    density : distribution [kg/m^3]
+        Density of the rock.
+    youngs_modulus : distribution [Pa]
+        Young's modulus of the rock.
+    poisson_ratio : distribution
+        Poisson's ratio of the rock.
+    radius : distribution [m]
+        Radius of the rock, a sphere.
+    restitution : distribution, optional
+        Rebound speed over impact speed that the rock alone would have; left out where dissipation is elastic.
+    drop_height : distribution, optional [m]
+        How far the rock falls; either this or `velocity`.
+    velocity : distribution, optional [m/s]
+        Impact speed; either this or `drop_height`.
+    """
 
     _DRAWN = ("density", "youngs_modulus", "poisson_ratio", "radius", "restitution", "drop_height", "velocity")
 
@@ -113,7 +160,25 @@ class Population(_Source):
 
 
 class Tap(_Source):
-    """Pulses of a prescribed shape, such as those of a hammer."""
+    """Pulses of a prescribed shape, such as those of a hammer.
+
+    Parameters
+    ----------
+    label : str
+        Class of the taps; the same rule as for populations.
+    weight : float
+        How often this tap is drawn, relative to the other sources.
+    second_hit : SecondHit, optional
+        The pulse comes a second time.
+    clipped_at : distribution, optional
+        Share of the peak at which the pulse is clipped.
+    shape : str
+        Force over its peak against time over the duration.
+    peak_force : distribution [N]
+        Largest force.
+    contact_duration : distribution [s]
+        Time from touch to separation.
+    """
 
     _DRAWN = ("peak_force", "contact_duration")
 
@@ -123,7 +188,19 @@ class Tap(_Source):
 
 
 class TargetSection(Section):
-    """The target: an elastic half space, or a thin plate if it has a thickness; `target = "rigid"` for a rigid wall."""
+    """The target: an elastic half space, or a thin plate if it has a thickness; `target = "rigid"` for a rigid wall.
+
+    Parameters
+    ----------
+    density : float [kg/m^3]
+        Density of the target.
+    youngs_modulus : float [Pa]
+        Young's modulus of the target.
+    poisson_ratio : float
+        Poisson's ratio of the target.
+    thickness : float, optional [m]
+        Makes the target a thin plate that no wave returns in; left out where there is a tail beam.
+    """
 
     density: Density = 7850.0
     youngs_modulus: Modulus
@@ -146,13 +223,29 @@ class TargetSection(Section):
 
 
 class ImpactSection(Section):
-    """The laws of the impact."""
+    """The laws of the impact.
+
+    Parameters
+    ----------
+    stiffness : str
+        Theory of the contact stiffness; there is no default.
+    dissipation : str
+        Whether the rock loses energy.
+    law : str
+        Relation of the damping to the restitution: "exact" delivers the restitution that is asked for; the published
+        factors deliver another one.
+    target : TargetSection or "rigid"
+        What is hit: an elastic body, or a wall that does not yield.
+    gravity : float, optional [m/s^2]
+        Weight of the rock during contact; left out for none.
+    gravity_tolerance : float, optional
+        Weight is ignored for every impact that it changes by less than this share.
+    """
 
     stiffness: Literal["hertz", "rigid-sphere", "series"]
     dissipation: Literal["elastic", "hunt-crossley"]
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
-    # During contact; ignored for every impact that it changes by less than the tolerance.
     gravity: Acceleration | None = None
     gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
 
@@ -163,7 +256,19 @@ class ImpactSection(Section):
 
 
 class SamplingSection(Section):
-    """How frames are sampled; for a stream, which has no frames, only the sampling rate."""
+    """How frames are sampled; for a stream, which has no frames, only the sampling rate.
+
+    Parameters
+    ----------
+    sampling_rate : float [Hz]
+        Samples per second.
+    samples : int
+        Length of a frame; required, except in a stream, where it is left out.
+    pre_trigger : int
+        Samples before touch; required, except in a stream, where it is left out.
+    jitter : float
+        Touch falls anywhere within this part of a sample.
+    """
 
     sampling_rate: Frequency
     # 0 for a stream; required for frames.
@@ -197,7 +302,17 @@ class SamplingSection(Section):
 
 
 class RandomiseSection(Section):
-    """Settings drawn for each block of 256 signals, in place of the fixed values of `sampling` or `sensor`."""
+    """Settings drawn for each block of 256 signals, in place of the fixed values of `sampling` or `sensor`.
+
+    Parameters
+    ----------
+    sampling_rate : distribution, optional [Hz]
+        Drawn in place of `sampling.sampling_rate`.
+    relative_noise : distribution, optional
+        Drawn in place of `sensor.relative_noise`.
+    bandwidth : distribution, optional [Hz]
+        Drawn in place of `sensor.bandwidth`; off above 0.45 of the sampling rate.
+    """
 
     sampling_rate: _Frequency | None = None
     relative_noise: Annotated[Distribution, measured("ratio"), _between(0.0, 1e6)] | None = None
@@ -224,21 +339,47 @@ _SHAPE = Field(ge=-1e6, le=1e6)
 
 
 class ImpactPoint(Section):
-    """The point of impact: x along the length from the held edge, y along the width."""
+    """The point of impact: x along the length from the held edge, y along the width.
+
+    Parameters
+    ----------
+    x : distribution [m]
+        Along the length, from the held edge.
+    y : distribution [m]
+        Over the width.
+    """
 
     x: _Place
     y: _Place
 
 
 class SensorPoint(Section):
-    """The position of the sensor."""
+    """The position of the sensor.
+
+    Parameters
+    ----------
+    x : float [m]
+        Along the length, from the held edge.
+    y : float [m]
+        Over the width.
+    """
 
     x: Annotated[Length, Field(ge=0)]
     y: Annotated[Length, Field(ge=0)]
 
 
 class RibsSection(Section):
-    """Longitudinal ribs under the skin."""
+    """Longitudinal ribs under the skin.
+
+    Parameters
+    ----------
+    number : int
+        Number of ribs, evenly spaced over the width.
+    depth : float [m]
+        Depth of a rib, perpendicular to the skin.
+    thickness : float [m]
+        Thickness of a rib.
+    """
 
     number: Whole = Field(ge=1, le=100)
     depth: Length
@@ -246,7 +387,21 @@ class RibsSection(Section):
 
 
 class ModeRow(Section):
-    """A mode measured in a tap test."""
+    """A mode measured in a tap test.
+
+    Parameters
+    ----------
+    frequency : float [Hz]
+        Natural frequency.
+    damping_ratio : float
+        Share of critical damping.
+    modal_mass : float [kg]
+        Modal mass, consistent with the scale of the shapes.
+    shape_impact : float
+        Shape of the mode where the rocks hit.
+    shape_sensor : float
+        Shape of the mode where the sensor sits.
+    """
 
     frequency: Frequency
     damping_ratio: Ratio = Field(gt=0, lt=1)
@@ -258,13 +413,27 @@ class ModeRow(Section):
 class TailBeamSection(Section):
     """A rectangular panel, stiffened or not, or modes measured in a tap test.
 
-    Attributes
+    Parameters
     ----------
-    length, width, thickness : of the panel, length from the held edge [m]
-    damping_ratio : of every mode
-    impact_point, sensor_point : on the panel
-    modes : instead of a panel, frequencies ascending; in a file `modes = "modes.csv"` reads them from a table
-    coupling : how the beam yields under a rock: as an infinite thin plate, through its modes, or whichever applies
+    length : float [m]
+        Length of the panel, from the held edge.
+    width, thickness : float [m]
+        Width and thickness of the panel.
+    edges : str
+        How the edges are held: all four simply supported or clamped, or one edge clamped.
+    damping_ratio : float
+        Share of critical damping of every mode.
+    ribs : RibsSection, optional
+        Ribs under the panel, along its length.
+    impact_point : ImpactPoint
+        Where rocks hit the panel.
+    sensor_point : SensorPoint
+        Where the sensor sits.
+    modes : tuple of ModeRow
+        Instead of a panel, modes measured in a tap test, with ascending frequencies; in a file `modes = "modes.csv"`
+        reads them from a table.
+    coupling : str
+        How the beam yields under a rock: as an infinite thin plate, through its modes, or whichever applies.
     """
 
     length: Length | None = None

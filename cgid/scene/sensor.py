@@ -22,8 +22,8 @@ from cgid.files import require_regular
 from cgid.measure.filters import SENSOR_TAPER, fft_filter, filter_gain
 from cgid.physics.response import LowPass, Resonance
 from cgid.recordings.recording import told
+from cgid.scene.distributions import Decibel, Frequency, Level, Number, Ratio, Whole
 from cgid.scene.sections import Section
-from cgid.scene.units import Decibel, Frequency, Level, Number, Ratio, Whole
 from cgid.units import parse
 from cgid.validation import Floats
 
@@ -39,14 +39,30 @@ _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "",
 
 
 class Mounting(Section):
-    """The resonance of a sensor on its mounting: a stud at 30 kHz, a magnet at 7 kHz."""
+    """The resonance of a sensor on its mounting: a stud at 30 kHz, a magnet at 7 kHz.
+
+    Parameters
+    ----------
+    frequency : float [Hz]
+        Resonance frequency.
+    damping_ratio : float
+        Share of critical damping.
+    """
 
     frequency: Frequency
     damping_ratio: Ratio = Field(default=0.05, gt=0, lt=1)
 
 
 class AntiAlias(Section):
-    """The Butterworth low-pass before the converter; `frequency` is its -3 dB point."""
+    """The Butterworth low-pass before the converter; `frequency` is its -3 dB point.
+
+    Parameters
+    ----------
+    frequency : float [Hz]
+        -3 dB point.
+    order : int
+        Order of the filter.
+    """
 
     frequency: Frequency
     order: Whole = Field(default=8, ge=1, le=12)
@@ -79,8 +95,10 @@ class Sensor(Section):
         Standard deviation of white noise.
     noise_density : float
         White noise per sqrt(Hz); its standard deviation is this times sqrt(sampling rate / 2). The noises add in power.
-    offset, drift : float
-        Constant shift; change of the offset per second, from the first sample on.
+    offset : float, optional
+        Constant shift.
+    drift : float, optional
+        Change of the offset per second, from the first sample on.
     range : float, optional
         Full scale: samples are clipped at +- this value.
     bits : int, optional
@@ -211,7 +229,15 @@ def _level(value: float | str, quantity: str, kind: str = "") -> float:
 
 
 class HumLine(Section):
-    """A sine of fixed frequency and amplitude; its phase is drawn for each signal."""
+    """A sine of fixed frequency and amplitude; its phase is drawn for each signal.
+
+    Parameters
+    ----------
+    frequency : float [Hz]
+        Frequency of the sine.
+    amplitude : float or str
+        Amplitude, in the unit of the sensor's quantity.
+    """
 
     frequency: Frequency
     amplitude: Sensed
@@ -221,6 +247,13 @@ class ColouredNoise(Section):
     """Gaussian noise of a one-sided amplitude density, linear between its points on logarithmic axes, 0 outside.
 
     The density is per sqrt(Hz): "0.1 N/sqrt(Hz)", or a number in the SI unit.
+
+    Parameters
+    ----------
+    frequencies : tuple of float [Hz]
+        Ascending points.
+    density : tuple of float or str
+        Density at these points.
     """
 
     frequencies: tuple[Frequency, ...] = Field(min_length=2, max_length=100_000)
@@ -265,6 +298,17 @@ class RecordedBackground(Section):
 
     The signal-to-noise ratio compares the median peak of the scene's impacts (first hits, drawn by the weights of the
     populations) with the root mean square of the background.
+
+    Parameters
+    ----------
+    path : str
+        A recording, relative to the scene file.
+    signal_to_noise : float [dB]
+        Level of the impacts over the background.
+    sampling_rate : float, optional [Hz]
+        Where the recording does not say it.
+    channel : str, optional
+        Name or number of the channel.
     """
 
     path: str = Field(min_length=1, max_length=4096)
@@ -281,7 +325,17 @@ class RecordedBackground(Section):
 
 
 class BackgroundSection(Section):
-    """Signals recorded in addition to impacts; at least one of its parts."""
+    """Signals recorded in addition to impacts; at least one of its parts.
+
+    Parameters
+    ----------
+    hum : tuple of HumLine
+        Sines, such as the mains.
+    coloured : ColouredNoise, optional
+        Noise of a given spectrum.
+    recorded : RecordedBackground, optional
+        A recording that is mixed in.
+    """
 
     hum: tuple[HumLine, ...] = Field(default=(), max_length=1000)
     coloured: ColouredNoise | None = None

@@ -231,7 +231,7 @@ def parts_of_recording(
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
     if not 0 <= number < 2**32:
         raise InvalidValue(f"number of the recording must lie between 0 and 2^32 - 1, got {number}")
-    asked = plan(scene, ["recordings"], dtype=dtype)
+    asked = plan(scene, "recordings", dtype=dtype)
     background = background_of(scene) if asked.runs("background") else None
     audible, recorder = hearing_limit(scene, background), recorder_of(asked)
     axis, carried, n_rocks, done = TimeAxis(), Rocks.joined([]), 0, 0

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from cgid.scene.distributions import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole
 from cgid.scene.sections import Population, Section
 from cgid.scene.sensor import Sensor
-from cgid.scene.units import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole
 from cgid.units import parse
 from cgid.validation import Floats
 
@@ -38,7 +38,15 @@ def _require_ascending(times: tuple[float, ...]) -> None:
 
 
 class RateTable(Section):
-    """Rocks per second: linear between the times, constant before the first and after the last."""
+    """Rocks per second: linear between the times, constant before the first and after the last.
+
+    Parameters
+    ----------
+    times : tuple of float [s]
+        Ascending times.
+    values : tuple of float [Hz]
+        Rate at these times.
+    """
 
     times: _Times
     values: tuple[Rate, ...]
@@ -61,7 +69,15 @@ def _read_rate(content: Any) -> Any:
 
 
 class ArrivalsSection(Section):
-    """Arrivals of rocks: random (a Poisson process) with a rate, or at given times."""
+    """Arrivals of rocks: random (a Poisson process) with a rate, or at given times.
+
+    Parameters
+    ----------
+    rate : float or RateTable, optional [Hz]
+        Rocks per second: a number, or a table over time.
+    times : tuple of float, optional [s]
+        Times of arrival, instead of a rate.
+    """
 
     rate: Annotated[RateTable, BeforeValidator(_read_rate)] | None = None
     times: _Times | None = None
@@ -80,6 +96,11 @@ class MixtureSection(Section):
 
     Shares are linear between the times, constant before the first and after the last. Labels without a row divide the
     rest by the weights of their populations.
+
+    Parameters
+    ----------
+    times : tuple of float [s]
+        Ascending times at which the shares of labels are given.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
@@ -129,14 +150,36 @@ class MixtureSection(Section):
 
 
 class ReboundsSection(Section):
-    """Rocks are followed for at most this many rebounds, and while their normal speed is at least this."""
+    """Rocks are followed for at most this many rebounds, and while their normal speed is at least this.
+
+    Parameters
+    ----------
+    most : int
+        Rebounds of a rock after which it is no longer followed.
+    least_speed : float [m/s]
+        Normal speed below which a rock is no longer followed.
+    """
 
     most: Whole = Field(default=5, ge=1, le=1000)
     least_speed: Speed = 0.1
 
 
 class StreamSection(Section):
-    """One long recording of a stream of rocks."""
+    """One long recording of a stream of rocks.
+
+    Parameters
+    ----------
+    duration : float [s]
+        Length of the recording.
+    arrivals : ArrivalsSection
+        When rocks arrive.
+    mixture : MixtureSection, optional
+        How the shares of the labels change; without it the weights of the populations hold.
+    rebounds : ReboundsSection, optional
+        How rocks bounce down the beam; without it each rock hits once.
+    inclination : float [rad]
+        Slope of the beam, down which rocks bounce.
+    """
 
     duration: Duration
     arrivals: ArrivalsSection

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from typing import Any, Literal
 
@@ -34,7 +34,7 @@ def synthesise(
     *,
     first: int = 0,
     dtype: Literal["float32", "float64"] = "float32",
-    outputs: Iterable[str] = ("frames",),
+    output: Literal["frames", "pulses"] = "frames",
 ) -> Iterator[Batch]:
     """Yield the signals of a scene in batches of at most 256.
 
@@ -49,7 +49,7 @@ def synthesise(
         Number of the first signal.
     dtype : {"float32", "float64"}
         Of the samples. Noise is always drawn as float32, so both hold the same signals.
-    outputs : iterable of str
+    output : {"frames", "pulses"}
         "frames", or "pulses" for the forces [N] without beam and sensor; see `cgid.scene.plan`.
 
     Yields
@@ -65,9 +65,9 @@ def synthesise(
     """
     require_count(n_signals, first)
     require_frames(scene)
-    asked = plan(scene, outputs, dtype=dtype)
+    asked = plan(scene, output, dtype=dtype)
     if not asked.kept:
-        raise InvalidValue(f"outputs must be frames or pulses where signals are wanted, got {', '.join(outputs)}")
+        raise InvalidValue(f"output must be frames or pulses where signals are wanted, got {output}")
     for block, part in blocks(n_signals, first):
         yield batch_of(scene, blows_of(asked, seed, block), seed, block, part)
 

@@ -26,18 +26,11 @@ __all__ = [
 ]
 
 #: Where each public name lives.
-_HOMES = {
+_HOMES = dict.fromkeys(__all__, "table") | {
     "FORMAT": "description",
     "SCHEMA_VERSION": "description",
     "Dataset": "reading",
-    "Rows": "table",
-    "Table": "table",
-    "TableHeader": "table",
     "check_output": "run",
-    "check_table_output": "table",
-    "is_table": "table",
-    "read_table": "table",
-    "table_writer": "table",
 }
 
 

@@ -285,26 +285,16 @@ def _main() -> None:
         os.dup2(nowhere.fileno(), 1)
         os.dup2(nowhere.fileno(), 2)
     sandbox.settle()
-    requests = sys.stdin.buffer
-    for line in requests:
+    for line in sys.stdin.buffer:
         request = json.loads(line)
-        if "function" in request:
-            _serve(request["function"], request["arguments"], requests, answers)
-
-
-def _serve(function: str, arguments: list[Any], requests: Any, answers: Any) -> None:
-    for number, (message, arrays) in enumerate(_replies(function, arguments)):
-        sandbox.rest()
-        # The next item is computed before it is requested.
-        if number and not json.loads(requests.readline() or "{}").get("next"):
-            sandbox.send(answers, {"value": None})
-            return
-        try:
-            sandbox.send(answers, message, arrays)
-        except sandbox.BrokenWire as error:
-            text = f"{arguments[1]}: says more of itself than a file may ({error}); copy it again, or leave it out"
-            sandbox.send(answers, {"error": "BadData", "text": text})
-            return
+        for message, arrays in _replies(request["function"], request["arguments"]):
+            sandbox.rest()
+            try:
+                sandbox.send(answers, message, arrays)  # waits while the pipe is full
+            except sandbox.BrokenWire as error:
+                text = f"says more of itself than a file may ({error}); copy it again, or leave it out"
+                sandbox.send(answers, _error(f"{request['arguments'][1]}: {text}"))
+                break
 
 
 def _replies(function: str, arguments: list[Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
@@ -313,20 +303,25 @@ def _replies(function: str, arguments: list[Any]) -> Iterator[tuple[dict[str, An
         sandbox.begin(path)
         found = FUNCTIONS[function](*arguments)
         if not isgenerator(found):
-            yield _reply(found)
+            message, arrays = _reply(found)
+            yield {**message, "last": True}, arrays
             return
         for item in found:
             yield _reply(item)
             sandbox.begin(path)
-        yield {"value": None}, {}
+        yield {"value": None, "last": True}, {}
     except CgidError as error:
-        yield {"error": type(error).__name__, "text": str(error)}, {}
+        yield _error(str(error), type(error).__name__), {}
     except MemoryError:
         cure = "it is damaged or hostile: copy it again, or leave it out"
-        yield {"error": "BadData", "text": f"{source}: reading this file takes more memory than it may; {cure}"}, {}
+        yield _error(f"{source}: reading this file takes more memory than it may; {cure}"), {}
     except Exception as error:  # report any error of h5py in one line
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        yield {"error": "BadData", "text": f"{source}: is damaged ({reason}); copy it again, or generate it anew"}, {}
+        yield _error(f"{source}: is damaged ({reason}); copy it again, or generate it anew"), {}
+
+
+def _error(text: str, kind: str = "BadData") -> dict[str, Any]:
+    return {"error": kind, "text": text, "last": True}
 
 
 def _reply(found: Any) -> tuple[dict[str, Any], dict[str, Any]]:

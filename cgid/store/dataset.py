@@ -117,9 +117,31 @@ def export(
 ) -> Path:
     """Write a dataset of any compression as one plain HDF5 file and return its path.
 
-    `output` ends in .h5 or .hdf5. Memory does not grow with the number of signals; `progress` receives the number of
-    signals written since the last call. Raises `NoInput` or `BadData` for the dataset, `CannotCreate` if the output
-    exists, cannot be made or has no room, `WriteFailed` if the disk is full (an existing file stays).
+    Memory does not grow with the number of signals.
+
+    Parameters
+    ----------
+    data : Dataset, str or Path
+    output : str or Path
+        A name that ends in .h5 or .hdf5.
+    overwrite : bool
+        Whether to replace an existing file, which stays until the new one is whole.
+    progress : callable, optional
+        Is called with the number of signals written since the last call.
+
+    Returns
+    -------
+    Path
+        The output.
+
+    Raises
+    ------
+    NoInput, BadData
+        The dataset does not exist, or is damaged.
+    CannotCreate
+        The output exists, cannot be made or has no room.
+    WriteFailed
+        The disk is full.
     """
     dataset = data if isinstance(data, Dataset) else Dataset(data)
     path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)

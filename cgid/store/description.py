@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.files import half_written
-from cgid.store.compression import COMPRESSIONS
 
 FORMAT, SCHEMA_VERSION = "cgid-dataset", 1
 RECORDING_FORMAT, RECORDING_SCHEMA_VERSION = "cgid-recording", 1
@@ -36,6 +35,8 @@ TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
 #: Largest shard [bytes]; a shard is built in memory.
 LARGEST_SHARD = 2 << 30
 LARGEST_RECORDING = LARGEST_SHARD
+#: See `cgid.store.hdf5`.
+COMPRESSIONS = ("none", "gzip", "zstd", "blosc2")
 MANIFEST, SUMS, JOURNAL = "manifest.json", "SHA256SUMS", "unfinished.jsonl"
 #: Version 1 lacked the digest and the fields in `_ADDED`.
 MANIFEST_VERSION = 2
@@ -51,7 +52,7 @@ LINKED = "must lie in the folder itself, it is a link; copy the file there"
 FIRST_LINE = 4096
 
 _ADDED = ("shard_signals", "n_samples", "dtype", "compression")
-_WORDS = {"dtype": ("float32", "float64"), "compression": tuple(COMPRESSIONS)}
+_WORDS = {"dtype": ("float32", "float64"), "compression": COMPRESSIONS}
 #: HDF5's counts are smaller.
 _LARGEST_COUNT = 1 << 63
 _DIGEST = "digest"

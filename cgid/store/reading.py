@@ -220,6 +220,16 @@ class Dataset:
     def impact(self, index: int) -> Batch:
         """Return one signal with all its stored data.
 
+        Parameters
+        ----------
+        index : int
+            Number of the signal, from 0.
+
+        Returns
+        -------
+        Batch
+            Of one signal.
+
         Raises
         ------
         InvalidValue
@@ -233,7 +243,22 @@ class Dataset:
         return batch
 
     def signal(self, index: int) -> Signal:
-        """Return one signal; raises as `impact`."""
+        """Return one signal.
+
+        Parameters
+        ----------
+        index : int
+            Number of the signal, from 0.
+
+        Returns
+        -------
+        Signal
+
+        Raises
+        ------
+        InvalidValue
+            As `impact`.
+        """
         return Signal(
             samples=self.impact(index).signals[0],
             sampling_rate=self.sampling_rate,

@@ -20,11 +20,11 @@ import re
 import secrets
 import socket
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any
 
 from cgid.errors import BadData, CannotCreate, CgidError, WriteFailed
 from cgid.files import clear_half_written, half_written, locked, looking_at, sync_folder, write_whole
@@ -78,16 +78,6 @@ class Goal:
     closing: Callable[[list[dict[str, Any]]], dict[str, bytes]] = lambda entries: {}
     fits: Callable[[int, Mapping[str, Any]], bool] = lambda number, entry: True
 
-    @property
-    def hidden(self) -> Path:
-        """The folder for new files while an older folder has the name."""
-        return hidden(self.output)
-
-    @property
-    def replaced(self) -> Path:
-        """The name of the older folder while it is being replaced."""
-        return self.output.with_name(f".{self.output.name}.replaced")
-
 
 class Run:
     """A run in progress; see `begun`.
@@ -95,20 +85,53 @@ class Run:
     folder : where the files are written
     token : identifier for `taking_part`; None without a journal
     missing : numbers of the files still to be made
+
+    A journal lists the finished files, at first those of the run that is resumed (`finished`, by their names). Raises
+    `CannotCreate` or `WriteFailed` if it cannot be written.
     """
 
     def __init__(
-        self, goal: Goal, folder: Path, finished: Mapping[str, dict[str, Any]], journal: Journal | None = None
+        self, goal: Goal, folder: Path, finished: Mapping[str, dict[str, Any]], *, journalled: bool = False
     ) -> None:
-        self.folder, self.token = folder, None if journal is None else journal.run
+        self.folder, self.token = folder, secrets.token_hex(16) if journalled else None
         self.missing = [number for number, name in enumerate(goal.names) if name not in finished]
-        self._goal, self._journal, self._entries = goal, journal, dict(finished)
+        self._goal, self._entries, self._path = goal, dict(finished), folder / JOURNAL
+        self._journal: IO[bytes] | None = None
+        if journalled:
+            first = {"run": self.token, "process": f"process {os.getpid()} on {socket.gethostname()}"}
+            second = {"plan": goal.description, "n_files": len(goal.names), "noun": goal.noun}
+            lines = [line_of(first), line_of(second), *(line_of({"entry": entry}) for entry in finished.values())]
+            # Written atomically, without the lines that a crash may have torn in the previous journal.
+            write_whole(self._path, b"".join(lines))
+            try:
+                self._journal = self._path.open("ab", buffering=0)
+            except OSError as error:
+                raise CannotCreate(
+                    f"{self._path}: cannot be written ({error.strerror}); choose another place"
+                ) from None
 
     def add(self, entry: Mapping[str, Any]) -> None:
-        """Record a finished file: its name `file`, its size `bytes`, its `sha256`, and further facts."""
+        """Record a finished file: its name `file`, its size `bytes`, its `sha256`, and further facts.
+
+        Returns when the line is on the disk; raises `WriteFailed`.
+        """
         self._entries[entry["file"]] = dict(entry)  # comes first: Ctrl-C may come while the line is flushed
+        if self._journal is None:
+            return
+        line = line_of({"entry": entry})
+        try:
+            if self._journal.write(line) != len(line):
+                raise OSError(None, "the disk is full")
+            os.fsync(self._journal.fileno())
+        except OSError as error:
+            raise WriteFailed(
+                f"{self._path}: writing failed ({error.strerror}); free some space, then go on with --resume"
+            ) from None
+
+    def close(self) -> None:
+        """Close the journal; Windows cannot remove an open file."""
         if self._journal is not None:
-            self._journal.add(entry)
+            self._journal.close()
 
     def finish(self) -> None:
         """Write the sums and the closing files, and give the folder its name. Raises `WriteFailed`."""
@@ -120,8 +143,7 @@ class Run:
         write_whole(self.folder / SUMS, sums_text(sums))
         for name, content in closing.items():
             write_whole(self.folder / name, content)
-        if self._journal is not None:
-            self._journal.close()
+        self.close()
         try:
             if self.folder != output:
                 (output / JOURNAL).unlink(missing_ok=True)  # an older journal must not be mistaken for this one
@@ -132,8 +154,7 @@ class Run:
 
     def abandon(self) -> None:
         """Remove half-written files; finished files and the journal stay for resuming."""
-        if self._journal is not None:
-            self._journal.close()
+        self.close()
         _clear(self.folder, self._goal.ours, only_parts=bool(self._entries))
         with contextlib.suppress(OSError):
             self.folder.rmdir()  # only if it is empty
@@ -167,7 +188,7 @@ def begun(goal: Goal, *, overwrite: bool = False, resume: bool = False) -> Itera
                 raise CannotCreate(
                     f"{output}: the current folder cannot be replaced by another; go to the one above it first"
                 )
-            if not (goal.hidden / JOURNAL).exists():
+            if not (hidden(goal.output) / JOURNAL).exists():
                 _remove_replaced(goal)  # left over by an earlier run
             run = _started(goal, *place, held)
             try:
@@ -194,6 +215,11 @@ def hidden(output: Path) -> Path:
     """Return the folder for new files while an older folder has the name."""
     real = _real_folder(output)
     return real.parent / f".{real.name}.unfinished"
+
+
+def _replaced(output: Path) -> Path:
+    """Return the name of the older folder while it is being replaced."""
+    return output.with_name(f".{output.name}.replaced")
 
 
 def _real_folder(path: Path) -> Path:
@@ -244,14 +270,22 @@ def check_output(output: str | Path, ours: re.Pattern[str], overwrite: bool = Fa
 
 
 def _exists_already(output: Path) -> CannotCreate:
+    found = _journal_of(output)
+    if found is None:
+        return CannotCreate(f"{output}: exists already; choose another name or say --overwrite")
+    return CannotCreate(
+        f"{output}: a run that makes it is not finished: {found.progress}, or start again with --overwrite"
+    )
+
+
+def _journal_of(output: Path) -> Unfinished | None:
+    """Return the readable journal of a run that makes an output, if any."""
     for folder in (hidden(output), output):
-        with contextlib.suppress(BadData):
+        with contextlib.suppress(CgidError):
             found = read_journal(folder)
             if found is not None:
-                return CannotCreate(
-                    f"{output}: a run that makes it is not finished: {found.progress}, or start again with --overwrite"
-                )
-    return CannotCreate(f"{output}: exists already; choose another name or say --overwrite")
+                return found
+    return None
 
 
 # ---- where a run goes on ---------------------------------------------------------------------------------------------
@@ -272,7 +306,7 @@ def _is_made(goal: Goal, overwrite: bool) -> bool:
 
 def _hold(goal: Goal, held: ExitStack) -> None:
     """Create the folder if needed, and lock it."""
-    output, unfinished = goal.output, goal.hidden
+    output, unfinished = goal.output, hidden(goal.output)
     try:
         if not output.exists() and (unfinished / JOURNAL).exists():
             with locked(unfinished):  # after a crash between the two renames
@@ -281,18 +315,11 @@ def _hold(goal: Goal, held: ExitStack) -> None:
         sync_folder(output.parent)
         held.enter_context(locked(output))
     except BlockingIOError:
-        raise CannotCreate(f"{output}: {_writer(goal)} is writing there; wait for it, or choose another name") from None
+        found = _journal_of(output)
+        writer = "another process" if found is None else found.process
+        raise CannotCreate(f"{output}: {writer} is writing there; wait for it, or choose another name") from None
     except OSError as error:
         raise CannotCreate(f"{output}: cannot be written ({error.strerror}); choose another place") from None
-
-
-def _writer(goal: Goal) -> str:
-    for folder in (goal.hidden, goal.output):
-        with contextlib.suppress(CgidError):
-            found = read_journal(folder)
-            if found is not None:
-                return found.process
-    return "another process"
 
 
 def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished | None] | None:
@@ -301,7 +328,7 @@ def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished 
     is_empty = all(_is_part(path, goal.ours) for path in output.iterdir())
     if resume:
         whole = goal.description_of(output)
-        for folder in (goal.hidden, output) if whole is None else (goal.hidden,):
+        for folder in (hidden(goal.output), output) if whole is None else (hidden(goal.output),):
             unfinished = read_journal(folder)
             if unfinished is not None:
                 require_same(output, unfinished.description, goal.description)
@@ -310,11 +337,11 @@ def _place(goal: Goal, overwrite: bool, resume: bool) -> tuple[Path, Unfinished 
             return None
         if whole is not None and not overwrite:
             require_same(output, whole, goal.description)
-    elif not overwrite and (goal.hidden / JOURNAL).exists():
+    elif not overwrite and (hidden(goal.output) / JOURNAL).exists():
         raise _exists_already(output)
     if not is_empty and not overwrite:
         raise _exists_already(output)
-    return output if is_empty else goal.hidden, None
+    return output if is_empty else hidden(goal.output), None
 
 
 def _started(goal: Goal, folder: Path, unfinished: Unfinished | None, held: ExitStack) -> Run:
@@ -328,8 +355,9 @@ def _started(goal: Goal, folder: Path, unfinished: Unfinished | None, held: Exit
                 waiting.enter_context(locked(folder / JOURNAL, patience=_PATIENCE))
             _clear(folder, goal.ours, only_parts=unfinished is not None)
             finished = {} if unfinished is None else dict(_verified(folder, unfinished, goal))
-            journal = Journal(folder, goal.description, len(goal.names), goal.noun, finished.values())
-            held.enter_context(journal)
+            run = Run(goal, folder, finished, journalled=True)
+            held.callback(run.close)
+            return run
     except BlockingIOError:
         raise CannotCreate(
             f"{goal.output}: a worker of an earlier run is still writing there; wait for it, or end it"
@@ -338,7 +366,6 @@ def _started(goal: Goal, folder: Path, unfinished: Unfinished | None, held: Exit
         raise
     except OSError as error:
         raise CannotCreate(f"{folder}: cannot be written ({error.strerror}); choose another place") from None
-    return Run(goal, folder, finished, journal)
 
 
 def _verified(folder: Path, unfinished: Unfinished, goal: Goal) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -358,17 +385,17 @@ def _verified(folder: Path, unfinished: Unfinished, goal: Goal) -> Iterator[tupl
 
 def _replace(goal: Goal) -> None:
     """Give the hidden folder the name; the older folder keeps another name until it is removed."""
-    _clear(goal.replaced, goal.ours)
+    _clear(_replaced(goal.output), goal.ours)
     with contextlib.suppress(OSError):
-        goal.replaced.rmdir()
-    goal.output.rename(goal.replaced)
-    goal.hidden.rename(goal.output)
+        _replaced(goal.output).rmdir()
+    goal.output.rename(_replaced(goal.output))
+    hidden(goal.output).rename(goal.output)
     sync_folder(goal.output.parent)
 
 
 def _remove_replaced(goal: Goal) -> None:
     """Remove replaced folders; move files of others, added meanwhile, to the new folder."""
-    for folder in (goal.hidden, goal.replaced):
+    for folder in (hidden(goal.output), _replaced(goal.output)):
         with contextlib.suppress(OSError):
             if not folder.is_symlink():
                 folder.chmod(stat.S_IRWXU)  # a read-only folder can be replaced, but not emptied
@@ -391,58 +418,6 @@ def _clear(folder: Path, ours: re.Pattern[str], *, only_parts: bool = False) -> 
 def _is_part(path: Path, ours: re.Pattern[str]) -> bool:
     """Return whether a file is half-written, by its name."""
     return path.suffix == ".part" and bool(ours.fullmatch(path.name) or _JOURNAL_FILES.fullmatch(path.name))
-
-
-# ---- the journal -----------------------------------------------------------------------------------------------------
-
-
-class Journal:
-    """Context that writes a journal in `folder`; a line is on the disk before the next file counts as finished.
-
-    `noun` is the plural noun for the files; `entries` are the existing files of a resumed run.
-    Raises `CannotCreate` or `WriteFailed` if the folder cannot be written to.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        description: Mapping[str, Any],
-        n_files: int,
-        noun: str,
-        entries: Iterable[Mapping[str, Any]] = (),
-    ) -> None:
-        self.path, self.run = folder / JOURNAL, secrets.token_hex(16)
-        first = {"run": self.run, "process": f"process {os.getpid()} on {socket.gethostname()}"}
-        second = {"plan": description, "n_files": n_files, "noun": noun}
-        lines = [line_of(first), line_of(second), *(line_of({"entry": entry}) for entry in entries)]
-        # Written atomically, without the lines that a crash may have torn in the previous journal.
-        write_whole(self.path, b"".join(lines))
-        try:
-            self._stream = self.path.open("ab", buffering=0)
-        except OSError as error:
-            raise CannotCreate(f"{self.path}: cannot be written ({error.strerror}); choose another place") from None
-
-    def add(self, entry: Mapping[str, Any]) -> None:
-        """Record a finished file; return when the line is on the disk. Raises `WriteFailed`."""
-        line = line_of({"entry": entry})
-        try:
-            if self._stream.write(line) != len(line):
-                raise OSError(None, "the disk is full")
-            os.fsync(self._stream.fileno())
-        except OSError as error:
-            raise WriteFailed(
-                f"{self.path}: writing failed ({error.strerror}); free some space, then go on with --resume"
-            ) from None
-
-    def close(self) -> None:
-        """Close the file; Windows cannot remove an open file."""
-        self._stream.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 @contextmanager

@@ -3,8 +3,8 @@
 The HDF5 library trusts files: one changed bit can make it loop for ever, take all memory or crash, and nothing within
 a process can stop it. So this process never opens them. It sends requests through pipes to a reading process
 (`_reader`). A request is a line of JSON; a reply is a line of JSON and the bytes of arrays. Unlike pickle, a reply
-cannot execute code, and its size is checked before memory is allocated. A reading process is reused, and ends with this
-process; reading two files at the same time takes two.
+cannot execute code, and its size is checked before memory is allocated. The items of a stream follow each other, held
+back by the pipe. A reading process is reused, and ends with this process; reading two files at once takes two.
 
 The reading process limits its processor time per reply, its memory, and its wall-clock time, in case this process is
 gone. Windows has no such limits; there only this process's timeout ends a reader (not tested).
@@ -66,9 +66,8 @@ def call(function: str, path: Path, *arguments: Any, source: str | None = None, 
     which must be JSON. The arrays may take at most `largest` [bytes]. Raises the function's `CgidError`, and `BadData`
     if HDF5 crashes or exceeds the limits of time and memory.
     """
-    name, message = _request(function, path, source, arguments)
-    with _reading() as child:
-        return child.ask(path, name, message, largest)
+    with _reading(function, path, source, arguments) as child:
+        return child.answer(largest)
 
 
 def stream(
@@ -76,17 +75,11 @@ def stream(
 ) -> Generator[dict[str, NDArray[Any]], None, None]:
     """Yield the items of a generator in the reading process; parameters and errors as `call`.
 
-    The next item is read while this one is processed. Closing this generator closes the other one.
+    The next item is read while this one is processed. Closing this generator ends the process.
     """
-    name, message = _request(function, path, source, arguments)
-    with _reading() as child:
-        while (item := child.ask(path, name, message, largest)) is not None:
-            try:
-                yield item
-            except GeneratorExit:
-                child.leave(path)
-                raise
-            message = {"next": True}
+    with _reading(function, path, source, arguments) as child:
+        while (item := child.answer(largest)) is not None:
+            yield item
 
 
 def format_said(path: Path) -> str | None:
@@ -116,12 +109,6 @@ def is_hdf5(path: Path) -> bool:
     return False
 
 
-def _request(function: str, path: Path, source: str | None, arguments: tuple[Any, ...]) -> tuple[str, dict[str, Any]]:
-    """Return the name of the file in messages and the request."""
-    name = str(path) if source is None else source
-    return name, {"function": function, "arguments": [os.path.abspath(path), name, *arguments]}  # noqa: PTH100
-
-
 # ---- reading processes -----------------------------------------------------------------------------------------------
 
 
@@ -135,8 +122,8 @@ class _Child:
         # Otherwise HDF5 would load any library from the folder in which it looks for filters.
         environment["HDF5_PLUGIN_PRELOAD"] = "::"
         self.in_step, self._late = False, False
-        self._left: Path | None = None
-        self._process = subprocess.Popen(
+        self._source, self._patience = "", 0.0
+        self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", "cgid.store._reader"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -146,7 +133,7 @@ class _Child:
             start_new_session=True,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
-        sides: Any = (self._process.stdin, self._process.stdout, self._process.stderr)
+        sides: Any = (self.process.stdin, self.process.stdout, self.process.stderr)
         self._input, self._output, self._errors = sides
         _alive.add(self)
         with suppress(ImportError, AttributeError, OSError):  # only Linux has wide pipes
@@ -166,85 +153,68 @@ class _Child:
             raise
         self.in_step = True
 
-    def ask(self, path: Path, source: str, message: dict[str, Any] | None, largest: int) -> Any:
-        """Send the message, if any, and return the value or the arrays of the reply, or raise its error.
+    def ask(self, function: str, path: Path, source: str, arguments: tuple[Any, ...]) -> None:
+        """Request the result of a function for a file, or the items that it yields."""
+        self.in_step, self._source, self._patience = False, source, patience_for(path)
+        request = {"function": function, "arguments": [os.path.abspath(path), source, *arguments]}  # noqa: PTH100
+        with suppress(OSError):  # `answer` reports the end of the process
+            self._input.write(json.dumps(request).encode() + b"\n")
+            self._input.flush()
+
+    def answer(self, largest: int) -> Any:
+        """Return the value or the arrays of the next reply, None after the last item, or raise its error.
 
         Raises `BadData` if the reply is late or the process crashes.
         """
         if self in _disowned:
             raise CgidError(
-                f"{source}: must be read on by the process that began to, this one was forked from it meanwhile; begin "
-                "anew here"
+                f"{self._source}: must be read on by the process that began to, this one was forked from it meanwhile; "
+                "begin anew here"
             )
-        self.in_step = False
-        patience = threading.Timer(patience_for(path), self._lose_patience)
+        patience = threading.Timer(self._patience, self._lose_patience)
         patience.daemon = True
         try:
             patience.start()
         except RuntimeError:  # raised by Python without memory for the stack of a thread
             raise MemoryError("no room for one more thread") from None
         try:
-            if message is not None:
-                self._tell(message)
             reply, arrays = receive(self._output, largest)
         except (OSError, ValueError, BrokenWire) as error:
             raise BadData(
-                f"{source}: the HDF5 library {self._end_told(error)} on this file; it is damaged or hostile: copy it "
-                "again, or leave it out"
+                f"{self._source}: the HDF5 library {self._end_told(error)} on this file; it is damaged or hostile: "
+                "copy it again, or leave it out"
             ) from None
         finally:
             patience.cancel()
-        self.in_step = True
+        self.in_step = bool(reply.get("last"))
         if "error" in reply:
             kind = _TOLD.get(str(reply["error"]), BadData)
             raise kind(str(reply.get("text")))
         return reply.get("value", arrays)
 
-    def leave(self, path: Path) -> None:
-        """Stop the process from yielding from a file, without waiting for its reply."""
-        with suppress(OSError, ValueError):  # it may be gone already
-            self._tell({"next": False})
-            self._left = path
-
-    def is_ready(self) -> bool:
-        """Wait until the process has left its previous file, and return whether it still runs.
-
-        This way the next file is not blamed for a crash on the previous one.
-        """
-        if self._left is not None:
-            left, self._left = self._left, None
-            with suppress(BadData):
-                self.ask(left, str(left), None, 0)
-        return self.in_step and self._process.poll() is None
-
-    def _tell(self, message: dict[str, Any]) -> None:
-        self._input.write(json.dumps(message).encode() + b"\n")
-        self._input.flush()
-
     def _lose_patience(self) -> None:
         self._late = True
-        self._process.kill()
+        self.process.kill()
 
     def _end_told(self, error: Exception) -> str:
         """End the process and describe how it ended."""
-        self.end()
-        code = self._process.returncode
+        self.end(patience=0.2)
+        code = self.process.returncode
         if self._late or code == -getattr(signal, "SIGPROF", 0):
             return "did not come to an end"
         if isinstance(error, BrokenWire) and code == -getattr(signal, "SIGKILL", 0):
             return "gave an answer that makes no sense"
         return "crashed"
 
-    def end(self) -> None:
-        """End the process in any state."""
+    def end(self, patience: float = 0.0) -> None:
+        """End the process in any state; a crashed one gets some time [s] to set its exit code."""
         _alive.discard(self)
         with suppress(OSError):
             self._input.close()
-        # Give a crashed process time to set its exit code.
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(0.2 if not self.in_step else 0)
-        self._process.kill()
-        self._process.wait()
+            self.process.wait(patience)
+        self.process.kill()
+        self.process.wait()
         for side in (self._output, self._errors):
             with suppress(OSError):
                 side.close()
@@ -258,7 +228,7 @@ class _Child:
         for side in (self._input, self._output, self._errors):
             with suppress(OSError):
                 side.raw.close()
-        self._process.returncode = 0
+        self.process.returncode = 0
         self.in_step = False
 
 
@@ -271,15 +241,16 @@ _lock = threading.RLock()
 
 
 @contextmanager
-def _reading() -> Iterator[_Child]:
-    """Yield a process for exclusive use."""
+def _reading(function: str, path: Path, source: str | None, arguments: tuple[Any, ...]) -> Iterator[_Child]:
+    """Yield a process for exclusive use that has received a request; keep it if it has answered."""
     with _lock:
         child = _idle.pop() if _idle else None
-    if child and not child.is_ready():
-        child.end()
-        child = None
-    child = child or _Child()
+    if child is None or child.process.poll() is not None:
+        if child is not None:
+            child.end()
+        child = _Child()
     try:
+        child.ask(function, path, str(path) if source is None else source, arguments)
         yield child
     finally:
         with _lock:

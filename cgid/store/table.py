@@ -1,4 +1,4 @@
-"""Tables of labelled rows in HDF5, Parquet or CSV: written batch by batch, read whole.
+"""Tables of labelled rows in HDF5, Parquet or CSV: written batch by batch, read whole; and plain tables of any columns.
 
 In HDF5 every column is chunked and has a checksum (fletcher32). A CSV file begins with a line that holds the attributes
 of the other formats: kind, units, and how the data was made.
@@ -10,7 +10,8 @@ import contextlib
 import json
 import os
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -167,28 +168,41 @@ def table_writer(
 
 @contextlib.contextmanager
 def _written_hdf5(path: Path, header: TableHeader, label_width: int) -> Iterator[Callable[[Rows], object]]:
+    dtypes = {"labels": f"S{label_width}", "specimen": "uint64"}
+    dtypes |= {f"columns/{name}": "float64" for name in header.units}
+    units = {f"columns/{name}": unit for name, unit in header.units.items()}
+    head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
+    with _hdf5_columns(path, dtypes, units, {**header.attributes, **head}) as write:
+
+        def write_rows(rows: Rows) -> None:
+            values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in header.units}
+            write(values | {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen})
+
+        yield write_rows
+
+
+@contextlib.contextmanager
+def _hdf5_columns(
+    path: Path, dtypes: Mapping[str, Any], units: Mapping[str, str], attributes: Mapping[str, Any]
+) -> Iterator[Callable[[Mapping[str, Any]], object]]:
+    """Yield a function that appends values to columns."""
     from cgid.store.disk import hdf5_on_disk  # reading tables does not need h5py
     from cgid.store.hdf5 import CHUNK_ROWS, put_attributes, put_column
 
-    dtypes = {"labels": f"S{label_width}", "specimen": "uint64"}
-    dtypes |= {f"columns/{name}": "float64" for name in header.units}
     with hdf5_on_disk(path) as output:
         with output.step() as file:
-            head = {"format": TABLE_FORMAT, "schema_version": TABLE_VERSION, "kind": header.kind}
-            put_attributes(file, {**header.attributes, **head})
+            put_attributes(file, attributes)
             file.create_group("columns", track_order=True)
             for name, dtype in dtypes.items():
                 put_column(file, name, 0, dtype, chunk=CHUNK_ROWS, grows=True)
-            for name, unit in header.units.items():
-                put_attributes(file[f"columns/{name}"], {"unit": unit})
+            for name, unit in units.items():
+                put_attributes(file[name], {"unit": unit})
 
-        def write(rows: Rows) -> None:
-            values: dict[str, Any] = {f"columns/{name}": rows.columns[name] for name in header.units}
-            values |= {"labels": np.char.encode(rows.labels, "utf-8"), "specimen": rows.specimen}
+        def write(values: Mapping[str, Any]) -> None:
             with output.step() as file:
-                filled = len(file["labels"])
                 for name, column in values.items():
-                    file[name].resize((filled + len(rows),))
+                    filled = len(file[name])
+                    file[name].resize((filled + len(column),))
                     file[name][filled:] = column
 
         yield write
@@ -212,17 +226,91 @@ def _written_csv(path: Path, header: TableHeader, _label_width: int) -> Iterator
 
 @contextlib.contextmanager
 def _written_parquet(path: Path, header: TableHeader, _label_width: int) -> Iterator[Callable[[Rows], object]]:
+    types = {"label": "string", "specimen": "uint64"} | dict.fromkeys(header.units, "float64")
+    with _parquet_columns(path, types, {"cgid": header.text}) as write:
+        yield lambda rows: write([rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in header.units)])
+
+
+@contextlib.contextmanager
+def _parquet_columns(
+    path: Path, types: Mapping[str, str], metadata: Mapping[str, str]
+) -> Iterator[Callable[[Sequence[Any]], object]]:
+    """Yield a function that appends a row group, given by its columns."""
     arrow, parquet = parquet_library()
-    fields = [("label", arrow.string()), ("specimen", arrow.uint64())]
-    fields += [(name, arrow.float64()) for name in header.units]
-    schema = arrow.schema(fields, metadata={"cgid": header.text})
+    fields = [(name, arrow.type_for_alias(dtype)) for name, dtype in types.items()]
+    schema = arrow.schema(fields, metadata=metadata)
     with parquet.ParquetWriter(path, schema, write_page_checksum=True) as file:
+        yield lambda columns: file.write_table(arrow.table(list(columns), schema=schema))
 
-        def write(rows: Rows) -> None:
-            columns = [rows.labels.tolist(), rows.specimen, *(rows.columns[name] for name in header.units)]
-            file.write_table(arrow.table(columns, schema=schema))
 
-        yield write
+@contextlib.contextmanager
+def plain_writer(
+    path: Path, suffix: str, types: Mapping[tuple[str, str], str]
+) -> Iterator[Callable[[Sequence[Any]], object]]:
+    """Yield a function that appends a row to a table of any columns, in Parquet or HDF5.
+
+    In HDF5 texts have a fixed length, that of the longest, so the rows wait in memory for the last one.
+
+    Parameters
+    ----------
+    path : Path
+        An empty file, as of `cgid.files.whole_file`.
+    suffix : str
+        .parquet, else HDF5: /columns/<name>, with their units as attributes.
+    types : dict
+        "string", "float64", "int64" or "bool" of each (name, unit). None is missing: null in Parquet; an empty text,
+        nan, -1 or false in HDF5.
+    """
+    written = _plain_parquet if suffix == ".parquet" else _plain_hdf5
+    rows: list[Sequence[Any]] = []
+    with written(path, types) as write:
+
+        def add(row: Sequence[Any]) -> None:
+            rows.append(row)
+            if len(rows) == _ROWS:
+                write(list(zip(*rows, strict=True)))
+                rows.clear()
+
+        yield add
+        if rows:
+            write(list(zip(*rows, strict=True)))
+
+
+def _plain_parquet(
+    path: Path, types: Mapping[tuple[str, str], str]
+) -> contextlib.AbstractContextManager[Callable[[Sequence[Any]], object]]:
+    titles = {f"{name} [{unit}]" if unit else name: dtype for (name, unit), dtype in types.items()}
+    return _parquet_columns(path, titles, {})
+
+
+@contextlib.contextmanager
+def _plain_hdf5(path: Path, types: Mapping[tuple[str, str], str]) -> Iterator[Callable[[Sequence[Any]], object]]:
+    from h5py import string_dtype
+
+    missing = {"float64": np.nan, "int64": -1, "bool": False}
+    blocks = [[np.empty(0, "S1" if dtype == "string" else dtype)] for dtype in types.values()]
+
+    def write(columns: Sequence[Any]) -> None:
+        for column, dtype, parts in zip(columns, types.values(), blocks, strict=True):
+            if dtype == "string":
+                parts.append(np.array([(value or "").encode() for value in column], "S"))
+            else:
+                parts.append(np.array([missing[dtype] if value is None else value for value in column], dtype))
+
+    yield write
+    alike = Counter(name for name, _unit in types)
+    names = [name if alike[name] == 1 else f"{name} [{unit}]" for name, unit in types]
+    places = [f"columns/{name.replace('/', '|')}" for name in names]  # a slash would make a group
+    joined = dict(zip(places, map(np.concatenate, blocks), strict=True))
+    units = {place: unit for place, (_name, unit) in zip(places, types, strict=True) if unit}
+    # Else HDF5 takes texts for ASCII.
+    joined |= {
+        place: column.astype(string_dtype("utf-8", column.itemsize))
+        for place, column in joined.items()
+        if column.dtype.kind == "S"
+    }
+    with _hdf5_columns(path, {place: column.dtype for place, column in joined.items()}, units, {}) as append:
+        append(joined)
 
 
 def _joined(parts: list[Rows]) -> Rows:

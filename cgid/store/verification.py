@@ -23,6 +23,7 @@ from cgid.store.description import (
     TABLE_FORMAT,
     Manifest,
     ShardEntry,
+    Unfinished,
     has_sum,
     is_entry,
     read_journal,
@@ -33,7 +34,7 @@ from cgid.store.description import (
 from cgid.store.run import hidden
 from cgid.store.table import TABLE_SUFFIXES, read_table
 
-#: By HDF5's numbers of filters; see `cgid.store.compression`.
+#: By HDF5's numbers of filters; see `cgid.store.hdf5`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: Problems without damage.
 _HARMLESS = ("leftover", "pending", "foreign")
@@ -135,9 +136,18 @@ class Finding:
 class Verified:
     """The result of `verify`.
 
-    kind : "dataset", "recording", "table", or "file" if it is too damaged to tell
-    n_files : number of examined files
-    manifest : manifest of a folder of shards, if it is sound
+    Attributes
+    ----------
+    path : Path
+        What was examined.
+    kind : str
+        "dataset", "recording", "table", or "file" if it is too damaged to know.
+    n_files : int
+        Number of examined files.
+    findings : tuple of Finding
+        Each damaged, missing or surplus file.
+    manifest : Manifest or None
+        Manifest of a folder of shards, if it is sound.
     """
 
     path: Path
@@ -157,7 +167,20 @@ def verify(path: str | Path) -> Verified:
 
     Files in a folder are compared with their SHA-256, which finds every change. Where it differs or is unknown, every
     chunk is compared with its checksum. A CSV table has no checksums: only damage that makes it unreadable is found.
-    Raises `NoInput` if the path does not exist or cannot be read.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Verified
+        Its `findings` are empty if nothing is damaged; `cgid.scene.repair.repair` takes it.
+
+    Raises
+    ------
+    NoInput
+        The path does not exist or cannot be read.
     """
     path = Path(path)
     try:
@@ -196,7 +219,8 @@ def _verify_file(path: Path) -> Verified:
         examined = examine_file(path)
         kind = _KINDS.get(examined["attributes"].get("format"), "file")
         found = _damage(path, examined) or (_unreadable_table(path) if kind == "table" else [])
-    found += _leftovers(path.parent, re.escape(path.name))
+    part = re.compile(half_written(re.escape(path.name)))
+    found += [_left(path.parent / name) for name in _names(path.parent) if part.fullmatch(name)]
     return Verified(path=path, kind=kind, n_files=1, findings=tuple(found))
 
 
@@ -238,15 +262,17 @@ def damage_in_words(examined: Mapping[str, Any]) -> str:
 
 def _verify_dataset(folder: Path) -> Verified:
     found: list[Finding] = []
-    unfinished = _unfinished(folder)
-    manifest = None
+    journal, unfinished = _journal(folder)
+    manifest, entries = None, tuple[ShardEntry, ...]()
+    if journal is not None:
+        entries = tuple(ShardEntry(**entry) for entry in journal.entries if is_entry(entry))
     try:
         manifest = read_manifest(folder)
+        entries = manifest.shards
     except BadData as error:
         if not unfinished:
             problem = "damaged" if (folder / MANIFEST).exists() else "missing"
             found.append(Finding(file=folder / MANIFEST, problem=problem, what=str(error)))
-    entries = manifest.shards if manifest is not None else _finished(folder)
     for entry in entries:
         found += _verify_one(folder / entry.file, entry.sha256, "the manifest", entry)
     known = {entry.file for entry in entries}
@@ -257,9 +283,7 @@ def _verify_dataset(folder: Path) -> Verified:
         found += unfinished
     else:
         found += [_left(finding.file) for finding in unfinished] or _verify_sums(folder, manifest)
-    found += _pending(folder)
-    found += _leftovers(folder, rf"({SHARD_NAME}|{SUMS}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)})")
-    found += _strangers(folder, known | {MANIFEST, SUMS, JOURNAL}, SHARD_NAME)
+    found += _others(folder, {*known, MANIFEST, SUMS, JOURNAL}, SHARD_NAME)
     return Verified(path=folder, kind="dataset", n_files=len(known) + 1, findings=tuple(found), manifest=manifest)
 
 
@@ -285,12 +309,11 @@ def _verify_recordings(folder: Path) -> Verified:
         found = [Finding(file=folder / SUMS, problem="damaged", what=str(error))]
     for name in dict.fromkeys([*sums, *names]):
         found += _verify_one(folder / name, sums.get(name), SUMS)
-    found += [*_unfinished(folder), *_pending(folder)]
+    found += _journal(folder)[1]
     if not sums:  # without sums only gaps are seen
         gaps = sorted({f"recording-{k:05d}.h5" for k in range(_number(names[-1]))} - set(names)) if names else []
         found += [Finding(file=folder / name, problem="missing", what="is not there") for name in gaps]
-    found += _leftovers(folder, f"({RECORDING_NAME}|{SUMS})")
-    found += _strangers(folder, {*names, SUMS, JOURNAL}, RECORDING_NAME)
+    found += _others(folder, {*names, SUMS, JOURNAL}, RECORDING_NAME)
     return Verified(path=folder, kind="recording", n_files=len(names), findings=tuple(found))
 
 
@@ -325,49 +348,31 @@ def _verify_one(
     return [Finding(file=path, problem=problem, what=what, examined=examined, entry=entry, sha256=sha256)]
 
 
-def _unfinished(folder: Path) -> list[Finding]:
-    """Return the journal of a folder as a finding, if there is one."""
+def _journal(folder: Path) -> tuple[Unfinished | None, list[Finding]]:
+    """Return the journal of a folder, if it is sound, and the finding that it is there."""
     try:
         journal = read_journal(folder)
     except BadData as error:
-        return [Finding(file=folder / JOURNAL, problem="damaged", what=str(error))]
+        return None, [Finding(file=folder / JOURNAL, problem="damaged", what=str(error))]
     if journal is None:
-        return []
-    return [Finding(file=folder / JOURNAL, problem="unfinished", what=journal.progress)]
-
-
-def _pending(folder: Path) -> list[Finding]:
-    """Return the run that will replace a folder as a finding, if there is one."""
-    return [
-        Finding(file=finding.file.parent, problem="pending", what=f"is to replace it; {finding.what}")
-        for finding in _unfinished(hidden(folder))
-    ]
-
-
-def _finished(folder: Path) -> tuple[ShardEntry, ...]:
-    """Return the shards in the journal of an unfinished run."""
-    try:
-        journal = read_journal(folder)
-    except BadData:
-        return ()
-    return tuple(ShardEntry(**entry) for entry in journal.entries if is_entry(entry)) if journal is not None else ()
-
-
-def _leftovers(folder: Path, name: str) -> list[Finding]:
-    pattern = re.compile(half_written(name))
-    return [_left(folder / found) for found in _names(folder) if pattern.fullmatch(found)]
+        return None, []
+    return journal, [Finding(file=folder / JOURNAL, problem="unfinished", what=journal.progress)]
 
 
 def _left(file: Path) -> Finding:
     return Finding(file=file, problem="leftover", what="was left behind by a run that was stopped")
 
 
-def _strangers(folder: Path, known: set[str], name: str) -> Iterator[Finding]:
-    """Yield the foreign files in a folder whose own files match `name`."""
-    leftover = re.compile(half_written(rf"{name}|{SUMS}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}"))
-    for found in _names(folder):
-        if found not in known and not leftover.fullmatch(found):
-            yield Finding(file=folder / found, problem="foreign", what="does not belong to it")
+def _others(folder: Path, known: set[str], own: str) -> Iterator[Finding]:
+    """Yield the run that will replace a folder, and the half-written and foreign files in it; `own` matches its own."""
+    for finding in _journal(hidden(folder))[1]:
+        yield Finding(file=finding.file.parent, problem="pending", what=f"is to replace it; {finding.what}")
+    part = re.compile(half_written(rf"{own}|{SUMS}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}"))
+    for name in _names(folder):
+        if part.fullmatch(name):
+            yield _left(folder / name)
+        elif name not in known:
+            yield Finding(file=folder / name, problem="foreign", what="does not belong to it")
 
 
 def _names(folder: Path) -> list[str]:

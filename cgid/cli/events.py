@@ -1,0 +1,132 @@
+"""`cgid events`: find the impacts in recordings and write a manifest with a row for each, to be labelled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cgid.cli.options import PATH, Reading, reading_options
+from cgid.cli.output import each_file, say
+from cgid.errors import BadData, InvalidValue
+
+if TYPE_CHECKING:
+    from cgid.identification.events import Event
+    from cgid.recordings import RecordingFile
+
+#: An interval begins this long before its impact, because a channel may hear it sooner than another [s].
+_BEFORE = 2e-3
+
+
+@click.command(short_help="Find the impacts in recordings: a table to label for cgid train.")
+@click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE...")
+@click.option("-o", "--output", type=PATH, required=True, help="The table, ending in .csv; - is stdout.")
+@click.option("--overwrite", is_flag=True, help="Replace the table, with the labels in it.")
+@click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
+@reading_options
+def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, reading: Reading) -> int:
+    """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
+
+    Fill in the column label (and group, such as a day or a support, if several recordings share one), then train on the
+    table. Delete the rows that you cannot label. An impact that several channels hear is one row.
+
+    \b
+    cgid events monday.wav tuesday.wav -o events.csv
+    cgid train events.csv -o mine.npz
+    """  # noqa: D301 - \b keeps the lines of the example apart
+    from cgid.files import check_new, write_whole
+    from cgid.identification.manifest import manifest_text, recordings_in
+
+    path = None if output == "-" else check_new(Path(output), "a table of impacts", (".csv",), overwrite=overwrite)
+    folder = Path() if path is None else path.parent
+    rows: list[dict[str, str]] = []
+    every = [str(one) for file in files for one in (recordings_in(Path(file)) if Path(file).is_dir() else [file])]
+    code = each_file(every, lambda file: rows.extend(_rows(file, folder, reading)), strict=strict)
+    if not rows:
+        return code
+    text = manifest_text(rows)
+    if path is None:
+        for line in text.splitlines():
+            say(line)
+        return code
+    # A byte order mark makes a spreadsheet read other letters right.
+    write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
+    found = f"{len(rows)} impact{'s' * (len(rows) != 1)}"
+    say(f"wrote {path}: {found}; fill in the column label, then cgid train {path} -o mine.npz", err=True)
+    return code
+
+
+def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]:
+    """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
+    from cgid.identification.labelled_recordings import unit_of
+    from cgid.identification.manifest import path_from
+
+    if file == "-":
+        raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
+    recording = reading.recording(file)
+    unit = unit_of(recording)
+    found = _found(recording, unit, reading)
+    for warning in recording.warnings:
+        say(f"cgid: warning: {warning}", err=True)
+    chain = {name: ";".join(values) for name, values in reading.chain.items() if values}
+    if reading.invert:
+        if "=" in (gain := chain.get("gain", "1")):
+            raise InvalidValue("--invert must be left out with a gain for each channel, a table cannot hold both")
+        chain["gain"] = f"-{gain}"
+    given = {
+        **chain,
+        "path": path_from(folder, file),
+        "channel": "+".join(reading.channel),
+        "rate": "" if reading.sampling_rate is None else f"{reading.sampling_rate:.12g}",
+        "unit": reading.unit or "",
+        "variable": reading.variable or "",
+    }
+    rate, before = recording.sampling_rate, 0.0
+    for event, following in zip(found, [*found[1:], None], strict=True):
+        start = max(event.time - _BEFORE, (before + event.time) / 2 if before else 0.0)
+        end = event.end / rate
+        if following is not None:
+            end = min(end, max(following.time - _BEFORE, (event.time + following.time) / 2))
+        before = event.time
+        yield {
+            **given,
+            "start": f"{start:.7f}",
+            "end": f"{end:.7f}",
+            "label": "",
+            "time [s]": f"{event.time:.6f}",
+            "peak": f"{_peak(event):.5g}",
+            "peak_unit": unit,
+            "flags": " ".join(name for name in ("overlapping", "clipped", "cut") if getattr(event, name)),
+        }
+
+
+def _found(recording: RecordingFile, unit: str, reading: Reading) -> list[Event]:
+    """Return the impacts of a recording, joint over its channels; raises `BadData` if there is none."""
+    from cgid.identification.detection import ImpactDetector
+    from cgid.measure.features import kind_for
+    from cgid.units import quantity_of
+
+    detector = ImpactDetector(
+        recording.sampling_rate,
+        len(recording.channels),
+        kind=kind_for(quantity_of(unit)),
+        dead_time=reading.dead_time,
+        joint=True,
+    )
+    found: list[Event] = []
+    for block in recording.blocks():
+        found += detector.feed(-block if reading.invert else block)
+    found += detector.finish()
+    if not found:
+        raise BadData(f"{recording.source}: {detector.why_silent(unit=unit)}")
+    return found
+
+
+def _peak(event: Event) -> Any:
+    """Return the largest distance from the baseline, of the channel that hears the impact best."""
+    import numpy as np
+
+    frame = np.atleast_2d(event.samples)
+    return max(np.abs(row - np.median(row)).max() for row in frame.astype(float))

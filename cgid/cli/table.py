@@ -1,0 +1,157 @@
+"""The table that a command prints: CSV on stdout, or one file.
+
+`pandas.read_csv` reads stdout without any argument, so whatever is no row goes to stderr. A file gets its name when it
+is whole; only Parquet and HDF5 need more than the standard library.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import click
+
+from cgid.cli.options import PATH
+from cgid.cli.output import finite, say
+
+#: Endings of table files.
+ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
+
+
+class Column(NamedTuple):
+    """A column of a table, of texts unless told; `form` is how CSV writes its numbers, with the digits that matter."""
+
+    name: str
+    unit: str = ""
+    dtype: str = "string"
+    form: str = ""
+
+    @property
+    def title(self) -> str:
+        """The name, with the unit in brackets."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def cell(self, value: Any) -> str:
+        """Return a value as CSV holds it; empty if it is missing."""
+        if value is None:
+            return ""
+        if self.dtype == "bool":
+            return "true" if value else "false"
+        return format(value, self.form)
+
+
+def numbers(name: str, unit: str = "", form: str = ".8g") -> Column:
+    """Return a column of numbers."""
+    return Column(name, unit, "float64", form)
+
+
+def times(name: str) -> Column:
+    """Return a column of times [s]: to the sample, for days."""
+    return numbers(name, "s", ".12g")
+
+
+def flags(name: str) -> Column:
+    """Return a column of true and false."""
+    return Column(name, dtype="bool")
+
+
+def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options for the file that holds the table."""
+    ends = ", ".join(ENDINGS[:-1])
+    told = f"Write the table to this file ({ends}) instead of stdout, which is -."
+    command = click.option("--overwrite", is_flag=True, help="Replace old files.")(command)
+    return click.option("-o", "--output", type=PATH, metavar="FILE", help=told)(command)
+
+
+class TableOutput:
+    """A table on stdout, or in a file; use as a context, which writes the file when it ends without an error.
+
+    Raises `CannotCreate` if the file cannot be written there, `MissingExtra` without the library of its format.
+    """
+
+    def __init__(self, output: str | None = None, *, overwrite: bool = False, as_json: bool = False) -> None:
+        self.columns: tuple[Column, ...] = ()
+        self._path = None if output in (None, "-") else Path(str(output))
+        self._overwrite, self._files = overwrite, ExitStack()
+        self._write: Callable[[list[Any]], object] | None = None
+        if self._path is not None:
+            from cgid.files import check_new
+
+            if as_json:
+                raise click.UsageError("--json prints lines of several kinds, -o writes one table; give one of them")
+            check_new(self._path, "a table", ENDINGS, overwrite=overwrite)
+            if self._path.suffix.lower() == ".parquet":
+                from cgid.store.table import parquet_library
+
+                parquet_library()
+
+    def begin(self, columns: Iterable[Column]) -> list[Column]:
+        """Set the columns if none are set yet; return those of these that the table lacks."""
+        wanted = tuple(columns)
+        self.columns = self.columns or wanted
+        return [column for column in wanted if column not in self.columns]
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Write a row, given by the titles of its columns; what it lacks stays empty."""
+        if self._write is None:
+            self._write = self._opened()
+        self._write([_plain(row.get(column.title)) for column in self.columns])
+
+    def __enter__(self) -> TableOutput:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if error is None and self.columns and self._write is None:
+            with self._files:
+                self._opened()  # no row, but which columns there would have been
+        else:
+            self._files.__exit__(kind, error, at)
+        if error is None and self.columns and self._path is not None:
+            say(f"wrote {self._path}", err=True)
+
+    def _opened(self) -> Callable[[list[Any]], object]:
+        """Write the head of the table, and return what writes a row."""
+        titles = [column.title for column in self.columns]
+        if self._path is None:
+            _say_row(titles)
+            return lambda row: _say_row(self._texts(row))
+        from cgid.files import clear_half_written, whole_file
+
+        clear_half_written(self._path)
+        file = self._files.enter_context(whole_file(self._path, overwrite=self._overwrite))
+        suffix = self._path.suffix.lower()
+        if suffix not in (".csv", ".jsonl"):
+            from cgid.store.table import plain_writer
+
+            types = {(column.name, column.unit): column.dtype for column in self.columns}
+            return self._files.enter_context(plain_writer(file, suffix, types))
+        stream = self._files.enter_context(file.open("w", encoding="utf-8", newline=""))
+        if suffix == ".jsonl":
+            return lambda row: stream.write(json.dumps(finite(dict(zip(titles, row, strict=True)))) + "\n")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(titles)
+        return lambda row: writer.writerow(self._texts(row))
+
+    def _texts(self, row: list[Any]) -> list[str]:
+        return [column.cell(value) for column, value in zip(self.columns, row, strict=True)]
+
+
+def _say_row(texts: list[str]) -> None:
+    """Print one row of CSV; a quoted line break stays one, all else that controls a terminal is escaped."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(texts)
+    for part in line.getvalue().split("\n"):
+        say(part)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value, None if it is missing; in a file name, bytes that are no text are escaped."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    return None if value != value else value

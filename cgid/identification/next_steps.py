@@ -1,0 +1,439 @@
+"""Why most answers of a recording are unknown, and what to do next.
+
+Each answer outside of the training says what puts it there (`Cause`). A `Diagnosis` counts the answers of a recording,
+channel by channel, and gives one `Hint` where most are unknown. Every cause is tested: the impact stands barely above
+the noise before it; another amplitude or another sampling rate alone would bring it inside; or one measured quantity
+contributes most to its distance from the training.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.identification.events import EVENT_TIME
+from cgid.measure.features import FEATURES, extract_array
+from cgid.units import UNITS
+from cgid.validation import UNKNOWN, Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.answers import Answer
+    from cgid.identification.model import Model
+
+#: The start of a vibration, whose power is compared with that before it [s]; a vibration below this ratio of
+#: amplitudes drowns.
+_START_TIME, _CLEAR = 10e-3, 2.0
+#: Factors of amplitude and duration that are tried; only one beyond `_FAR` times is a cause.
+_SCALES, _FAR = 10.0 ** np.arange(-4.0, 4.25, 0.25), 3.0
+#: A signal that falls below its baseline by this share of its peak swings both ways, which no contact force does.
+_BOTH_WAYS = 0.4
+#: Deviations of the training to either side that make the range of a quantity in messages.
+_DEVIATIONS = 3.0
+#: A live stream gets its hint when this many answers of a channel are there, and this share of them is unknown.
+_ENOUGH, _CLEARLY = 20, 0.8
+#: Share of answers without any mark from which these, and not the marks, decide on the cause.
+_UNMARKED = 0.25
+
+
+#: Causes that are no input or guard of a model.
+_TESTED = ("noise", "amplitude", "duration", "sampling_rate", "vibration")
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What puts an answer outside of the training.
+
+    Attributes
+    ----------
+    name : an input or guard of the model; else noise, amplitude, duration, sampling_rate or vibration
+    value : of the input or guard, as measured. Noise: amplitude of the impact over that before it. Amplitude and
+        duration: how many times as large as those of the training. Sampling rate: the one at which the impact lies
+        inside [Hz]. Vibration: how deep a pulse swings below its baseline, over its peak
+    low, high : range of an input or guard in the training
+    """
+
+    name: str
+    value: float
+    low: float = float("nan")
+    high: float = float("nan")
+
+
+def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
+    """Return the cause for each row outside of the training, from inputs (n, n_inputs) and guards (n, n_guards)."""
+    distance = model.distance(inputs)
+    limits = np.array(model.guard_limits)
+    amplitudes, durations = (_scale_of(model, inputs, symbol) for symbol in ("U", "s"))
+    foremost, (low, high) = model.foremost(inputs), model.usual(_DEVIATIONS)
+    found = []
+    for row, own in enumerate(guards):
+        scale, name = min((abs(np.log(x[row])), n) for x, n in ((amplitudes, "amplitude"), (durations, "duration")))
+        if own.size and (own / limits).max() > distance[row]:
+            guard = int(np.argmax(own / limits))
+            found.append(Cause(model.guards[guard], float(own[guard]), 0.0, model.guard_limits[guard]))
+        elif scale < np.inf:
+            found.append(Cause(name, float((amplitudes if name == "amplitude" else durations)[row])))
+        else:
+            k = int(foremost[row])
+            found.append(Cause(model.inputs[k], float(inputs[row, k]), float(low[k]), float(high[k])))
+    return found
+
+
+def _scale_of(model: Model, inputs: Floats, symbol: str) -> Floats:
+    """Return how many times as large as in the training the unit `symbol` of each row is; infinite where not that.
+
+    It is that where a factor beyond `_FAR`, on all inputs with that unit, brings the row inside.
+    """
+    powers, logarithmic = _powers(model, symbol)
+    if not len(inputs) or not powers.any():
+        return np.full(len(inputs), np.inf)
+    distances = []
+    for factor in _SCALES:
+        scaled = np.where(logarithmic, inputs + powers * np.log10(factor), inputs * factor**powers)
+        distances.append(model.distance(scaled))
+    size = 1 / _SCALES[np.argmin(distances, axis=0)]
+    is_cause = (np.min(distances, axis=0) <= 1) & ((size >= _FAR) | (size <= 1 / _FAR))
+    return np.where(is_cause, size, np.inf)
+
+
+def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the power of a unit in each input, and whether the input is a logarithm; of that, durations are ignored.
+
+    The level of a vibration lasts as long as its window, so only pulses have durations.
+    """
+    names = [name.split(" of channel ")[0] for name in model.inputs]
+    units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
+    logarithmic = np.array([unit.startswith("log10") for unit in units])
+    powers = np.array([2.0 if f"{symbol}^2" in unit else float(symbol in unit) for unit in units])
+    if symbol == "s":
+        powers[logarithmic] = 0.0
+    return powers, logarithmic
+
+
+def with_frames(
+    answers: Sequence[Answer], frames: NDArray[np.floating], sampling_rate: float, model: Model, pre_trigger: int | None
+) -> list[Answer]:
+    """Return the answers for frames (n, n_samples), with the causes that only the samples show."""
+    rows = [row for row, answer in enumerate(answers) if answer.cause is not None]
+    found = list(answers)
+    if not rows:
+        return found
+    own, causes = frames[rows], {}
+    if not model.covers(sampling_rate) and not model.known:
+        rate = min(max(sampling_rate, min(model.sampling_rates)), max(model.sampling_rates))
+        causes = dict.fromkeys(
+            np.flatnonzero(_inside(own, rate, model, pre_trigger)).tolist(), Cause("sampling_rate", rate)
+        )
+    if pre_trigger is not None and pre_trigger > 1:
+        clear = _clearness(own, sampling_rate, pre_trigger)
+        causes |= {k: Cause("noise", float(clear[k])) for k in np.flatnonzero(clear < _CLEAR).tolist()}
+    elif model.kind == "pulse":
+        middle = np.median(own, axis=1)
+        depth = (middle - own.min(axis=1)) / np.maximum(own.max(axis=1) - middle, np.finfo(np.float64).tiny)
+        causes |= {k: Cause("vibration", float(depth[k])) for k in np.flatnonzero(depth > _BOTH_WAYS).tolist()}
+    for k, cause in causes.items():
+        found[rows[k]] = replace(answers[rows[k]], cause=cause)
+    return found
+
+
+def _inside(frames: NDArray[np.floating], rate: float, model: Model, pre_trigger: int | None) -> NDArray[np.bool_]:
+    """Return whether each frame would lie inside of the training at another sampling rate."""
+    table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan", detection_limit=0.0)
+    sound = np.asarray(np.isfinite(table).all(axis=1))
+    features, guards = np.split(table[sound], [len(model.features)], axis=1)
+    sound[sound] = model.novelty(features, guards) <= 1
+    return sound
+
+
+def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Floats:
+    """Return the amplitude at the start of each vibration over that before it."""
+    before = frames[:, :pre_trigger].astype(np.float64)
+    middle = before.mean(axis=1, keepdims=True)
+    start = frames[:, pre_trigger : pre_trigger + max(round(_START_TIME * sampling_rate), 2)] - middle
+    noise = np.sqrt(np.mean((before - middle) ** 2, axis=1))
+    signal = np.sqrt(np.mean(start**2, axis=1))
+    return np.asarray(np.divide(signal, noise, out=np.full(len(frames), np.inf), where=noise > 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hint:
+    """Why most answers are unknown, and what helps.
+
+    Attributes
+    ----------
+    cause : one word for programs: noise, amplitude, duration, sampling_rate, clipped, cut_off, overlapping, vibration,
+        shape, upside_down, features, coverage or unmeasured
+    reason : in words
+    advice : what to do
+    commands : the next commands, in order
+    channels : where most answers are unknown; empty if in all
+    n_unknown, n_answers : in these channels
+    """
+
+    cause: str
+    reason: str
+    advice: str
+    commands: tuple[str, ...]
+    channels: tuple[str, ...] = ()
+    n_unknown: int = 0
+    n_answers: int = 0
+
+    @property
+    def text(self) -> str:
+        """The hint in one line."""
+        steps = f": {', then '.join(self.commands)}" if self.commands else ""
+        return f"{self.reason}; {self.advice}{steps}"
+
+
+@dataclass
+class _Channel:
+    """The unknown answers of a channel: how many for each cause, and for the causes of unmarked ones some examples."""
+
+    n_answers: int = 0
+    n_unmarked: int = 0
+    n_unknown: int = 0
+    marks: Counter[str] = field(default_factory=Counter)
+    unmarked: Counter[str] = field(default_factory=Counter)
+    examples: dict[str, list[Answer]] = field(default_factory=dict)
+    latest: float = -np.inf
+    problems: Counter[str] = field(default_factory=Counter)
+
+
+#: Most examples kept of each cause.
+_MOST_EXAMPLES = 50
+
+
+class Diagnosis:
+    """Count the answers of a recording, and give a hint where most are unknown.
+
+    Parameters
+    ----------
+    model : Model
+    sampling_rate : float
+        [Hz].
+    source : str
+        The file, as the next commands name it.
+    options : sequence of str
+        Options that all commands need to read the file, such as `--rate 25600`.
+    answering : sequence of str
+        Options of `cgid predict` alone, such as `--model mine.npz`.
+    labelled : bool
+        Whether the file is a dataset, which holds signals and the labels to train on.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        sampling_rate: float,
+        source: str,
+        options: Sequence[str] = (),
+        answering: Sequence[str] = (),
+        *,
+        labelled: bool = False,
+    ) -> None:
+        self._model, self._rate, self._source = model, sampling_rate, source
+        self._options, self._answering = tuple(options), tuple(answering)
+        self._labelled = labelled
+        self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
+        self._channels: dict[str, _Channel] = {}
+        self.upside_down: set[str] = set()
+
+    def add(self, answers: Iterable[Answer]) -> None:
+        """Count more answers."""
+        for answer in answers:
+            channel = self._channels.setdefault(answer.channel, _Channel())
+            after, channel.latest = answer.time - channel.latest, answer.time
+            channel.n_answers += 1
+            name, marked = _cause_of(answer, self._model.kind == "vibration" and 0 < after < EVENT_TIME)
+            channel.n_unmarked += not marked
+            if answer.label != UNKNOWN:
+                continue
+            channel.n_unknown += 1
+            (channel.marks if marked else channel.unmarked)[name] += 1
+            channel.problems[answer.problem] += len(channel.problems) < _MOST_EXAMPLES
+            examples = channel.examples.setdefault(name, [])
+            if len(examples) < _MOST_EXAMPLES:
+                examples.append(answer)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether a live stream can have its hint already."""
+        return any(c.n_answers >= _ENOUGH and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
+
+    def hint(self) -> Hint | None:
+        """Return the hint; None where at most half of the answers are unknown in each channel."""
+        own = {name: c for name, c in self._channels.items() if 2 * c.n_unknown > c.n_answers}
+        if not own:
+            return None
+        counts: Counter[str] = Counter()
+        for channel in own.values():
+            decisive = channel.marks + channel.unmarked
+            if channel.unmarked and channel.n_unmarked >= _UNMARKED * channel.n_answers:
+                decisive = channel.unmarked
+            counts += decisive
+        cause = counts.most_common(1)[0][0]
+        if self.upside_down & own.keys():
+            cause = "upside_down"
+        examples = [answer for channel in own.values() for answer in channel.examples.get(cause, ())]
+        problem = sum((channel.problems for channel in own.values()), Counter[str]()).most_common(1)
+        n_unknown, n_answers = (sum(getattr(c, name) for c in own.values()) for name in ("n_unknown", "n_answers"))
+        where = f"{n_unknown} of {n_answers} {self._kind}{'' if n_answers == 1 else 's'} unknown"
+        reason, advice, commands = self._told(cause, examples, problem[0][0] if problem else "")
+        return Hint(
+            cause=cause,
+            reason=f"{where}: {reason}",
+            advice=advice,
+            commands=commands,
+            channels=() if len(own) == len(self._channels) else tuple(own),
+            n_unknown=n_unknown,
+            n_answers=n_answers,
+        )
+
+    # -- words ----------------------------------------------------------------------------------------
+
+    def _told(self, cause: str, examples: Sequence[Answer], problem: str) -> tuple[str, str, tuple[str, ...]]:
+        """Return reason, advice and next commands."""
+        model, trained = self._model, _rates(self._model)
+        causes = [answer.cause for answer in examples if answer.cause is not None]
+        middle = float(np.median([one.value for one in causes])) if causes else float("nan")
+        if cause == "noise":
+            told = f"only {middle:.2g} times as strong as what is before them" if causes else "not clear of the noise"
+            return f"they are too weak, {told}", "record nearer to the impacts, or with less noise", ()
+        if cause == "clipped":
+            return "they are clipped at the limit of the recorder", "record with a larger range", ()
+        if cause == "cut_off":
+            return (
+                "the recording begins or ends within them",
+                "record longer, with some milliseconds before the first impact",
+                (),
+            )
+        if cause == "overlapping":
+            return (
+                "they follow too closely, each begins before the one before it is over",
+                "place the sensor where fewer rocks are heard",
+                (),
+            )
+        if cause == "upside_down":
+            return "the signal falls far deeper than it rises", "turn it over", (self._predict("--invert"),)
+        if cause == "coverage":
+            return f"they are like those of the training, but {problem}", "ask for a lower coverage", ()
+        if cause == "sampling_rate":
+            return (
+                f"sampled at {self._rate:g} Hz they are outside of the training, at {middle:g} Hz they would be inside",
+                "if that is the true rate, " + self._cure("--rate"),
+                self._corrected("--rate", f"{middle:g}"),
+            )
+        if cause == "amplitude":
+            size = f"{_times(middle)} times as strong as" if middle > 1 else f"{_times(1 / middle)} times weaker than"
+            units = ", ".join(_spellings(model.quantity))
+            return (
+                f"they are {size} those of the training, otherwise like them",
+                f"check unit ({units}), gain and sensitivity, and {self._cure('--unit')}",
+                self._corrected("--unit", "UNIT"),
+            )
+        if cause == "duration":
+            size = f"{_times(middle)} times as long as" if middle > 1 else f"{_times(1 / middle)} times shorter than"
+            return (
+                f"they are {size} those of the training, otherwise like them",
+                f"check the sampling rate, {self._rate:g} Hz, and {self._cure('--rate')}",
+                self._corrected("--rate", "HERTZ"),
+            )
+        if cause == "unmeasured":
+            return f"they cannot be measured ({problem})" if problem else "they cannot be measured", "record anew", ()
+        if cause == "vibration":
+            return (
+                f"they swing below their baseline by {middle:.0%} of their peak, which no contact force does",
+                f"if it is an acceleration, {self._cure('--unit')}, else label impacts and train on them",
+                (*self._corrected("--unit", "m/s^2"), *self._training()),
+            )
+        reason = "they are clear, but unlike those of the training: another beam, mounting or sensor"
+        if cause == "shape":
+            reason = "they are no single pulses like those of the training, as where the sensor rings or filters"
+        elif causes:
+            name = Counter(one.name for one in causes).most_common(1)[0][0]
+            foremost = [one for one in causes if one.name == name]
+            value, low, high = float(np.median([one.value for one in foremost])), foremost[0].low, foremost[0].high
+            reason += f" (foremost {name}: {value:.3g}, in the training {low:.3g} to {high:.3g})"
+        if not model.covers(self._rate):
+            reason += f"; and sampled at {self._rate:g} Hz, not {trained} Hz"
+        return reason, "label impacts and train on them", self._training()
+
+    def _predict(self, *more: str) -> str:
+        options = _without([*self._options, *self._answering], more)
+        return shlex.join(["cgid", "predict", self._source, *options, *more])
+
+    def _cure(self, flag: str) -> str:
+        """Return how to correct what an option says: the option, or the file, which no option may contradict."""
+        return "give it" if flag in self._options else "correct it in the file"
+
+    def _corrected(self, flag: str, value: str) -> tuple[str, ...]:
+        return (self._predict(flag, value),) if flag in self._options else ()
+
+    def _training(self) -> tuple[str, ...]:
+        """Return the commands that make a model of this recording's own."""
+        train: tuple[str, ...]
+        if self._labelled:
+            train = (shlex.join(["cgid", "train", self._source, "-o", "mine.npz"]),)
+        else:
+            train = (
+                shlex.join(["cgid", "events", self._source, *self._options, "-o", "events.csv"]),
+                "fill in its label column",
+                "cgid train events.csv -o mine.npz",
+            )
+        return (*train, self._predict("--model", "mine.npz"))
+
+
+def _without(options: Sequence[str], more: Sequence[str]) -> list[str]:
+    """Return the options, pairs of flag and value or flags alone, without the flags given in `more`."""
+    kept: list[str] = []
+    flag = ""
+    for option in options:
+        flag = option if option.startswith("--") else flag
+        if flag not in more:
+            kept.append(option)
+    return kept
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.0f}" if factor >= 10 else f"{factor:.2g}"
+
+
+def _spellings(quantity: str) -> list[str]:
+    """Return the units of a quantity, one spelling of each."""
+    first: dict[float, str] = {}
+    for unit, factor in UNITS[quantity].items():
+        first.setdefault(factor, unit)
+    return list(first.values())
+
+
+def _rates(model: Model) -> str:
+    low, high = model.sampling_rates
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
+    """Return the cause of an unknown answer, and whether a mark of its frame is that cause.
+
+    `crowded` says that another impact began within a frame before it.
+    """
+    if answer.cut and not answer.probabilities:
+        return "cut_off", True
+    cause = "" if answer.cause is None else answer.cause.name
+    if answer.clipped or cause == "overload":
+        return "clipped", True
+    weak = not answer.probabilities or cause == "noise"
+    if answer.overlapping or (crowded and weak):
+        return "overlapping", True
+    if answer.cut:
+        return "cut_off", True
+    if not answer.probabilities:
+        return ("noise" if answer.problem.startswith("no impact") else "unmeasured"), False
+    if not cause:
+        return "coverage", False
+    own = {"misfit": "shape", **{name: name for name in _TESTED}}
+    return own.get(cause, "features"), False

@@ -1,0 +1,122 @@
+"""Impacts or windows: which of them recordings hold, as the impact finder and the level between impacts say.
+
+A window without an impact tells nothing of a material, unless the recording is loud throughout. So a model decides on
+impacts where most windows are silence between impacts, and on windows where impacts are dense or noise never ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.events import Event
+from cgid.identification.windows import WINDOW_TIME, windows_of
+from cgid.measure.table import ImpactKind
+from cgid.recordings import RecordingFile
+from cgid.validation import Floats
+
+#: A window is silent if it holds no impact, and its power is below this share of that of windows with one (6 dB).
+SILENT_POWER = 0.25
+#: Impacts decide where more than this share of the windows is silent.
+SILENT_SHARE = 0.5
+#: An interval up to this length [s] with an impact, or two with a rebound, was cut out to hold it.
+CUT_TIME = 0.5
+#: No more of a recording than this is looked at [s].
+LONGEST_LOOK = 120.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Silence:
+    """What recordings hold within their annotated intervals.
+
+    Attributes
+    ----------
+    n_impacts : impacts
+    n_windows, n_silent : windows of `WINDOW_TIME`, and how many of them are silent
+    n_intervals, n_cut : intervals, and how many of them were cut out around an impact
+    """
+
+    n_impacts: int = 0
+    n_windows: int = 0
+    n_silent: int = 0
+    n_intervals: int = 0
+    n_cut: int = 0
+
+    def __add__(self, other: Silence) -> Silence:
+        """Return what two recordings hold together."""
+        return Silence(**{name: value + getattr(other, name) for name, value in vars(self).items()})
+
+    @property
+    def share(self) -> float:
+        """Share of the windows that is silent."""
+        return self.n_silent / max(self.n_windows, 1)
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the intervals were cut out around impacts, or are all too short for a window."""
+        return self.n_cut > self.n_intervals / 2 or self.n_windows == 0
+
+    @property
+    def has_single_impacts(self) -> bool:
+        """Whether impacts are isolated, so that a model should decide on them."""
+        return self.is_cut or self.share > SILENT_SHARE
+
+    def __str__(self) -> str:
+        """Say what was counted."""
+        if self.is_cut:
+            return f"{self.n_cut} of {self.n_intervals} recordings or intervals hold a single impact"
+        return f"{self.share:.0%} of the time is silence between impacts ({self.n_impacts} found)"
+
+
+def silence_of(
+    recording: RecordingFile,
+    kind: ImpactKind,
+    intervals: Sequence[tuple[float, float]],
+    dead_time: float | None = None,
+    *,
+    invert: bool = False,
+) -> Silence:
+    """Return what a recording holds within intervals [s]; raises as its `blocks` and the detector."""
+    rate = recording.sampling_rate
+    detector = ImpactDetector(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True)
+    events: list[Event] = []
+    most = left = round(LONGEST_LOOK * rate)
+
+    def seen() -> Iterator[NDArray[np.floating]]:
+        nonlocal left
+        for block in recording.blocks():
+            part = -block[:, :left] if invert else block[:, :left]
+            events.extend(detector.feed(part))
+            yield part
+            left -= block.shape[1]
+            if left <= 0:
+                break
+
+    parts = [(first, windows.var(axis=2)) for first, windows in windows_of(seen(), rate, WINDOW_TIME, WINDOW_TIME)]
+    events += detector.finish()
+    intervals = [(start, min(end, (most - left) / rate)) for start, end in intervals]
+    inside = [sum(start <= event.time < end for event in events) for start, end in intervals]
+    cut = [n in (1, 2) and end - start <= CUT_TIME for n, (start, end) in zip(inside, intervals, strict=True)]
+    found = Silence(n_impacts=sum(inside), n_intervals=len(intervals), n_cut=sum(cut))
+    if not parts:
+        return found
+    first, power = (np.concatenate(column) for column in zip(*parts, strict=True))
+    chosen = np.zeros(len(first), bool)
+    for start, end in intervals:
+        chosen |= (first >= start * rate) & (first + WINDOW_TIME * rate <= end * rate + 0.5)
+    silent = _silent(power, first, events, WINDOW_TIME * rate)
+    return found + Silence(n_windows=int(chosen.sum()), n_silent=int((silent & chosen).sum()))
+
+
+def _silent(power: Floats, first: NDArray[np.int64], events: Sequence[Event], length: float) -> NDArray[np.bool_]:
+    """Return which windows hold no impact and are much quieter, on every channel, than those that do."""
+    struck = np.zeros(len(first), bool)
+    for event in events:
+        struck |= (first < event.end) & (first + length > event.onset)
+    if not struck.any():
+        return struck
+    return ~struck & (power < SILENT_POWER * np.median(power[struck], axis=0)).all(axis=1)

@@ -1,0 +1,440 @@
+"""The measuring chain from a sensor to the numbers of a file: sensitivity, gain and full scale of each channel.
+
+A number of a file times full scale is a voltage; over the gain it is what the sensor gave; over the sensitivity it is
+what the sensor measured. This is done once, where the samples enter: behind it they are in N, m/s^2 or another SI unit.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.units import ELECTRICAL, UNITS, known_unit, number_and_unit, quantity_of, ratio_of
+from cgid.validation import shown
+
+if TYPE_CHECKING:
+    from cgid.recordings.recording import Contents
+
+#: What may be stated of a chain: one value for all channels, a mapping of names or numbers (from 1) to values, or
+#: several texts, each a value or NAME=VALUE.
+Statement = float | str | Mapping[int | str, float | str] | Sequence[float | str]
+
+#: Quantities that a sensitivity may be for.
+_MEASURED = ("force", "acceleration", "velocity", "displacement", "pressure")
+#: Largest relative difference between values of file and user that are one, and limits of a factor of samples.
+_TOLERANCE, _FACTORS = 1e-3, (1e-30, 1e30)
+_MOST_BITS = 64
+_LOUDEST = 400.0
+_TIMES = re.compile(r"[x×]\s*(.+)|(.+?)\s*[x×]", re.IGNORECASE)
+_FULL_SCALE = re.compile(r"(?:±|\+/?-)?\s*(.*?)(?:\s+at\s+(\d{1,3})\s*bits?)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """The signal of a sensor for one unit of what it measures.
+
+    value : in SI units, such as V/(m/s^2)
+    signal, measured : quantities, such as "voltage" and "acceleration"
+    """
+
+    value: float
+    signal: str
+    measured: str
+    text: str = field(compare=False)
+
+    @classmethod
+    def of(cls, given: Any) -> Sensitivity:
+        """Return the sensitivity of a text; raise `InvalidValue` if it is none.
+
+        Examples
+        --------
+        >>> Sensitivity.of("2 mV/N")
+        Sensitivity(value=0.002, signal='voltage', measured='force', text='2 mV/N')
+        """
+        found = number_and_unit(given) if isinstance(given, str) else None
+        ratio = None if found is None else ratio_of(found[1])
+        if found is None or ratio is None or ratio[0] not in ELECTRICAL or ratio[1] not in _MEASURED:
+            raise InvalidValue(
+                "sensitivity must be a voltage or a charge for a unit of acceleration or force, such as '10.2 mV/g', "
+                f"'2.3 mV/N' or '3.1 pC/g', got {shown(given)}"
+            )
+        value = found[0] * ratio[2]
+        if not 0 < value < math.inf:
+            raise InvalidValue(
+                f"sensitivity must be above 0 and finite, got {given.strip()}; a sensor that points the other way is "
+                "turned over by --invert"
+            )
+        return cls(value=value, signal=ratio[0], measured=ratio[1], text=given.strip())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gain:
+    """The factor of an amplifier; that of a charge amplifier is in V/C."""
+
+    value: float
+    is_of_charge: bool = False
+    text: str = field(compare=False)
+
+    @classmethod
+    def of(cls, given: Any) -> Gain:
+        """Return the gain of a number or a text; raise `InvalidValue` if it is none.
+
+        Examples
+        --------
+        >>> [Gain.of(given).value for given in (10, "x10", "20 dB")], Gain.of("1 mV/pC").is_of_charge
+        ([10.0, 10.0, 10.0], True)
+        """
+        text = given.strip() if isinstance(given, str) else f"{given:g}" if isinstance(given, int | float) else ""
+        times = _TIMES.fullmatch(text)
+        number, unit = number_and_unit((times[1] or times[2]) if times else text) or (math.nan, "")
+        ratio = ratio_of(unit)
+        if unit.lower() == "db" and not times:
+            if not abs(number) <= _LOUDEST:
+                raise InvalidValue(f"gain must lie between -{_LOUDEST:g} and {_LOUDEST:g} dB, got {number:g} dB")
+            return cls(value=float(10.0 ** (number / 20)), text=text)
+        is_of_charge = ratio is not None and ratio[:2] == ("voltage", "charge")
+        if math.isnan(number) or isinstance(given, bool) or (unit and not is_of_charge):
+            raise InvalidValue(
+                "gain must be a number, a factor or with dB behind it, or that of a charge amplifier such as "
+                f"'1 mV/pC', got {shown(given)}"
+            )
+        if not 0 < number < math.inf:
+            raise InvalidValue(f"gain must be above 0 and finite, got {text}; a signal is turned over by --invert")
+        return cls(value=number * (ratio[2] if ratio and is_of_charge else 1.0), is_of_charge=is_of_charge, text=text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullScale:
+    """What a sample of full scale stands for, in `unit`; None: the unit is stated elsewhere.
+
+    `bits` is the resolution of the converter for integers whose type does not show it; its largest number is just below
+    2^(bits - 1).
+    """
+
+    value: float
+    unit: str | None = None
+    bits: int | None = None
+    text: str = field(compare=False)
+
+    @classmethod
+    def of(cls, given: Any) -> FullScale:
+        """Return the full scale of a number or a text; raise `InvalidValue` if it is none.
+
+        Examples
+        --------
+        >>> FullScale.of("±10 V"), FullScale.of("10 V at 24 bit").bits
+        (FullScale(value=10.0, unit='V', bits=None, text='±10 V'), 24)
+        """
+        text = given.strip() if isinstance(given, str) else f"{given:g}" if isinstance(given, int | float) else ""
+        found = _FULL_SCALE.fullmatch(text)
+        number, unit = number_and_unit(found[1] if found else "") or (math.nan, "")
+        bits = int(found[2]) if found and found[2] else None
+        if math.isnan(number) or isinstance(given, bool) or (unit and known_unit(unit) in (None, "FS")):
+            raise InvalidValue(
+                "full_scale must be a number with a unit such as '10 V' or '50 g', or '10 V at 24 bit' for integers of "
+                f"a converter, got {shown(given)}"
+            )
+        if not 0 < number < math.inf:
+            raise InvalidValue(f"full_scale must be above 0 and finite, got {text}")
+        if bits is not None and not 2 <= bits <= _MOST_BITS:
+            raise InvalidValue(f"full_scale must be at 2 to {_MOST_BITS} bit, got {bits}")
+        return cls(value=number, unit=known_unit(unit) if unit else None, bits=bits, text=text)
+
+
+Part = TypeVar("Part", Sensitivity, Gain, FullScale)
+
+
+@dataclass(frozen=True)
+class _Stated(Generic[Part]):
+    """Values stated for all channels (key None) or for one, by name or number."""
+
+    name: str
+    values: tuple[tuple[int | str | None, Part], ...] = ()
+
+    def at(self, index: int, contents: Contents, source: str) -> tuple[Part | None, bool]:
+        """Return the value for a channel, and whether it is for this channel alone; two must not differ."""
+        own = [value for key, value in self.values if key is not None and index in contents.selected(key, source)]
+        values = own or [value for key, value in self.values if key is None]
+        for other in values[1:]:
+            if other != values[0]:
+                raise InvalidValue(
+                    f"{source}: channel {contents.label(index)} must have one {self.name}, got "
+                    f"{values[0].text} and {other.text}; leave one out"
+                )
+        return (values[0] if values else None), bool(own)
+
+
+def _stated(name: str, kind: type[Part], given: Statement | None) -> _Stated[Part]:
+    if given is None:
+        return _Stated(name)
+    pairs: list[tuple[int | str | None, Any]] = []
+    if isinstance(given, Mapping):
+        pairs += given.items()
+    else:
+        for one in [given] if isinstance(given, str | int | float) else list(given):
+            channel, equals, value = one.rpartition("=") if isinstance(one, str) else ("", "", one)
+            if equals and not channel.strip():
+                raise InvalidValue(f"{name} must name the channel before =, as in 2={value}, got {shown(one)}")
+            pairs.append((channel.strip() if equals else None, value))
+    return _Stated(name, tuple((channel, kind.of(value)) for channel, value in pairs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """How the samples of a channel enter: times `factor` they are in `unit`; `origin` says why, "" if as they are."""
+
+    unit: str | None
+    factor: float = 1.0
+    origin: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """The user's statements about the measuring chains of a recording."""
+
+    sensitivity: _Stated[Sensitivity] = _Stated("sensitivity")
+    gain: _Stated[Gain] = _Stated("gain")
+    full_scale: _Stated[FullScale] = _Stated("full_scale")
+
+    @classmethod
+    def of(
+        cls,
+        sensitivity: Statement | None = None,
+        gain: Statement | None = None,
+        full_scale: Statement | None = None,
+    ) -> Chain:
+        """Return the chain of some statements; raise `InvalidValue` if one is wrong.
+
+        Examples
+        --------
+        >>> Chain.of(["10.2 mV/g", "hammer=2.3 mV/N"]) == Chain.of({None: "10.2 mV/g", "hammer": "2.3 mV/N"})
+        True
+        """
+        return cls(
+            sensitivity=_stated("sensitivity", Sensitivity, sensitivity),
+            gain=_stated("gain", Gain, gain),
+            full_scale=_stated("full_scale", FullScale, full_scale),
+        )
+
+    def links(self, contents: Contents, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
+        """Return the link of each channel, from the statements of user and file, which must agree.
+
+        A sensitivity or charge gain for all channels is for those in volts or coulombs, of which there must be one.
+
+        Raises
+        ------
+        MissingOption
+            A part of the chain is missing: the unit of the numbers, or the gain of a charge amplifier.
+        InvalidValue
+            Two statements contradict each other, or one does not fit the channel.
+        BadData
+            The file states an impossible sensitivity, or a unit other than the user's.
+        """
+        scaled_links = [self._scaled(contents, index, unit, source) for index in channels]
+        is_some = any(link.unit and quantity_of(link.unit) in ELECTRICAL for link in scaled_links)
+        return [
+            self._measured(link, contents, index, source, is_some=is_some)
+            for index, link in zip(channels, scaled_links, strict=True)
+        ]
+
+    def _scaled(self, contents: Contents, index: int, unit: str | None, source: str) -> Link:
+        """Return the link through full scale and amplification."""
+        own, factor, origin = contents.unit(index, unit, source), 1.0, []
+        scale, _ = self.full_scale.at(index, contents, source)
+        if scale is not None:
+            own, factor = _full_scale(scale, own, contents, index, source)
+            origin.append(f"{scale.text} at full scale")
+        gain, _ = self.gain.at(index, contents, source)
+        if gain is not None and not gain.is_of_charge:
+            factor /= gain.value
+            origin.append(f"gain {gain.text}")
+        return Link(unit=own, factor=factor, origin=", ".join(origin))
+
+    def _measured(self, link: Link, contents: Contents, index: int, source: str, *, is_some: bool) -> Link:
+        """Return the link through charge gain and sensitivity, too."""
+        sensitivity, is_own = self.sensitivity.at(index, contents, source)
+        gain, is_own_gain = self.gain.at(index, contents, source)
+        name = _name(contents, index, source)
+        quantity = None if link.unit is None else quantity_of(link.unit)
+        if quantity not in ELECTRICAL:
+            is_meant = is_own or is_own_gain or not is_some
+            of_charge = gain is not None and gain.is_of_charge
+            if is_meant and (sensitivity is not None or of_charge):
+                raise _not_electrical(name, link.unit, "sensitivity" if sensitivity is not None else "gain")
+            return _bounded(link, name)
+        assert link.unit is not None
+        sensitivity = _agreed(sensitivity, _of_file(contents.sensitivities, index), name)
+        if sensitivity is None:
+            if gain is not None and gain.is_of_charge:
+                raise MissingOption(
+                    f"{name}: a gain of {gain.text} gives a charge, the sensitivity of the sensor is missing; give it "
+                    "as in --sensitivity '3.1 pC/g'"
+                )
+            return _bounded(link, name)
+        factor, origin = link.factor * UNITS[str(quantity)][link.unit] / sensitivity.value, [link.origin]
+        charge_gain = _charge_gain(gain, _of_file(contents.gains, index), sensitivity, str(quantity), name)
+        if charge_gain is not None:
+            factor /= charge_gain.value
+            origin.append(f"gain {charge_gain.text}")
+        return _bounded(
+            Link(
+                unit=next(iter(UNITS[sensitivity.measured])),
+                factor=factor,
+                origin=", ".join(filter(None, [f"from {link.unit}", *origin, f"sensitivity {sensitivity.text}"])),
+            ),
+            name,
+        )
+
+
+def _full_scale(scale: FullScale, stated: str | None, contents: Contents, index: int, source: str) -> tuple[str, float]:
+    """Return unit and factor of the numbers of a channel whose full scale is known."""
+    name = _name(contents, index, source)
+    stated = None if stated == "FS" else stated
+    unit = scale.unit or stated
+    if unit is None:
+        raise MissingOption(
+            f"{name}: the unit of full scale must be known, got {scale.text}; give it as in --full-scale '10 V'"
+        )
+    if stated is not None and quantity_of(stated) != quantity_of(unit):
+        raise InvalidValue(
+            f"{name}: full_scale must be of the quantity of the samples, got {scale.text} where file or --unit say "
+            f"{stated} ({quantity_of(stated)}); leave one out"
+        )
+    largest = contents.full_scales[index] if index < len(contents.full_scales) else None
+    if scale.bits is not None:
+        if largest == 1.0:
+            raise InvalidValue(
+                f"{name}: full_scale must leave out the bits, got {scale.text}, the file says them itself"
+            )
+        largest = 2.0 ** (scale.bits - 1)
+    if largest is None:
+        raise InvalidValue(
+            f"{name}: full_scale must be that of a sound file or of signed integers of 16 bit, the file does not say "
+            f"what its largest number is; give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
+        )
+    return unit, scale.value / largest
+
+
+def _charge_gain(
+    gain: Gain | None, stated: str | None, sensitivity: Sensitivity, quantity: str, name: str
+) -> Gain | None:
+    """Return the gain of the charge amplifier between sensor and samples, None without one."""
+    needed = sensitivity.signal == "charge" and quantity == "voltage"
+    if gain is None and stated is not None:
+        gain = _gain_of_file(stated, needed, name)
+    if needed:
+        if gain is None or not gain.is_of_charge:
+            raise MissingOption(
+                f"{name}: a sensitivity of {sensitivity.text} gives a charge and the samples are a voltage, the gain "
+                "of the charge amplifier is missing; give it as in --gain '1 mV/pC'"
+            )
+        return gain
+    if sensitivity.signal != quantity:
+        raise InvalidValue(
+            f"{name}: sensitivity must be a charge for samples that are one, such as '3.1 pC/g', got {sensitivity.text}"
+        )
+    if gain is not None and gain.is_of_charge:
+        raise InvalidValue(
+            f"{name}: a gain of {gain.text} is for a sensor that gives a charge and samples in volts, the sensitivity "
+            f"is {sensitivity.text} and the samples are a {quantity}; leave the gain out or correct it"
+        )
+    return None
+
+
+def _gain_of_file(text: str, needed: bool, name: str) -> Gain | None:
+    """Return the charge gain that a file states; raise `MissingOption` for one that may be in the samples already."""
+    try:
+        gain: Gain | None = Gain.of(text)
+    except InvalidValue:
+        gain = None
+    if gain is not None and gain.is_of_charge == needed and (needed or gain.value == 1.0):
+        return gain if needed else None
+    raise MissingOption(
+        f"{name}: the file states a gain ({text[:40]}) and not whether the samples contain it; give --gain to have it "
+        "divided out, or --gain 1 if that is done"
+    )
+
+
+def _agreed(given: Sensitivity | None, stated: str | None, name: str) -> Sensitivity | None:
+    """Return the sensitivity of user and file, which must agree to 0.1 %."""
+    if stated is None:
+        return given
+    try:
+        own = Sensitivity.of(stated)
+    except InvalidValue as error:
+        raise BadData(f"{name}: in the file, {error}") from None
+    if given is None:
+        return own
+    alike = (given.signal, given.measured) == (own.signal, own.measured)
+    if not alike or abs(given.value - own.value) > _TOLERANCE * min(given.value, own.value):
+        raise InvalidValue(
+            f"{name}: sensitivity must agree with the file to 0.1 %, got {given.text} where it says {own.text}; leave "
+            "out --sensitivity or correct it"
+        )
+    return given
+
+
+def _not_electrical(name: str, unit: str | None, what: str) -> InvalidValue | MissingOption:
+    if unit is None:
+        return MissingOption(
+            f"{name}: the file does not say the unit, and a {what} is for samples in volts or coulombs; give it as in "
+            "--unit V"
+        )
+    if unit == "FS":
+        return MissingOption(
+            f"{name}: the file does not say how many volts full scale is, and a {what} is for volts; give it as in "
+            "--full-scale '10 V'"
+        )
+    return InvalidValue(
+        f"{name}: a {what} is for samples in volts or coulombs, they are in {unit} ({quantity_of(unit)}); leave out "
+        f"--{what}, or name the channel that it is for, as in --{what} 2=VALUE"
+    )
+
+
+def _bounded(link: Link, name: str) -> Link:
+    if not _FACTORS[0] <= link.factor <= _FACTORS[1]:
+        raise InvalidValue(
+            f"{name}: sensitivity, gain and full scale must make a factor between {_FACTORS[0]:g} and {_FACTORS[1]:g}, "
+            f"they make {link.factor:g}; correct them"
+        )
+    return link
+
+
+def _of_file(stated: Sequence[str | None], index: int) -> str | None:
+    return stated[index] if index < len(stated) else None
+
+
+def _name(contents: Contents, index: int, source: str) -> str:
+    label = contents.label(index)
+    return source if label == "1" else f"{source} channel {label}"
+
+
+def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator[NDArray[Any]]:
+    """Yield blocks (n_channels, n_samples) with channels multiplied by their factors."""
+    if all(factor == 1.0 for factor in factors):
+        yield from blocks
+        return
+    column = np.array(factors)[:, np.newaxis]
+    for block in blocks:
+        # Infinite samples are refused by those who read them.
+        with np.errstate(over="ignore"):
+            scaled_block = block * column.astype(block.dtype)
+        yield scaled_block
+
+
+def require_measured(unit: str | None, name: str) -> None:
+    """Raise `MissingOption` for samples in volts or coulombs, whose sensitivity is not known."""
+    if unit is None or (quantity := quantity_of(unit)) not in ELECTRICAL:
+        return
+    example = "'10.2 mV/g', or '2.3 mV/N' of a force" if quantity == "voltage" else "'3.1 pC/g', or '4 pC/N' of a force"
+    raise MissingOption(
+        f"{name}: the samples are a {quantity} [{unit}], the sensitivity of the sensor is missing; give it as in "
+        f"--sensitivity {example}"
+    )

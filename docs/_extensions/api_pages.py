@@ -1,0 +1,116 @@
+"""The pages of the Python API: one for each part of the package, which lists the names that it gives to users.
+
+The pages are written before every build, because they follow from `__all__`. What stands in `cgid` itself is documented
+there alone.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+
+#: Page -> title, and modules with the names that users meet; None for all of `__all__`.
+PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
+    "cgid": ("Everyday names: cgid", {"cgid": None}),
+    "physics": (
+        "Physics of an impact: cgid.physics",
+        {
+            "cgid.physics": None,
+            "cgid.physics.materials": ("MaterialRange", "STEEL", "COAL", "SHALE", "SANDSTONE", "YANG2018_SPHERES"),
+            "cgid.physics.tail_beam": ("TailBeam", "Ribs"),
+            "cgid.physics.modes": ("Modes", "MeasuredModes", "read_measured_modes"),
+            "cgid.physics.response": ("Response", "Resonance", "LowPass"),
+            "cgid.physics.sampled": ("SampledPulses",),
+        },
+    ),
+    "finite_element": ("Finite elements: cgid.finite_element", {"cgid.finite_element": None}),
+    "scene": (
+        "Scenes and synthetic signals: cgid.scene",
+        {
+            "cgid.scene": None,
+            "cgid.scene.plan": ("Decision", "Plan", "plan"),
+            "cgid.scene.given_pulses": ("SolvedImpacts",),
+        },
+    ),
+    "recordings": (
+        "Recordings: cgid.recordings",
+        {"cgid.recordings": None, "cgid.identification.events": ("Event",)},
+    ),
+    "measure": (
+        "Measuring: cgid.measure",
+        {
+            "cgid.measure.features": ("FEATURES", "choose", "extract"),
+            "cgid.measure.filters": ("fft_filter", "filter_gain", "Equalisation"),
+            "cgid.identification.estimation": ("Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"),
+        },
+    ),
+    "identification": (
+        "Identifying and training: cgid.identification",
+        {
+            "cgid.identification.question": ("Question",),
+            "cgid.identification.answers": ("Answer", "identify", "identify_frames"),
+            "cgid.identification.share": ("CavingWatch", "Share", "ShareWindow", "wilson_interval"),
+            "cgid.identification.rows": ("Rows", "measure"),
+            "cgid.identification.training": ("Training", "train"),
+            "cgid.identification.card": ("write_card",),
+        },
+    ),
+    "store": (
+        "Datasets on disk: cgid.store",
+        {
+            "cgid.store": None,
+            "cgid.store.verification": ("Verified", "verify"),
+            "cgid.scene.repair": ("Repair", "repair"),
+            "cgid.store.dataset": ("export",),
+        },
+    ),
+    "ceiling": ("How well anybody could do: cgid.ceiling", {"cgid.ceiling": None}),
+    "output": (
+        "Pictures and reports: cgid.plots, cgid.report",
+        {
+            "cgid.plots": ("picture", "recording_picture", "share_figure", "survey_picture"),
+            "cgid.report": ("Report", "report_page", "write_report"),
+        },
+    ),
+}
+
+
+def names_of(module: str, names: tuple[str, ...] | None) -> list[str]:
+    """Return the documented names of a module that it has; those of `cgid` itself only there."""
+    found, everyday = import_module(module), import_module("cgid")
+    given = names if names is not None else tuple(getattr(found, "__all__", ()))
+    public = {id(getattr(everyday, name)) for name in everyday.__all__} if found is not everyday else set()
+    here = [name for name in given if hasattr(found, name) and not name.startswith("__")]
+    return sorted((name for name in here if id(getattr(found, name)) not in public), key=str.lower)
+
+
+def write_pages(app: Sphinx, _: Any) -> None:
+    """Write the pages, each only if it has changed, so that Sphinx does not read it again."""
+    folder = Path(app.srcdir) / "reference" / "api"
+    for page, (title, modules) in PAGES.items():
+        lines = [title, "=" * len(title), ""]
+        for module, chosen in modules.items():
+            names = names_of(module, chosen)
+            if names:
+                lines += [f"From ``{module}``:", ""]
+                lines += [".. autosummary::", "   :toctree: generated", "   :nosignatures:", ""]
+                lines += [*(f"   {module}.{name}" for name in names), ""]
+        text, path = "\n".join(lines), folder / f"{page}.rst"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def inherited(app: Sphinx, what: str, name: str, *_: Any) -> bool | None:
+    """Leave out the methods that scikit-learn adds to a classifier for its metadata routing."""
+    return True if re.fullmatch("set_.*_request|get_metadata_routing", name) else None
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Write the pages before Sphinx looks for sources."""
+    app.connect("config-inited", write_pages)
+    app.connect("autodoc-skip-member", inherited)
+    return {"version": "1", "parallel_read_safe": True}

@@ -1,0 +1,365 @@
+"""The directive `{generated}`: pages of the reference that are read off the code of this checkout.
+
+Each function below returns MyST text; a page says where it goes, and keeps the words around it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+import click
+from docutils import nodes
+from numpydoc.docscrape import NumpyDocString
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+
+def escaped(text: str) -> str:
+    """Return text as MyST on one line; what stands between backticks is code, all else is plain."""
+    special = "\\`*_{}[]<>()#|$~"
+    parts = " ".join(str(text).split()).split("`")
+    if len(parts) % 2 == 0:  # a single backtick
+        parts = ["`".join(parts)]
+    plain = ["".join(f"\\{sign}" if sign in special else sign for sign in part) for part in parts[::2]]
+    code = [coded(part) for part in parts[1::2]]
+    return "".join(text for pair in zip(plain, [*code, ""], strict=True) for text in pair)
+
+
+def coded(text: str) -> str:
+    """Return text as code, in a cell of a table, too."""
+    fence = "``" if "`" in text else "`"
+    return f"{fence}{' '.join(text.split())}{fence}".replace("|", "\\|")
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table; cells are MyST."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n"
+
+
+# -- commands -----------------------------------------------------------------------------------------
+
+
+class _Page(click.HelpFormatter):
+    """What click writes as help, as MyST: whatever sections a command has, in the order that it has them."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__(width=100, max_width=100)
+        self.path, self.parts = path, [""]
+
+    def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:
+        self.parts.append(f"```text\n{prog} {args}\n```")
+
+    def write_heading(self, heading: str) -> None:
+        self.parts.append(f"**{escaped(heading)}**")
+
+    def write_text(self, text: str) -> None:
+        for paragraph in text.strip("\n").split("\n\n"):
+            verbatim = "\b" in paragraph
+            body = paragraph.replace("\b", "").strip("\n")
+            self.parts.append(f"```text\n{inspect.cleandoc(body)}\n```" if verbatim else escaped(body))
+
+    def write_dl(self, rows: Iterable[tuple[str, str]], *_: Any, **__: Any) -> None:
+        self.parts.append("\n".join(f"{coded(first)}\n: {escaped(second) or '-'}\n" for first, second in rows))
+
+    def write_paragraph(self) -> None:
+        pass
+
+    def write(self, string: str) -> None:
+        if string.strip():
+            self.parts.append(f"```text\n{inspect.cleandoc(string.strip(chr(10)))}\n```")
+
+    def indent(self) -> None:
+        pass
+
+    def dedent(self) -> None:
+        pass
+
+    @property
+    def text(self) -> str:
+        return "\n\n".join(self.parts)
+
+
+def commands() -> str:
+    """Return the help of every command."""
+    from cgid.cli import cli
+
+    parts = []
+    for name in sorted(cli.commands):
+        command = cli.commands[name]
+        with click.Context(command, info_name=f"cgid {name}", max_content_width=100) as context:
+            page = _Page(name)
+            command.format_help(context, page)
+        parts.append(f"(command-{name})=\n## cgid {name}\n\n{page.text}\n")
+    return "\n".join(parts)
+
+
+# -- keys of scenes -----------------------------------------------------------------------------------
+
+
+def _nonlocals(function: Any) -> dict[str, Any]:
+    """Return what a validator was built with: keywords of a partial, or the names it closes over."""
+    if isinstance(function, partial):
+        return {**_nonlocals(function.func), **function.keywords}
+    if not inspect.isfunction(function):
+        return {}
+    found = dict(inspect.getclosurevars(function).nonlocals)
+    for value in list(found.values()):
+        if inspect.isfunction(value):
+            found = {**_nonlocals(value), **found}
+    return found
+
+
+def _metadata(annotation: Any) -> list[Any]:
+    """Return all metadata of an annotation and of the types inside."""
+    own = list(getattr(annotation, "__metadata__", ()))
+    return (
+        own + [found for inner in get_args(annotation) for found in _metadata(inner)] if get_args(annotation) else own
+    )
+
+
+def _sections(annotation: Any) -> list[type[BaseModel]]:
+    """Return the sections and distributions that an annotation names."""
+    if inspect.isclass(annotation) and not get_args(annotation):
+        return [annotation] if issubclass(annotation, BaseModel) else []
+    return [section for inner in get_args(annotation) for section in _sections(inner)]
+
+
+def _plain(annotation: Any) -> str:
+    """Return the type of a value in words."""
+    origin, inner = get_origin(annotation), [one for one in get_args(annotation) if one is not NoneType]
+    if origin is Literal:
+        return ", ".join(coded(f'"{one}"') for one in inner)
+    if hasattr(annotation, "__metadata__"):
+        return _plain(annotation.__origin__)
+    if origin in (Union, UnionType):
+        sections = [one for one in inner if _sections(one)]
+        if len(sections) > 1 or (sections and _is_distribution(sections[0])):
+            return "number or [distribution](#distributions)"
+        return " or ".join(dict.fromkeys(_plain(one) for one in inner))
+    if origin is tuple:
+        return f"list of {_plain(inner[0])}s".replace("numbers or strings", "numbers")
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        if _is_distribution(annotation):
+            return "number or [distribution](#distributions)"
+        return "table"
+    return {float: "number", int: "whole number", str: "text", bool: "true or false"}.get(annotation, "number or text")
+
+
+def _is_distribution(section: Any) -> bool:
+    sections = _sections(section)
+    return bool(sections) and all("distribution" in one.model_fields for one in sections)
+
+
+def _bounds(metadata: list[Any]) -> str:
+    """Return the limits of a number."""
+    found: dict[str, Any] = {}
+    for entry in metadata:
+        for part in [entry, *getattr(entry, "metadata", ())]:
+            for name in ("gt", "ge", "lt", "le", "min_length", "max_length"):
+                if getattr(part, name, None) is not None:
+                    found.setdefault(name, getattr(part, name))  # those of the key itself come first
+        built = _nonlocals(getattr(entry, "func", None))
+        if "lowest" in built and "highest" in built:
+            found = {"ge": built["lowest"], "le": built["highest"]} | found
+    signs = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
+    words = [f"{sign} {_written(found[name])}" for name, sign in signs.items() if name in found]
+    if "max_length" in found:
+        words.append(f"at most {found['max_length']} of them" if found.get("min_length") != 1 else "")
+    return " ".join(word for word in words if word)
+
+
+def _written(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}"
+
+
+def _unit(metadata: list[Any]) -> str:
+    """Return the SI unit of a number, with the other units in which it may be written."""
+    from cgid.units import DIMENSIONS
+
+    for entry in metadata:
+        dimension = _nonlocals(getattr(entry, "func", None)).get("dimension")
+        if dimension in DIMENSIONS:
+            return next(iter(DIMENSIONS[dimension]))
+    return ""
+
+
+def described(section: type[BaseModel]) -> dict[str, str]:
+    """Return the descriptions of a section's keys, from its docstring and those of its bases."""
+    found: dict[str, str] = {}
+    for base in section.__mro__:
+        text = NumpyDocString(inspect.cleandoc(base.__doc__ or "")) if issubclass(base, BaseModel) else {}
+        for entry in [*text.get("Parameters", []), *text.get("Attributes", [])]:
+            for name in entry.name.split(", "):
+                found.setdefault(name, " ".join(entry.desc) or entry.type)
+    return found
+
+
+def _row(name: str, field: FieldInfo, descriptions: dict[str, str]) -> list[str]:
+    annotation, metadata = field.annotation, [*field.metadata, *_metadata(field.annotation)]
+    unit, bounds = _unit(metadata), _bounds(metadata)
+    kind = _plain(annotation) + (f" \\[{escaped(unit)}\\]" if unit else "") + (f", {bounds}" if bounds else "")
+    if field.is_required():
+        default = "required"
+    elif field.default in (None, PydanticUndefined) or field.default == () or isinstance(field.default, BaseModel):
+        default = "-"
+    else:
+        default = coded(f'"{field.default}"' if isinstance(field.default, str) else f"{field.default}".lower())
+    return [coded(name), kind, default, escaped(descriptions.get(name, ""))]
+
+
+def _walk(section: type[BaseModel], path: str) -> Iterable[tuple[str, type[BaseModel]]]:
+    """Yield the path in the file and the model of a section and of all inside, each once."""
+    yield path, section
+    for name, field in section.model_fields.items():
+        for inner in dict.fromkeys(_sections(field.annotation)):
+            if "distribution" in inner.model_fields:
+                continue
+            many = get_origin(field.annotation) is tuple or any(
+                get_origin(one) is tuple for one in get_args(field.annotation)
+            )
+            here = f"{path}.{name}" if path else name
+            yield from _walk(inner, f"[{here}]" if many else here)
+
+
+def scene_sections() -> list[tuple[str, type[BaseModel]]]:
+    """Return the sections of a scene file: the path (in brackets for a list of tables) and the model."""
+    from cgid.scene import Scene
+
+    return list(_walk(Scene, ""))
+
+
+def distributions() -> list[type[BaseModel]]:
+    """Return the distributions that a number of a population may have."""
+    from cgid.scene.distributions import Distribution
+
+    return _sections(Distribution)
+
+
+def scene_keys() -> str:
+    """Return every key of a scene file, section by section."""
+    parts = []
+    for path, section in scene_sections():
+        rows = [_row(name, field, described(section)) for name, field in section.model_fields.items()]
+        title = coded(f"[{path}]") if path else "At the top"
+        parts.append(f"## {title}\n\n{_first_paragraphs(section)}\n\n{table(_SCENE_HEADER, rows)}")
+    return "\n".join(parts)
+
+
+def scene_distributions() -> str:
+    """Return every distribution with its keys."""
+    parts = []
+    for section in distributions():
+        names = get_args(section.model_fields["distribution"].annotation)
+        fields = {name: field for name, field in section.model_fields.items() if name != "distribution"}
+        rows = [_row(name, field, described(section)) for name, field in fields.items()]
+        title = ", ".join(coded(f'"{name}"') for name in names)
+        parts.append(f"### {title}\n\n{_first_paragraphs(section)}\n\n{table(_SCENE_HEADER, rows)}")
+    return "\n".join(parts)
+
+
+_SCENE_HEADER = ("key", "value", "default", "meaning")
+
+
+def _first_paragraphs(section: type[BaseModel]) -> str:
+    text = NumpyDocString(inspect.cleandoc(section.__doc__ or ""))
+    return escaped(" ".join([*text["Summary"], *text["Extended Summary"]]))
+
+
+# -- tables -------------------------------------------------------------------------------------------
+
+
+def features() -> str:
+    """Return the table of features, by the kind of signal that they are measured on."""
+    from cgid.measure.features import FEATURES
+
+    parts = []
+    for kind, title in (("pulse", "Pulses"), ("vibration", "Vibrations"), ("window", "Windows of a recording")):
+        rows = [
+            [
+                coded(entry.name) + (f" ({len(entry.columns)} columns)" if len(entry.columns) > 1 else ""),
+                escaped(entry.unit),
+                escaped(entry.definition) + (f" (extra `{entry.extra}`)" if entry.extra else ""),
+                escaped(entry.source),
+            ]
+            for entry in FEATURES.entries
+            if entry.kind == kind
+        ]
+        parts.append(f"## {title}\n\n{table(('feature', 'unit', 'definition', 'source'), rows)}")
+    return "\n".join(parts)
+
+
+def formats() -> str:
+    """Return the formats in the order in which a file is held against them."""
+    from cgid.recordings.formats import FORMATS
+
+    rows = []
+    for entry in FORMATS:
+        module, _, function = entry.reader.partition(":")
+        reader = getattr(importlib.import_module(f"cgid.recordings.{module}"), function)
+        summary = (inspect.getdoc(reader) or "").split("\n\n")[0]
+        rows.append([entry.name, escaped(summary), "yes" if entry.takes_variable else "-"])
+    return table(("format", "how it is read", "`--variable`"), rows)
+
+
+def sample_units() -> str:
+    """Return the units of samples."""
+    from cgid.units import UNITS
+
+    return table(("quantity", "units"), [[name, ", ".join(map(coded, units))] for name, units in UNITS.items()])
+
+
+def scene_units() -> str:
+    """Return the units of the numbers in scene files."""
+    from cgid.units import DIMENSIONS
+
+    rows = [[name, ", ".join(coded(unit) if unit else "none" for unit in units)] for name, units in DIMENSIONS.items()]
+    return table(("dimension", "units, the SI unit first"), rows)
+
+
+def errors() -> str:
+    """Return the errors with their exit codes."""
+    from cgid import errors as module
+
+    found = [one for _, one in inspect.getmembers(module, inspect.isclass) if one.__module__ == module.__name__]
+    found.sort(key=lambda one: (one.exit_code, one.__name__))
+    rows = []
+    for one in found:
+        if one is module.CgidError:
+            continue
+        builtin = next(base.__name__ for base in one.__mro__ if base.__module__ == "builtins" and base is not one)
+        meaning = (one.__doc__ or "").split(" (exit code")[0]
+        rows.append([str(one.exit_code), coded(one.__name__), coded(builtin), escaped(meaning) + "."])
+    return table(("exit code", "error in `cgid.errors`", "also a", "when"), rows)
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    function.__name__: function
+    for function in (
+        commands, scene_keys, scene_distributions, features, formats, sample_units, scene_units, errors
+    )
+}  # fmt: skip
+
+
+class Generated(SphinxDirective):
+    """``{generated} features``: the text of the function of this name, with its headings."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the nodes of the generated text."""
+        return self.parse_text_to_nodes(PAGES[self.arguments[0]](), allow_section_headings=True)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the directive; pages are made anew in every build, because the code may have changed."""
+    app.add_directive("generated", Generated)
+    return {"version": "1", "parallel_read_safe": True}

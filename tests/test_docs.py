@@ -1,0 +1,332 @@
+"""The examples of README.md and docs/ run and print what the page shows; the pages are built without warnings.
+
+Every page is run from top to bottom in a fresh folder with copies of `datasets/` and `models/`:
+
+* ```` ```sh ```` : bash, ends with exit code 0; setting up and testing (`pip install`, `pytest`) are left out;
+* ```` ```console ```` : the lines after `$ ` are commands, the others what they print;
+* ```` ```python ```` : one namespace a page, as plain code or as `>>> ` sessions;
+* ```` ```text ```` : what the block before has printed, if no more than a paragraph stands between. `...` stands for
+  anything, and the width of blanks does not matter.
+
+A comment on the line before a block, `<!-- ... -->` or `% ...`, says more: `not run: REASON`, `exit code: 65`,
+`file: NAME` (the block is written to this file). `long: REASON` anywhere on a page marks the page as a long test.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import importlib
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+#: Folders of docs/ that a build writes.
+BUILT = (DOCS / "examples", DOCS / "reference" / "api" / "generated")
+PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md") if not set(BUILT) & set(path.parents))]
+GALLERY = sorted((DOCS / "gallery").glob("plot_*.py"))
+
+_FENCE = re.compile(r"(?P<fence>`{3,}|:{3,})(?P<language>[\w+-]*|\{.*\}.*) *")
+_COMMENT = re.compile(r"(?:<!-- |% )(?P<key>not run|exit code|file|long): (?P<value>.*?)(?: -->)?")
+#: Steps that this environment has behind it, and the tests themselves.
+_SETUP = re.compile(
+    r"(?:(?:python3?|py) -m venv|(?:\S*/)?pip install|(?:\S*/)?python3? -m (?:pip|pytest)|(?:source|\.) \S*activate"
+    r"|git clone|cd cgid\b).*"
+)
+_OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+@dataclass
+class Block:
+    """A fenced block of a page."""
+
+    language: str
+    text: str
+    line: int
+    notes: dict[str, str] = field(default_factory=dict)
+    #: Whether at most one paragraph stands between this block and the one before.
+    follows: bool = False
+
+
+def blocks_of(page: str) -> list[Block]:
+    """Return the fenced blocks of a page."""
+    found: list[Block] = []
+    notes: dict[str, str] = {}
+    paragraphs, in_paragraph, other = 0, False, False
+    lines = iter(enumerate(page.splitlines(), start=1))
+    for number, line in lines:
+        fence = _FENCE.fullmatch(line)
+        comment = _COMMENT.fullmatch(line.strip())
+        if fence is not None:
+            body = []
+            for _, inner in lines:
+                if inner.rstrip() == fence["fence"]:
+                    break
+                body.append(inner)
+            text = "\n".join(body) + "\n"
+            found.append(Block(fence["language"], text, number, notes, bool(found) and not other and paragraphs <= 1))
+            notes, paragraphs, in_paragraph, other = {}, 0, False, False
+        elif comment is not None:
+            notes[comment["key"]] = comment["value"]
+        elif not line.strip():
+            in_paragraph = False
+        else:
+            other = other or line.startswith(("#", "|", "!["))
+            paragraphs += not in_paragraph
+            in_paragraph, notes = True, {}
+    return found
+
+
+def is_long(page: Path) -> bool:
+    """Return whether a page is a long test."""
+    matches = (_COMMENT.fullmatch(line.strip()) for line in page.read_text(encoding="utf-8").splitlines())
+    return any(match is not None and match["key"] == "long" for match in matches)
+
+
+class Walk:
+    """A reader who goes through a page in a folder and does what it says."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.names: dict[str, Any] = {"__name__": "__main__"}
+        for name in ("datasets", "models"):  # copies: a page may write
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        programs = folder / ".venv" / "bin"
+        programs.mkdir(parents=True)
+        for name, command in {"cgid": "-m cgid", "python": "", "python3": ""}.items():
+            program = programs / name
+            program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} {command} "$@"\n')
+            program.chmod(0o755)
+        path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+        # One width and no colours, whatever terminal the tests run in.
+        self.environment = os.environ | {
+            "PATH": os.pathsep.join([str(programs), os.environ.get("PATH", "")]),
+            "PYTHONPATH": path,
+            "PYTHONUNBUFFERED": "1",
+            "MPLBACKEND": "agg",
+            "COLUMNS": "110",
+        }
+
+    def run(self, block: Block) -> list[str]:
+        """Do what a block says; return the texts that may be shown as its output."""
+        if "file" in block.notes:
+            (self.folder / block.notes["file"]).write_text(block.text, encoding="utf-8")
+            return []
+        if block.language == "sh":
+            return self.shell(block.text, int(block.notes.get("exit code", 0)))
+        if block.language == "console":
+            for command, printed in sessions(block.text):
+                compare(printed, self.shell(command, int(block.notes.get("exit code", 0))))
+            return []
+        if block.text.lstrip().startswith(">>> "):
+            return [self.session(block)]
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            exec(compile("\n" * block.line + block.text, "page", "exec"), self.names)
+        return [out.getvalue()]
+
+    def shell(self, text: str, code: int) -> list[str]:
+        """Run commands; return what the terminal shows, and the standard output alone."""
+        script = "\n".join(filter(None, map(without_setup, joined(text))))
+        if not script:
+            return []
+        both, out = self.folder / ".shown", self.folder / ".out"
+        # tee keeps the order of the two streams, and a copy of the first.
+        with both.open("wb") as shown:
+            done = subprocess.run(
+                ["bash", "-c", f"set -e -o pipefail; {{ {script}\n}} | tee {out}"],
+                cwd=self.folder, env=self.environment, stdin=subprocess.DEVNULL, stdout=shown,
+                stderr=subprocess.STDOUT, timeout=1200, check=False,
+            )  # fmt: skip
+        printed = both.read_text(encoding="utf-8")
+        assert done.returncode == code, f"{script}\nended with exit code {done.returncode}, not {code}:\n{printed}"
+        return [printed, out.read_text(encoding="utf-8")]
+
+    def session(self, block: Block) -> str:
+        """Run a session of `>>> ` lines as a doctest."""
+        test = doctest.DocTestParser().get_doctest(block.text, self.names, "page", "page", block.line)
+        said = io.StringIO()
+        runner = doctest.DocTestRunner(optionflags=_OPTIONS, verbose=False)
+        runner.run(test, out=said.write, clear_globs=False)
+        self.names |= test.globs
+        assert not runner.failures, said.getvalue()
+        return said.getvalue()
+
+
+def joined(text: str) -> list[str]:
+    """Return the commands of a block, each on one line."""
+    return text.replace("\\\n", " ").splitlines()
+
+
+def without_setup(command: str) -> str:
+    """Return a command without the steps that set up an environment."""
+    return " && ".join(step for step in command.split(" && ") if not _SETUP.fullmatch(step.strip()))
+
+
+def sessions(text: str) -> Iterator[tuple[str, str]]:
+    """Yield the commands of a console session, each with what it prints."""
+    for part in re.split(r"^\$ ", text.replace("\\\n", " "), flags=re.MULTILINE)[1:]:
+        command, _, printed = part.partition("\n")
+        yield command, printed
+
+
+def compare(expected: str, printed: list[str]) -> None:
+    """Fail if none of the texts is the expected one."""
+    checker = doctest.OutputChecker()
+    if expected.strip() and not any(checker.check_output(expected, text, _OPTIONS) for text in printed):
+        shown = printed[0] if printed else ""
+        pytest.fail(f"the page shows\n{expected}\nbut it prints\n{shown}", pytrace=False)
+
+
+def follow(page: Path, folder: Path) -> None:
+    """Go through a page from top to bottom."""
+    walk = Walk(folder)
+    last: Block | None = None
+    printed: list[str] = []
+    for block in blocks_of(page.read_text(encoding="utf-8")):
+        runs = block.language in ("sh", "console", "python")
+        try:
+            if block.language == "text" and block.follows and last is not None and printed:
+                compare(block.text, printed)
+            elif "not run" not in block.notes and (runs or "file" in block.notes):
+                last, printed = block, walk.run(block)
+                continue
+        except BaseException:
+            print(f"{page}:{block.line}:\n{block.text}")
+            raise
+        last, printed = None, []
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.long] if is_long(page) else []) for page in PAGES],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
+def test_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    follow(page, tmp_path)
+
+
+def test_pages_that_lie_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "page.md"
+    good = (
+        "```sh\npython3 -m venv .venv && .venv/bin/pip install -e . && echo one\n```\n\nprints\n\n```text\no...\n```\n"
+        "<!-- file: a.txt -->\n```csv\nx\n```\n```python\nn = 2\nprint(len('x'))\n```\n```text\n1\n```\n"
+        "```python\n>>> n + 1\n3\n```\n% exit code: 3\n```sh\nexit 3\n```\n```console\n$ cat a.txt\nx\n$ true\n```\n"
+        "<!-- not run: no such machine -->\n```sh\nssh nowhere\n```\n"
+    )
+    pages = {
+        good: None,
+        good.replace("o...", "two"): "prints",
+        good.replace("\nx\n$", "\ny\n$"): "prints",
+        good.replace("text\n1\n", "text\n2\n"): "prints",
+        good.replace(">>> n + 1\n3", ">>> n + 1\n4"): "Got:",
+        good.replace("exit 3", "exit 4"): "exit code 4",
+        good.replace("n = 2", "n = missing"): "missing",
+    }
+    for number, (text, complaint) in enumerate(pages.items()):
+        page.write_text(text)
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        if complaint is None:
+            follow(page, folder)
+            continue
+        with pytest.raises(BaseException, match=complaint):
+            follow(page, folder)
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("script", GALLERY, ids=lambda script: script.name)
+def test_gallery_runs(script: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    monkeypatch.setattr(pyplot, "show", lambda: None)
+    pyplot.switch_backend("agg")
+    try:
+        exec(compile(script.read_text(encoding="utf-8"), script.name, "exec"), {"__name__": "__main__"})
+        assert pyplot.get_fignums(), "an example of the gallery shows a picture"
+    finally:
+        pyplot.close("all")
+
+
+#: Links that lead somewhere, but are not loaded.
+_LINKS = ("canonical", "author", "copyright", "index", "search", "next", "prev")
+
+
+class Loaded(HTMLParser):
+    """What a browser loads to show a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.places: list[str] = []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        given = dict(attributes)
+        if tag in ("script", "img", "iframe", "source", "video", "embed"):
+            self.places.append(given.get("src") or "")
+        if tag == "link" and given.get("rel") not in (
+            "canonical",
+            "author",
+            "copyright",
+            "index",
+            "search",
+            "next",
+            "prev",
+        ):
+            self.places.append(given.get("href") or "")
+
+
+def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numpydoc")
+    pytest.importorskip("sphinx")
+    monkeypatch.syspath_prepend(str(DOCS / "_extensions"))
+    generated = importlib.import_module("generated")
+    sections = [model for _, model in generated.scene_sections()] + generated.distributions()
+    assert len(sections) > 25
+    missing = [
+        f"{model.__name__}.{name}"
+        for model in sections
+        for name in model.model_fields
+        if name != "distribution" and not generated.described(model).get(name)
+    ]
+    assert not missing, "keys without a description in the docstring of their section"
+
+
+@pytest.mark.long
+def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path) -> None:
+    for library in ("sphinx", "myst_parser", "numpydoc", "sphinx_gallery", "furo"):
+        pytest.importorskip(library)
+    source, html = tmp_path / "docs", tmp_path / "html"
+    # The checkout stays as it is, and pages show pictures beside docs/.
+    for name in ("docs", "benchmarks", "datasets", "models"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("examples", "generated"))
+    for name in ("cgid", "CHANGELOG.md", "SECURITY.md", "ARCHITECTURE.md"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(source), str(html)]
+    closed = dict.fromkeys(("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"), "http://127.0.0.1:9")
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | closed, timeout=1800, check=False)
+    assert done.returncode == 0, done.stderr
+    for page in html.rglob("*.html"):
+        loaded = Loaded()
+        loaded.feed(page.read_text(encoding="utf-8"))
+        foreign = [place for place in loaded.places if place.startswith(("http:", "https:", "//"))]
+        assert not foreign, f"{page}: {foreign}"
+    for sheet in html.rglob("*.css"):
+        places = re.findall(r"(?:@import|url\()\s*['\"]?((?:https?:)?//[^'\")]+)", sheet.read_text(encoding="utf-8"))
+        assert not places, f"{sheet}: {places}"

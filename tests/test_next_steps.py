@@ -1,0 +1,238 @@
+"""Why most answers are unknown: recordings made for each cause get that cause, good ones get no hint."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import resample_poly
+
+from cgid.cli.main import run
+from cgid.identification.answers import identify_frames
+from cgid.identification.model import Model
+from cgid.identification.next_steps import Diagnosis, Hint
+from cgid.identification.question import Question
+from cgid.identification.stream import identify_blocks
+from cgid.scene import parse_scene
+from cgid.scene.recordings import parts_of_recording
+from tests.ringing import ringing_batch
+from tests.streams_of_pulses import RATE, ROOT, stream
+
+LABELS = ["coal", "gangue"] * 8
+BEAM_RATE = 25_600.0
+PULSES = Model.load(ROOT / "models" / "default.npz")
+VIBRATIONS = Model.load(ROOT / "models" / "default-acceleration.npz")
+
+
+def of_the_trained_beam(blows_per_second: float) -> np.ndarray:
+    """Return 20 s of the tail beam on which the default model was trained, with its noise [m/s^2]."""
+    text = (ROOT / "datasets" / "caving.toml").read_text()
+    start, stop = text.index("[background]"), text.index("[[populations]]")
+    text = text[:start] + text[stop:]
+    for old, new in {
+        'x = { distribution = "uniform", lowest = "0.2 m", highest = "0.8 m" }': 'x = { distribution = "uniform", '
+        'lowest = "0.8 m", highest = "1.5 m" }',
+        "100 ug/sqrt(Hz)": "2 mg/sqrt(Hz)",
+        "bits = 24": "bits = 16",
+        'rebounds = { most = 5, least_speed = "0.1 m/s" }': "",
+        'duration = "60 s"': 'duration = "20 s"',
+        'times = ["0 s", "20 s", "40 s", "60 s"], gangue = [0.05, 0.10, 0.60, 0.90]': 'times = ["0 s", "20 s"], '
+        "gangue = [0.5, 0.5]",
+        'rate = "8 Hz"': f'rate = "{blows_per_second} Hz"',
+    }.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    parts = parts_of_recording(parse_scene(tomllib.loads(text)), 3, 0, dtype="float64")
+    return np.concatenate([samples for samples, _ in parts]).astype(float)
+
+
+def of_another_beam(n_blows: int = 12) -> np.ndarray:
+    """Return clear blows of 0.5 ms on a beam of eight lightly damped modes, one a second [m/s^2]."""
+    random, times = np.random.default_rng(1), np.arange(round(BEAM_RATE)) / BEAM_RATE
+    frequencies = 2 * np.pi * np.array([137.0, 392.0, 811.0, 1330.0, 2075.0, 3260.0, 4710.0, 6840.0])
+    blow = np.sin(np.pi * np.linspace(0, 1, 13)) ** 1.5
+    seconds = []
+    for _ in range(n_blows):
+        sizes = random.uniform(1, 3, 8) * random.choice([-1, 1], 8)
+        decays = np.exp(-0.008 * np.outer(frequencies, times)) * np.cos(np.outer(frequencies, times))
+        seconds.append(np.roll(np.convolve(sizes @ decays, blow)[: times.size], 1000))
+    return np.concatenate(seconds) + random.normal(0, 0.05, n_blows * times.size)
+
+
+@pytest.fixture(scope="module")
+def beam() -> np.ndarray:
+    return of_the_trained_beam(1.5)
+
+
+def hint_of(
+    samples: np.ndarray, rate: float, model: Model, options: tuple[str, ...] = (), **fields: object
+) -> Hint | None:
+    diagnosis = Diagnosis(model, rate, "my file.csv", options)
+    for step in identify_blocks([samples[None]], rate, model, ("1",), Question(**fields)):
+        diagnosis.add(step.answers)
+        diagnosis.upside_down.update(step.upside_down)
+    return diagnosis.hint()
+
+
+def cause_of(samples: np.ndarray, rate: float, model: Model) -> str | None:
+    hint = hint_of(samples, rate, model)
+    return None if hint is None else hint.cause
+
+
+# -- the cause ----------------------------------------------------------------------------------------
+
+
+def test_what_is_answered_well_gets_no_hint(beam: np.ndarray) -> None:
+    random = np.random.default_rng(0)
+    for good in (beam, -beam, beam + random.normal(0, 5, beam.size), np.clip(beam, -200, 200)):
+        assert hint_of(good, BEAM_RATE, VIBRATIONS) is None
+    assert hint_of(resample_poly(beam, 2, 1), 2 * BEAM_RATE, VIBRATIONS) is None
+    force = stream(LABELS, 0.05)
+    for good in (force, force - force.mean(), force + random.normal(0, 400, force.size)):
+        assert hint_of(good, RATE, PULSES) is None
+
+
+def test_causes_of_vibrations(beam: np.ndarray) -> None:
+    random = np.random.default_rng(0)
+    assert cause_of(beam + random.normal(0, 150, beam.size), BEAM_RATE, VIBRATIONS) == "noise"
+    assert cause_of(0.01 * beam, BEAM_RATE, VIBRATIONS) == "amplitude"
+    other = of_another_beam()
+    assert cause_of(other, BEAM_RATE, VIBRATIONS) == "features"
+    assert cause_of(other + random.normal(0, 0.02 * other.max(), other.size), BEAM_RATE, VIBRATIONS) == "features"
+
+
+def test_causes_of_pulses() -> None:
+    force = stream(LABELS, 0.05)
+    assert cause_of(np.minimum(force, 2000), RATE, PULSES) == "clipped"
+    assert cause_of(force + np.roll(force, 97) + np.roll(force, 194), RATE, PULSES) == "overlapping"
+    assert cause_of(1e3 * force, RATE, PULSES) == "amplitude"
+    assert cause_of(1e-3 * force, RATE, PULSES) == "amplitude"
+    assert cause_of(force, RATE / 10, PULSES) == "duration"
+    times = np.arange(400) / RATE
+    ringing = np.convolve(force, np.exp(-times * 1500) * np.sin(2 * np.pi * 1500 * times))[: force.size]
+    assert cause_of(ringing, RATE, PULSES) == "vibration"
+
+
+def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
+    force = stream(LABELS, 0.05)
+    # A coupling condenser: what falls comes back a little higher.
+    times = np.arange(round(0.03 * RATE)) / RATE
+    samples = -force + np.convolve(force, np.exp(-times / 5e-3) / (5e-3 * RATE))[: force.size]
+    hint = hint_of(samples, RATE, PULSES)
+    assert hint is not None
+    assert hint.cause == "upside_down"
+    assert hint.commands == ("cgid predict 'my file.csv' --invert",)
+    assert hint_of(-samples, RATE, PULSES) is None
+
+
+def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
+    """The answers change when only the rate does, so the rate is the cause."""
+    samples = of_the_trained_beam(3)
+    diagnosis = Diagnosis(VIBRATIONS, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--mass", "2"))
+    for step in identify_blocks([samples[None]], 2 * BEAM_RATE, VIBRATIONS, ("1",), Question()):
+        # Only those outside of the training: at this rate about half of them are.
+        diagnosis.add([answer for answer in step.answers if answer.novelty > 1])
+    hint = diagnosis.hint()
+    assert hint is not None
+    assert hint.cause == "sampling_rate"
+    assert "at 25600 Hz they would be inside" in hint.text
+    assert hint.commands == ("cgid predict x.csv --unit g --mass 2 --rate 25600",)
+
+
+def test_a_cut_vibration_says_so() -> None:
+    whole = of_another_beam(1)
+    assert cause_of(whole[:1080], BEAM_RATE, VIBRATIONS) == "cut_off"
+
+
+def test_coverage_that_no_label_reaches(beam: np.ndarray) -> None:
+    hint = hint_of(beam, BEAM_RATE, VIBRATIONS, coverage=0.99)
+    assert hint is not None
+    assert hint.cause == "coverage"
+    assert "the prediction set at coverage 0.99 holds both" in hint.reason
+
+
+def test_only_the_channels_that_need_it_are_named() -> None:
+    force = stream(LABELS, 0.05)
+    diagnosis = Diagnosis(PULSES, RATE, "two.csv")
+    for step in identify_blocks([np.stack([force, np.minimum(force, 2000)])], RATE, PULSES, ("a", "b"), Question()):
+        diagnosis.add(step.answers)
+    hint = diagnosis.hint()
+    assert hint is not None
+    assert (hint.channels, hint.cause, hint.n_unknown, hint.n_answers) == (("b",), "clipped", 16, 16)
+
+
+def test_causes_add_up_to_the_distance() -> None:
+    """The foremost input is the one without which the squared distance falls most, by finite differences."""
+    frames = ringing_batch(40, noise=1e-3).signals
+    answers = identify_frames(frames, BEAM_RATE, VIBRATIONS, pre_trigger=200)
+    assert all(answer.cause is None for answer in answers if answer.novelty <= 1)
+    outside = [answer for answer in answers if answer.novelty > 1]
+    assert outside
+    assert all(answer.cause is not None for answer in outside)
+    random = np.random.default_rng(0)
+    near = VIBRATIONS._neighbourhood
+    rows = random.normal(0, 3, (20, len(VIBRATIONS.inputs)))
+    for row, foremost in zip(rows, near.foremost(rows), strict=True):
+        squares = [
+            np.sum((near.whitening[k % len(near.whitening)] @ (row - c)) ** 2) for k, c in enumerate(near.centres)
+        ]
+        nearest = int(np.argmin(squares))
+        whitening, offset = near.whitening[nearest % len(near.whitening)], row - near.centres[nearest]
+        # For a quadratic form, offset times half the gradient is each part of the sum.
+        steps = 1e-6 * np.eye(offset.size)
+        gradient = [
+            (np.sum((whitening @ (offset + step)) ** 2) - np.sum((whitening @ (offset - step)) ** 2)) / 2e-6
+            for step in steps
+        ]
+        assert np.sum(offset * gradient) / 2 == pytest.approx(squares[nearest], rel=1e-5)
+        assert int(np.argmax(offset * gradient)) == foremost
+
+
+# -- the line -----------------------------------------------------------------------------------------
+
+
+def test_predict_closes_with_the_next_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "other beam.csv"
+    samples = of_another_beam()
+    np.savetxt(path, samples, fmt="%.6g", header=f"# sampling_rate: {BEAM_RATE:g} Hz\nacceleration", comments="")
+    assert run(["predict", str(path), "--unit", "m/s^2"]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(f"cgid: hint: {path}: 12 of 12 impacts unknown: they are clear, but unlike those of the ")
+    name = shlex.quote(str(path))
+    for command in (
+        f"cgid events {name} --unit 'm/s^2' -o events.csv",
+        "fill in its label column",
+        "cgid train events.csv -o mine.npz",
+        f"cgid predict {name} --unit 'm/s^2' --model mine.npz",
+    ):
+        assert command in last
+    assert run(["predict", str(path), "--unit", "m/s^2", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["kind"] == "hint"
+    assert lines[-1]["cause"] == "features"
+    assert lines[-1]["commands"][2] == "cgid train events.csv -o mine.npz"
+    assert run(["predict", "--sample", "--json"]) == 0
+    assert '"kind": "hint"' not in capsys.readouterr().out
+
+
+def test_a_live_stream_has_its_hint_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "stream.raw"
+    np.minimum(stream(["coal", "gangue"] * 15, 0.05), 2000).astype("<f4").tofile(path)
+    arguments = ["--rate", f"{RATE:g}", "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
+    assert run(["monitor", str(path), *arguments]) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "hint" in line]
+    assert len(told) == 1
+    assert "clipped at the limit of the recorder" in told[0]
+
+
+def test_a_labelled_dataset_trains_itself() -> None:
+    batch = ringing_batch(10, noise=1e-3)
+    diagnosis = Diagnosis(VIBRATIONS, BEAM_RATE, "mine.h5", labelled=True)
+    diagnosis.add(identify_frames(10 * batch.signals, BEAM_RATE, VIBRATIONS, pre_trigger=200))
+    hint = diagnosis.hint()
+    assert hint is not None
+    assert hint.commands == ("cgid train mine.h5 -o mine.npz", "cgid predict mine.h5 --model mine.npz")
