@@ -16,9 +16,8 @@ _OPTIONS = {
     "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --repair --scene "
     "--finite-element --template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --sample-format "
-    "--variable --index --invert --dead-time --from --to --events --kind",
-    "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --keep-baseline --features "
-    "--class-weights",
+    "--variable --index --invert --keep-baseline --dead-time --from --to --events --kind",
+    "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--cost --miss-cost --coverage --class-conditional --vote",
     "Gangue share": "--window --gangue --gangue-cost --dilution-cost",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
