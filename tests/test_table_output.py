@@ -15,9 +15,12 @@ import pandas
 import pytest
 from scipy.io import wavfile
 
+from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.main import run
 from cgid.cli.table import ENDINGS, TableOutput, numbers
+from cgid.errors import BadData
 from cgid.identification.model import Model
+from cgid.identification.question import Question
 from cgid.identification.stream import identify_recording
 from cgid.recordings import open_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
@@ -88,6 +91,13 @@ def test_windows_sets_and_datasets_have_their_own_columns(tmp_path: Path, datase
         assert table["truth"].tolist()[:12] == [label.decode() for label in file["labels"]]
     assert set(table["prediction_set"].dropna()) <= {"coal", "gangue", "coal+gangue"}
     assert "of 12 labelled impacts" in err
+
+
+def test_models_of_other_columns_are_refused() -> None:
+    lines = AnswerLines(False)
+    lines.begin("a.wav", Model.load(ROOT / "models" / "default.npz"), Question())
+    with pytest.raises(BadData, match=r"b.wav: .* its model has end \[s\], too"):
+        lines.begin("b.wav", window_model(), Question())
 
 
 def test_monitor_prints_a_table_even_of_silence() -> None:
