@@ -12,7 +12,6 @@ from cgid import validation
 from cgid.cli.options import PATH, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import CgidError, InvalidValue
-from cgid.terminal import counted
 
 #: Options for recordings only, and for datasets and scenes only.
 _OF_RECORDINGS = {
@@ -212,8 +211,8 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
-        left_out = counted(about["n_left_out"], "window" if training.model.kind == "window" else "impact")
-        say(f"cgid: warning: left out {left_out} that could not be measured", err=True)
+        what = "windows" if training.model.kind == "window" else "impacts"
+        say(f"cgid: warning: {about['n_left_out']} {what} could not be measured and were left out", err=True)
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
         told = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
