@@ -969,7 +969,7 @@ def test_what_was_left_out_and_what_scenes_cost_is_said_beside_json(without: flo
     out, err = capsys.readouterr()
     assert json.loads(out)["accuracy"] == 0.8
     first, *more = err.splitlines()
-    assert first == "cgid: warning: left out 3 impacts that could not be measured"
+    assert first == "cgid: warning: 3 impacts could not be measured and were left out"
     assert len(more) == bool(said) and said in err
 
 

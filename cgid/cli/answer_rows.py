@@ -80,7 +80,7 @@ class AnswerLines:
         if self.as_json:
             likely = max(probabilities, key=lambda label: probabilities[label], default=None)
             row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
-            self._json(kind, source, row | {"in_training_range": answer.in_training_range, "prediction_set": held})
+            self._line(kind, source, row | {"in_training_range": answer.in_training_range, "prediction_set": held})
         else:
             row |= {"source": source, "time [s]": answer.time, "end [s]": answer.end}
             row |= {f"p({label})": probability for label, probability in probabilities.items()}
@@ -113,7 +113,7 @@ class AnswerLines:
     def warning(self, source: str, message: str) -> None:
         """Print a warning about a readable recording, on stderr and in JSON."""
         say(f"cgid: warning: {message}", err=True)
-        self._json("warning", source, {"message": message})
+        self._line("warning", source, {"message": message})
 
     def hint(self, source: str, hint: Hint) -> None:
         """Print why most answers are unknown and what helps, on stderr and in JSON."""
@@ -125,15 +125,16 @@ class AnswerLines:
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
         say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
-        self._json("delay", source, {"behind_s": behind, "message": message})
+        self._line("delay", source, {"behind_s": behind, "message": message})
 
     def _note(self, kind: str, source: str, message: str, content: dict[str, Any]) -> None:
         """Print the content in JSON, else the message on stderr."""
-        self._json(kind, source, content)
+        self._line(kind, source, content)
         if not self.as_json:
             say(message, err=True)
 
-    def _json(self, kind: str, source: str, content: dict[str, Any]) -> None:
+    def _line(self, kind: str, source: str, content: dict[str, Any]) -> None:
+        """Print the content as a line of JSON, if asked for."""
         if self.as_json:
             print_json({"kind": kind, "source": source, **content}, version=ANSWERS_VERSION)
 

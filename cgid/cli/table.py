@@ -52,8 +52,8 @@ def numbers(name: str, unit: str = "", form: str = ".8g") -> Column:
 
 
 def times(name: str) -> Column:
-    """Return a column of times [s]: to the sample, for days."""
-    return numbers(name, "s", ".12g")
+    """Return a column of times [s], which tell samples apart up to 5 MHz."""
+    return numbers(name, "s", ".7f")
 
 
 def flags(name: str) -> Column:

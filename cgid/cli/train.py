@@ -14,7 +14,6 @@ from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import BadData, CgidError, InvalidValue
-from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
@@ -353,8 +352,8 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
 def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
-        left_out = counted(about["n_left_out"], "window" if training.model.kind == "window" else "impact")
-        say(f"cgid: warning: left out {left_out} that could not be measured", err=True)
+        what = "windows" if training.model.kind == "window" else "impacts"
+        say(f"cgid: warning: {about['n_left_out']} {what} could not be measured and were left out", err=True)
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
         told = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
