@@ -305,7 +305,7 @@ def _marks(report: Report) -> Iterator[Mark]:
 
 def _figure(figure: Any, caption: str) -> str:
     data = base64.b64encode(picture(figure, ".png", dpi=_DPI)).decode()
-    image = f'<img alt="{_text(caption)}" src="data:image/png;base64,{data}">'
+    image = f'<div class="picture"><img alt="{_text(caption)}" src="data:image/png;base64,{data}"></div>'
     return f"<figure>{image}<figcaption>{_text(caption)}</figcaption></figure>"
 
 

@@ -26,6 +26,7 @@ def make_recordings(folder: Path) -> None:
     np.save(folder / "nothing.npy", np.zeros((2, 0)))
     np.save(folder / "limits.npy", np.where(np.random.default_rng(1).random(9000) > 0.5, 500.0, -500.0))
     np.save(folder / "hole.npy", np.where(np.arange(blow.size) == 77, np.nan, blow))
+    np.save(folder / "begun.npy", blow[6500:])
     np.save(folder / "names.npy", np.array(["coal", "gangue"]))
     np.save(folder / "cube.npy", np.zeros((3, 4, 5)))
     np.savez(folder / "several.npz", a=blow, b=blow[:500], fs=float(RATE), unit="m/s^2")
@@ -85,6 +86,12 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("a single sample", ("predict", "sample.npy", *_SAID), 65, ("sample.npy", "its only sample is 3", "cable")),
     ("channels of no length", ("predict", "nothing.npy", *_SAID), 65, ("nothing.npy", "(2, 0)")),
     ("clipped throughout", ("predict", "limits.npy", *_SAID), 65, ("clipped", "-500 and 500 m/s^2", "larger range")),
+    (
+        "begun within the blow",
+        ("predict", "begun.npy", *_SAID),
+        65,
+        ("begun.npy", "cut off by its start", "before touch"),
+    ),
     ("hole in a recording", ("plot", "hole.npy", *_SAID, "-o", "new.png"), 65, ("hole.npy", "sample 77 is nan")),
     ("words for numbers", ("predict", "names.npy", *_SAID), 65, ("names.npy", "real numbers", "<U")),
     ("three axes", ("features", "cube.npy", *_SAID), 65, ("cube.npy", "(3, 4, 5)")),

@@ -16,7 +16,7 @@ from scipy import signal as scipy_signal
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.measure.overview import OverviewStream
-from cgid.plots import COLOURS, FORMATS, Mark, overview_figure, picture, share_figure
+from cgid.plots import COLOURS, FORMATS, Mark, judgement_pictures, overview_figure, picture, share_figure
 from cgid.plots.figure import NEUTRAL
 from cgid.recordings import Channel
 from cgid.scene import generate
@@ -329,3 +329,15 @@ def test_real_recordings(real_data: Path, tmp_path: Path, capsys: Any) -> None:
     ):
         assert run(["plot", str(real_data / name), "-o", str(tmp_path / "a.png"), "--overwrite", "--json", *more]) == 0
         assert json.loads(capsys.readouterr().out)["impacts"] >= least
+
+
+def test_the_reliability_picture_says_how_many_answers_each_bin_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = []
+    monkeypatch.setattr("cgid.plots.figure.png", lambda figure: figures.append(figure) or b"")
+    counts = [12, 3400, 560]
+    reliability = [[0.55, 0.5, counts[0]], [0.7, 0.72, counts[1]], [0.95, 0.96, counts[2]]]
+    labels, probabilities = np.array(["a", "b"]), np.array([[0.9, 0.1], [0.2, 0.8]])
+    judgement_pictures(labels, probabilities, ("a", "b"), {"confusion": [[1, 0], [0, 1]], "reliability": reliability})
+    below = figures[1].axes[1]
+    assert [bar.get_height() for bar in below.patches] == counts
+    assert [text.get_text() for text in below.texts] == [str(count) for count in counts]

@@ -537,3 +537,15 @@ def test_info_tells_archives_of_arrays_from_models(tmp_path: Path, capsys: pytes
     (tmp_path / "m.npz").write_bytes(window_model().to_bytes())
     assert run(["info", str(tmp_path / "m.npz"), "--json"]) == 0
     assert lines_of(capsys)[0]["kind"] == "model"
+
+
+def test_info_counts_no_impacts_without_a_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "a.npy", stream(["coal"], 0.02))
+    given = ["info", str(tmp_path / "a.npy"), "--rate", str(RATE)]
+    assert run([*given, "--json"]) == 0
+    assert lines_of(capsys)[0]["channel 1"]["impacts"] is None
+    assert run(given) == 0
+    assert "impacts: not counted" in (out := capsys.readouterr().out)
+    assert "give --unit, such as --unit N or --unit m/s^2" in out
+    assert run([*given, "--unit", "N"]) == 0
+    assert "impacts: 1\n" in capsys.readouterr().out

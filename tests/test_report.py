@@ -23,6 +23,7 @@ from cgid import shipped
 from cgid.errors import CannotCreate
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.next_steps import Hint
 from cgid.identification.share import Share, ShareWindow, Shutting
 from cgid.measure.overview import OverviewStream
 from cgid.plots import Mark
@@ -319,3 +320,43 @@ def test_the_table_sorts_and_chooses(report: Report, tmp_path: Path) -> None:
     assert ordered["label"] == [*range(1, 31)]
     assert ordered["number"] == [*range(1, 31)]
     assert ordered["chosen"] == [30]
+
+
+# -- next steps, and a phone ------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_next_steps_stand_first(report: Report) -> None:
+    hint = Hint(
+        cause="features",
+        reason="9 of 10 impacts unknown: another <beam>",
+        advice="train on them",
+        commands=("cgid events 'a b.csv' -o events.csv", "fill in its label column"),
+        channels=("2",),
+    )
+    page = report_page([replace(report, hint=hint)])
+    box = page[page.index('<div class="hint">') : page.index('<ul class="tiles">')]
+    assert "another &lt;beam&gt; (channel 2)." in box
+    assert "<li><code>cgid events &#x27;a b.csv&#x27; -o events.csv</code></li><li>fill in its label column</li>" in box
+    assert page.index('<div class="hint">') < page.index('<div class="warnings">')
+    assert '<div class="hint">' not in report_page([report])
+
+
+def test_a_phone_never_scrolls_the_page_sideways(report: Report, tmp_path: Path) -> None:
+    long = "a_name_without_any_place_to_break_it_" * 6
+    told = replace(report, source=f"/x/{long}.csv", warnings=[long], recording={long: long})
+    # Chromium has no window narrower than 500 pixels, a frame in it may be.
+    inner = html.escape(re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", report_page([told])))
+    steps = """
+      addEventListener("load", () => {
+        const page = document.querySelector("iframe").contentDocument, root = page.documentElement;
+        const sizes = [...page.querySelectorAll("th button, select")].map(one => one.getBoundingClientRect().height);
+        document.title = JSON.stringify([root.clientWidth, root.scrollWidth, Math.min(...sizes)]);
+      });
+    """
+    frame = f'<iframe srcdoc="{inner}" width="360" height="740" style="border: 0"></iframe>'
+    (tmp_path / "page.html").write_text(f"<title></title><script>{steps}</script>{frame}", "utf-8")
+    shown = browse(tmp_path / "page.html", tmp_path / "browser")
+    width, scrolled, touch = json.loads(html.unescape(re.search("<title>(.*?)</title>", shown)[1]))
+    assert scrolled <= width <= 360
+    assert touch >= 44

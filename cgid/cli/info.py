@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from itertools import compress
 from typing import Any
 
 import click
@@ -40,7 +41,7 @@ def info(file: str, as_json: bool, chain: dict[str, Any], **reading: Any) -> Non
     elif is_model(file):
         content = _model(file)
     else:
-        content = _recording(file, **reading, **chain)
+        content = _recording(file, as_json, **reading, **chain)
     if as_json:
         print_json(content)
     else:
@@ -140,12 +141,12 @@ def is_model(file: str) -> bool:
     return not start.startswith(b"PK") or start[_LOCAL_HEAD:] == _HEADER
 
 
-def _recording(file: str, **reading: Any) -> dict[str, Any]:
+def _recording(file: str, as_json: bool, **reading: Any) -> dict[str, Any]:
     from cgid.recordings import open_recording
 
     recording = open_recording(file, **reading)
     warn_of_volts(recording)
-    channels = _channels(recording)
+    channels = _channels(recording, as_json)
     for warning in recording.warnings:
         say(f"cgid: warning: {warning}", err=True)
     started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}
@@ -153,7 +154,11 @@ def _recording(file: str, **reading: Any) -> dict[str, Any]:
     return {"kind": "recording", "file": file, **about, **_made(file)}
 
 
-def _channels(recording: Any) -> dict[str, Any]:
+#: What the text says of the impacts of a channel without a quantity; null in JSON.
+_NOT_COUNTED = "not counted, for pulses and vibrations differ; give --unit, such as --unit N or --unit m/s^2"
+
+
+def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     """Return the statistics of each channel; a long recording has no median, which needs all samples, but a mean."""
     import numpy as np
 
@@ -167,20 +172,22 @@ def _channels(recording: Any) -> dict[str, Any]:
         whole = np.stack([signal.samples for signal in recording.signals()])
     lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
     total, n_samples, dtype = np.zeros(len(names)), 0, ""
+    # A channel of no known quantity may hold pulses or vibrations.
+    is_known = [channel.quantity not in (None, "level") for channel in names]
     detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity)) for channel in names]
     impacts = [0] * len(names)
     for block in recording.blocks() if whole is None else [whole]:
         lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))
         total += block.sum(axis=1, dtype=np.float64)
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
-        for row, detector in enumerate(detectors):
+        for row, detector in compress(enumerate(detectors), is_known):
             # A short recording is described even if its numbers are too large to look for impacts.
             with suppress(*(() if whole is None else (BadData,))):
                 impacts[row] += len(detector.feed(block[row]))
     described = {}
     for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
         impacts[row] += len(detector.finish())
-        if not impacts[row] and TURN_OVER in detector.why_silent():
+        if is_known[row] and not impacts[row] and TURN_OVER in detector.why_silent():
             own = "" if channel.name == "1" else f" channel {channel.name}"
             say(f"cgid: warning: {recording.source}{own}: no impact: {TURN_OVER}", err=True)
         middle = {"mean": total[row] / n_samples} if whole is None else {"median": np.median(whole[row])}
@@ -195,7 +202,7 @@ def _channels(recording: Any) -> dict[str, Any]:
             "lowest": float(lowest[row]),
             **{name: float(value) for name, value in middle.items()},
             "highest": float(highest[row]),
-            "impacts": impacts[row],
+            "impacts": impacts[row] if is_known[row] else None if as_json else _NOT_COUNTED,
         }
     return described
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.errors import CgidError
 from cgid.identification.events import EVENT_TIME
 from cgid.measure.features import FEATURES, extract_array
 from cgid.units import UNITS
@@ -143,7 +144,10 @@ def with_frames(
 
 def _inside(frames: NDArray[np.floating], rate: float, model: Model, pre_trigger: int | None) -> NDArray[np.bool_]:
     """Return whether each frame would lie inside of the training at another sampling rate."""
-    table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan", detection_limit=0.0)
+    try:
+        table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan", detection_limit=0.0)
+    except CgidError:  # at that rate the frames are too short for a feature
+        return np.zeros(len(frames), bool)
     sound = np.asarray(np.isfinite(table).all(axis=1))
     features, guards = np.split(table[sound], [len(model.features)], axis=1)
     sound[sound] = model.novelty(features, guards) <= 1
@@ -255,7 +259,8 @@ class Diagnosis:
                 continue
             channel.n_unknown += 1
             (channel.marks if marked else channel.unmarked)[name] += 1
-            channel.problems[answer.problem] += len(channel.problems) < _MOST_EXAMPLES
+            if answer.problem in channel.problems or len(channel.problems) < _MOST_EXAMPLES:
+                channel.problems[answer.problem] += 1
             examples = channel.examples.setdefault(name, [])
             if len(examples) < _MOST_EXAMPLES:
                 examples.append(answer)
