@@ -184,7 +184,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("two sensitivities", ("predict", *_SENSED, "1 mV/g", "--sensitivity", "2 mV/g"), 65, ("1 mV/g and 2 mV/g",)),
     ("two of a channel", ("predict", *_SENSED, "1=1 mV/g", "--sensitivity", "1=2 mV/N"), 65, ("channel 1", "one sens")),
     ("sensitivity of no channel", ("predict", *_SENSED, "7=1 mV/g"), 65, ("channel '7'", "choose one of")),
-    ("sensitivity of a nameless channel", ("predict", *_SENSED, "=1 mV/g"), 65, ("before =", "2=1 mV/g")),
+    ("sensitivity of a nameless channel", ("predict", *_SENSED, "=1 mV/g"), 65, ("before =", "2=VALUE")),
     (
         "sensitivity beside that of the file",
         ("predict", "stated.csv", "--sensitivity", "100 mV/g"),

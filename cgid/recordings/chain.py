@@ -31,7 +31,7 @@ Statement = float | str | Mapping[int | str, float | str] | Sequence[float | str
 _MEASURED = ("force", "acceleration", "velocity", "displacement", "pressure")
 #: Largest relative difference between values of file and user that are one, and limits of a factor of samples.
 _TOLERANCE, _FACTORS = 1e-3, (1e-30, 1e30)
-_MOST_BITS = 64
+_MOST_BITS, _LONGEST = 64, 200
 _LOUDEST = 400.0
 _TIMES = re.compile(r"[x×]\s*(.+)|(.+?)\s*[x×]", re.IGNORECASE)
 _FULL_SCALE = re.compile(r"(?:±|\+/?-)?\s*(.*?)(?:\s+at\s+(\d{1,3})\s*bits?)?", re.IGNORECASE)
@@ -59,7 +59,8 @@ class Sensitivity:
         >>> Sensitivity.of("2 mV/N")
         Sensitivity(value=0.002, signal='voltage', measured='force', text='2 mV/N')
         """
-        found = number_and_unit(given) if isinstance(given, str) else None
+        text = _text(given)
+        found = number_and_unit(text)
         ratio = None if found is None else ratio_of(found[1])
         if found is None or ratio is None or ratio[0] not in ELECTRICAL or ratio[1] not in _MEASURED:
             raise InvalidValue(
@@ -69,10 +70,10 @@ class Sensitivity:
         value = found[0] * ratio[2]
         if not 0 < value < math.inf:
             raise InvalidValue(
-                f"sensitivity must be above 0 and finite, got {given.strip()}; a sensor that points the other way is "
+                f"sensitivity must be above 0 and finite, got {text}; a sensor that points the other way is "
                 "turned over by --invert"
             )
-        return cls(value=value, signal=ratio[0], measured=ratio[1], text=given.strip())
+        return cls(value=value, signal=ratio[0], measured=ratio[1], text=text)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,10 +151,10 @@ class FullScale:
 
 
 def _text(given: Any) -> str:
-    """Return a text without blanks around it, a number as a text of all its digits, "" for anything else."""
+    """Return a short text without blanks around it, a number as a text of all its digits, "" for anything else."""
     if isinstance(given, Real) and not isinstance(given, bool):
         return repr(float(given)).removesuffix(".0")
-    return given.strip() if isinstance(given, str) else ""
+    return given.strip() if isinstance(given, str) and len(given) <= _LONGEST else ""
 
 
 Part = TypeVar("Part", Sensitivity, Gain, FullScale)
@@ -191,7 +192,7 @@ def _stated(name: str, kind: type[Part], given: Statement | None) -> _Stated[Par
         for one in listed:
             channel, equals, value = one.rpartition("=") if isinstance(one, str) else ("", "", one)
             if equals and not channel.strip():
-                raise InvalidValue(f"{name} must name the channel before =, as in 2={value}, got {shown(one)}")
+                raise InvalidValue(f"{name} must name the channel before =, as in 2=VALUE, got {shown(one)}")
             pairs.append((channel.strip() if equals else None, value))
     return _Stated(name, tuple((channel, kind.of(value)) for channel, value in pairs))
 
