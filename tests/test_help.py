@@ -68,7 +68,7 @@ def test_the_shell_completes(words: str, offered: list[str]) -> None:
 def test_every_option_has_a_heading_and_a_sentence(name: str) -> None:
     command = COMMANDS[name]
     assert isinstance(command, Command), "give it cls=Command"
-    options = [one for one in command.params if isinstance(one, click.Option)]
+    options = [one for one in command.params if isinstance(one, click.Option) and not one.hidden]
     assert not [one.opts for one in options if heading_of(name, one) is None], "name its heading in cgid/cli/help.py"
     for text in [one.help or "" for one in options]:
         assert text[:1].isupper() and text.endswith("."), text
@@ -86,7 +86,7 @@ def test_every_option_and_the_example_are_on_the_page(
     command = COMMANDS[name]
     assert isinstance(command, Command)
     for option in command.params:
-        if isinstance(option, click.Option):
+        if isinstance(option, click.Option) and not option.hidden:
             assert f"  {', '.join(sorted(option.opts, key=len))}" in page
     assert command.example
     assert "Example:\n" + "".join(f"  {line}\n" for line in command.example.splitlines()) in page

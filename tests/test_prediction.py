@@ -78,7 +78,7 @@ def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
         ((np.array([0.0, np.nan]), 2e5), {}, BadData, "sample 1 is nan"),
         ((np.zeros(100), -1.0), {}, InvalidValue, "above 0"),
         ((np.zeros(100), 2e5, "KN"), {}, InvalidValue, "level: FS\\); did you mean 'kN'"),
-        ((np.zeros(100), 2e5, "V"), {}, BadData, "voltage"),
+        ((np.zeros(100), 2e5, "V"), {}, MissingOption, "voltage"),
         ((np.zeros(100), 2e5, "N", "defualt"), {}, NoInput, "did you mean 'default'"),
         ((sample(), 2e5, "N", "default-drop-height"), {}, MissingOption, "drop_height"),
         ((np.zeros(100), 2e5), {"masss": 2.0}, InvalidValue, "did you mean 'mass'"),
@@ -134,7 +134,7 @@ def test_what_is_shown_in_a_notebook_is_short() -> None:
         repr(recording): f"RecordingFile('{SAMPLE}', text: 24000 samples at 200000 Hz of channel 1 [N])",
         repr(scene): "Scene('reference': coal, gangue; frames of 2048 samples at 200000 Hz [N])",
         repr(impacts): "Impact((500,) of radius 0.01 to 0.02 m at 3 m/s on HalfSpace, hertz, Elastic)",
-        repr(plan(scene, ["frames"])): "Plan(frames of scene 'reference': impacts, pulses, rest of the frames, noise)",
+        repr(plan(scene, "frames")): "Plan(frames of scene 'reference': impacts, pulses, rest of the frames, noise)",
     }
     assert list(shown) == list(shown.values())
     assert str(scene) == repr(scene)

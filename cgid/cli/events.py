@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, reading_options
 from cgid.cli.output import each_file, say
 from cgid.errors import BadData, InvalidValue
@@ -20,22 +21,23 @@ if TYPE_CHECKING:
 _BEFORE = 2e-3
 
 
-@click.command(short_help="Find the impacts in recordings: a table to label for cgid train.")
+@click.command(
+    cls=Command,
+    short_help="Find the impacts in recordings: a table to label for cgid train.",
+    example="cgid events datasets/sample.csv -o events.csv",
+)
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE...")
-@click.option("-o", "--output", type=PATH, required=True, help="The table, ending in .csv; - is stdout.")
-@click.option("--overwrite", is_flag=True, help="Replace the table, with the labels in it.")
+@click.option("-o", "--output", type=PATH, required=True, help="Write this table, ending in .csv; - is stdout.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing table, with the labels in it.")
 @click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
 @reading_options
 def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, reading: Reading) -> int:
     """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
 
     Fill in the column label (and group, such as a day or a support, if several recordings share one), then train on the
-    table. Delete the rows that you cannot label. An impact that several channels hear is one row.
-
-    \b
-    cgid events monday.wav tuesday.wav -o events.csv
-    cgid train events.csv -o mine.npz
-    """  # noqa: D301 - \b keeps the lines of the example apart
+    table: cgid train events.csv -o mine.npz. Delete the rows that you cannot label. An impact that several channels
+    hear is one row.
+    """
     from cgid.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, recordings_in
 
