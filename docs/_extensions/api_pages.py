@@ -96,7 +96,7 @@ def write_pages(app: Sphinx, _: Any) -> None:
         lines = [title, "=" * len(title), ""]
         for module, chosen in modules.items():
             names = names_of(module, chosen)
-            for name in sorted(names):  # classes first; file systems of other machines do not know upper from lower case
+            for name in sorted(names):  # classes first: to other file systems upper and lower case are one
                 full = f"{module}.{name}"
                 if full.lower() in taken:
                     app.config.autosummary_filename_map[full] = f"{full}-function"
