@@ -125,6 +125,10 @@ def bracket(
     progress : callable, optional
         Called with the number of signals done.
 
+    Returns
+    -------
+    Bracket
+
     Raises
     ------
     InvalidValue
