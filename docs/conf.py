@@ -56,6 +56,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "show_memory": False,
     "min_reported_time": 1e9,
+    "write_computation_times": False,  # its page loads scripts from the network
     "abort_on_example_error": True,
     "plot_gallery": True,
     "within_subsection_order": "FileNameSortKey",

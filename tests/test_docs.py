@@ -292,6 +292,16 @@ class Loaded(HTMLParser):
             self.places.append(given.get("href") or "")
 
 
+def test_named_programs_exist() -> None:
+    named = {
+        (page.name, name)
+        for page in PAGES
+        for name in re.findall(r"\b(?:benchmarks|datasets|models|tests)/\w+\.\w+\b", page.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 30
+    assert not [(page, name) for page, name in named if not (ROOT / name).exists()]
+
+
 def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numpydoc")
     pytest.importorskip("sphinx")

@@ -90,30 +90,11 @@ class Modes:
         return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
 
     def up_to(self, frequency: float) -> Modes:
-        """Return the modes up to a frequency [Hz]; evaluating fewer shapes costs less.
-
-        Parameters
-        ----------
-        frequency : float [Hz]
-
-        Returns
-        -------
-        Modes
-        """
+        """Return the modes up to a frequency [Hz]; evaluating fewer shapes costs less."""
         return self.taken(np.flatnonzero(self.frequency <= validation.not_negative("frequency", frequency, "Hz")))
 
     def taken(self, modes: NDArray[np.intp]) -> Modes:
-        """Return the modes with these indices, which must ascend.
-
-        Parameters
-        ----------
-        modes : ndarray of int
-            Indices.
-
-        Returns
-        -------
-        Modes
-        """
+        """Return the modes with these indices, which must ascend."""
         return replace(
             self,
             frequency=self.frequency[modes],
@@ -176,16 +157,7 @@ class MeasuredModes:
         return np.asarray(impact * sensor / mass)
 
     def up_to(self, frequency: float) -> MeasuredModes:
-        """Return the modes up to a frequency [Hz]; raise `InvalidValue` if there are none.
-
-        Parameters
-        ----------
-        frequency : float [Hz]
-
-        Returns
-        -------
-        MeasuredModes
-        """
+        """Return the modes up to a frequency [Hz]; raise `InvalidValue` if there are none."""
         highest, natural = validation.positive("frequency", frequency, "Hz"), np.asarray(self.frequency)
         if natural[0] > highest:
             raise InvalidValue(

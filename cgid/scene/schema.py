@@ -228,12 +228,6 @@ def load_scene(path: str | Path) -> Scene:
         The file cannot be read.
     BadData
         The file is not valid TOML or breaks rules; one line for each mistake, with its path in the file.
-
-    Examples
-    --------
-    >>> from cgid.shipped import scene_path
-    >>> load_scene(scene_path("reference")).labels
-    ('coal', 'gangue')
     """
     try:
         text = read_regular(path, "a scene file", _LARGEST_FILE, "give a .toml file").decode()
