@@ -105,6 +105,10 @@ class Signal:
     def in_si(self) -> Signal:
         """Return the signal in the SI unit of its quantity.
 
+        Returns
+        -------
+        Signal
+
         Examples
         --------
         >>> signal = Signal(samples=np.array([1.0, 2.0]), sampling_rate=1e5, unit="kN").in_si()
@@ -126,6 +130,10 @@ class Signal:
             Mass of the whole accelerated body [kg]. Force is mass times acceleration only if this body is rigid and
             nothing but the contact accelerates it.
 
+        Returns
+        -------
+        Signal
+
         Raises
         ------
         InvalidValue
@@ -139,7 +147,12 @@ class Signal:
         return replace(self, samples=self.in_si().samples * mass, unit="N")
 
     def inverted(self) -> Signal:
-        """Return the signal with the opposite sign."""
+        """Return the signal with the opposite sign.
+
+        Returns
+        -------
+        Signal
+        """
         return replace(self, samples=-self.samples)
 
 

@@ -32,7 +32,7 @@ extensions = [
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
-exclude_patterns = ["gallery", "_extensions", "**/README.txt"]
+exclude_patterns = ["_build", "gallery", "_extensions", "**/README.txt"]
 # Pages of a folder are found by pattern. Sphinx cannot suppress the warning that there is none, because it has no type.
 logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "toctree glob" not in str(record.msg))
 
@@ -56,6 +56,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "show_memory": False,
     "min_reported_time": 1e9,
+    "write_computation_times": False,  # its page loads scripts from the network
     "abort_on_example_error": True,
     "plot_gallery": True,
     "within_subsection_order": "FileNameSortKey",

@@ -1,6 +1,6 @@
 """The examples of README.md and docs/ run and print what the page shows; the pages are built without warnings.
 
-Every page is run from top to bottom in a fresh folder with copies of `datasets/` and `models/`:
+Every page is run from top to bottom in a fresh folder with copies of `benchmarks/`, `datasets/` and `models/`:
 
 * ```` ```sh ```` : bash, ends with exit code 0; setting up and testing (`pip install`, `pytest`) are left out;
 * ```` ```console ```` : the lines after `$ ` are commands, the others what they print;
@@ -35,7 +35,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 #: Folders of docs/ that a build writes.
-BUILT = (DOCS / "examples", DOCS / "reference" / "api" / "generated")
+BUILT = (DOCS / "_build", DOCS / "examples", DOCS / "reference" / "api" / "generated")
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md") if not set(BUILT) & set(path.parents))]
 GALLERY = sorted((DOCS / "gallery").glob("plot_*.py"))
 
@@ -102,7 +102,7 @@ class Walk:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.names: dict[str, Any] = {"__name__": "__main__"}
-        for name in ("datasets", "models"):  # copies: a page may write
+        for name in ("benchmarks", "datasets", "models"):  # copies: a page may write
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         programs = folder / ".venv" / "bin"
         programs.mkdir(parents=True)
@@ -292,6 +292,16 @@ class Loaded(HTMLParser):
             self.places.append(given.get("href") or "")
 
 
+def test_named_programs_exist() -> None:
+    named = {
+        (page.name, name)
+        for page in PAGES
+        for name in re.findall(r"\b(?:benchmarks|datasets|models|tests)/\w+\.\w+\b", page.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 30
+    assert not [(page, name) for page, name in named if not (ROOT / name).exists()]
+
+
 def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numpydoc")
     pytest.importorskip("sphinx")
@@ -315,7 +325,7 @@ def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path
     source, html = tmp_path / "docs", tmp_path / "html"
     # The checkout stays as it is, and pages show pictures beside docs/.
     for name in ("docs", "benchmarks", "datasets", "models"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("examples", "generated"))
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("_build", "examples", "generated"))
     for name in ("cgid", "CHANGELOG.md", "SECURITY.md", "ARCHITECTURE.md"):
         (tmp_path / name).symlink_to(ROOT / name)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(source), str(html)]

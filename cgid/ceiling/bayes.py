@@ -92,14 +92,33 @@ class Ceiling:
         return np.asarray(np.sum((self.probabilities - true) ** 2, axis=1))
 
     def roc(self, label: str) -> tuple[Floats, Floats]:
-        """Return false and true positive rate of a label for falling thresholds."""
+        """Return false and true positive rate of a label for falling thresholds.
+
+        Parameters
+        ----------
+        label : str
+
+        Returns
+        -------
+        tuple of two ndarray
+            False and true positive rates.
+        """
         validation.choice("label", label, self.labels)
         order = np.argsort(-self.probabilities[:, self.labels.index(label)], kind="stable")
         own = (self.truth == label)[order]
         return np.cumsum(~own) / max((~own).sum(), 1), np.cumsum(own) / max(own.sum(), 1)
 
     def roc_area(self, label: str) -> float:
-        """Return the area under the ROC curve of a label."""
+        """Return the area under the ROC curve of a label.
+
+        Parameters
+        ----------
+        label : str
+
+        Returns
+        -------
+        float
+        """
         wrong, right = self.roc(label)
         return float(np.trapezoid(np.append(0.0, right), np.append(0.0, wrong)))
 
@@ -127,6 +146,10 @@ def ceiling(
     progress : callable, optional
         Called with the number of signals done.
 
+    Returns
+    -------
+    Ceiling
+
     Raises
     ------
     InvalidValue
@@ -147,6 +170,21 @@ def ceilings(
     """Return ceilings of the same signals for each value of `drop_height_known`; otherwise as `ceiling`.
 
     The likelihoods take almost all of the time and do not depend on this. `n_nodes` are those along the shape.
+
+    Parameters
+    ----------
+    scene, n_signals, seed
+        As in `ceiling`.
+    drop_height_known : tuple of bool
+        One ceiling for each.
+    n_nodes : int
+        Nodes of the quadrature along the shape.
+    progress : callable, optional
+        Is called with the number of signals done.
+
+    Returns
+    -------
+    tuple of Ceiling
     """
     check_covered(scene)
     validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # one signal has no standard error

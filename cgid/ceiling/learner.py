@@ -122,6 +122,10 @@ def bracket(
     progress : callable, optional
         Called with the number of signals done.
 
+    Returns
+    -------
+    Bracket
+
     Raises
     ------
     InvalidValue

@@ -82,7 +82,17 @@ class Survey:
     points: tuple[Point, ...]
 
     def along(self, axis: str) -> tuple[Point, ...]:
-        """Return the points of one axis that have a ceiling."""
+        """Return the points of one axis that have a ceiling.
+
+        Parameters
+        ----------
+        axis : str
+            As in `Point`.
+
+        Returns
+        -------
+        tuple of Point
+        """
         return tuple(p for p in self.points if p.axis == axis and not p.left_out)
 
 
@@ -114,6 +124,10 @@ def survey(
         Largest over smallest radius, log-uniform about the geometric mean of each population.
     progress : callable, optional
         Called with the number of signals done.
+
+    Returns
+    -------
+    Survey
 
     Raises
     ------

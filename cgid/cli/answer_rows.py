@@ -120,7 +120,7 @@ class AnswerLines:
         where = f" channel {', '.join(hint.channels)}" if hint.channels else ""
         content = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(hint).items()}
         say(f"cgid: hint: {source}{where}: {hint.text}", err=True)
-        self._json("hint", source, content)
+        self._line("hint", source, content)
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""

@@ -37,10 +37,12 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticPlate:
-    """A round plate of `material`, `thickness` and `radius` [m], hit at its centre; its edge is free.
+    """A round plate, hit at its centre; its edge is free.
 
     Parameters
     ----------
+    material : Material
+    thickness, radius : float [m]
     lower_face : {"fixed", "free"}
         Held, as in the simulations of Yang, Zeng & Wan (2018), or free, so that nothing holds the plate.
     retardation_time : float, optional [s]
@@ -67,6 +69,10 @@ class PenaltyContact:
     The pressure is `factor` x bulk modulus (the lower of both) / element size x penetration: a coarser mesh makes a
     softer contact. The element size is Hertz's contact radius over the number of elements. The default factor of
     LS-DYNA is .1 (LS-DYNA Theory Manual, chapter 29).
+
+    Parameters
+    ----------
+    factor : float
     """
 
     factor: float = 0.1

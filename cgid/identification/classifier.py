@@ -199,6 +199,22 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
         A fold never divides one of the `groups` (n_impacts,), usually specimens. The `crew` fits the folds with one
         thread each, because the number of threads would change the last digits of sums.
+
+        Parameters
+        ----------
+        X : array_like, (n_impacts, n_features)
+            Features, in the order of the training.
+        y : array_like, (n_impacts,)
+            Labels.
+        groups : array_like, (n_impacts,), optional
+            Number of the specimen of each impact; those of one specimen stay together.
+        crew : Workers
+            Processes that fit.
+
+        Returns
+        -------
+        ImpactClassifier
+            Itself, fitted.
         """
         validation.choice("family", self.family, tuple(self.ESTIMATORS))
         validation.plain("X", X)
@@ -220,21 +236,63 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def decision_function(self, X: ArrayLike) -> Floats:
-        """Return the scores behind the probabilities, (n_impacts, n_classes), or (n_impacts,) for two classes."""
+        """Return the scores behind the probabilities.
+
+        Parameters
+        ----------
+        X : array_like, (n_impacts, n_features)
+            Features, in the order of the training.
+
+        Returns
+        -------
+        ndarray, (n_impacts, n_classes), or (n_impacts,) for two classes
+        """
         inputs = self._inputs(self._standardised(X))
         return np.asarray(self.estimator_.decision_function(inputs))
 
     def predict_proba(self, X: ArrayLike) -> Floats:
-        """Return probabilities, (n_impacts, n_classes), in the order of `classes_`."""
+        """Return the probabilities.
+
+        Parameters
+        ----------
+        X : array_like, (n_impacts, n_features)
+            Features, in the order of the training.
+
+        Returns
+        -------
+        ndarray, (n_impacts, n_classes)
+            In the order of `classes_`.
+        """
         return softmax(self.decision_function(X) / self.temperature_)
 
     def predict(self, X: ArrayLike) -> NDArray[Any]:
-        """Return the most probable labels, (n_impacts,)."""
+        """Return the most probable labels.
+
+        Parameters
+        ----------
+        X : array_like, (n_impacts, n_features)
+            Features, in the order of the training.
+
+        Returns
+        -------
+        ndarray of str, (n_impacts,)
+        """
         best = np.argmax(self.predict_proba(X), axis=1)
         return np.asarray(self.classes_[best])
 
     def novelty(self, X: ArrayLike) -> Floats:
-        """Return the distance of each impact from the training, (n_impacts,); 1 at the limit."""
+        """Return the distance of each impact from the training.
+
+        Parameters
+        ----------
+        X : array_like, (n_impacts, n_features)
+            Features, in the order of the training.
+
+        Returns
+        -------
+        ndarray, (n_impacts,)
+            1 at the edge of the training.
+        """
         return self.neighbourhood_.novelty(self._standardised(X))
 
     def _standardised(self, X: ArrayLike) -> Floats:

@@ -134,6 +134,10 @@ class ImpactDetector:
         block : array_like, (n_channels, n) or, of one channel, (n,)
             Finite numbers; pulses point upwards.
 
+        Returns
+        -------
+        list of Event
+
         Raises
         ------
         InvalidValue
@@ -160,7 +164,12 @@ class ImpactDetector:
         return events
 
     def finish(self) -> list[Event]:
-        """Return the remaining impacts at the end of the recording."""
+        """Return the remaining impacts at the end of the recording.
+
+        Returns
+        -------
+        list of Event
+        """
         if self._ended:
             return []
         self._join()

@@ -100,7 +100,16 @@ class Posterior:
         return np.asarray(np.sqrt(np.sum(self.weight * (self.restitution - self.mean[:, None]) ** 2, axis=1)))
 
     def quantile(self, share: float) -> Floats:
-        """Return the quantile of the restitution, (n,), at a probability between 0 and 1."""
+        """Return the quantile of the restitution, (n,), at a probability between 0 and 1.
+
+        Parameters
+        ----------
+        share : float, in (0, 1)
+
+        Returns
+        -------
+        ndarray, (n,)
+        """
         if not 0 < validation.number("share", share) < 1:
             raise InvalidValue(f"share must lie between 0 and 1 (exclusive), got {share:g}")
         # Half of a node's probability lies on either side of it.
@@ -113,7 +122,17 @@ class Posterior:
         return np.asarray(start + part * (stop - start))
 
     def interval(self, coverage: float = 0.9) -> tuple[Floats, Floats]:
-        """Return the equal-tailed interval that contains the restitution with this probability."""
+        """Return the equal-tailed interval that contains the restitution with this probability.
+
+        Parameters
+        ----------
+        coverage : float, in (0, 1)
+
+        Returns
+        -------
+        tuple of two ndarray, (n,)
+            Lower and upper ends.
+        """
         return self.quantile(0.5 - 0.5 * coverage), self.quantile(0.5 + 0.5 * coverage)
 
 
@@ -154,6 +173,10 @@ def estimate(
         Limit of the sensor; by default the top level that at least three samples share.
     bandwidth : float, optional
         Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the fit includes this filter.
+
+    Returns
+    -------
+    Estimates
 
     Raises
     ------
@@ -235,6 +258,10 @@ def posterior(
         For example `Prior.from_draws` of the expected impacts.
     n_nodes : int
         Nodes of the quadrature along the restitution.
+
+    Returns
+    -------
+    Posterior
 
     Raises
     ------

@@ -222,6 +222,10 @@ class Model:
             In the order of `self.inputs`.
         guards : ndarray, (n_impacts, n_guards), optional
             In the order of `self.guards`; required if the model has any.
+
+        Returns
+        -------
+        ndarray, (n_impacts,)
         """
         distance = self.distance(inputs)
         if guards is None and not self.guards:
@@ -264,6 +268,10 @@ class Model:
         class_conditional : bool
             Guarantee the coverage for each label separately, and so for any mix; else for the mix of the training.
 
+        Returns
+        -------
+        ndarray of bool, (n_impacts, n_labels)
+
         Raises
         ------
         InvalidValue
@@ -279,6 +287,16 @@ class Model:
     def equalisation(self, sensor: str) -> tuple[Equalisation, ...]:
         """Return the equalisation of each channel of a sensor to the mean response of the training.
 
+        Parameters
+        ----------
+        sensor : str
+            One of `sensors`.
+
+        Returns
+        -------
+        tuple of Equalisation
+            One for each channel.
+
         Raises
         ------
         InvalidValue
@@ -290,7 +308,16 @@ class Model:
         return tuple(equalisations_of(self.references)[sensor])
 
     def covers(self, sampling_rate: float) -> bool:
-        """Return whether a sampling rate [Hz] lies in the range of the training, within 1 %."""
+        """Return whether a sampling rate [Hz] lies in the range of the training, within 1 %.
+
+        Parameters
+        ----------
+        sampling_rate : float [Hz]
+
+        Returns
+        -------
+        bool
+        """
         return bool(0.99 * self.sampling_rates[0] <= sampling_rate <= 1.01 * self.sampling_rates[1])
 
     def decide(self, probabilities: Floats, costs: Mapping[str, float] | None = None) -> NDArray[np.str_]:
@@ -302,6 +329,10 @@ class Model:
         costs : dict, optional
             Cost of mistaking an impact of this label for another; default 1. With coal 1 and gangue 3, the answer is
             coal only if coal is three times as probable.
+
+        Returns
+        -------
+        ndarray of str, (n_impacts,)
 
         Raises
         ------
@@ -386,7 +417,12 @@ class Model:
         }
 
     def to_bytes(self) -> bytes:
-        """Return the content of the model file; the same model gives the same bytes."""
+        """Return the content of the model file; the same model gives the same bytes.
+
+        Returns
+        -------
+        bytes
+        """
         stream = io.BytesIO()
         header = np.frombuffer(signed(self.header, self.arrays), np.uint8)
         np.savez(stream, header=header, **dict(sorted(self.arrays.items())))  # type: ignore[arg-type]

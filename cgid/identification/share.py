@@ -120,11 +120,29 @@ class ShareWindow:
         self._impacts: deque[tuple[float, float]] = deque()
 
     def add(self, time: float, probability: float) -> None:
-        """Take the gangue probability of an impact at a time [s], nan if unknown; calls come in order of time."""
+        """Take the gangue probability of an impact at a time [s], nan if unknown; calls come in order of time.
+
+        Parameters
+        ----------
+        time : float [s]
+            Time of the impact.
+        probability : float
+            Of gangue.
+        """
         self._impacts.append((time, probability))
 
     def at(self, time: float) -> Share:
-        """Return the share in the window that ends at a time [s], and forget all earlier impacts."""
+        """Return the share in the window that ends at a time [s], and forget all earlier impacts.
+
+        Parameters
+        ----------
+        time : float [s]
+            End of the window.
+
+        Returns
+        -------
+        Share
+        """
         start = time - self.length
         while self._impacts and self._impacts[0][0] <= start:
             self._impacts.popleft()

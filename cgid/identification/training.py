@@ -152,6 +152,10 @@ def train(
     crew : Workers
         Measures signals and fits folds: see `cgid.workers.workers`.
 
+    Returns
+    -------
+    Training
+
     Raises
     ------
     BadData

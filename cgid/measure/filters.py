@@ -184,6 +184,11 @@ class Equalisation:
     Between the centres of the mel bands the gain is linear in mel, beyond them it is constant. The filter has minimum
     phase: it is causal and removes the resonance of a sensor's mount in time, too. Raise `InvalidValue` unless `gains`
     (n_bands,) is one finite number per band, within 40 dB of 0.
+
+    Parameters
+    ----------
+    gains : array_like, (n_bands,) [dB]
+        One for each mel band.
     """
 
     gains: Floats
@@ -214,11 +219,30 @@ class Equalisation:
         return cls(gains=10.0 * (validation.real("meant", meant) - validation.real("heard", heard)))
 
     def gain(self, frequency: Floats) -> Floats:
-        """Return the gain [dB] at frequencies [Hz]."""
+        """Return the gain at frequencies.
+
+        Parameters
+        ----------
+        frequency : ndarray [Hz]
+
+        Returns
+        -------
+        ndarray [dB]
+        """
         return np.asarray(np.interp(mel(frequency), mel(MEL_BANDS.centres), self.gains))
 
     def apply(self, samples: NDArray[np.floating], sampling_rate: float) -> Floats:
-        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; means are kept."""
+        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; means are kept.
+
+        Parameters
+        ----------
+        samples : ndarray, (..., n_samples)
+        sampling_rate : float [Hz]
+
+        Returns
+        -------
+        ndarray, (..., n_samples)
+        """
         n_samples = samples.shape[1]
         length = padded_length(n_samples + round(_TAIL * sampling_rate))
         mean = samples.mean(axis=1, keepdims=True, dtype=np.float64)

@@ -336,7 +336,20 @@ class Impact:
         return self._over_time(times, "force", self.force_scale, dtype, threads)
 
     def displacement(self, times: ArrayLike, *, dtype: DTypeLike = "float64", threads: int = 1) -> NDArray[Any]:
-        """Return the displacement, the approach of sphere and target [m], over time; see `force`."""
+        """Return the displacement, the approach of sphere and target [m], over time; see `force`.
+
+        Parameters
+        ----------
+        times : array_like [s]
+            Times after touch; the last axis runs over times, the others broadcast with the impacts.
+        dtype : {"float64", "float32"}
+        threads : int
+            Number of threads that share the impacts.
+
+        Returns
+        -------
+        ndarray [m]
+        """
         return self._over_time(times, "displacement", self.length_scale, dtype, threads)
 
     def _over_time(
@@ -405,6 +418,18 @@ class Impact:
 
         Each frame may have its own sampling rate. `tolerance` is the permitted error over the peak force: with it,
         pulses outside the table are stepped in time, twenty times faster.
+
+        Parameters
+        ----------
+        frames : ndarray, (..., n_samples) [N]
+            Float32 or float64; the leading axes are those of the impacts and onsets.
+        sampling_rate : float [Hz]
+        onset : array_like [s]
+            Time of touch relative to the start of the frame.
+        tolerance : float
+            Permitted error over the peak.
+        threads : int
+            Number of threads that share the impacts.
 
         Raises
         ------

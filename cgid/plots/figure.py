@@ -55,6 +55,10 @@ def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:
         One of `FORMATS`.
     dpi : float
         Resolution of a PNG picture, and of rasterized parts in other formats [dots/inch].
+
+    Returns
+    -------
+    bytes
     """
     from matplotlib import rc_context
 
@@ -182,6 +186,10 @@ def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, fl
         Value of the scene on each axis.
     here : Point
         Ceiling of the scene itself.
+
+    Returns
+    -------
+    bytes
     """
     titles = {
         "snr": "peak over noise [dB]",

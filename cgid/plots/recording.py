@@ -296,6 +296,10 @@ def recording_picture(recording: Signal, truth: Mapping[str, NDArray[Any]]) -> b
     recording : Signal
     truth : dict of ndarray, each (n_impacts,)
         time [s], bounce and label of every impact, as stored by `cgid generate`.
+
+    Returns
+    -------
+    bytes
     """
     stream = OverviewStream(recording.sampling_rate)
     stream.feed(recording.samples[np.newaxis])

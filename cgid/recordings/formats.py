@@ -117,6 +117,14 @@ def is_dataset(path: str | Path) -> bool:
     `cgid.store` reads such inputs. An HDF5 file too damaged to identify counts as a dataset. A path that does not exist
     or cannot be opened does not, nor does "-", the standard input.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    bool
+
     Examples
     --------
     >>> is_dataset("-"), is_dataset(".")
@@ -284,10 +292,23 @@ def read_recording(
     gain: Statement | None = None,
     full_scale: Statement | None = None,
 ) -> list[Signal]:
-    r"""Read a whole recording into memory: one `Signal` per channel, (n_samples,) each.
+    r"""Read a whole recording into memory.
 
-    Parameters and errors are those of `open_recording`. `BadData` is also raised if a number is missing or not finite,
-    or if the recording does not fit in memory.
+    Parameters
+    ----------
+    path, sampling_rate, unit, channel, variable
+        As in `open_recording`.
+
+    Returns
+    -------
+    list of Signal
+        One for each channel.
+
+    Raises
+    ------
+    NoInput, BadData, MissingOption, MissingExtra, InvalidValue
+        As in `open_recording`; `BadData` also if a number is missing or not finite, or if the recording does not fit in
+        memory.
 
     Examples
     --------

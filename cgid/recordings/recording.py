@@ -298,6 +298,11 @@ class RecordingFile:
     def blocks(self, length: int = BLOCK_LENGTH) -> Iterator[NDArray[Any]]:
         """Yield the samples in order, (n_channels, at most `length`), float32 or float64.
 
+        Parameters
+        ----------
+        length : int
+            Samples of a block; the last one may be shorter.
+
         Raises
         ------
         BadData
@@ -319,6 +324,10 @@ class RecordingFile:
 
     def signals(self) -> list[Signal]:
         """Return one `Signal` per channel, all in memory.
+
+        Returns
+        -------
+        list of Signal
 
         Raises
         ------

@@ -97,6 +97,10 @@ def generate(
     progress : callable, optional
         Called with the number of signals finished since the last call.
 
+    Returns
+    -------
+    Path
+
     Raises
     ------
     CannotCreate

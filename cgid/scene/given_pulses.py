@@ -194,7 +194,17 @@ class SolvedImpacts:
         return len(self.pulses)
 
     def of_radius(self, radius: ArrayLike) -> SampledPulses:
-        """Return the pulses of spheres of these radii [m], one or (n,)."""
+        """Return the pulses of spheres of these radii [m], one or (n,).
+
+        Parameters
+        ----------
+        radius : array_like, (n,) [m]
+            One for each impact.
+
+        Returns
+        -------
+        SampledPulses
+        """
         radius = validation.positive("radius", radius, "m")
         return self.pulses.stretched(radius**2, radius)
 

@@ -108,7 +108,17 @@ class Plan:
         return {stage: decide(self) for stage, decide in STAGES.items()}
 
     def runs(self, stage: str) -> bool:
-        """Return whether a stage runs."""
+        """Return whether a stage runs.
+
+        Parameters
+        ----------
+        stage : str
+            One of the keys of `decisions`.
+
+        Returns
+        -------
+        bool
+        """
         return self.decisions[stage].runs
 
     @property

@@ -111,6 +111,10 @@ def generate_recordings(
     progress : callable, optional
         Called with the number of newly finished samples.
 
+    Returns
+    -------
+    Path
+
     Raises
     ------
     InvalidValue

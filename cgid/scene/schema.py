@@ -271,6 +271,10 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
     folder : Path, optional
         Base of relative paths, by default the working directory.
 
+    Returns
+    -------
+    Scene
+
     Raises
     ------
     BadData
@@ -374,6 +378,10 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
         that have such a key. Values are those of a scene file (a number, a string with a unit, a mapping) or objects
         of a scene; None removes an optional setting. `velocity` replaces `drop_height` and vice versa. A setting given
         here is no longer randomised.
+
+    Returns
+    -------
+    Scene
 
     Raises
     ------

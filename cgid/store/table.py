@@ -341,6 +341,10 @@ def parquet_library() -> tuple[Any, Any]:
 def read_table(path: str | Path) -> Table:
     """Return a table written by `cgid generate --features-only` or its siblings.
 
+    Returns
+    -------
+    Table
+
     Raises
     ------
     NoInput
@@ -373,7 +377,16 @@ def _damaged(path: str | Path, error: Exception) -> BadData:
 
 
 def is_table(path: str | Path) -> bool:
-    """Return whether a file has the header of a cgid table; False if it cannot be read."""
+    """Return whether a file has the header of a cgid table; False if it cannot be read.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    bool
+    """
     suffix = Path(path).suffix.lower()
     try:
         if suffix == ".parquet":

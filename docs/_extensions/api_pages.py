@@ -91,10 +91,16 @@ def names_of(module: str, names: tuple[str, ...] | None) -> list[str]:
 def write_pages(app: Sphinx, _: Any) -> None:
     """Write the pages, each only if it has changed, so that Sphinx does not read it again."""
     folder = Path(app.srcdir) / "reference" / "api"
+    taken: set[str] = set()
     for page, (title, modules) in PAGES.items():
         lines = [title, "=" * len(title), ""]
         for module, chosen in modules.items():
             names = names_of(module, chosen)
+            for name in sorted(names):  # classes first: to other file systems upper and lower case are one
+                full = f"{module}.{name}"
+                if full.lower() in taken:
+                    app.config.autosummary_filename_map[full] = f"{full}-function"
+                taken.add(full.lower())
             if names:
                 lines += [f"From ``{module}``:", ""]
                 lines += [".. autosummary::", "   :toctree: generated", "   :nosignatures:", ""]
