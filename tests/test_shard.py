@@ -57,9 +57,9 @@ STEPS = st.one_of(
 )
 
 
-@given(capacity=st.integers(0, 200), steps=st.lists(STEPS, max_size=30))
-def test_a_file_in_memory_is_a_file(capacity, steps):
-    ours, theirs = MemoryFile(capacity), io.BytesIO()
+@given(steps=st.lists(STEPS, max_size=30))
+def test_a_file_in_memory_is_a_file(steps):
+    ours, theirs = MemoryFile(), io.BytesIO()
     for name, *arguments in steps:
         if name == "read":
             buffers = bytearray(arguments[0]), bytearray(arguments[0])
@@ -74,7 +74,7 @@ def test_a_file_in_memory_is_a_file(capacity, steps):
             theirs.seek(place)
         else:
             assert getattr(ours, name)(*arguments) == getattr(theirs, name)(*arguments)
-        assert bytes(ours.content()) == theirs.getvalue()
+        assert ours.getvalue() == theirs.getvalue()
 
 
 # ---- the shard -------------------------------------------------------------------------------------------------------
@@ -247,12 +247,6 @@ def test_a_compression_that_is_not_installed(monkeypatch):
         with pytest.raises(MissingExtra, match=r"hdf5plugin.*cgid\[compression\]"):
             require(compression)
     require("gzip")
-
-
-def test_memory_that_was_taken_too_small_grows(monkeypatch):
-    expected = build(())
-    monkeypatch.setattr("cgid.store.hdf5.MemoryFile", lambda capacity: MemoryFile(capacity // 50))
-    assert build(()) == expected
 
 
 def test_too_few_and_too_many_signals():

@@ -14,73 +14,27 @@ from types import FrameType
 from typing import Any
 
 import h5py
-import numpy as np
 
 #: Oldest and newest version of the HDF5 file format that is written.
 VERSIONS = ("v110", "v110")
 
 
-class _RawFile(io.RawIOBase):
-    """A Python file that HDF5 writes to."""
-
-    def __init__(self) -> None:
-        self._size = self._position = 0
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Set the position."""
-        self._position = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._size}[whence]
-        return self._position
-
-
-class MemoryFile(_RawFile):
-    """A file in contiguous memory; unwritten bytes are zero.
+class MemoryFile(io.BytesIO):
+    """A file in memory that grows like one on a disk when it is truncated to a larger size.
 
     HDF5's own file in memory (driver `core`) copies its content to return it and to grow.
-    `capacity` is the likely size [bytes]; growing beyond it copies the content.
     """
 
-    def __init__(self, capacity: int) -> None:
-        super().__init__()
-        self._memory = np.zeros(max(capacity, 1), np.uint8)
-
-    def readinto(self, buffer: Any) -> int:
-        """Fill the buffer up to the end of the content."""
-        end = max(min(self._position + len(buffer), self._size), self._position)
-        count = end - self._position
-        buffer[:count] = self._memory[self._position : end].data
-        self._position = end
-        return count
-
-    def write(self, content: Any) -> int:
-        """Write bytes at the position."""
-        if not len(content):
-            return 0  # an empty write past the end does not extend the file
-        end = self._position + len(content)
-        self._require(end)
-        self._memory[self._position : end] = np.frombuffer(content, np.uint8)
-        self._position, self._size = end, max(self._size, end)
-        return len(content)
-
     def truncate(self, size: int | None = None) -> int:
-        """Set the size."""
-        size = self._position if size is None else size
-        self._require(size)
-        self._memory[size : self._size] = 0
-        self._size = size
-        return size
-
-    def content(self) -> memoryview:
-        """Return the content without a copy."""
-        return self._memory[: self._size].data
-
-    def _require(self, size: int) -> None:
-        if size > self._memory.size:
-            grown = np.zeros(max(size, self._memory.size * 5 // 4), np.uint8)
-            grown[: self._size] = self._memory[: self._size]
-            self._memory = grown
+        """Set the size; new bytes are zero."""
+        place, end = self.tell(), self.seek(0, io.SEEK_END)
+        size = place if size is None else size
+        super().write(bytes(max(size - end, 0)))
+        self.seek(place)
+        return super().truncate(size)
 
 
-class DiskFile(_RawFile):
+class DiskFile(io.RawIOBase):
     """A file on disk that never reports a failed write; opens the existing empty file `path`.
 
     HDF5 cannot handle a failed write: it keeps the unwritten data in its caches, and the interpreter crashes at exit.
@@ -92,7 +46,13 @@ class DiskFile(_RawFile):
         super().__init__()
         self._disk = path.open("rb+", buffering=0)
         self._kept: list[tuple[int, bytes]] = []
+        self._size = self._position = 0
         self.failure: BaseException | None = None
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Set the position."""
+        self._position = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._size}[whence]
+        return self._position
 
     def readinto(self, buffer: Any) -> int:
         """Fill the buffer up to the end of the content, including data that the disk did not take."""

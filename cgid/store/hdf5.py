@@ -38,8 +38,6 @@ from cgid.units import quantity_of
 #: Approximate size of a chunk of signals [bytes]; rows in a chunk of other columns; samples in a chunk of a recording.
 _CHUNK_BYTES, CHUNK_ROWS, _CHUNK_SAMPLES = 1 << 19, 4096, 1 << 16
 _CHECKSUM = np.dtype("<u4")
-#: Initial room for headers and indices in the memory of a shard [bytes].
-_MARGIN = 1 << 20
 
 
 # ---- what all files have in common -----------------------------------------------------------------------------------
@@ -230,8 +228,7 @@ class ShardBuilder:
         self._columns: list[Batch] = []
         row = plan.size(1)
         rows = _chunk_rows(plan, n_signals)
-        columns = plan.label_width + 8 * (1 + len(plan.parameter_units))
-        self._memory = MemoryFile(n_signals * row + rows * row + (n_signals + CHUNK_ROWS) * columns + _MARGIN)
+        self._memory = MemoryFile()
         self._file = h5py.File(self._memory, "w", libver=VERSIONS)
         # HDF5 writes to the memory on closing, which must not wait until the interpreter exits.
         self._close = weakref.finalize(self, self._file.close)
@@ -301,7 +298,7 @@ class ShardBuilder:
             # dataset is dropped, and another thread that inspects frames, such as a profiler, may delay that.
             dataset.flush()
         self._close()
-        return self._memory.content()
+        return self._memory.getbuffer()
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------
