@@ -9,7 +9,7 @@ elements over the contact radius unless a table says otherwise. Parts:
 
 * convergence: peaks, seconds and memory against elements;
 * methods: explicit and implicit steps on one mesh, time against error, undamped and damped;
-* peers: steps against a loop with scipy's product and another contact;
+* peers: assembly against scikit-fem (if installed), steps against a loop with scipy's product and another contact;
 * damping: Kelvin-Voigt spheres against Kuwabara-Kono and Hunt-Crossley;
 * low-pass: the force from the acceleration of the sphere's centre, after an FFT filter; the picture;
 * sizes: effect of the sphere's size, the plate's radius and thickness, and its support.
@@ -245,7 +245,7 @@ def _draw(top: Any, bottom: Any, sphere: int, speed: float, history: History) ->
 PARTS: dict[str, tuple[str, Callable[[Options], None]]] = {
     "convergence": ("Peaks, seconds and memory against elements over the contact radius", against_elements),
     "methods": ("Explicit beside implicit steps", methods),
-    "peers": ("Beside a loop with scipy's product", peers),
+    "peers": ("Beside scikit-fem's assembly and a loop with scipy's product", peers),
     "damping": ("Kelvin-Voigt spheres", damping),
     "low-pass": ("Force by the acceleration of the centre", low_pass),
     "sizes": ("Spheres and plates of other sizes", sizes),

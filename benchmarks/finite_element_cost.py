@@ -1,13 +1,19 @@
-"""The cost of a finite-element impact: seconds and memory, methods, a plain loop; a part of `finite_element.py`."""
+"""The cost of a finite-element impact: seconds and memory, other methods, other tools; a part of `finite_element.py`.
+
+scikit-fem is no dependency of cgid: `pip install scikit-fem` in the benchmark's environment.
+"""
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -17,9 +23,11 @@ import numpy as np
 from finite_element_cases import CORNERS, impact, peaks, percent, row, solved, table
 from scipy import sparse
 
-from cgid.finite_element import _stepping, steps
-from cgid.finite_element.assembly import Body
+from cgid.finite_element import _stepping, assembly, steps
+from cgid.finite_element.assembly import Body, body
+from cgid.finite_element.mesh import Mesh
 from cgid.finite_element.steps import stable_time_step
+from cgid.physics.materials import Material
 from cgid.validation import Floats
 
 #: Explicit runs with more steps than this are skipped in the comparison with implicit runs.
@@ -109,13 +117,7 @@ def product_time(spy: Spy) -> float:
     costs = []
     for matrix, state in spy.calls[:: max(1, len(spy.calls) // 8)]:
         times = max(20, 1_000_000 // len(matrix[2]))
-        arguments = (*matrix, state[0].copy(), np.empty(state[0].size), times)
-        rounds = []
-        for _ in range(4):  # the first compiles
-            start = time.process_time()
-            _products(*arguments)
-            rounds.append(time.process_time() - start)
-        costs.append(min(rounds) / times)
+        costs.append(timed(_products, *matrix, state[0].copy(), np.empty(state[0].size), times)[0] / times)
     return float(np.mean(costs))
 
 
@@ -124,6 +126,16 @@ def _products(starts, columns, blocks, x, out, times):  # type: ignore[no-untype
     for _ in range(times):
         _stepping._multiply(starts, columns, blocks, x, out)
         x[0] = 1e-300 * out[1]
+
+
+def timed(work: Callable[..., Any], *arguments: Any, rounds: int = 3) -> tuple[float, Any]:
+    """Return the least time of some rounds [s] and the result; with more than one round, the first compiles."""
+    times, result = [], None
+    for _ in range(rounds + (rounds > 1)):
+        start = time.process_time()
+        result = work(*arguments)
+        times.append(time.process_time() - start)
+    return min(times), result
 
 
 def methods(options: argparse.Namespace) -> None:
@@ -156,7 +168,8 @@ def methods(options: argparse.Namespace) -> None:
 
 
 def peers(options: argparse.Namespace) -> None:
-    """Print steps against a loop with scipy's product and another contact."""
+    """Print assembly against scikit-fem, and steps against scipy's product with another contact."""
+    _assembly(options)
     table("elements", "stepped by", "us a step", "in the product", "over ours", "peak force [N]", "restitution")
     for elements in options.elements:
         asked, spy = impact(1, 2.0, elements=elements, method="explicit"), Spy()
@@ -173,6 +186,73 @@ def peers(options: argparse.Namespace) -> None:
         cells = (f"{1e6 * each:.1f}", f"{1e6 * other.product / other.force.size:.1f}", f"{each / ours:.1f}")
         told = ("-", "-") if elements > 20 else (f"{other.force.max():.5g}", f"{other.restitution:.4f}")
         row(elements, "a loop with scipy's product", *cells, *told)
+
+
+def _assembly(options: argparse.Namespace) -> None:
+    ours = (assembly.body, assembly.element_matrices, assembly._elasticity)
+    lines = sum(statements(function) for function in ours)
+    print(f"\nStiffness and mass of a sphere: {lines} lines here, {statements(by_scikit_fem)} with scikit-fem.")
+    table("elements", "of them", "cgid [ms]", "scikit-fem [ms]", "stiffness apart, of the largest", "mass apart")
+    for elements in options.elements:
+        asked = impact(1, 2.0, elements=elements)
+        mesh, material = asked.pair.sphere.mesh, asked.sphere.material
+        volume = 4 / 3 * np.pi * float(asked.sphere.radius) ** 3
+        own, found = timed(partial(body, volume=volume), mesh, material)
+        try:
+            other, (stiffness, mass) = timed(by_scikit_fem, mesh, material)
+        except ImportError:
+            row(elements, len(mesh.elements), f"{1e3 * own:.1f}", "not installed", "-", "-")
+            continue
+        # cgid scales the masses to those of a ball without corners.
+        mass *= found.mass.sum() / mass.sum()
+        apart = (
+            abs(stiffness - found.stiffness).max() / abs(stiffness).max(),
+            _largest(mass - found.mass) / mass.max(),
+        )
+        row(
+            elements, len(mesh.elements), f"{1e3 * own:.1f}", f"{1e3 * other:.1f}", *(f"{error:.0e}" for error in apart)
+        )
+
+
+def _largest(values: Floats) -> float:
+    return float(np.abs(values).max())
+
+
+def statements(function: Callable[..., Any]) -> int:
+    """Return the number of lines of a function without docstring, comments and blank lines."""
+    text = inspect.getsource(function)
+    if function.__doc__:
+        text = text.replace(function.__doc__, "")
+    kept = (line.strip() for line in text.splitlines())
+    return sum(1 for line in kept if line and not line.startswith("#") and line != '""""""')
+
+
+# --- other tools: assembly by scikit-fem, steps by scipy's product with a sparse matrix ---
+
+
+def by_scikit_fem(mesh: Mesh, material: Material) -> tuple[Any, Floats]:
+    """Return stiffness (CSR) [N/m] and lumped mass [kg] of an axisymmetric body, by scikit-fem."""
+    from skfem import Basis, BilinearForm, ElementQuad1, ElementVector, MeshQuad
+    from skfem.helpers import ddot, dot, sym_grad, trace
+
+    @BilinearForm
+    def stiffness(u: Any, v: Any, w: Any) -> Any:
+        r = w.x[0]
+        hoop_u, hoop_v = u[0] / r, v[0] / r
+        dilation = (trace(sym_grad(u)) + hoop_u) * (trace(sym_grad(v)) + hoop_v)
+        return 2 * np.pi * r * (first * dilation + 2 * second * (ddot(sym_grad(u), sym_grad(v)) + hoop_u * hoop_v))
+
+    @BilinearForm
+    def mass(u: Any, v: Any, w: Any) -> Any:
+        return 2 * np.pi * w.x[0] * density * dot(u, v)
+
+    modulus, nu, density = (
+        float(np.asarray(value)) for value in (material.youngs_modulus, material.poisson_ratio, material.density)
+    )
+    first, second = modulus * nu / ((1 + nu) * (1 - 2 * nu)), modulus / (2 * (1 + nu))
+    quadrilaterals = MeshQuad(np.ascontiguousarray(mesh.nodes.T), np.ascontiguousarray(mesh.elements.T))
+    basis = Basis(quadrilaterals, ElementVector(ElementQuad1()), intorder=3)
+    return stiffness.assemble(basis), np.asarray(mass.assemble(basis).sum(axis=1)).ravel()
 
 
 @dataclass(frozen=True)

@@ -241,8 +241,8 @@ class Response:
         ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
         ... )
         >>> response = Response(sampling_rate=1e4, quantity="acceleration", modes=mode)
-        >>> complex(response.frequency_response([100.0], mode.participation())[0].round(9))
-        1j
+        >>> float(response.frequency_response([100.0], mode.participation())[0].imag.round(9))
+        1.0
         """
         rows = None if participation is None else np.atleast_2d(np.asarray(participation, np.float64))
         amplitude, direct = self.amplitudes(rows)
