@@ -151,10 +151,10 @@ class FullScale:
 
 
 def _text(given: Any) -> str:
-    """Return a short text without blanks around it, a number as a text of all its digits, "" for anything else."""
+    """Return a short text with single blanks, a number as a text of all its digits, "" for anything else."""
     if isinstance(given, Real) and not isinstance(given, bool):
         return repr(float(given)).removesuffix(".0")
-    return given.strip() if isinstance(given, str) and len(given) <= _LONGEST else ""
+    return " ".join(given.split()) if isinstance(given, str) and len(given) <= _LONGEST else ""
 
 
 Part = TypeVar("Part", Sensitivity, Gain, FullScale)
