@@ -73,7 +73,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
     given = {
         "path": path_from(folder, file),
         "channel": "+".join(reading.channel),
-        "gain": "-1" if reading.invert else "",
+        "invert": "yes" if reading.invert else "",
         "rate": "" if reading.sampling_rate is None else f"{reading.sampling_rate:.12g}",
         "unit": reading.unit or "",
         "variable": reading.variable or "",

@@ -27,7 +27,7 @@ from cgid.units import quantity_of
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
-    "variable",
+    *("variable", "invert"),
 )
 #: Columns of a CSV file that only inform the person who labels the rows.
 INFORMATIVE = ("time [s]", "peak", "peak_unit", "flags", "content", "note")
@@ -46,7 +46,7 @@ LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable")
+_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable", "invert")
 #: Most mistakes reported at once.
 _MOST_MISTAKES = 20
 
@@ -65,9 +65,10 @@ class Annotation:
     group : unit that splits keep together, such as a day or a support; default: the recording
     start, end : [s]; `end` is infinite for the end of the recording
     channels : numbers from 1, or names, of the channels of a row; None for all
-    gain : divisor of the samples; a negative one turns them over
+    gain : divisor of the samples
     sensor : sensor whose reference run equalises the response; empty for none
     reference : whether this is the reference run of the sensor
+    invert : whether the samples are turned over, because impacts must point upwards
     sampling_rate, unit, variable : for files without them, see `cgid.recordings.open_recording`
     """
 
@@ -81,6 +82,7 @@ class Annotation:
     gain: float = 1.0
     sensor: str = ""
     reference: bool = False
+    invert: bool = False
     sampling_rate: float | None = None
     unit: str | None = None
     variable: str | None = None
@@ -128,6 +130,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         gain=_gain(row.get("gain", 1.0)),
         sensor=sensor,
         reference=reference,
+        invert=_truth("invert", row.get("invert", False)),
         sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
         unit=unit,
         variable=None if variable is None else _word("variable", variable),
@@ -152,7 +155,7 @@ def _number(name: str, value: Any, what: str) -> float:
 
 
 def _positive(name: str, value: Any, unit: str = "") -> float:
-    number = _number(name, value, f" in {unit}" if unit else "")
+    number = _number(name, value, f" in {unit}" if unit else ", a factor or with dB behind it")
     if not 0 < number < math.inf:
         raise InvalidValue(f"{name} must be above 0 and finite, got {number:g} {unit}".rstrip())
     return number
@@ -161,8 +164,7 @@ def _positive(name: str, value: Any, unit: str = "") -> float:
 def _gain(value: Any) -> float:
     """Return a gain as a factor; a string may give it in dB."""
     if not isinstance(value, str) or not value.lower().endswith("db"):
-        number = _number("gain", value, ", a factor or with dB behind it")
-        return math.copysign(_positive("gain", abs(number)), number)
+        return _positive("gain", value)
     level = _number("gain", value[:-2], " in dB")
     if not abs(level) <= 400:
         raise InvalidValue(f"gain must lie between -400 and 400 dB, got {level:g} dB")
