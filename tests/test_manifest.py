@@ -112,11 +112,6 @@ def test_paths_are_those_from_the_folder_of_the_manifest(tmp_path: Path) -> None
         assert one.path == tmp_path / name
 
 
-def test_a_negative_gain_turns_a_recording_over(tmp_path: Path) -> None:
-    (one,) = read_manifest(written(tmp_path, "path,label,gain\na.wav,coal,-2\n")).annotations
-    assert one.gain == -2.0
-
-
 def test_subfolders_are_labels_and_theirs_are_groups(tmp_path: Path) -> None:
     for name in ("coal/1.wav", "coal/monday/2.wav", "gangue/monday/3.npy", ".git/4.wav", "gangue/notes.md"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -157,6 +152,7 @@ MISTAKES = {
     "reference neither yes nor no": ("path,label,reference\na,b,maybe\n", "reference must be yes or no"),
     "reference without a sensor": ("path,label,reference\na,,yes\n", "must name its sensor"),
     "reference with a label": ("path,label,sensor,reference\na,b,s,yes\n", "have no label"),
+    "invert neither yes nor no": ("path,label,invert\na,b,maybe\n", "invert must be yes or no"),
     "sensor without a reference": ("path,label,sensor\na,b,left\n", "sensor left must have a reference run"),
     "one sensor unsaid": ("path,label,sensor,reference\nr,,s,yes\na,b,s,no\nc,d,,no\n", "must have a sensor"),
     "half of the labels": ("path,label\na,\nb,coal\nc,\n", "2 of 3 have none (the first is row 2); fill in"),

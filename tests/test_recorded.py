@@ -390,7 +390,7 @@ def test_what_was_said_of_the_reading_is_in_the_table(blows: tuple[Path, dict[st
     name = str(folder / "0.npy")
     assert run(["events", name, "-o", str(table), *READ, "--channel", "2", "--invert"]) == 0
     (first, *_) = rows_in(table)
-    assert (first["channel"], first["gain"], float(first["rate"]), first["unit"]) == ("2", "-1", FAST, "g")
+    assert (first["channel"], first["invert"], float(first["rate"]), first["unit"]) == ("2", "yes", FAST, "g")
     labelled(table, {first["path"]: label_of["0.npy"]})
     rows = record(read_manifest(table))
     assert len(rows.labels) == 12

@@ -73,14 +73,11 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
     for warning in recording.warnings:
         say(f"cgid: warning: {warning}", err=True)
     chain = {name: ";".join(values) for name, values in reading.chain.items() if values}
-    if reading.invert:
-        if "=" in (gain := chain.get("gain", "1")):
-            raise InvalidValue("--invert must be left out with a gain for each channel, a table cannot hold both")
-        chain["gain"] = f"-{gain}"
     given = {
         **chain,
         "path": path_from(folder, file),
         "channel": "+".join(reading.channel),
+        "invert": "yes" if reading.invert else "",
         "rate": "" if reading.sampling_rate is None else f"{reading.sampling_rate:.12g}",
         "unit": reading.unit or "",
         "variable": reading.variable or "",

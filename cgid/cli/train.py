@@ -141,8 +141,8 @@ def train(
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
 
     A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, sensor,
-    reference, rate, unit, variable, sensitivity, gain, full_scale), or a .toml file with a [[recording]] for each
-    file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row for each impact,
+    reference, rate, unit, variable, sensitivity, gain, full_scale, invert), or a .toml file with a [[recording]] for
+    each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row for each impact,
     --template one with a row for each recording; fill in the labels. A group (a recording, a day, a support) is never
     on both sides of a split; each group in turn judges what was chosen and trained on the others. Scenes and datasets
     beside recordings are used for training, too, with their level and spectrum moved to those of the recordings.

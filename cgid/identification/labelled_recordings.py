@@ -76,8 +76,8 @@ class AnnotatedFile:
 
     @property
     def upright(self) -> float:
-        """1, or -1 if a negative gain turns the samples over."""
-        return -1.0 if (self.annotations[0].gain or 1.0) < 0 else 1.0
+        """1, or -1 if the samples are to be turned over."""
+        return -1.0 if self.annotations[0].invert else 1.0
 
     def blocks(self) -> Iterator[NDArray[Any]]:
         """Yield the samples; raise `BadData` at the end if an annotation starts behind it."""
@@ -142,7 +142,7 @@ def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotatio
     rate = file.recording.sampling_rate
     bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
     for k, own in groupby(_cut(file.blocks(), bounds), lambda part: part[0]):
-        scale = file.scale(file.annotations[k], unit)
+        scale = file.upright * file.scale(file.annotations[k], unit)
         yield file.annotations[k], (samples * scale for _, samples in own)
 
 
@@ -475,7 +475,7 @@ def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting
         for numbers, frames in frames_alike(own):
             some = [own[number] for number in numbers]
             features = extract_array(
-                frames * abs(file.scale(annotation, cutting.unit)),
+                frames * file.scale(annotation, cutting.unit),
                 file.recording.sampling_rate,
                 cutting.names,
                 pre_trigger=some[0].pre_trigger,

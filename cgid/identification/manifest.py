@@ -28,7 +28,7 @@ from cgid.units import quantity_of
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
-    *("variable", "sensitivity", "full_scale"),
+    *("variable", "sensitivity", "full_scale", "invert"),
 )
 #: Columns of a CSV file that only inform the person who labels the rows.
 INFORMATIVE = ("time [s]", "peak", "peak_unit", "flags", "content", "note")
@@ -47,7 +47,7 @@ LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = ("group", "channel", "gain", "sensor", "rate", "unit", "variable", "sensitivity", "full_scale")
+_SHARED = (*("group", "channel", "gain", "sensor", "rate", "unit", "variable", "sensitivity", "full_scale", "invert"),)
 #: Most mistakes reported at once.
 _MOST_MISTAKES = 20
 
@@ -66,10 +66,11 @@ class Annotation:
     group : unit that splits keep together, such as a day or a support; default: the recording
     start, end : [s]; `end` is infinite for the end of the recording
     channels : numbers from 1, or names, of the channels of a row; None for all
-    gain : divisor of the samples of the interval, a negative one turns them over; None if none is stated
+    gain : divisor of the samples of the interval, None if none is stated
     recording_gain : gain that differs between the channels, or is that of a charge amplifier; for the whole recording
     sensor : sensor whose reference run equalises the response; empty for none
     reference : whether this is the reference run of the sensor
+    invert : whether the samples are turned over, because impacts must point upwards
     sampling_rate, unit, variable, sensitivity, full_scale : for files without them, see
         `cgid.recordings.open_recording`
     """
@@ -85,6 +86,7 @@ class Annotation:
     recording_gain: tuple[str, ...] | None = None
     sensor: str = ""
     reference: bool = False
+    invert: bool = False
     sampling_rate: float | None = None
     unit: str | None = None
     variable: str | None = None
@@ -124,9 +126,6 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     if unit is not None:
         quantity_of(unit if isinstance(unit, str) else repr(unit))
     gain, sensitivity, full_scale = (_of_channels(row.get(name)) for name in ("gain", "sensitivity", "full_scale"))
-    sign = 1.0
-    if gain is not None and len(gain) == 1 and gain[0].startswith("-"):
-        sign, gain = -1.0, (gain[0][1:],)
     Chain.of(sensitivity, gain, full_scale)
     one_gain = Gain.of(gain[0]) if gain is not None and len(gain) == 1 and "=" not in gain[0] else None
     is_factor = one_gain is not None and not one_gain.is_of_charge
@@ -138,10 +137,11 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         start=start,
         end=end,
         channels=_channels(row.get("channel")),
-        gain=sign * one_gain.value if one_gain is not None and is_factor else -1.0 if sign < 0 else None,
+        gain=one_gain.value if one_gain is not None and is_factor else None,
         recording_gain=None if is_factor else gain,
         sensor=sensor,
         reference=reference,
+        invert=_truth("invert", row.get("invert", False)),
         sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
         unit=unit,
         variable=None if variable is None else _word("variable", variable),
