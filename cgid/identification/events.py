@@ -81,7 +81,8 @@ class Event:
     channel : where it was heard; of joint channels, the one with the strongest signal
     onset, end : index in the recording of its first sample, and of the first sample after it
     samples : the frame, (n_samples,) or (n_channels, n_samples); the baseline replaces the next impact, and fills the
-        frame after the end of the recording; a quiet part that is too short is extended by mirroring
+        frame after the end of the recording; a quiet part that is too short is extended by mirroring or, where the
+        recording begins there, by the quietest stretch of the frame
     pre_trigger : samples of the frame that are certainly before touch; None if it follows from the pulse itself
     overlapping : whether another impact begins before this one is over, or this one before the previous is over
     clipped : whether three samples in a row hold the highest or lowest value
