@@ -353,7 +353,7 @@ class Diagnosis:
         if cause == "vibration":
             return (
                 f"they swing below their baseline by {middle:.0%} of their peak, which no contact force does",
-                f"if it is an acceleration and its unit is wrong, {self._cure('--unit')}, else label impacts and train on them",
+                f"if it is an acceleration, {self._cure('--unit')}, else label impacts and train on them",
                 (*self._corrected("--unit", "m/s^2"), *self._training()),
             )
         reason = "they are clear, but unlike those of the training: another beam, mounting or sensor"
