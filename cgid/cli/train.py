@@ -258,7 +258,9 @@ def _content(file: Path, options: dict[str, Any]) -> tuple[str, int]:
     from cgid.recordings import open_recording
 
     try:
-        recording = open_recording(file, sampling_rate=options["sampling_rate"], unit=options["unit"])
+        recording = open_recording(
+            file, sampling_rate=options["sampling_rate"], unit=options["unit"], **options["chain"]
+        )
     except CgidError as error:
         say_error(error)
         return "cannot be read", error.exit_code

@@ -84,7 +84,8 @@ class Event:
         Index in the recording of its first sample, and of the first sample after it.
     samples : ndarray, (n_samples,) or (n_channels, n_samples)
         The frame; the baseline replaces the next impact, and fills the frame after the end
-        of the recording; a quiet part that is too short is extended by mirroring.
+        of the recording; a quiet part that is too short is extended by mirroring or, where the
+        recording begins there, by the quietest stretch of the frame.
     pre_trigger : int or None
         Samples of the frame that are certainly before touch; None if it follows from the pulse itself.
     overlapping : bool

@@ -338,7 +338,7 @@ class Diagnosis:
             units = ", ".join(_spellings(model.quantity))
             return (
                 f"they are {size} those of the training, otherwise like them",
-                f"check unit ({units}), gain and sensitivity, and {self._cure('--unit')}",
+                f"check gain, sensitivity and unit ({units}), and {self._cure('--unit')}",
                 self._corrected("--unit", "UNIT"),
             )
         if cause == "duration":
@@ -374,7 +374,7 @@ class Diagnosis:
 
     def _cure(self, flag: str) -> str:
         """Return how to correct what an option says: the option, or the file, which no option may contradict."""
-        return "give it" if flag in self._options else "correct it in the file"
+        return f"correct it with {flag}" if flag in self._options else "correct it in the file"
 
     def _corrected(self, flag: str, value: str) -> tuple[str, ...]:
         return (self._predict(flag, value),) if flag in self._options else ()
