@@ -164,6 +164,10 @@ def ordering(sensitivity: Mapping[str, ArrayLike]) -> tuple[str, ...]:
     sensitivity : mapping of str to scalar
         One response of a `Sensitivity` of a single impact.
 
+    Returns
+    -------
+    tuple of str
+
     Raises
     ------
     InvalidValue

@@ -82,6 +82,7 @@ class Plan:
 
     Attributes
     ----------
+    scene : Scene
     outputs : frozenset of str
         Requested outputs, out of `OUTPUTS`.
     features : tuple of str
