@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import doctest
 import importlib
+import inspect
 import io
 import os
 import re
@@ -300,6 +301,33 @@ def test_named_programs_exist() -> None:
     }
     assert len(named) > 30
     assert not [(page, name) for page, name in named if not (ROOT / name).exists()]
+
+
+def test_docstrings_of_the_reference_are_complete(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each documented function and class says what it takes or holds, and each function what it returns."""
+    pytest.importorskip("sphinx")
+    docscrape = pytest.importorskip("numpydoc.docscrape")
+    monkeypatch.syspath_prepend(str(DOCS / "_extensions"))
+    pages = importlib.import_module("api_pages")
+    problems = []
+    for _, modules in pages.PAGES.values():
+        for module, names in modules.items():
+            for name in pages.names_of(module, names):
+                found = getattr(importlib.import_module(module), name)
+                if not (inspect.isfunction(found) or (inspect.isclass(found) and not issubclass(found, Warning))):
+                    continue
+                text = docscrape.NumpyDocString(inspect.getdoc(found) or "")
+                entries = [*text["Parameters"], *text["Attributes"]]
+                told = {word.strip() for entry in entries for word in entry.name.split(",")}
+                signature = inspect.signature(found)
+                kinds = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+                asked = [one.name for one in signature.parameters.values() if one.kind not in kinds]
+                if name != "RecordingFile":  # users receive it from `open_recording`
+                    problems += [f"{module}.{name}: {one} is not described" for one in asked if one not in told]
+                returns = inspect.isfunction(found) and signature.return_annotation not in ("None", None)
+                if returns and not text["Returns"] and not text["Yields"]:
+                    problems.append(f"{module}.{name}: what it returns is not described")
+    assert not problems
 
 
 def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,6 +86,7 @@ class Event:
         The frame; the baseline replaces the next impact, and fills the frame after the end
         of the recording; a quiet part that is too short is extended by mirroring or, where the
         recording begins there, by the quietest stretch of the frame.
+    sampling_rate : float [Hz]
     pre_trigger : int or None
         Samples of the frame that are certainly before touch; None if it follows from the pulse itself.
     overlapping : bool
@@ -98,6 +99,10 @@ class Event:
         Why the impact cannot be measured, if the frame does not show it; else empty.
     detection_limit : float
         Least height of a pulse over the standard deviation of the noise, for measuring it.
+    unit : str or None
+        Unit of the samples.
+    source : str
+        Name of the recording.
     """
 
     channel: int

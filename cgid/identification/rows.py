@@ -70,17 +70,26 @@ class Rows:
         Features, measured on each of `n_channels` channels.
     features : ndarray, (n_rows, n_channels * n_names)
         Values, channel by channel.
+    labels : ndarray of str, (n_rows,)
     group : ndarray of int, (n_rows,)
         Unit that splits keep together: the specimen of a synthetic impact, or a number in `groups`; below 0 for
         synthetic rows among recorded ones, which never judge.
     source : ndarray of int, (n_rows,)
         Number in `sources` of the scene, dataset or annotated interval of each row.
+    sources, groups : tuple of str
+        Names that `source` and `group` count.
     digests : tuple of str
         SHA-256 of scenes, datasets or files.
+    known_names : tuple of str
+        Known quantities, from `cgid.signals.KNOWN`.
     known : ndarray, (n_rows, n_known)
-        Values of `known_names`, which are from `cgid.signals.KNOWN`.
+        Their values.
+    unit : str
+        Unit of the signals.
     sampling_rates : tuple of two floats [Hz]
         Lowest and highest.
+    n_channels : int
+        Channels of a row.
     slicing : Slicing or None
         How recordings are cut into windows; None for rows of scenes and datasets.
     time : ndarray, (n_rows,) [s]

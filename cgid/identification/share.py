@@ -62,6 +62,8 @@ class Share:
         Impacts that were identified.
     n_unknown : int
         Unmeasurable impacts or those outside of the training range, which do not count.
+    channel : str
+        Name of the channel.
     """
 
     time: float

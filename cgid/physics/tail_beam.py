@@ -35,6 +35,8 @@ class Ribs:
 
     Parameters
     ----------
+    number : int
+        Number of bars.
     depth : float [m]
         Depth perpendicular to the skin.
     thickness : float [m]
@@ -108,6 +110,8 @@ class TailBeam:
         All four edges simply supported or clamped, or one edge held, at x = 0.
     damping_ratio : float
         Damping ratio of every mode, above 0 and below 1.
+    ribs : Ribs, optional
+        Bars under the skin.
 
     Examples
     --------

@@ -101,6 +101,10 @@ def synthesise_given(
     dtype : {"float32", "float64"}
         Of the samples.
 
+    Yields
+    ------
+    Batch
+
     Raises
     ------
     InvalidValue
@@ -178,6 +182,7 @@ class SolvedImpacts:
     ----------
     pulses : SampledPulses
         Forces [N] and durations [s] of n spheres of 1 m.
+    labels : ndarray of str, (n,)
     columns : mapping of str to ndarray, (n,)
         `PARAMETERS` in SI units, with the restitution as solved, and `MAKING`: the requested restitution and the
         retardation time of the sphere's material [s].

@@ -82,6 +82,7 @@ class Plan:
 
     Attributes
     ----------
+    scene : Scene
     kind : str
         The requested output, out of `OUTPUTS`.
     features : tuple of str

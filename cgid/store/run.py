@@ -239,6 +239,10 @@ def check_output(output: str | Path, ours: re.Pattern[str], overwrite: bool = Fa
     overwrite : bool
         Whether an existing output is allowed.
 
+    Returns
+    -------
+    Path
+
     Raises
     ------
     CannotCreate

@@ -83,13 +83,31 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Table(Rows):
-    """A whole table, with its header."""
+    """A whole table, with its header.
+
+    Attributes
+    ----------
+    labels, specimen, columns
+        As in `Rows`.
+    header : TableHeader
+    """
 
     header: TableHeader
 
 
 def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
     """Return the output as a path if a table may be written there; run before any work is done.
+
+    Parameters
+    ----------
+    output : str or Path
+        Its ending sets the format.
+    overwrite : bool
+        Whether an existing file is allowed.
+
+    Returns
+    -------
+    Path
 
     Raises
     ------
@@ -150,6 +168,10 @@ def table_writer(
         Bytes of the longest label.
     overwrite : bool
         Whether to replace an existing file.
+
+    Yields
+    ------
+    TableWriter
 
     Raises
     ------
@@ -340,6 +362,10 @@ def parquet_library() -> tuple[Any, Any]:
 
 def read_table(path: str | Path) -> Table:
     """Return a table written by `cgid generate --features-only` or its siblings.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Returns
     -------

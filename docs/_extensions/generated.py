@@ -305,9 +305,9 @@ def formats() -> str:
     for entry in FORMATS:
         module, _, function = entry.reader.partition(":")
         reader = getattr(importlib.import_module(f"cgid.recordings.{module}"), function)
-        summary = (inspect.getdoc(reader) or "").split("\n\n")[0]
+        summary = (inspect.getdoc(reader) or "").split("\n\n")[0].replace("Return the", "The", 1)
         rows.append([entry.name, escaped(summary), "yes" if entry.takes_variable else "-"])
-    return table(("format", "how it is read", "`--variable`"), rows)
+    return table(("format", "what is read", "`--variable`"), rows)
 
 
 def sample_units() -> str:
