@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib  # an error may suggest a name: loaded here, so that no watched process imports it
 import io
 import json
 import os
@@ -230,6 +231,7 @@ def failed_by_hand(found: dict[str, Outcome]) -> dict[str, Outcome]:
 
 def _warm_up() -> None:
     """Load good and bad models, so that the watched processes import no module."""
+    difflib.get_close_matches("peak", ["peak_force"])
     for path in golden_files():
         _answered(path, None)
     for make in (HOSTILE["no JSON"], HOSTILE["feature that does not exist"], HOSTILE["family of another world"]):

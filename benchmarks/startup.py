@@ -44,7 +44,7 @@ USES = {
 
 def cpu_seconds(arguments: list[str]) -> float:
     """Return user and system time of one process."""
-    quiet = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
+    quiet = [(os.POSIX_SPAWN_OPEN, descriptor, os.devnull, os.O_WRONLY, 0) for descriptor in (1, 2)]
     pid = os.posix_spawn(sys.executable, [sys.executable, *arguments], os.environ, file_actions=quiet)
     _, status, usage = os.wait4(pid, 0)
     if status:
