@@ -44,6 +44,8 @@ default_role = "py:obj"
 autodoc_typehints = "none"  # the docstrings say types with shapes and units
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
+numpydoc_xref_param_type = True  # the classes of the API are links; api_pages.py lists them
+numpydoc_xref_ignore = "all"
 numpydoc_class_members_toctree = False
 
 sphinx_gallery_conf = {

@@ -6,11 +6,13 @@ there alone.
 
 from __future__ import annotations
 
+import inspect
 import re
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from numpydoc.xref import DEFAULT_LINKS
 from sphinx.application import Sphinx
 
 #: Page -> title, and modules with the names that users meet; None for all of `__all__`.
@@ -52,7 +54,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
         "Identifying and training: cgid.identification",
         {
             "cgid.identification.question": ("Question",),
-            "cgid.identification.answers": ("Answer", "identify", "identify_frames"),
+            "cgid.identification.answers": ("Answer", "identify", "identify_frames", "suited"),
             "cgid.identification.share": ("CavingWatch", "Share", "ShareWindow", "wilson_interval"),
             "cgid.identification.rows": ("Rows", "measure"),
             "cgid.identification.training": ("Training", "train"),
@@ -101,6 +103,8 @@ def write_pages(app: Sphinx, _: Any) -> None:
                 if full.lower() in taken:
                     app.config.autosummary_filename_map[full] = f"{full}-function"
                 taken.add(full.lower())
+                if inspect.isclass(getattr(import_module(module), name)):
+                    app.config.numpydoc_xref_aliases[name] = full
             if names:
                 lines += [f"From ``{module}``:", ""]
                 lines += [".. autosummary::", "   :toctree: generated", "   :nosignatures:", ""]
@@ -117,6 +121,7 @@ def inherited(app: Sphinx, what: str, name: str, *_: Any) -> bool | None:
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Write the pages before Sphinx looks for sources."""
-    app.connect("config-inited", write_pages)
+    DEFAULT_LINKS.clear()  # words such as array_like would link to numpy's and Python's pages, which no build fetches
+    app.connect("config-inited", write_pages, priority=100)  # before numpydoc reads the aliases
     app.connect("autodoc-skip-member", inherited)
     return {"version": "1", "parallel_read_safe": True}
