@@ -140,21 +140,17 @@ class Walk:
         return [out.getvalue()]
 
     def shell(self, text: str, code: int) -> list[str]:
-        """Run commands; return what the terminal shows, and the standard output alone."""
+        """Run commands; return what the terminal shows, both streams in the order of their lines."""
         script = "\n".join(filter(None, map(without_setup, joined(text))))
         if not script:
             return []
-        both, out = self.folder / ".shown", self.folder / ".out"
-        # tee keeps the order of the two streams, and a copy of the first.
-        with both.open("wb") as shown:
-            done = subprocess.run(
-                ["bash", "-c", f"set -e -o pipefail; {{ {script}\n}} | tee {out}"],
-                cwd=self.folder, env=self.environment, stdin=subprocess.DEVNULL, stdout=shown,
-                stderr=subprocess.STDOUT, timeout=1200, check=False,
-            )  # fmt: skip
-        printed = both.read_text(encoding="utf-8")
-        assert done.returncode == code, f"{script}\nended with exit code {done.returncode}, not {code}:\n{printed}"
-        return [printed, out.read_text(encoding="utf-8")]
+        done = subprocess.run(
+            ["bash", "-c", f"set -e -o pipefail\n{script}"],
+            cwd=self.folder, env=self.environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, encoding="utf-8", timeout=1200, check=False,
+        )  # fmt: skip
+        assert done.returncode == code, f"{script}\nended with exit code {done.returncode}, not {code}:\n{done.stdout}"
+        return [done.stdout]
 
     def session(self, block: Block) -> str:
         """Run a session of `>>> ` lines as a doctest."""
@@ -294,11 +290,8 @@ class Loaded(HTMLParser):
 
 
 def test_named_programs_exist() -> None:
-    named = {
-        (page.name, name)
-        for page in PAGES
-        for name in re.findall(r"\b(?:benchmarks|datasets|models|tests)/\w+\.\w+\b", page.read_text(encoding="utf-8"))
-    }
+    program = re.compile(r"(?<![\w/])(?:benchmarks|datasets|models|tests)/\w+\.\w+\b")
+    named = {(page.name, name) for page in PAGES for name in program.findall(page.read_text(encoding="utf-8"))}
     assert len(named) > 30
     assert not [(page, name) for page, name in named if not (ROOT / name).exists()]
 

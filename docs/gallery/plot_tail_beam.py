@@ -10,9 +10,11 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from cgid import load_scene, shipped, synthesise
+from cgid.scene import varied
 
 scene = load_scene(shipped.scene_path("tail_beam"))
-(force,) = synthesise(scene, 1, seed=4, outputs=["pulses"])
+exact = {"quantity": "force", "mounting": None, "anti_alias": None, "noise_density": None, "range": None, "bits": None}
+(force,) = synthesise(varied(scene, **exact), 1, seed=4)
 (heard,) = synthesise(scene, 1, seed=4)
 
 figure, axes = plt.subplots(2, 1, figsize=(9, 5.5), layout="constrained")
