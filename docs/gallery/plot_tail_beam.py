@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from cgid import load_scene, shipped, synthesise
 
 scene = load_scene(shipped.scene_path("tail_beam"))
-(force,) = synthesise(scene, 1, seed=4, outputs=["pulses"])
+(force,) = synthesise(scene, 1, seed=4, output=["pulses"])
 (heard,) = synthesise(scene, 1, seed=4)
 
 figure, axes = plt.subplots(2, 1, figsize=(9, 5.5), layout="constrained")
