@@ -64,8 +64,8 @@ def flags(name: str) -> Column:
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options for the file that holds the table."""
     ends = ", ".join(ENDINGS[:-1])
-    told = f"Write the table to this file ({ends}) instead of stdout, which is -."
-    command = click.option("--overwrite", is_flag=True, help="Replace old files.")(command)
+    told = f"Write the table to this file ({ends}) instead of stdout (-)."
+    command = click.option("--overwrite", is_flag=True, help="Replace an existing file.")(command)
     return click.option("-o", "--output", type=PATH, metavar="FILE", help=told)(command)
 
 
