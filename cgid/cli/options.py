@@ -111,8 +111,8 @@ def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--sensitivity",
             multiple=True,
             metavar="[NAME=]VALUE",
-            help="Give the sensitivity of a sensor that records volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; for one channel "
-            "as 2=VALUE.",
+            help="Give the sensitivity of a sensor whose samples are in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
+            "for one channel as 2=VALUE.",
         ),
         click.option(
             "--gain",
@@ -313,7 +313,7 @@ answering_options = _options(
         "--gangue",
         multiple=True,
         metavar="LABEL",
-        help="Count this label as gangue; give the option again for more labels.",
+        help="Count this label as gangue, or several, one an option.",
     ),
     click.option(
         "--dilution-cost",

@@ -58,7 +58,7 @@ _OF_DATASETS = {
     "--template",
     type=PATH,
     metavar="FILE.csv",
-    help="Write a manifest of the recordings for you to fill in, instead of a model.",
+    help="Write a manifest of the recordings, for you to fill in.",
 )
 @click.option(
     "--family",
@@ -193,7 +193,7 @@ def _recorded(item: str) -> bool:
     """Return whether an argument names recordings: a manifest, a folder of recordings, or one without labels."""
     from cgid.identification.manifest import ENDINGS, is_manifest
     from cgid.recordings import is_dataset
-    from cgid.store.description import JOURNAL, MANIFEST
+    from cgid.store.description import is_dataset_folder
 
     path = Path(item)
     try:
@@ -201,8 +201,7 @@ def _recorded(item: str) -> bool:
     except (OSError, ValueError):
         return path.suffix.lower() == ".csv"
     if path.is_dir():
-        marks = (path / MANIFEST, path / JOURNAL, *path.glob("shard-*.h5"))
-        return not any(mark.exists() for mark in marks)
+        return not is_dataset_folder(path)
     return is_manifest(item) or (path.suffix.lower() in ENDINGS and not is_dataset(item))
 
 

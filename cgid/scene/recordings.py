@@ -78,7 +78,8 @@ def _cure(duration: float, excess: float, otherwise: str) -> str:
     count = int(np.ceil(excess * 1.02))
     if count > MOST_RECORDINGS or duration / count < SHORTEST_RECORDING:
         return otherwise
-    return f"make {counted(count, 'recording')} (-n {count}) with a duration of {duration / count:.3g} s each, or {otherwise}"
+    made = counted(count, "recording")
+    return f"make {made} (-n {count}) with a duration of {duration / count:.3g} s each, or {otherwise}"
 
 
 def generate_recordings(
