@@ -100,6 +100,9 @@ def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
     assert (ours[0].start, ours[0].end, ours[0].gain, ours[0].sampling_rate) == (0.5, 1.25, 0.5, 25600.5)
     saved = text.replace(",", ";").replace("0.5", "0,5").replace("1.25", "1,25").replace("25600.5", "25600,5")
     assert read_manifest(written(tmp_path, saved, encoding="utf-8-sig")).annotations == ours
+    volts = 'path;label;sensitivity;gain;full_scale\na.wav;coal;"1=10,2 mV/g;2=2,3 mV/N";1,5;2,5 V\n'
+    (one,) = read_manifest(written(tmp_path, volts)).annotations
+    assert (one.sensitivity, one.gain, one.full_scale) == (("1=10.2 mV/g", "2=2.3 mV/N"), 1.5, ("2.5 V",))
     with pytest.raises(BadData, match="start must be a number in s, got '0,5'"):
         read_manifest(written(tmp_path, 'path,label,start\na.wav,coal,"0,5"\n'))
 

@@ -224,6 +224,38 @@ def test_a_file_holds_what_is_printed(
         assert read(path)["source"].str.endswith(r"caf\udce9 é.npy").all()
 
 
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize(("command", "kind"), [("predict", "answers"), ("features", "features")])
+def test_a_table_is_known_again(
+    command: str, kind: str, ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"rows{ending}"
+    assert run([command, SAMPLE, "-o", str(path)]) == 0
+    columns = list(read(path).columns)
+    capsys.readouterr()
+    assert run(["info", str(path), "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert (about["kind"], about["rows"]) == (f"table of {kind}", 6)
+    assert sorted(name.partition(" [")[0] for name in about["columns"]) == sorted(n.partition(" [")[0] for n in columns)
+    assert run(["verify", str(path)]) == 0
+    out, err = capsys.readouterr()
+    state = "whole" if ending in (".parquet", ".h5", ".hdf5") else "no checksum, readable"
+    assert (out, err) == (f"{path}: table of {kind} of 1 file, {state}: 6 rows of {len(columns)} columns\n", "")
+    # Broken off in a row, or a flipped bit where there are sums.
+    content = bytearray(path.read_bytes())
+    if ending in (".csv", ".jsonl"):
+        content = content[: -len(content.splitlines()[-1]) // 2]
+    elif ending == ".parquet":
+        content[200] ^= 1
+    else:
+        with h5py.File(path) as file:
+            content[file["columns/time"].id.get_chunk_info(0).byte_offset] ^= 1
+    path.write_bytes(content)
+    for again in ("verify", "info"):
+        assert run([again, str(path)]) == 65
+    assert capsys.readouterr().out.startswith(f"{path}: table of 1 file, damaged")
+
+
 def test_a_file_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bad.csv").write_text("")
     path = tmp_path / "rows.csv"

@@ -33,7 +33,7 @@ COLUMNS = (
 #: Columns of a CSV file that only inform the person who labels the rows.
 INFORMATIVE = ("time [s]", "peak", "peak_unit", "flags", "content", "note")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
-_NUMBERS = ("start", "end", "gain", "rate")
+_NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 #: Manifests that a folder may hold, and endings of the recordings in it.
 _NAMES = ("manifest.csv", "events.csv", "manifest.toml")
 ENDINGS = (
@@ -341,9 +341,19 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
             raise BadData(f"{path}: row {number}: must have {len(names)} cells as the header, got {len(cells)}")
         row = {name: cell for name, cell in zip(names, cells, strict=False) if cell and name not in INFORMATIVE}
         if separator != ",":
-            row |= {name: row[name].replace(",", ".") for name in _NUMBERS if name in row}
+            row |= {name: _with_points(row[name]) for name in _NUMBERS if name in row}
         rows.append((f"row {number}", row))
     return rows, None
+
+
+def _with_points(cell: str) -> str:
+    """Return a cell with decimal points for its commas; the name of a channel, as in NAME=VALUE, keeps them.
+
+    >>> _with_points("a,b=10,2 mV/g;2=3,1 mV/N")
+    'a,b=10.2 mV/g;2=3.1 mV/N'
+    """
+    parts = (part.rpartition("=") for part in cell.split(";"))
+    return ";".join(f"{name}{equals}{value.replace(',', '.')}" for name, equals, value in parts)
 
 
 def _toml(path: Path) -> dict[str, Any]:

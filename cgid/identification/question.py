@@ -137,8 +137,9 @@ class Question:
         if not self.sensors:
             return [None] * len(channels)
         if len(self.sensors) not in (1, len(channels)):
+            rule = f"given once, or once for each of the {len(channels)} channels" if len(channels) > 1 else "one"
             raise InvalidValue(
-                f"sensor must be one for all {len(channels)} channels or one for each, got {len(self.sensors)}"
+                f"sensor must be {rule}, got {len(self.sensors)} ({', '.join(self.sensors)}); leave some out"
             )
         for sensor in self.sensors:
             model.equalisation(sensor)
@@ -206,7 +207,5 @@ def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike
         )
     heights: NDArray[np.float64] = validation.positive("drop_height", drop_height, KNOWN["drop_height"])
     if heights.shape not in ((), (n_impacts,)):
-        raise InvalidValue(
-            f"drop_height must be one number or one for each of {n_impacts} impacts, got {heights.shape}"
-        )
+        raise InvalidValue(f"drop_height must be one number or one for each impact ({n_impacts}), got {heights.shape}")
     return np.broadcast_to(heights, (n_impacts,))[:, None]
