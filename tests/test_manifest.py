@@ -109,7 +109,7 @@ def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
 
 def test_paths_are_those_from_the_folder_of_the_manifest(tmp_path: Path) -> None:
     assert path_from(tmp_path / "tables", tmp_path / "day" / "a.wav") == "../day/a.wav"
-    for name in ("#1.wav", "a b.wav", "a,b;c.wav"):
+    for name in ("#1.wav", " #1.wav", "a b.wav", "a,b;c.wav", "a\u2028b.wav", "a\nb.wav"):
         text = manifest_text([{"path": path_from(tmp_path, tmp_path / name), "label": "coal"}])
         (one,) = read_manifest(written(tmp_path, text)).annotations
         assert one.path == tmp_path / name
@@ -162,6 +162,9 @@ MISTAKES = {
     "overlapping intervals": ("path,label,start,end\na,b,0,2\na,c,1,3\n", "must not overlap, b and c do at 1 s"),
     "recording twice": ("path,label\na,b\na,c\n", "must not overlap"),
     "recording in two groups": ("path,label,start,end,group\na,b,0,1,x\na,c,1,2,y\n", "must lie in one group"),
+    "rate of one row": ("path,label,start,end,rate\na,b,0,1,8e3\na,c,1,2,\n", "must have one rate, got 8000.0 and none"),
+    "invert of one row": ("path,label,start,end,invert\na,b,0,1,\na,c,1,2,yes\n", "one invert, got no and yes"),
+    "unit of one row": ("path,label,start,end,unit\na,b,0,1,\na,c,1,2,g\n", "one unit, got none and g"),
     "path with a zero byte": ("path,label\na\0b,c\n", "path must be the name of a file"),
 }
 TOML_MISTAKES = {

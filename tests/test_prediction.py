@@ -123,6 +123,13 @@ def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
         ((sample(), 2e5, "N", "default-drop-height"), {}, MissingOption, "drop_height"),
         ((np.zeros(100), 2e5), {"masss": 2.0}, InvalidValue, "did you mean 'mass'"),
         ((np.zeros(100), 2e5), {"costs": {"gange": 2.0}}, InvalidValue, "did you mean 'gangue'"),
+        ((np.zeros(100), 2e5), {"costs": 3.0}, InvalidValue, "costs must be a Mapping, got 3.0"),
+        ((np.zeros(100), 2e5), {"coverage": "0.9"}, InvalidValue, "coverage must be a real number"),
+        ((np.zeros(100), 2e5), {"invert": "no"}, InvalidValue, "invert must be a bool"),
+        ((np.zeros(100), 2e5), {"sensors": "left"}, InvalidValue, "sensors must be a tuple of names"),
+        ((np.zeros(100), 2e5, ["N"]), {}, InvalidValue, r"unit must be one of the known ones, got \['N'\]"),
+        ((np.zeros(100), 2e5, "N", 5), {}, InvalidValue, "model must be a str or Path, got 5"),
+        (([[1.0, 2.0], [3.0]], 2e5), {}, InvalidValue, "samples must be a real number or an array of them"),
     ],
 )
 def test_what_is_refused(given: tuple, settings: dict, error: type[Exception], says: str) -> None:

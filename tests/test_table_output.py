@@ -166,15 +166,18 @@ def test_the_list_of_features_is_a_table() -> None:
 
 
 def test_names_are_quoted_and_cannot_command_the_terminal(tmp_path: Path) -> None:
-    strange = tmp_path / 'a, "b"\nc.npy'
-    np.save(strange, stream(["coal", "gangue"], 0.02))
-    for command in ("predict", "features"):
-        table, _ = printed(command, str(strange), *RAW)
-        assert table["source"].tolist() == [str(strange)] * 2
+    for name in ('a, "b"\nc.npy', "a\nb.npy"):
+        strange = tmp_path / name
+        np.save(strange, stream(["coal", "gangue"], 0.02))
+        for command in ("predict", "features"):
+            table, _ = printed(command, str(strange), *RAW)
+            assert table["source"].tolist() == [str(strange)] * 2
     evil = tmp_path / "a\x1b[2J\rb.npy"
     strange.rename(evil)
     table, _ = printed("predict", str(evil), *RAW)
     assert set(table["source"]) == {str(evil).replace("\x1b", r"\x1b").replace("\r", r"\r")}
+    assert run(["predict", str(evil), *RAW, "-o", str(tmp_path / "rows.csv")]) == 0
+    assert set(pandas.read_csv(tmp_path / "rows.csv")["source"]) == {str(evil)}
 
 
 # -- files -------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
         return code
     text = manifest_text(rows)
     if path is None:
-        for line in text.splitlines():
+        for line in text.removesuffix("\n").split("\n"):
             say(line)
         return code
     # A byte order mark makes a spreadsheet read other letters right.

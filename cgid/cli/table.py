@@ -138,9 +138,8 @@ class TableOutput:
         stream = self._files.enter_context(file.open("w", encoding="utf-8", newline=""))
         if suffix == ".jsonl":
             return lambda row: stream.write(json.dumps(finite(dict(zip(titles, row, strict=True)))) + "\n")
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(titles)
-        return lambda row: writer.writerow(self._texts(row))
+        stream.write(_line(titles) + "\n")
+        return lambda row: stream.write(_line(self._texts(row)) + "\n")
 
     def _texts(self, row: list[Any]) -> list[str]:
         return [column.cell(value) for column, value in zip(self.columns, row, strict=True)]
@@ -230,10 +229,15 @@ def _damaged(file: Path, fault: str) -> BadData:
 
 def _say_row(texts: list[str]) -> None:
     """Print one row of CSV; a quoted line break stays one, all else that controls a terminal is escaped."""
-    line = io.StringIO()
-    csv.writer(line, lineterminator="").writerow(texts)
-    for part in line.getvalue().split("\n"):
+    for part in _line(texts).split("\n"):
         say(part)
+
+
+def _line(texts: list[str]) -> str:
+    """Return a row of CSV without its end; the writer quotes only those line breaks that end its own lines."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\r\n").writerow(texts)
+    return line.getvalue().removesuffix("\r\n")
 
 
 def _plain(value: Any) -> Any:
