@@ -51,7 +51,8 @@ _SHARED = (*("group", "channel", "gain", "sensor", "rate", "unit", "variable", "
 #: Columns that hold for a recording as a whole, and where annotations hold them.
 _OF_RECORDINGS = {
     **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "invert")},
-    **{"gain": "recording_gain", "rate": "sampling_rate"},
+    "gain": "recording_gain",
+    "rate": "sampling_rate",
 }
 #: Most mistakes reported at once.
 _MOST_MISTAKES = 20
@@ -158,7 +159,9 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
 def _word(name: str, value: Any) -> str:
     text = str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else None
     if text is None or len(text) > _LONGEST_WORD or not (text.isprintable()):
-        raise InvalidValue(f"{name} must be a word of at most {_LONGEST_WORD} characters, got {validation.shown(value)}")
+        raise InvalidValue(
+            f"{name} must be a word of at most {_LONGEST_WORD} characters, got {validation.shown(value)}"
+        )
     return text
 
 
@@ -203,7 +206,9 @@ def _channels(value: Any) -> tuple[int | str, ...] | None:
     good = all(isinstance(one, int | str) and not isinstance(one, bool) and str(one).strip() for one in listed)
     channels = tuple(one.strip() if isinstance(one, str) else one for one in listed) if good else ()
     if not channels or len({str(one) for one in channels}) != len(channels):
-        raise InvalidValue(f"channel must be a name or a number from 1, or different ones (1+2), got {validation.shown(value)}")
+        raise InvalidValue(
+            f"channel must be a name or a number from 1, or different ones (1+2), got {validation.shown(value)}"
+        )
     return channels
 
 
@@ -390,7 +395,9 @@ def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
     _check_names(list(content), (*_SHARED, "labels", "recording"), f"{path}: keys")
     labels = content.get("labels")
     if labels is not None and not (isinstance(labels, list) and all(isinstance(one, str) for one in labels)):
-        raise BadData(f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {validation.shown(labels)}')
+        raise BadData(
+            f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {validation.shown(labels)}'
+        )
     shared = {name: content[name] for name in _SHARED if name in content}
     rows: list[Row] = []
     for number, recording in enumerate(recordings, 1):
@@ -398,7 +405,10 @@ def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         _check_names(list(recording), (*COLUMNS, "intervals"), f"{path}: {where}: keys", required="path")
         intervals = recording.pop("intervals", [{}])
         if not isinstance(intervals, list) or not all(isinstance(one, dict) for one in intervals):
-            raise BadData(f"{path}: {where}: intervals must be a list of {{ start, end, label }}, got {validation.shown(intervals)}")
+            raise BadData(
+                f"{path}: {where}: intervals must be a list of {{ start, end, label }}, "
+                f"got {validation.shown(intervals)}"
+            )
         for interval in intervals:
             _check_names(list(interval), ("start", "end", "label"), f"{path}: {where}: keys of an interval")
             rows.append((where, {**shared, **recording, **interval}))
