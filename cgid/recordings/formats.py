@@ -296,7 +296,7 @@ def read_recording(
 
     Parameters
     ----------
-    path, sampling_rate, unit, channel, variable
+    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale
         As in `open_recording`.
 
     Returns
