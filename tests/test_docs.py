@@ -294,11 +294,8 @@ class Loaded(HTMLParser):
 
 
 def test_named_programs_exist() -> None:
-    named = {
-        (page.name, name)
-        for page in PAGES
-        for name in re.findall(r"(?<!docs/)\b(?:benchmarks|datasets|models|tests)/\w+\.\w+\b", page.read_text(encoding="utf-8"))
-    }
+    program = re.compile(r"(?<!docs/)\b(?:benchmarks|datasets|models|tests)/\w+\.\w+\b")
+    named = {(page.name, name) for page in PAGES for name in program.findall(page.read_text(encoding="utf-8"))}
     assert len(named) > 30
     assert not [(page, name) for page, name in named if not (ROOT / name).exists()]
 
