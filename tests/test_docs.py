@@ -140,12 +140,12 @@ class Walk:
         return [out.getvalue()]
 
     def shell(self, text: str, code: int) -> list[str]:
-        """Run commands; return what the terminal shows, and the standard output alone."""
+        """Run commands; return what the terminal shows, the standard output alone, and that before all else."""
         script = "\n".join(filter(None, map(without_setup, joined(text))))
         if not script:
             return []
         both, out = self.folder / ".shown", self.folder / ".out"
-        # tee keeps the order of the two streams, and a copy of the first.
+        # tee makes a copy of the standard output, and may be later than what else is shown.
         with both.open("wb") as shown:
             done = subprocess.run(
                 ["bash", "-c", f"set -e -o pipefail; {{ {script}\n}} | tee {out}"],
@@ -154,7 +154,11 @@ class Walk:
             )  # fmt: skip
         printed = both.read_text(encoding="utf-8")
         assert done.returncode == code, f"{script}\nended with exit code {done.returncode}, not {code}:\n{printed}"
-        return [printed, out.read_text(encoding="utf-8")]
+        first, rest = out.read_text(encoding="utf-8"), printed.splitlines()
+        for line in first.splitlines():
+            if line in rest:
+                rest.remove(line)
+        return [printed, first, "\n".join([*first.splitlines(), *rest, ""])]
 
     def session(self, block: Block) -> str:
         """Run a session of `>>> ` lines as a doctest."""
