@@ -220,6 +220,12 @@ def test_predict_closes_with_the_next_commands(tmp_path: Path, capsys: pytest.Ca
     last = capsys.readouterr().err.splitlines()[-1]
     assert "--rate 25600 --unit 'm/s^2' -o events.csv" in last
     assert last.endswith("--rate 25600 --unit 'm/s^2' --model mine.npz")
+    # Volts are read alike by all of them.
+    chain = ["--unit", "mV", "--sensitivity", "1=2 mV/(m/s^2)", "--gain", "2"]
+    assert run(["predict", str(path), *chain]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert f"cgid events {name} {shlex.join(chain)} -o events.csv" in last
+    assert last.endswith(f"{shlex.join(chain)} --model mine.npz")
     assert run(["predict", "--sample", "--json"]) == 0
     assert '"kind": "hint"' not in capsys.readouterr().out
 

@@ -98,13 +98,16 @@ def require_one_crew(context: click.Context) -> None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
+#: The options for the measuring chain.
+_CHAIN = ("sensitivity", "gain", "full_scale")
+
+
 def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options for the measuring chain; the command receives them as `chain`, arguments of `open_recording`."""
-    names = ("sensitivity", "gain", "full_scale")
 
     @wraps(command)
     def chained(**options: Any) -> Any:
-        return command(chain={name: options.pop(name) or None for name in names}, **options)
+        return command(chain={name: options.pop(name) or None for name in _CHAIN}, **options)
 
     add = _options(
         click.option(
@@ -357,7 +360,7 @@ _OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
 def given_options() -> tuple[list[str], list[str]]:
     """Return the options of the current command line: those for reading a recording, and those for answering."""
     context = click.get_current_context()
-    reading = {field.name for field in fields(Reading)}
+    reading = {*_CHAIN, *(field.name for field in fields(Reading))}
     found: tuple[list[str], list[str]] = ([], [])
     for option in context.command.params:
         name = option.name or ""
