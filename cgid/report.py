@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -314,13 +315,14 @@ def _table(report: Report) -> Iterator[str]:
     answers = report.answers[:MOST_ROWS]
     has_ends = any(answer.end == answer.end for answer in answers)
     has_sets = any(answer.prediction_set is not None for answer in answers)
+    labels = list(dict.fromkeys(label for answer in answers for label in answer.probabilities))
     kinds = (
         ("number", "number", True),
         ("time [s]", "number", True),
         ("channel", "", len({answer.channel for answer in answers}) > 1),
         ("length [ms]", "number", has_ends),
         ("label", "", True),
-        ("probability", "number", True),
+        *((f"p({label})", "number", True) for label in labels),
         ("cannot be ruled out", "long", has_sets),
         ("novelty", "number", True),
         ("range", "", True),
@@ -336,7 +338,7 @@ def _table(report: Report) -> Iterator[str]:
     yield "</tr></thead><tbody>"
     swatches = {label: _swatch(colour) for label, colour in colours_of(report.labels).items()}
     for number, answer in enumerate(answers, start=1):
-        cells = _cells(number, answer)
+        cells = _cells(number, answer, labels)
         yield "<tr>" + "".join(_cell(name, kind, cells[name], swatches) for name, kind in columns.items()) + "</tr>"
     yield "</tbody></table></div></div>"
 
@@ -353,7 +355,7 @@ def _choices(answers: Sequence[Answer], columns: Sequence[str]) -> Iterator[str]
     yield '<output class="faint"></output></p>'
 
 
-def _cells(number: int, answer: Answer) -> dict[str, str]:
+def _cells(number: int, answer: Answer, labels: Sequence[str]) -> dict[str, str]:
     marks = [name for name in ("overlapping", "clipped", "cut") if getattr(answer, name)]
     return {
         "number": str(number),
@@ -361,7 +363,7 @@ def _cells(number: int, answer: Answer) -> dict[str, str]:
         "length [ms]": _number(1e3 * (answer.end - answer.time), ".3g"),
         "channel": answer.channel,
         "label": answer.label,
-        "probability": _number(answer.probability, ".3f"),
+        **{f"p({label})": _number(answer.probabilities.get(label, math.nan), ".3f") for label in labels},
         "cannot be ruled out": ", ".join(answer.prediction_set or ()),
         "novelty": _number(answer.novelty, ".3g"),
         "range": "in" if answer.in_training_range else "out",

@@ -70,6 +70,9 @@ def scene_descriptions() -> dict[str, str]:
 def _chosen(
     given: str | Path, kind: Literal["datasets", "models"], names: tuple[str, ...], ending: str, what: str, cure: str
 ) -> Path:
+    from cgid import validation
+
+    validation.instance(what, given, str, Path)
     if given in names:
         return path_of(kind, f"{given}{ending}")
     path = Path(given)
@@ -79,7 +82,6 @@ def _chosen(
         there = [str(path.with_name(one.name)) for one in islice(path.parent.iterdir(), _MOST_FILES)]
     except (OSError, ValueError):  # whoever opens it says what is wrong
         return path
-    from cgid.validation import suggestion
-
-    hint = suggestion(path.stem, names) or suggestion(str(path), [name for name in there if name.endswith(ending)])
+    others = [name for name in there if name.endswith(ending)]
+    hint = validation.suggestion(path.stem, names) or validation.suggestion(str(path), others)
     raise NoInput(f"{path}: no such {what}{hint or f'; {cure}'}")

@@ -103,12 +103,12 @@ def quantity_of(unit: str) -> str:
     ('force', 'acceleration')
     """
     for quantity, units in UNITS.items():
-        if unit in units:
+        if isinstance(unit, str) and unit in units:
             return quantity
     known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
     meant = known_unit(str(unit))
-    hint = suggestion(unit, sorted(KNOWN_UNITS)) if meant is None else f"; did you mean {meant!r}?"
-    raise InvalidValue(f"unit must be one of the known ones, got {unit!r} ({known}){hint}")
+    hint = suggestion(str(unit), sorted(KNOWN_UNITS)) if meant is None else f"; did you mean {meant!r}?"
+    raise InvalidValue(f"unit must be one of the known ones, got {shown(unit)} ({known}){hint}")
 
 
 def plain_unit(text: str) -> str:

@@ -52,7 +52,10 @@ def plain(name: str, value: Any) -> NDArray[Any]:
         raise InvalidValue(
             f"{name} must have no masked numbers, got {masked} of {np.size(value)}; cut them out, or fill them (filled)"
         )
-    return np.asarray(value)
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):  # rows of different lengths
+        raise InvalidValue(f"{name} must be a real number or an array of them, got {shown(value)}") from None
 
 
 def _masked(value: Any) -> int:

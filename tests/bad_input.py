@@ -672,6 +672,7 @@ CASES = (
     ),
     Case("plan for nothing", ("generate", "reference.toml", "--json", "-o", "new.h5"), 2, ("--json", "--explain")),
     Case("a mistyped scene", ("check", "refrence"), 66, ("refrence: no such scene", "did you mean 'reference'")),
+    Case("a mistyped scene to train on", ("train", "referense", "-o", "new.npz"), 66, ("did you mean 'reference'",)),
     Case("a scene's wrong ending", ("check", "reference.tml"), 66, ("reference.tml", "did you mean 'reference'")),
     Case("a mistyped model", ("predict", "good.csv", "--model", "defualt"), 66, ("model", "did you mean 'default'")),
     Case("a mistyped label", ("predict", "good.csv", "--gangue", "gange"), 65, ("did you mean 'gangue'",)),

@@ -340,7 +340,7 @@ def test_estimate_wants_rows_of_six_samples(shape):
 
 _BROKEN = [
     ({"noise": 1e300}, "noise"),
-    ({"noise": [1.0, 2.0]}, r"noise must be one number or one for each of 1 signals, got shape \(2,\)"),
+    ({"noise": [1.0, 2.0]}, r"noise must be one number or one for each signal \(1\), got shape \(2,\)"),
     *(({"bandwidth": edge}, "bandwidth must") for edge in (-1.0, 0.0, 1e-3, np.nan, np.inf, "x", [1e4, 2e4])),
     *(({"pre_trigger": before}, "pre_trigger must be a whole number") for before in (-5, 10**9, 2.5, np.nan, "x")),
     ({"noise": -1.0}, "noise"),

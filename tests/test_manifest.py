@@ -100,13 +100,16 @@ def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
     assert (ours[0].start, ours[0].end, ours[0].gain, ours[0].sampling_rate) == (0.5, 1.25, 0.5, 25600.5)
     saved = text.replace(",", ";").replace("0.5", "0,5").replace("1.25", "1,25").replace("25600.5", "25600,5")
     assert read_manifest(written(tmp_path, saved, encoding="utf-8-sig")).annotations == ours
+    volts = 'path;label;sensitivity;gain;full_scale\na.wav;coal;"1=10,2 mV/g;2=2,3 mV/N";1,5;2,5 V\n'
+    (one,) = read_manifest(written(tmp_path, volts)).annotations
+    assert (one.sensitivity, one.gain, one.full_scale) == (("1=10.2 mV/g", "2=2.3 mV/N"), 1.5, ("2.5 V",))
     with pytest.raises(BadData, match="start must be a number in s, got '0,5'"):
         read_manifest(written(tmp_path, 'path,label,start\na.wav,coal,"0,5"\n'))
 
 
 def test_paths_are_those_from_the_folder_of_the_manifest(tmp_path: Path) -> None:
     assert path_from(tmp_path / "tables", tmp_path / "day" / "a.wav") == "../day/a.wav"
-    for name in ("#1.wav", "a b.wav", "a,b;c.wav"):
+    for name in ("#1.wav", " #1.wav", "a b.wav", "a,b;c.wav", "a\u2028b.wav", "a\nb.wav"):
         text = manifest_text([{"path": path_from(tmp_path, tmp_path / name), "label": "coal"}])
         (one,) = read_manifest(written(tmp_path, text)).annotations
         assert one.path == tmp_path / name
@@ -159,6 +162,9 @@ MISTAKES = {
     "overlapping intervals": ("path,label,start,end\na,b,0,2\na,c,1,3\n", "must not overlap, b and c do at 1 s"),
     "recording twice": ("path,label\na,b\na,c\n", "must not overlap"),
     "recording in two groups": ("path,label,start,end,group\na,b,0,1,x\na,c,1,2,y\n", "must lie in one group"),
+    "rate of one row": ("path,label,start,end,rate\na,b,0,1,8e3\na,c,1,2,\n", "one rate, got 8000.0 and none"),
+    "invert of one row": ("path,label,start,end,invert\na,b,0,1,\na,c,1,2,yes\n", "one invert, got no and yes"),
+    "unit of one row": ("path,label,start,end,unit\na,b,0,1,\na,c,1,2,g\n", "one unit, got none and g"),
     "path with a zero byte": ("path,label\na\0b,c\n", "path must be the name of a file"),
 }
 TOML_MISTAKES = {

@@ -215,6 +215,11 @@ def test_predict_closes_with_the_next_commands(tmp_path: Path, capsys: pytest.Ca
     assert lines[-1]["kind"] == "hint"
     assert lines[-1]["cause"] == "features"
     assert lines[-1]["commands"][2] == "cgid train events.csv -o mine.npz"
+    # Numbers as a user writes them, and no mass for a model that is trained without it.
+    assert run(["predict", str(path), "--unit", "m/s^2", "--rate", "25600", "--mass", "2.5"]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "--rate 25600 --unit 'm/s^2' -o events.csv" in last
+    assert last.endswith("--rate 25600 --unit 'm/s^2' --model mine.npz")
     assert run(["predict", "--sample", "--json"]) == 0
     assert '"kind": "hint"' not in capsys.readouterr().out
 

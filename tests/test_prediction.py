@@ -64,6 +64,46 @@ def test_settings_are_those_of_a_question() -> None:
     np.testing.assert_allclose(of_mass, force, rtol=1e-9)
 
 
+def test_volts_become_what_the_sensor_measured() -> None:
+    """A hammer of 2 mV/N behind an amplifier of 10, and a recorder of 16 bit and 400 V."""
+    force = cgid.predict(sample(), 200e3)["p(coal)"]
+    volts = sample() * 2e-3 * 10
+    stated = {"sensitivity": "2 mV/N", "gain": "20 dB"}
+    np.testing.assert_allclose(cgid.predict(volts, 200e3, "V", **stated)["p(coal)"], force, rtol=1e-9)
+    both = pd.DataFrame({"left": volts, "right": volts / 10})
+    named = cgid.predict(both, 200e3, "V", sensitivity="2 mV/N", gain={"left": 10})
+    assert named["p(coal)"].to_numpy() == pytest.approx(np.repeat(force, 2), rel=1e-9)
+    counts = np.round(volts / 400 * 2**15).astype(np.int16)
+    np.testing.assert_allclose(cgid.predict(counts, 200e3, full_scale="400 V", **stated)["p(coal)"], force, atol=0.02)
+    with pytest.raises(MissingOption, match="--unit V"):
+        cgid.predict(volts, 200e3, **stated)
+    with pytest.raises(InvalidValue, match="for samples in volts or coulombs, they are in N"):
+        cgid.predict(volts, 200e3, "N", **stated)
+
+
+def test_signals_bring_their_rate_unit_and_name() -> None:
+    expected = cgid.predict(sample(), 200e3)
+    (signal,) = cgid.read_recording(SAMPLE)
+    for given in (signal, [signal], replace(signal, samples=signal.samples / 1e3, unit="kN")):
+        pd.testing.assert_frame_equal(cgid.predict(given), expected)
+    left, right = replace(signal, channel="left"), replace(signal, channel="right", samples=signal.samples / 1e3)
+    table = cgid.predict([left, replace(right, unit="kN")])
+    assert table["channel"].value_counts().to_dict() == {"left": 6, "right": 6}
+    assert set(cgid.predict([signal, replace(signal, source="b.csv")])["channel"]) == {str(SAMPLE), "b.csv"}
+    for wrong, rate, says in (
+        ([signal, replace(signal, sampling_rate=1e5)], None, "the sampling rate must be one to 0.1 %"),
+        (signal, 1e5, "sampling_rate says 100000 Hz"),
+        ([signal, replace(signal, samples=signal.samples[:-1])], None, "channels of one length"),
+        ([signal, sample()], None, "got a ndarray among Signals"),
+    ):
+        with pytest.raises(BadData, match=says):
+            cgid.predict(wrong, rate)
+    with pytest.raises(MissingOption, match="the unit must be known"):
+        cgid.predict(replace(signal, unit=None))
+    with pytest.raises(MissingOption, match="give sampling_rate"):
+        cgid.predict(sample())
+
+
 def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
     with pytest.warns(UserWarning, match="no impact"):
         table = cgid.predict(np.random.default_rng(0).normal(size=5000), 2e5)
@@ -83,6 +123,13 @@ def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
         ((sample(), 2e5, "N", "default-drop-height"), {}, MissingOption, "drop_height"),
         ((np.zeros(100), 2e5), {"masss": 2.0}, InvalidValue, "did you mean 'mass'"),
         ((np.zeros(100), 2e5), {"costs": {"gange": 2.0}}, InvalidValue, "did you mean 'gangue'"),
+        ((np.zeros(100), 2e5), {"costs": 3.0}, InvalidValue, "costs must be a Mapping, got 3.0"),
+        ((np.zeros(100), 2e5), {"coverage": "0.9"}, InvalidValue, "coverage must be a real number"),
+        ((np.zeros(100), 2e5), {"invert": "no"}, InvalidValue, "invert must be a bool"),
+        ((np.zeros(100), 2e5), {"sensors": "left"}, InvalidValue, "sensors must be a tuple of names"),
+        ((np.zeros(100), 2e5, ["N"]), {}, InvalidValue, r"unit must be one of the known ones, got \['N'\]"),
+        ((np.zeros(100), 2e5, "N", 5), {}, InvalidValue, "model must be a str or Path, got 5"),
+        (([[1.0, 2.0], [3.0]], 2e5), {}, InvalidValue, "samples must be a real number or an array of them"),
     ],
 )
 def test_what_is_refused(given: tuple, settings: dict, error: type[Exception], says: str) -> None:

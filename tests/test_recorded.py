@@ -397,6 +397,33 @@ def test_what_was_said_of_the_reading_is_in_the_table(blows: tuple[Path, dict[st
     np.testing.assert_allclose(rows.time, [float(row["time [s]"]) for row in rows_in(table)], atol=1e-3)
 
 
+def test_volts_are_trained_on_as_they_were_read(
+    blows: tuple[Path, dict[str, list[str]]], tmp_path: Path, capsys: Any
+) -> None:
+    """Counts of a recorder, behind an amplifier and an accelerometer upside down, against the same blows in m/s^2."""
+    folder, label_of = blows
+    motion = np.load(folder / "0.npy") * 9.80665
+    np.save(tmp_path / "motion.npy", motion)
+    volts = -motion / 9.80665 * 10.2e-3 * 10
+    np.save(tmp_path / "counts.npy", np.round(volts / 500 * 2**31).astype(np.int32))
+    chain = ["--sensitivity", "10.2 mV/g", "--gain", "20 dB", "--full-scale", "500 V at 32 bit", "--invert"]
+    found = []
+    for name, options in (("motion", ["--unit", "m/s^2"]), ("counts", chain)):
+        table = tmp_path / f"{name}.csv"
+        assert run(["events", str(tmp_path / f"{name}.npy"), "-o", str(table), "--rate", str(FAST), *options]) == 0
+        labelled(table, {f"{name}.npy": label_of["0.npy"]})
+        found.append(record(read_manifest(table)))
+    (first, *_) = rows_in(table)
+    said = [first[name] for name in ("sensitivity", "gain", "full_scale", "invert")]
+    assert said == ["10.2 mV/g", "20 dB", "500 V at 32 bit", "yes"]
+    assert found[0].unit == found[1].unit == "m/s^2"
+    assert found[0].labels.tolist() == found[1].labels.tolist()
+    np.testing.assert_allclose(found[1].features, found[0].features, rtol=1e-3, atol=1e-4)
+    capsys.readouterr()
+    assert run(["train", str(table), "-o", str(tmp_path / "mine.npz"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["accuracy"] > 0.9
+
+
 def test_pulses_that_point_down_are_trained_on(tmp_path: Path) -> None:
     samples = np.random.default_rng(0).normal(0, 0.01, 40_000)
     for first in range(4000, 40_000, 4000):

@@ -454,7 +454,7 @@ def test_lvm_with_comments_and_channels_without_samples(write):
     text = lvm(rows, x_columns="One", names=("F", "a", "none"), units=("kN", "m/s^2", ""), samples=[50, 50, 0])
     recording = open_recording(write(text))
     assert np.array_equal(whole(recording), TABLE.T)
-    assert "1 channels without samples were left out: none" in recording.warnings[0]
+    assert "1 channel without samples left out: none" in recording.warnings[0]
 
 
 def test_lvm_segments_that_follow_each_other_are_one_recording(write):

@@ -138,11 +138,11 @@ class Page(HTMLParser):
 def test_the_page_holds_everything(report: Report) -> None:
     seen = Page(report_page([report]))
     assert not seen.open and seen.rows.pop(0) == []
-    columns = "number|time [s]|channel|length [ms]|label|probability|novelty|range|note"
+    columns = "number|time [s]|channel|length [ms]|label|p(coal)|p(gangue)|novelty|range|note"
     assert "|".join(seen.heads) == columns
     assert len(seen.rows) == 30
-    assert seen.rows[3] == ["4", "0.0480", "2", "10", "coal", "0.960", "0.5", "in", ""]
-    assert seen.rows[29] == ["30", "0.4900", "1", "-", "unknown", "-", "-", "out", "cut; too <short>"]
+    assert seen.rows[3] == ["4", "0.0480", "2", "10", "coal", "0.960", "0.040", "0.5", "in", ""]
+    assert seen.rows[29] == ["30", "0.4900", "1", "-", "unknown", "-", "-", "-", "out", "cut; too <short>"]
     text = " ".join(seen.texts)
     for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25.6 kHz"):
         assert told in text
@@ -180,8 +180,8 @@ def test_text_of_strangers_is_only_text(report: Report) -> None:
 def test_columns_are_there_when_something_is_in_them(report: Report) -> None:
     plain = replace(report, answers=[answer(0.1, "coal", 0.9, prediction_set=("coal", "gangue"))], shares=(), turns=())
     seen = Page(report_page([plain]))
-    assert "|".join(seen.heads) == "number|time [s]|label|probability|cannot be ruled out|novelty|range|note"
-    assert seen.rows[1][4] == "coal, gangue"
+    assert "|".join(seen.heads) == "number|time [s]|label|p(coal)|p(gangue)|cannot be ruled out|novelty|range|note"
+    assert seen.rows[1][5] == "coal, gangue"
     assert len(seen.references) == 1
     assert Page(report_page([replace(report, answers=[])])).rows == [[]]
 
@@ -302,7 +302,7 @@ def test_the_table_sorts_and_chooses(report: Report, tmp_path: Path) -> None:
       const rows = () => [...document.querySelectorAll("tbody tr")].filter(row => !row.hidden);
       const seen = () => rows().map(row => row.cells[0].textContent);
       const told = {}, note = name => { told[name] = seen().join(" "); };
-      of("probability").click(); note("up"); of("probability").click(); note("down");
+      of("p(coal)").click(); note("up"); of("p(coal)").click(); note("down");
       of("label").click(); note("label"); of("number").click(); note("number");
       const select = document.querySelector("select"); select.value = "unknown";
       select.dispatchEvent(new Event("change")); note("chosen");
@@ -314,9 +314,9 @@ def test_the_table_sorts_and_chooses(report: Report, tmp_path: Path) -> None:
     shown = browse(tmp_path / "page.html", tmp_path / "browser")
     told = json.loads(html.unescape(re.search("<title>(.*?)</title>", shown)[1]))
     ordered = {name: [int(number) for number in numbers.split()] for name, numbers in told.items()}
-    # Probabilities fall with the number; what has none is last both ways.
-    assert ordered["up"] == [*range(29, 0, -1), 30]
-    assert ordered["down"] == [*range(1, 30), 30]
+    # The probability of coal falls with the number, then rises from 0.14; what has none is last both ways.
+    assert ordered["up"] == [*range(14, 30), *range(13, 0, -1), 30]
+    assert ordered["down"] == [*range(1, 14), *range(29, 13, -1), 30]
     assert ordered["label"] == [*range(1, 31)]
     assert ordered["number"] == [*range(1, 31)]
     assert ordered["chosen"] == [30]

@@ -166,15 +166,18 @@ def test_the_list_of_features_is_a_table() -> None:
 
 
 def test_names_are_quoted_and_cannot_command_the_terminal(tmp_path: Path) -> None:
-    strange = tmp_path / 'a, "b"\nc.npy'
-    np.save(strange, stream(["coal", "gangue"], 0.02))
-    for command in ("predict", "features"):
-        table, _ = printed(command, str(strange), *RAW)
-        assert table["source"].tolist() == [str(strange)] * 2
+    for name in ('a, "b"\nc.npy', "a\nb.npy"):
+        strange = tmp_path / name
+        np.save(strange, stream(["coal", "gangue"], 0.02))
+        for command in ("predict", "features"):
+            table, _ = printed(command, str(strange), *RAW)
+            assert table["source"].tolist() == [str(strange)] * 2
     evil = tmp_path / "a\x1b[2J\rb.npy"
     strange.rename(evil)
     table, _ = printed("predict", str(evil), *RAW)
     assert set(table["source"]) == {str(evil).replace("\x1b", r"\x1b").replace("\r", r"\r")}
+    assert run(["predict", str(evil), *RAW, "-o", str(tmp_path / "rows.csv")]) == 0
+    assert set(pandas.read_csv(tmp_path / "rows.csv")["source"]) == {str(evil)}
 
 
 # -- files -------------------------------------------------------------------------------------------------
@@ -222,6 +225,38 @@ def test_a_file_holds_what_is_printed(
             assert found[column].where(found[column].notna(), "").tolist() == expected[column].fillna("").tolist()
         assert run([command, str(name), *RAW, "-o", str(path), "--overwrite"]) == 0
         assert read(path)["source"].str.endswith(r"caf\udce9 é.npy").all()
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize(("command", "kind"), [("predict", "answers"), ("features", "features")])
+def test_a_table_is_known_again(
+    command: str, kind: str, ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"rows{ending}"
+    assert run([command, SAMPLE, "-o", str(path)]) == 0
+    columns = list(read(path).columns)
+    capsys.readouterr()
+    assert run(["info", str(path), "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert (about["kind"], about["rows"]) == (f"table of {kind}", 6)
+    assert sorted(name.partition(" [")[0] for name in about["columns"]) == sorted(n.partition(" [")[0] for n in columns)
+    assert run(["verify", str(path)]) == 0
+    out, err = capsys.readouterr()
+    state = "whole" if ending in (".parquet", ".h5", ".hdf5") else "no checksum, readable"
+    assert (out, err) == (f"{path}: table of {kind} of 1 file, {state}: 6 rows of {len(columns)} columns\n", "")
+    # Broken off in a row, or a flipped bit where there are sums.
+    content = bytearray(path.read_bytes())
+    if ending in (".csv", ".jsonl"):
+        content = content[: -len(content.splitlines()[-1]) // 2]
+    elif ending == ".parquet":
+        content[200] ^= 1
+    else:
+        with h5py.File(path) as file:
+            content[file["columns/time"].id.get_chunk_info(0).byte_offset] ^= 1
+    path.write_bytes(content)
+    for again in ("verify", "info"):
+        assert run([again, str(path)]) == 65
+    assert capsys.readouterr().out.startswith(f"{path}: table of 1 file, damaged")
 
 
 def test_a_file_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -616,6 +616,22 @@ def test_a_recording_without_checksums_is_read_to_its_end(tmp_path: Path, capsys
     assert f"{good['a.tdms']}: remark: channel g/note holds no samples and is left out" in out
 
 
+def test_a_folder_of_recordings_of_another_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "monday").mkdir()
+    for name in ("a.csv", "monday/b.csv"):
+        np.savetxt(tmp_path / name, np.sin(np.arange(500.0)))
+    (tmp_path / "events.csv").write_text("path,label\na.csv,coal\n")
+    (tmp_path / "notes.md").write_text("none")
+    assert run(["verify", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    told = "recording of 1 file, no checksum, readable: text of 1 channel, 500 samples each"
+    assert out.splitlines() == [f"{tmp_path / name}: {told}" for name in ("a.csv", "monday/b.csv")] and not err
+    (tmp_path / "a.csv").write_text("1.0\nnan\n")
+    assert run(["verify", str(tmp_path), "--json"]) == 65
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [row["whole"] for row in rows] == [False, True]
+
+
 def test_what_is_broken_in_a_recording_without_checksums(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     samples = np.sin(np.arange(5000.0)).astype(np.float32)
     (cut, gap, many) = (tmp_path / name for name in ("cut.wav", "gap.csv", "many.npz"))

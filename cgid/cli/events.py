@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, reading_options
 from cgid.cli.output import each_file, say
 from cgid.errors import BadData, InvalidValue
+from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.events import Event
@@ -27,7 +29,7 @@ _BEFORE = 2e-3
     example="cgid events datasets/sample.csv -o events.csv",
 )
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE...")
-@click.option("-o", "--output", type=PATH, required=True, help="Write this table, ending in .csv; - is stdout.")
+@click.option("-o", "--output", type=PATH, required=True, help="Write this table, ending in .csv, or to stdout for -.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing table, with the labels in it.")
 @click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
 @reading_options
@@ -50,13 +52,13 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
         return code
     text = manifest_text(rows)
     if path is None:
-        for line in text.splitlines():
+        for line in text.removesuffix("\n").split("\n"):
             say(line)
         return code
     # A byte order mark makes a spreadsheet read other letters right.
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
-    found = f"{len(rows)} impact{'s' * (len(rows) != 1)}"
-    say(f"wrote {path}: {found}; fill in the column label, then cgid train {path} -o mine.npz", err=True)
+    train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
+    say(f"wrote {path}: {counted(len(rows), 'impact')}; fill in the column label, then {train}", err=True)
     return code
 
 

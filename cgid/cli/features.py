@@ -31,7 +31,7 @@ _MOST_REPORTED = 3
     "--list", "as_list", is_flag=True, help="Print the table of features and banks: unit, definition, source, kind."
 )
 @click.option("--features", "names", help="Measure only these features or banks, separated by commas.")
-@click.option("--keep-baseline", is_flag=True, help="Do not subtract the mean before touch.")
+@click.option("--keep-baseline", is_flag=True, help="Keep the baseline instead of subtracting it.")
 @output_options
 @reading_options
 @printing_options

@@ -69,7 +69,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     type=click.Choice(["none", "gzip", "zstd", "blosc2"]),
     default="none",
     show_default=True,
-    help="Compress the signals. Everything reads gzip; zstd and blosc2 need the extra compression.",
+    help="Compress the signals; every program reads gzip, zstd and blosc2 need the extra compression.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing dataset when the new one is whole.")
 @click.option("--resume", is_flag=True, help="Go on with an unfinished run, to the bytes it would have made.")

@@ -11,6 +11,7 @@ import click
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, chain_options, warn_of_volts
 from cgid.cli.output import print_json, say
+from cgid.cli.table import written_table
 
 #: Most samples of all channels held in memory; longer recordings are read block by block.
 _MOST_HELD = 1 << 24
@@ -40,6 +41,8 @@ def info(file: str, as_json: bool, chain: dict[str, Any], **reading: Any) -> Non
         content = _dataset(file)
     elif is_model(file):
         content = _model(file)
+    elif (rows := written_table(file)) is not None:
+        content = {"kind": rows.kind, "file": file, "rows": rows.n_rows, "columns": rows.columns}
     else:
         content = _recording(file, as_json, **reading, **chain)
     if as_json:

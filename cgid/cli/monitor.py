@@ -160,7 +160,7 @@ _BEHIND = 1.0
 @click.option(
     "--sample-format", help="Say how raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or with be."
 )
-@click.option("--unit", help="What the numbers are in: floats as they are, integers between -1 and 1.")
+@click.option("--unit", help="Set the unit of the numbers: of floats as they are, of integers scaled to -1 to 1.")
 @chain_options
 @click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards.")
 @answering_options

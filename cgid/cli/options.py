@@ -83,7 +83,7 @@ def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
 
 #: Options for worker processes and clusters; `require_one_crew` refuses both at once.
 crew_options = _options(
-    click.option("--jobs", type=int, default=1, show_default=True, help="Number of worker processes."),
+    click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
     click.option(
         "--scheduler",
         help="Let the workers of a dask cluster do the work: its address, such as tcp://192.168.0.7:8786.",
@@ -111,19 +111,20 @@ def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--sensitivity",
             multiple=True,
             metavar="[NAME=]VALUE",
-            help="Of the sensor, for samples in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; of one channel as 2=VALUE.",
+            help="Give the sensitivity of a sensor whose samples are in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
+            "for one channel as 2=VALUE.",
         ),
         click.option(
             "--gain",
             multiple=True,
             metavar="[NAME=]VALUE",
-            help="To be divided out: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
+            help="Divide out this gain: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
         ),
         click.option(
             "--full-scale",
             multiple=True,
             metavar="[NAME=]VALUE",
-            help="What full scale stands for in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
+            help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
         ),
     )
     return add(chained)
@@ -308,7 +309,12 @@ answering_options = _options(
     click.option(
         "--window", "share_time", type=float, help="Let the gangue share look back this long [s], by default 10."
     ),
-    click.option("--gangue", multiple=True, metavar="LABEL", help="Count this label as gangue; may be given again."),
+    click.option(
+        "--gangue",
+        multiple=True,
+        metavar="LABEL",
+        help="Count this label as gangue, or several, one an option.",
+    ),
     click.option(
         "--dilution-cost",
         type=float,
@@ -360,7 +366,8 @@ def given_options() -> tuple[list[str], list[str]]:
             continue
         values = context.params[name]
         for value in values if option.multiple else [values]:
-            found[name not in reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], f"{value}"])
+            text = f"{value:.12g}" if isinstance(value, float) else f"{value}"
+            found[name not in reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
     return found
 
 

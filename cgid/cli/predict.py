@@ -280,7 +280,7 @@ class _Tally:
 @click.option("--sample", is_flag=True, help="Use the recording that comes with cgid.")
 @answering_options
 @click.option(
-    "--report", type=PATH, metavar="PAGE", help="Write pictures and answers of the recordings as one page, .html."
+    "--report", type=PATH, metavar="PAGE", help="Write one page (.html) with pictures and answers of the recordings."
 )
 @output_options
 @reading_options

@@ -209,7 +209,7 @@ _NAMES = {"snr": "SNR [dB]", "sampling_rate": "rate [Hz]", "size_spread": "sizes
     "--seed", type=int, default=1_000_003, show_default=True, help="Choose the random numbers of these signals."
 )
 @click.option("--drop-height", is_flag=True, help="Take the drop height of each rock as known.")
-@click.option("--learner", type=int, help="Also train learners on up to this many signals, and print their accuracy.")
+@click.option("--learner", type=int, help="Train learners, too, on up to this many signals, and print their accuracy.")
 @click.option(
     "--plot", "picture", type=PATH, help="Survey noise, sampling rate and spread of sizes: a PNG picture and a table."
 )
@@ -354,7 +354,7 @@ def _say_survey(survey: dict[str, Any]) -> None:
 @click.option(
     "--finite-element", is_flag=True, help="Simulate all impacts anew (minutes), and write finite_element.npz, too."
 )
-@click.option("--jobs", type=int, help="Number of worker processes of --finite-element, by default one per core.")
+@click.option("--jobs", type=int, help="Use this many worker processes for --finite-element, by default one per core.")
 def reproduce(output: str, overwrite: bool, finite_element: bool, jobs: int | None) -> None:
     """Compute the figures and tables of Yang, Zeng & Wan (2018), and judge what the paper says.
 

@@ -19,9 +19,13 @@ import click
 
 from cgid.cli.options import PATH
 from cgid.cli.output import finite, say
+from cgid.errors import BadData
+from cgid.terminal import counted
 
 #: Endings of table files.
 ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
+#: Longest line of JSON that is read as a row [characters].
+_LONGEST_LINE = 1 << 20
 
 
 class Column(NamedTuple):
@@ -64,8 +68,8 @@ def flags(name: str) -> Column:
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options for the file that holds the table."""
     ends = ", ".join(ENDINGS[:-1])
-    told = f"Write the table to this file ({ends}) instead of stdout, which is -."
-    command = click.option("--overwrite", is_flag=True, help="Replace old files.")(command)
+    told = f"Write the table to this file ({ends}) instead of stdout (-)."
+    command = click.option("--overwrite", is_flag=True, help="Replace an existing file.")(command)
     return click.option("-o", "--output", type=PATH, metavar="FILE", help=told)(command)
 
 
@@ -134,20 +138,106 @@ class TableOutput:
         stream = self._files.enter_context(file.open("w", encoding="utf-8", newline=""))
         if suffix == ".jsonl":
             return lambda row: stream.write(json.dumps(finite(dict(zip(titles, row, strict=True)))) + "\n")
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(titles)
-        return lambda row: writer.writerow(self._texts(row))
+        stream.write(_line(titles) + "\n")
+        return lambda row: stream.write(_line(self._texts(row)) + "\n")
 
     def _texts(self, row: list[Any]) -> list[str]:
         return [column.cell(value) for column, value in zip(self.columns, row, strict=True)]
 
 
+class WrittenTable(NamedTuple):
+    """A table that `cgid predict` or `cgid features` has written: what its rows are, its columns, and their number."""
+
+    kind: str
+    columns: list[str]
+    n_rows: int
+
+
+#: What these tables begin with.
+_HEAD = ("source", "channel", "time [s]")
+
+
+def written_table(path: str) -> WrittenTable | None:
+    """Return what is in a table of answers or features, read to its end; None for any other file.
+
+    Raises `BadData` if it is damaged, `MissingExtra` without the library of its format.
+    """
+    readers = {".csv": _csv_table, ".jsonl": _json_table, ".parquet": _parquet_table}
+    readers |= dict.fromkeys((".h5", ".hdf5"), _hdf5_table)
+    file = Path(path)
+    try:
+        read = readers.get(file.suffix.lower()) if file.is_file() else None
+        columns, n_rows = ([], 0) if read is None else read(file)
+    except OSError:  # whoever opens it next says why
+        return None
+    if not {name.partition(" [")[0] for name in _HEAD} <= {name.partition(" [")[0] for name in columns}:
+        return None
+    return WrittenTable(f"table of {'answers' if 'novelty' in columns else 'features'}", columns, n_rows)
+
+
+def _csv_table(file: Path) -> tuple[list[str], int]:
+    with file.open(encoding="utf-8", errors="replace", newline="") as stream:
+        if not stream.read(len(",".join(_HEAD))).startswith(",".join(_HEAD)):
+            return [], 0
+        stream.seek(0)
+        rows = csv.reader(stream)
+        columns, n_rows = next(rows), 0
+        try:
+            for n_rows, row in enumerate(rows, start=1):
+                if len(row) != len(columns):
+                    raise _damaged(file, f"row {n_rows} has {counted(len(row), 'cell')} for {len(columns)} columns")
+        except csv.Error as error:
+            raise _damaged(file, str(error)) from None
+    return columns, n_rows
+
+
+def _json_table(file: Path) -> tuple[list[str], int]:
+    columns: list[str] = []
+    n_rows = 0
+    with file.open(encoding="utf-8", errors="replace") as stream:
+        for n_rows, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), ""), start=1):
+            try:
+                row = json.loads(line)
+            except (ValueError, RecursionError):
+                row = None
+            if n_rows == 1 and not (isinstance(row, dict) and list(row)[: len(_HEAD)] == [*_HEAD]):
+                return [], 0
+            columns = columns or list(row)
+            if not isinstance(row, dict) or list(row) != columns:
+                raise _damaged(file, f"line {n_rows} is no row of its {len(columns)} columns")
+    return columns, n_rows
+
+
+def _parquet_table(file: Path) -> tuple[list[str], int]:
+    from cgid.recordings.parquet import parquet_columns
+
+    return parquet_columns(file, str(file), _HEAD)
+
+
+def _hdf5_table(file: Path) -> tuple[list[str], int]:
+    from cgid.store import sandbox
+
+    if sandbox.format_said(file) != "":
+        return [], 0
+    found = sandbox.call("foreign_columns", file, [name.partition(" [")[0] for name in _HEAD])
+    return found["names"], found["n_rows"]
+
+
+def _damaged(file: Path, fault: str) -> BadData:
+    return BadData(f"{file}: the table must be as it was written, {fault}; write it again")
+
+
 def _say_row(texts: list[str]) -> None:
     """Print one row of CSV; a quoted line break stays one, all else that controls a terminal is escaped."""
-    line = io.StringIO()
-    csv.writer(line, lineterminator="").writerow(texts)
-    for part in line.getvalue().split("\n"):
+    for part in _line(texts).split("\n"):
         say(part)
+
+
+def _line(texts: list[str]) -> str:
+    """Return a row of CSV without its end; the writer quotes only those line breaks that end its own lines."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\r\n").writerow(texts)
+    return line.getvalue().removesuffix("\r\n")
 
 
 def _plain(value: Any) -> Any:

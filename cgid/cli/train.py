@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, say_error
 from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
@@ -53,7 +55,10 @@ _OF_DATASETS = {
     help="Write this model file, ending in .npz; the model card is written beside it as .md.",
 )
 @click.option(
-    "--template", type=PATH, metavar="FILE.csv", help="Only list the recordings in a manifest for you to fill in."
+    "--template",
+    type=PATH,
+    metavar="FILE.csv",
+    help="Write a manifest of the recordings, for you to fill in.",
 )
 @click.option(
     "--family",
@@ -180,8 +185,7 @@ def train(
     written = write_model(training, path, plots=plots, overwrite=overwrite)
     _say(training, path, written, as_json)
     if failures:
-        many = "" if len(failures) == 1 else "s"
-        say(f"cgid: warning: the model is without {len(failures)} recording{many} that failed", err=True)
+        say(f"cgid: warning: the model is without {counted(len(failures), 'recording')} that failed", err=True)
     return failures[0].exit_code if failures else 0
 
 
@@ -189,7 +193,7 @@ def _recorded(item: str) -> bool:
     """Return whether an argument names recordings: a manifest, a folder of recordings, or one without labels."""
     from cgid.identification.manifest import ENDINGS, is_manifest
     from cgid.recordings import is_dataset
-    from cgid.store.description import JOURNAL, MANIFEST
+    from cgid.store.description import is_dataset_folder
 
     path = Path(item)
     try:
@@ -197,8 +201,7 @@ def _recorded(item: str) -> bool:
     except (OSError, ValueError):
         return path.suffix.lower() == ".csv"
     if path.is_dir():
-        marks = (path / MANIFEST, path / JOURNAL, *path.glob("shard-*.h5"))
-        return not any(mark.exists() for mark in marks)
+        return not is_dataset_folder(path)
     return is_manifest(item) or (path.suffix.lower() in ENDINGS and not is_dataset(item))
 
 
@@ -248,8 +251,8 @@ def _write_template(data: tuple[str, ...], path: Path, options: dict[str, Any], 
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
     empty = sum(not row["label"] for row in rows)
     fill = f"fill in the label of {empty}, then " if empty else "now "
-    many = "" if len(rows) == 1 else "s"
-    say(f"wrote {path}: {len(rows)} recording{many}; {fill}cgid train {path} -o mine.npz", err=True)
+    train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
+    say(f"wrote {path}: {counted(len(rows), 'recording')}; {fill}{train}", err=True)
     return code
 
 
@@ -266,7 +269,7 @@ def _content(file: Path, options: dict[str, Any]) -> tuple[str, int]:
         return "cannot be read", error.exit_code
     n_channels, unit = len(recording.channels), recording.channels[0].unit or "unit unknown"
     length = "" if recording.duration is None else f", {recording.duration:.6g} s"
-    return f"{recording.sampling_rate:g} Hz, {unit}, {n_channels} channel{'s' * (n_channels > 1)}{length}", 0
+    return f"{recording.sampling_rate:g} Hz, {unit}, {counted(n_channels, 'channel')}{length}", 0
 
 
 #: Options for every training.
@@ -414,7 +417,9 @@ def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
     from cgid.store import Dataset
 
     for item in data:
-        if Path(item).suffix == ".toml" or (item in shipped.SCENES and not Path(item).exists()):
+        # A name that resembles a shipped scene is a mistyped one, unless it exists.
+        means_scene = bool(item in shipped.SCENES or validation.suggestion(item, shipped.SCENES))
+        if Path(item).suffix == ".toml" or (means_scene and not Path(item).exists()):
             from cgid.scene import load_scene, synthesise
             from cgid.scene.generation import MOST_SIGNALS
 

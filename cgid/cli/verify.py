@@ -34,7 +34,7 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its manifest and SHA256SUMS, single files with their own checksums. A
-    recording of another program (TDMS, WAV, CSV, ...) has none: it is read to its end. With
+    recording of another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With
     --repair what is damaged or missing is made again from the scene and the seed in the files, to the same bytes, and
     nothing else is touched. Files that do not belong to a dataset are reported, and are no damage.
     """
@@ -53,12 +53,48 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str
             _verify_data(path, repair, given, as_json)
         elif is_model(path):
             _verify_model(path, as_json)
+        elif _is_foreign(path) and _verify_rows(path, as_json):
+            pass
         elif _is_foreign(path):
             _verify_foreign(path, variable, as_json)
         else:
             _verify_data(path, repair, given, as_json)
 
-    return each_file(data, treat)
+    return each_file([file for path in data for file in _recordings_of(path) or [path]], treat)
+
+
+def _recordings_of(path: str) -> list[str]:
+    """Return the recordings in a folder that cgid has not made, sorted; none for anything else."""
+    from cgid.errors import CgidError
+    from cgid.identification.manifest import recordings_in
+    from cgid.store.description import is_dataset_folder
+
+    folder = Path(path)
+    try:
+        if folder.is_dir() and not is_dataset_folder(folder) and not any(folder.glob("recording-*.h5")):
+            return [str(file) for file in recordings_in(folder)]
+    except (CgidError, OSError):  # what is wrong with it is said where it is looked into
+        pass
+    return []
+
+
+def _verify_rows(path: str, as_json: bool) -> bool:
+    """Report a whole table of answers or features, or raise its damage; return whether it is one."""
+    from cgid.cli.table import written_table
+    from cgid.errors import BadData
+
+    try:
+        table = written_table(path)
+    except BadData as error:
+        _tell(path, "table", 1, [_line(Path(path), "damaged", str(error))], False, as_json)
+        raise
+    if table is None:
+        return False
+    content = f"{counted(table.n_rows, 'row')} of {counted(len(table.columns), 'column')}"
+    has_sums = Path(path).suffix.lower() not in (".csv", ".jsonl")
+    state = "whole" if has_sums else f"{_NO_SUM}readable"
+    _tell(path, table.kind, 1, [], True, as_json, f"{state}: {content}")
+    return True
 
 
 def _verify_model(path: str, as_json: bool) -> None:
@@ -107,8 +143,8 @@ def _verify_foreign(path: str, variable: str | None, as_json: bool) -> None:
         raise
     damage = recording.damage
     lines = [_line(source, "damaged" if text in damage else "remark", text) for text in recording.said]
-    n_channels = len(recording.channels)
-    content = f"{recording.format} of {n_channels} channel{'s' * (n_channels > 1)}, {n_samples} samples each"
+    channels = counted(len(recording.channels), "channel")
+    content = f"{recording.format} of {channels}, {counted(n_samples, 'sample')} each"
     state = "damaged" if damage else "readable"
     _tell(path, "recording", 1, lines, not damage, as_json, f"{_NO_SUM}{state}: {content}")
     if damage:

@@ -314,5 +314,5 @@ def posterior(
 def _each(name: str, numbers: Floats, n: int) -> Floats:
     """Return one number for each of n signals."""
     if numbers.shape not in ((), (1,), (n,)):
-        raise InvalidValue(f"{name} must be one number or one for each of {n} signals, got shape {numbers.shape}")
+        raise InvalidValue(f"{name} must be one number or one for each signal ({n}), got shape {numbers.shape}")
     return np.broadcast_to(numbers, (n,))

@@ -131,7 +131,18 @@ def open_all(
                 f"{file.recording.source}: recordings of different groups must differ, it holds the same as "
                 f"{first.recording.source}; take one out, or give both one group"
             )
+        if first is not file and _overlap(first.annotations, file.annotations):
+            raise BadData(
+                f"{file.recording.source}: intervals must not overlap, it holds the same as {first.recording.source}; "
+                "take one out"
+            )
     return files
+
+
+def _overlap(some: Sequence[Annotation], others: Sequence[Annotation]) -> bool:
+    """Return whether two annotations of the same channels share time."""
+    pairs = product(some, others) if some[0].channels == others[0].channels else ()
+    return any(one.start < other.end and other.start < one.end for one, other in pairs)
 
 
 def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:

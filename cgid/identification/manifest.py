@@ -33,7 +33,7 @@ COLUMNS = (
 #: Columns of a CSV file that only inform the person who labels the rows.
 INFORMATIVE = ("time [s]", "peak", "peak_unit", "flags", "content", "note")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
-_NUMBERS = ("start", "end", "gain", "rate")
+_NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 #: Manifests that a folder may hold, and endings of the recordings in it.
 _NAMES = ("manifest.csv", "events.csv", "manifest.toml")
 ENDINGS = (
@@ -48,6 +48,12 @@ LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
 _SHARED = (*("group", "channel", "gain", "sensor", "rate", "unit", "variable", "sensitivity", "full_scale", "invert"),)
+#: Columns that hold for a recording as a whole, and where annotations hold them.
+_OF_RECORDINGS = {
+    **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "invert")},
+    "gain": "recording_gain",
+    "rate": "sampling_rate",
+}
 #: Most mistakes reported at once.
 _MOST_MISTAKES = 20
 
@@ -107,7 +113,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     """Return a checked row; paths are relative to `folder`, and `labels` are the allowed ones, None for any."""
     path = row.get("path")
     if not isinstance(path, str) or not path or "\0" in path:
-        raise InvalidValue(f"path must be the name of a file, got {path!r}")
+        raise InvalidValue(f"path must be the name of a file, got {validation.shown(path)}")
     reference = _truth("reference", row.get("reference", False))
     sensor, label = _word("sensor", row.get("sensor", "")), _word("label", row.get("label", ""))
     if reference:
@@ -153,7 +159,9 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
 def _word(name: str, value: Any) -> str:
     text = str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else None
     if text is None or len(text) > _LONGEST_WORD or not (text.isprintable()):
-        raise InvalidValue(f"{name} must be a word of at most {_LONGEST_WORD} characters, got {value!r}")
+        raise InvalidValue(
+            f"{name} must be a word of at most {_LONGEST_WORD} characters, got {validation.shown(value)}"
+        )
     return text
 
 
@@ -163,7 +171,7 @@ def _number(name: str, value: Any, what: str) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if math.isnan(number):
-        raise InvalidValue(f"{name} must be a number{what}, got {value!r}")
+        raise InvalidValue(f"{name} must be a number{what}, got {validation.shown(value)}")
     return number
 
 
@@ -186,7 +194,7 @@ def _truth(name: str, value: Any) -> bool:
     words = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
     found = value if isinstance(value, bool) else words.get(str(value).lower())
     if found is None:
-        raise InvalidValue(f"{name} must be yes or no, got {value!r}")
+        raise InvalidValue(f"{name} must be yes or no, got {validation.shown(value)}")
     return found
 
 
@@ -198,7 +206,9 @@ def _channels(value: Any) -> tuple[int | str, ...] | None:
     good = all(isinstance(one, int | str) and not isinstance(one, bool) and str(one).strip() for one in listed)
     channels = tuple(one.strip() if isinstance(one, str) else one for one in listed) if good else ()
     if not channels or len({str(one) for one in channels}) != len(channels):
-        raise InvalidValue(f"channel must be a name or a number from 1, or different ones (1+2), got {value!r}")
+        raise InvalidValue(
+            f"channel must be a name or a number from 1, or different ones (1+2), got {validation.shown(value)}"
+        )
     return channels
 
 
@@ -219,15 +229,24 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
             found.append(f"{path}: a recording must lie in one group as a whole, got {' and '.join(groups[:2])}")
         own.sort(key=lambda one: (str(one.channels), one.start))
         for before, after in pairwise(own):
-            for name in ("sensitivity", "recording_gain", "full_scale"):
+            for column, name in _OF_RECORDINGS.items():
                 first, second = getattr(before, name), getattr(after, name)
                 if before.channels == after.channels and first != second:
-                    what = f"{' and '.join(first or ('none',))} and {' and '.join(second or ('none',))}"
-                    found.append(f"{path}: a recording must have one {name.removeprefix('recording_')}, got {what}")
+                    found.append(
+                        f"{path}: a recording must have one {column}, got {_said(first)} and {_said(second)}; write "
+                        "the same in all its rows"
+                    )
             if before.channels == after.channels and after.start < before.end:
                 what = f"{before.label or 'a reference run'} and {after.label or 'a reference run'}"
                 found.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")
     return found
+
+
+def _said(value: Any) -> str:
+    """Return a value as a manifest says it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return " and ".join(value) if isinstance(value, tuple) else "none" if value is None else f"{value}"
 
 
 # -- the file ---------------------------------------------------------------------------------------------
@@ -319,7 +338,9 @@ def _text(path: Path) -> str:
 
 def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
     """Return the rows of a CSV manifest with their places in the file, and None: it lists no labels."""
-    lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in _text(path).splitlines()]
+    # Not `splitlines`, which takes other signs of a path for line breaks, too.
+    split = re.split("\r\n?|\n", _text(path))
+    lines = [line if line.strip() and not line.lstrip().startswith("#") else "" for line in split]
     header = next((line for line in lines if line), "")
     separator = max(",;\t", key=header.count)
     try:
@@ -341,9 +362,19 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
             raise BadData(f"{path}: row {number}: must have {len(names)} cells as the header, got {len(cells)}")
         row = {name: cell for name, cell in zip(names, cells, strict=False) if cell and name not in INFORMATIVE}
         if separator != ",":
-            row |= {name: row[name].replace(",", ".") for name in _NUMBERS if name in row}
+            row |= {name: _with_points(row[name]) for name in _NUMBERS if name in row}
         rows.append((f"row {number}", row))
     return rows, None
+
+
+def _with_points(cell: str) -> str:
+    """Return a cell with decimal points for its commas; the name of a channel, as in NAME=VALUE, keeps them.
+
+    >>> _with_points("a,b=10,2 mV/g;2=3,1 mV/N")
+    'a,b=10.2 mV/g;2=3.1 mV/N'
+    """
+    parts = (part.rpartition("=") for part in cell.split(";"))
+    return ";".join(f"{name}{equals}{value.replace(',', '.')}" for name, equals, value in parts)
 
 
 def _toml(path: Path) -> dict[str, Any]:
@@ -364,7 +395,9 @@ def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
     _check_names(list(content), (*_SHARED, "labels", "recording"), f"{path}: keys")
     labels = content.get("labels")
     if labels is not None and not (isinstance(labels, list) and all(isinstance(one, str) for one in labels)):
-        raise BadData(f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {labels!r}')
+        raise BadData(
+            f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {validation.shown(labels)}'
+        )
     shared = {name: content[name] for name in _SHARED if name in content}
     rows: list[Row] = []
     for number, recording in enumerate(recordings, 1):
@@ -372,7 +405,10 @@ def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         _check_names(list(recording), (*COLUMNS, "intervals"), f"{path}: {where}: keys", required="path")
         intervals = recording.pop("intervals", [{}])
         if not isinstance(intervals, list) or not all(isinstance(one, dict) for one in intervals):
-            raise BadData(f"{path}: {where}: intervals must be a list of {{ start, end, label }}, got {intervals!r}")
+            raise BadData(
+                f"{path}: {where}: intervals must be a list of {{ start, end, label }}, "
+                f"got {validation.shown(intervals)}"
+            )
         for interval in intervals:
             _check_names(list(interval), ("start", "end", "label"), f"{path}: {where}: keys of an interval")
             rows.append((where, {**shared, **recording, **interval}))
@@ -473,4 +509,5 @@ def path_from(folder: Path, file: str | Path) -> str:
         path = Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # another drive
         path = Path(file).absolute().as_posix()
-    return f"./{path}" if path.startswith("#") else path  # a comment begins with #
+    # A comment begins with #, and blanks around a cell do not count.
+    return f"./{path}" if path.startswith("#") or path != path.lstrip() else path

@@ -368,8 +368,8 @@ class Diagnosis:
             reason += f"; and sampled at {self._rate:g} Hz, not {trained} Hz"
         return reason, "label impacts and train on them", self._training()
 
-    def _predict(self, *more: str) -> str:
-        options = _without([*self._options, *self._answering], more)
+    def _predict(self, *more: str, dropped: Sequence[str] = ()) -> str:
+        options = _without([*self._options, *self._answering], (*more, *dropped))
         return shlex.join(["cgid", "predict", self._source, *options, *more])
 
     def _cure(self, flag: str) -> str:
@@ -390,16 +390,17 @@ class Diagnosis:
                 "fill in its label column",
                 "cgid train events.csv -o mine.npz",
             )
-        return (*train, self._predict("--model", "mine.npz"))
+        # What only the former model asks for: the new one sees the samples as they are.
+        return (*train, self._predict("--model", "mine.npz", dropped=("--mass", "--drop-height", "--sensor")))
 
 
-def _without(options: Sequence[str], more: Sequence[str]) -> list[str]:
-    """Return the options, pairs of flag and value or flags alone, without the flags given in `more`."""
+def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:
+    """Return the options, pairs of flag and value or flags alone, without the flags in `dropped`."""
     kept: list[str] = []
     flag = ""
     for option in options:
         flag = option if option.startswith("--") else flag
-        if flag not in more:
+        if flag not in dropped:
             kept.append(option)
     return kept
 

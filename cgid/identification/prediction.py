@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,14 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
-from cgid.errors import BadData
+from cgid.errors import BadData, MissingOption
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.question import Question
 from cgid.identification.stream import factor_of, identify_blocks
-from cgid.recordings.chain import scaled
+from cgid.recordings.chain import Chain, Statement
+from cgid.recordings.recording import Contents, require_one_rate
+from cgid.recordings.variables import full_scale_of
 from cgid.shipped import model_path
 from cgid.signals import Signal
+from cgid.validation import require_rate
 
 if TYPE_CHECKING:
     import pandas
@@ -59,24 +62,32 @@ def load_model(model: str | Path = "default") -> Model:
 
 
 def predict(
-    samples: ArrayLike,
-    sampling_rate: float,
-    unit: str = "N",
+    samples: ArrayLike | Signal | Sequence[Signal],
+    sampling_rate: float | None = None,
+    unit: str | None = None,
     model: Model | str | Path | None = None,
+    *,
+    sensitivity: Statement | None = None,
+    gain: Statement | None = None,
+    full_scale: Statement | None = None,
     **settings: Any,
 ) -> pandas.DataFrame:
     """Identify the material of every impact in some samples.
 
     Parameters
     ----------
-    samples : array_like, (n_samples,) or (n_samples, n_channels)
-        In `unit`. The columns of a DataFrame name the channels; else they are numbered from 1.
-    sampling_rate : float
-        [Hz].
-    unit : str
-        One of `cgid.units.UNITS`, such as "N", "kN", "g" or "m/s^2".
+    samples : array_like, (n_samples,) or (n_samples, n_channels); or Signal, or list of Signal
+        In `unit`. The columns of a DataFrame name the channels; else they are numbered from 1. Signals, such as those
+        of `read_recording`, are channels of one length; rate, unit and names are theirs.
+    sampling_rate : float, optional
+        [Hz]; only for Signals it may be left out.
+    unit : str, optional
+        One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; by default that of the Signals, else "N".
     model : Model, str or Path, optional
         A model, or what `load_model` takes; by default the shipped one for this quantity.
+    sensitivity, gain, full_scale : str, float, mapping or list, optional
+        What turns volts, coulombs or integers into what the sensor measured, such as ``sensitivity="10.2 mV/g"``; as
+        in `cgid.open_recording`. With them an array needs `unit` ("V"), unless `full_scale` says it.
     **settings
         Fields of `cgid.identification.question.Question`, such as ``mass=2.5`` [kg] of an accelerated striker,
         ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.
@@ -97,11 +108,12 @@ def predict(
     Raises
     ------
     BadData
-        The samples are not finite, have another shape, or are of another quantity than the model's.
+        The samples are not finite, have another shape, are of another quantity than the model's, or Signals differ in
+        length or rate.
     InvalidValue
-        The sampling rate, the unit or a setting is invalid.
+        The sampling rate, the unit, the sensitivity or a setting is invalid.
     MissingOption
-        The model needs a drop height.
+        The sampling rate or the unit is not known, volts have no sensitivity, or the model needs a drop height.
     NoInput
         There is no such model.
 
@@ -115,29 +127,62 @@ def predict(
     >>> table = predict(blow + np.random.default_rng(0).normal(0, 50, 2000), 200e3)
     >>> list(table.columns[:5]), len(table), round(float(table["time [s]"][0]), 4)
     (['channel', 'time [s]', 'label', 'p(coal)', 'p(gangue)'], 1, 0.004)
+
+    A recording:
+
+    >>> from cgid import read_recording, shipped
+    >>> len(predict(read_recording(shipped.path_of("datasets", "sample.csv"))))
+    6
     """
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
     question = replace(Question(), **settings)
-    signals = _signals(samples, sampling_rate, unit)
+    signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
     first = signals[0]
     chosen = model if isinstance(model, Model) else load_model(_default(first, question) if model is None else model)
     question.check(chosen)
-    factor = factor_of(chosen, unit, first.source, mass=question.mass) * (-1 if question.invert else 1)
-    block = np.stack([signal.samples for signal in signals])
+    sign = -1.0 if question.invert else 1.0
+    factors = [sign * factor_of(chosen, s.unit, s.source, s.channel, mass=question.mass) for s in signals]
+    with np.errstate(over="ignore"):  # infinite samples are refused
+        block = np.stack([signal.samples * factor for signal, factor in zip(signals, factors, strict=True)])
     names = [signal.channel for signal in signals]
     answers: list[Answer] = []
-    blocks = scaled([block], [factor] * len(names))
-    for step in identify_blocks(blocks, first.sampling_rate, chosen, names, question, first.source):
+    for step in identify_blocks([block], first.sampling_rate, chosen, names, question, first.source):
         answers += step.answers
         for text in (*step.silent, *step.warnings):
             warnings.warn(text, stacklevel=2)
     return _table(answers, chosen, question)
 
 
-def _signals(samples: Any, sampling_rate: float, unit: str) -> list[Signal]:
-    """Return the channels of samples (n_samples,) or (n_samples, n_channels)."""
-    names: Iterable[Any] | None = getattr(samples, "columns", None)
+def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain) -> list[Signal]:
+    """Return the channels of samples or Signals, in what the sensors measured."""
+    listed = [samples] if isinstance(samples, Signal) else samples
+    of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
+    signals = _alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
+    # An array of N needs no unit; but what a sensitivity is for must be said.
+    is_force = not of_signals and chain == Chain()
+    largest = None if of_signals else full_scale_of(validation.plain("samples", samples).dtype)
+    contents = Contents(
+        n_channels=len(signals),
+        blocks=lambda length, channels: iter(()),
+        names=[signal.channel for signal in signals],
+        units=[signal.unit for signal in signals],
+        fallback_unit="N" if is_force else None,
+        full_scales=[largest] * len(signals),
+    )
+    links = chain.links(contents, range(len(signals)), unit, signals[0].source)
+    with np.errstate(over="ignore"):  # as above
+        return [
+            replace(signal, unit=link.unit, samples=signal.samples * link.factor)
+            for signal, link in zip(signals, links, strict=True)
+        ]
+
+
+def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
+    """Return the channels of samples (n_samples,) or (n_samples, n_channels), in no unit yet."""
+    if sampling_rate is None:
+        raise MissingOption("samples: an array does not say its sampling rate; give sampling_rate [Hz]")
+    names = getattr(samples, "columns", None)
     columns = validation.plain("samples", samples)
     if columns.ndim == 1:
         columns, names = columns[:, np.newaxis], None
@@ -150,9 +195,30 @@ def _signals(samples: Any, sampling_rate: float, unit: str) -> list[Signal]:
         )
     labels = range(1, columns.shape[1] + 1) if names is None else names
     return [
-        Signal(samples=column, sampling_rate=sampling_rate, unit=unit, source="samples", channel=str(label))
+        Signal(samples=column, sampling_rate=sampling_rate, source="samples", channel=str(label))
         for label, column in zip(labels, np.ascontiguousarray(columns.T), strict=True)
     ]
+
+
+def _alike(signals: Sequence[Any], sampling_rate: float | None) -> list[Signal]:
+    """Return Signals as channels of one recording; raises `BadData` unless they have one length and rate."""
+    for one in signals:
+        if not isinstance(one, Signal):
+            raise BadData(f"samples must be Signals alone or an array, got a {type(one).__name__} among Signals")
+    first = signals[0]
+    rate, origin = (first.sampling_rate, first.name)
+    if sampling_rate is not None:
+        rate, origin = require_rate(sampling_rate), "sampling_rate"
+    for one in signals:
+        require_one_rate((rate, origin), (one.sampling_rate, one.name), one.source)
+        if len(one.samples) != len(first.samples):
+            raise BadData(
+                f"{one.name}: Signals must be channels of one length, got {len(one.samples)} samples after "
+                f"{len(first.samples)} of {first.name}; predict each alone"
+            )
+    channels = [one.channel for one in signals]
+    names = channels if len(set(channels)) == len(channels) else [one.name for one in signals]
+    return [replace(one, sampling_rate=rate, channel=name) for one, name in zip(signals, names, strict=True)]
 
 
 def _default(signal: Signal, question: Question) -> str:

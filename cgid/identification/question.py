@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue, MissingOption
 from cgid.identification.model import Model
 from cgid.identification.windows import VOTE_TIME
 from cgid.signals import KNOWN
-from cgid.validation import UNKNOWN, Floats
+from cgid.validation import UNKNOWN, Floats, shown
 
 #: Impacts identified in one batch, which costs little more than a single one.
 BATCH = 256
@@ -79,6 +79,7 @@ class Question:
     dilution_cost: float | None = None
 
     def __post_init__(self) -> None:
+        self._require_types()
         if self.costs and self.coverage is not None:
             raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
         if self.class_conditional and self.coverage is None:
@@ -89,6 +90,15 @@ class Question:
             raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.share_length:g} s")
         validation.positive("step", self.step, "s")
         validation.positive("dilution_cost", self.cost_of_dilution)
+
+    def _require_types(self) -> None:
+        validation.instance("costs", self.costs, Mapping)
+        for name in ("class_conditional", "invert"):
+            validation.instance(name, getattr(self, name), bool, np.bool_)
+        if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
+            raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
+        if self.coverage is not None:
+            validation.number("coverage", self.coverage)
 
     # -- decision -------------------------------------------------------------------------------------
 
@@ -137,8 +147,9 @@ class Question:
         if not self.sensors:
             return [None] * len(channels)
         if len(self.sensors) not in (1, len(channels)):
+            rule = f"given once, or once for each of the {len(channels)} channels" if len(channels) > 1 else "one"
             raise InvalidValue(
-                f"sensor must be one for all {len(channels)} channels or one for each, got {len(self.sensors)}"
+                f"sensor must be {rule}, got {len(self.sensors)} ({', '.join(self.sensors)}); leave some out"
             )
         for sensor in self.sensors:
             model.equalisation(sensor)
@@ -206,7 +217,5 @@ def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike
         )
     heights: NDArray[np.float64] = validation.positive("drop_height", drop_height, KNOWN["drop_height"])
     if heights.shape not in ((), (n_impacts,)):
-        raise InvalidValue(
-            f"drop_height must be one number or one for each of {n_impacts} impacts, got {heights.shape}"
-        )
+        raise InvalidValue(f"drop_height must be one number or one for each impact ({n_impacts}), got {heights.shape}")
     return np.broadcast_to(heights, (n_impacts,))[:, None]

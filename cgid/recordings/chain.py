@@ -34,7 +34,7 @@ _TOLERANCE, _FACTORS = 1e-3, (1e-30, 1e30)
 _MOST_BITS, _LONGEST = 64, 200
 _LOUDEST = 400.0
 _TIMES = re.compile(r"[x×]\s*(.+)|(.+?)\s*[x×]", re.IGNORECASE)
-_FULL_SCALE = re.compile(r"(?:±|\+/?-)?\s*(.*?)(?:\s+at\s+(\d{1,3})\s*bits?)?", re.IGNORECASE)
+_FULL_SCALE = re.compile(r"(?:±|\+/?-)?\s*(.*?)(?:\s+at\s+([0-9]{1,3})\s*bits?)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, Re
 from cgid.recordings.text import PIECE, no_number, whole_lines
 from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of, stamped_moment
 from cgid.recordings.times import EvenTimes, Floats, is_resolved, rate_of
+from cgid.terminal import counted
 from cgid.units import known_unit
 
 _END_OF_HEAD = "***End_of_Header***"
@@ -223,7 +224,7 @@ def _channels_alike(segment: _Segment, named: str | None, source: str, warnings:
     }
     empty = [channel for channel, kind in kinds.items() if kind[0] == 0]
     if empty:
-        warnings.append(Remark(f"{len(empty)} channels without samples were left out: {_listed(segment, empty)}"))
+        warnings.append(Remark(f"{counted(len(empty), 'channel')} without samples left out: {_listed(segment, empty)}"))
     held = [channel for channel in kinds if channel not in empty]
     if not held:
         raise BadData(f"{source}: a recording must hold at least one sample, no channel does; record it again")

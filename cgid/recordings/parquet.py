@@ -34,6 +34,8 @@ from cgid.units import known_unit, seconds_of
 _LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20
 #: Bytes of one column of a row group to read at once.
 _BUFFER = 1 << 20
+#: Rows read at once, of all columns.
+_ROWS = 1 << 14
 #: Longest metadata value [bytes] that may state a rate or a unit.
 _LONGEST_VALUE = 200
 #: Only rows of equal numbers are packed more densely, and they are not a recording.
@@ -99,6 +101,19 @@ def read_parquet(path: Path, source: str) -> Contents:
         start_time=start,
         warnings=warnings,
     )
+
+
+def parquet_columns(path: Path, source: str, first: Sequence[str]) -> tuple[list[str], int]:
+    """Return the names of the columns and the number of rows of a table that begins with the columns `first`.
+
+    It is read to its end; raises as `read_parquet`. Another table has no columns.
+    """
+    file = _Parquet(path, source)
+    names = [name for name, *_ in file.columns()]
+    if names[: len(first)] != [*first]:
+        return [], 0
+    with file._opened() as rows:
+        return names, sum(part.num_rows for part in rows.iter_batches(_ROWS, use_threads=False))
 
 
 def _own(stated: Callable[[Values, int], list[str | None] | None], values: Values, said: Values) -> str | None:

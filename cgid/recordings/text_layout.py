@@ -299,6 +299,8 @@ _STATED_CHAIN = re.compile(
     r"(?:[\[(]\s*(.+?)\s*[\])]\s*)?[:=]\s*(.*?)[\s\";,]*",
     re.IGNORECASE,
 )
+#: Numbers with a decimal comma and a unit, semicolons between them.
+_DECIMAL_COMMAS = re.compile(r"\s*\d+,\d+\s*[^\d\s,;][^,;]*(?:;\s*\d+(?:,\d+)?\s*[^\d\s,;][^,;]*)*")
 _COLUMNS_FOLLOW = re.compile(r"(?i:columns?|fields?|channels?|header)\s*[:=]\s*")
 _WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\]])?|[(\[][^()\[\]]*[)\]]')
 
@@ -350,19 +352,22 @@ class Header:
 def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
     """Return "sensitivities" or "gains" and the values that a line states, None for any other line.
 
-    Numbers need a decimal point, because commas divide values.
+    Commas divide values, but for one within each number with a unit of its own: 10,2 mV/g; 2,3 mV/N.
 
     Examples
     --------
     >>> stated_chain("# sensitivity: 10.2 mV/g, 2.3 mV/N"), stated_chain("# Sensitivity [mV/g] = 100")
     (('sensitivities', ('10.2 mV/g', '2.3 mV/N')), ('sensitivities', ('100 mV/g',)))
     >>> stated_chain("# gain: 1 mV/pC"), stated_chain("# sensitivity: 10,2 mV/g"), stated_chain("time, force")
-    (('gains', ('1 mV/pC',)), None, None)
+    (('gains', ('1 mV/pC',)), ('sensitivities', ('10.2 mV/g',)), None)
     """
     found = _STATED_CHAIN.fullmatch(line)
     if found is None:
         return None
-    values = [f"{value.strip()} {found[2] or ''}".strip() for value in re.split("[,;]", found[3])]
+    listed = re.split("[,;]", found[3])
+    if not found[2] and _DECIMAL_COMMAS.fullmatch(found[3]):
+        listed = found[3].replace(",", ".").split(";")
+    values = [f"{value.strip()} {found[2] or ''}".strip() for value in listed]
     if found[1].lower().startswith("gain"):
         return "gains", tuple(values)
     numbers = [number_and_unit(value) for value in values]

@@ -30,6 +30,7 @@ from cgid.store.hdf5 import RecordingPlan, writing
 from cgid.store.reading import Recording, is_recording
 from cgid.store.run import Goal, begun, check_output, is_single_file
 from cgid.store.verification import examine_whole
+from cgid.terminal import counted
 
 #: Memory for the truth of an impact, including sorting and writing [bytes],
 _IMPACT_BYTES = 500
@@ -77,7 +78,8 @@ def _cure(duration: float, excess: float, otherwise: str) -> str:
     count = int(np.ceil(excess * 1.02))
     if count > MOST_RECORDINGS or duration / count < SHORTEST_RECORDING:
         return otherwise
-    return f"make {count} recordings (-n {count}) with a duration of {duration / count:.3g} s each, or {otherwise}"
+    made = counted(count, "recording")
+    return f"make {made} (-n {count}) with a duration of {duration / count:.3g} s each, or {otherwise}"
 
 
 def generate_recordings(

@@ -41,6 +41,8 @@ _SLOTS = 10_007
 _MATLAB_INNER = ("#refs#", "#subsystem#")
 _MATLAB_NAMES = frozenset(("MATLAB_class", "MATLAB_empty"))
 _CURE = "save it again as plain arrays"
+#: Bytes of a column read at once.
+_LONGEST_PART = 1 << 24
 _CUT_OFF = (
     "the HDF5 file is cut off or damaged",
     "copy it again, or if it is a dataset, see what cgid.store or --index say of it",
@@ -92,6 +94,33 @@ def foreign_survey(path: str, source: str, wanted: Sequence[str]) -> dict[str, A
                 about = {"name": name, "shape": item.shape, "attributes": values}
                 arrays.append({**about, "fault": fault, "warning": warning})
     return {"arrays": arrays, "said": said, "texts": texts}
+
+
+def foreign_columns(path: str, source: str, needed: Sequence[str]) -> dict[str, Any]:
+    """Return the `names` of the columns in the group /columns, read to their end, and their `n_rows`.
+
+    There are none if the `needed` ones are not all there, or some have several axes or another length. Raises as
+    `foreign_names`.
+    """
+    with _opened(path, source) as file:
+        found = {
+            place.partition("/")[2]: item
+            for place, item in _walk(file, source)
+            if place.startswith("columns/") and isinstance(item, h5py.Dataset)
+        }
+        is_table = len({item.shape for item in found.values()}) == 1 and found.keys() >= set(needed)
+        plain = (item.ndim == 1 and item.dtype.kind in "biufS" and not item.external for item in found.values())
+        if not (is_table and all(plain)):
+            return {"names": [], "n_rows": 0}
+        for name, item in found.items():
+            if fault := storage_fault(item, Path(path).stat().st_size):
+                raise BadData(f"{source}: {name} {fault}; the file is damaged, write it again")
+            step = max(_LONGEST_PART // item.dtype.itemsize, 1)
+            sandbox.allow(2 * step * item.dtype.itemsize + 3 * chunk_bytes(item))
+            for first in range(0, len(item), step):
+                with damage_told(source, f"{name} cannot be read", "the file is damaged, write it again"):
+                    item[first : first + step]
+        return {"names": list(found), "n_rows": len(next(iter(found.values())))}
 
 
 def foreign_texts(path: str, source: str, asked: Sequence[tuple[str, str]]) -> list[Any]:

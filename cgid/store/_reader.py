@@ -264,6 +264,7 @@ def _digest(dataset: h5py.Dataset, part: slice) -> str:
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "examine": examine,
     "foreign_blocks": _foreign.foreign_blocks,
+    "foreign_columns": _foreign.foreign_columns,
     "foreign_names": _foreign.foreign_names,
     "foreign_survey": _foreign.foreign_survey,
     "foreign_texts": _foreign.foreign_texts,

@@ -67,6 +67,11 @@ _LONGEST_WORD = 400
 # ---- headers of files ------------------------------------------------------------------------------------------------
 
 
+def is_dataset_folder(folder: Path) -> bool:
+    """Return whether a folder is a dataset, even an unfinished or damaged one: by its manifest, journal or shards."""
+    return any(mark.exists() for mark in (folder / MANIFEST, folder / JOURNAL, *folder.glob("shard-*.h5")))
+
+
 @dataclass(frozen=True)
 class ShardHeader:
     """The checked header of a shard."""

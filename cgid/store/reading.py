@@ -31,6 +31,7 @@ from cgid.store.description import (
     read_manifest,
     text_of,
 )
+from cgid.terminal import counted
 from cgid.units import quantity_of
 
 #: Most signals read at once, and their largest size [bytes].
@@ -318,7 +319,7 @@ class Recording:
     def __repr__(self) -> str:
         return (
             f"Recording({str(self.path)!r}: {self.n_samples} samples at {self.sampling_rate:g} Hz [{self.unit}], "
-            f"{self.n_impacts} impacts)"
+            f"{counted(self.n_impacts, 'impact')})"
         )
 
     def samples(self, first: int = 0, stop: int | None = None) -> NDArray[Any]:
