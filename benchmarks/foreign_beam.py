@@ -9,12 +9,19 @@ an FIR filter takes that down. Run as
 It writes `train_*.csv` and `new_*.csv` (time and both channels in m/s^2), `truth.csv` (path, time, label, peak
 force, speed and radius of each blow), and `tap_*.csv`: an instrumented hammer at the middle of the beam (force in N,
 both channels).
+
+    python benchmarks/foreign_beam.py FOLDER --recordings 4 --learn
+
+then labels 1, 2 and 4 of them from the truth, trains by the commands of docs/tutorials/engineer.md, and counts the
+right answers on the new recordings (two channels, so two answers a blow), after those of the default model.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +128,56 @@ def tap(random: np.random.Generator) -> np.ndarray:
     return recorded(np.column_stack([force, answer(force, 0.5, n)]), random)
 
 
+def cgid(*arguments: object) -> None:
+    """Run a command of cgid; show what it says only if it fails."""
+    done = subprocess.run(
+        [sys.executable, "-m", "cgid", *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        sys.exit(f"cgid {arguments[0]}: {done.stderr}")
+
+
+def with_truth(table: Path) -> tuple[list[dict[str, str]], list[str | None]]:
+    """Return the rows of a table of impacts, and what struck for each: the label of a blow within 20 ms."""
+    with (table.parent / "truth.csv").open() as file:
+        truth = list(csv.DictReader(file))
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    labels: list[str | None] = []
+    for row in rows:
+        name, time = Path(row.get("path") or row["source"]).name, float(row["time [s]"])
+        near = [blow for blow in truth if blow["path"] == name and abs(float(blow["time [s]"]) - time) < 0.02]
+        labels.append(near[0]["label"] if near else None)
+    return rows, labels
+
+
+def learn(folder: Path) -> None:
+    """Print how many answers are right on the new recordings, after more and more labelled ones."""
+    labelled, new = sorted(folder.glob("train_*.csv")), sorted(folder.glob("new_*.csv"))
+    print("labelled recordings  blows  right  wrong  unknown  not a blow")
+    for n in [0, *(2**k for k in range(len(labelled).bit_length()))]:
+        model: list[object] = []
+        n_labelled = 0
+        if n:
+            events, model = folder / "events.csv", ["--model", folder / "model.npz"]
+            cgid("events", *labelled[:n], "-o", events, "--overwrite")
+            rows, labels = with_truth(events)
+            known = [row | {"label": label} for row, label in zip(rows, labels, strict=True) if label]
+            n_labelled = len(known)
+            with events.open("w", newline="") as file:
+                writer = csv.DictWriter(file, rows[0])
+                writer.writeheader()
+                writer.writerows(known)
+            cgid("train", events, "-o", model[1], "--overwrite")
+        cgid("predict", *new, *model, "-o", folder / "answers.csv", "--overwrite")
+        rows, labels = with_truth(folder / "answers.csv")
+        said = [(row["label"], label) for row, label in zip(rows, labels, strict=True)]
+        right = sum(answer == label for answer, label in said)
+        unknown = sum(answer == "unknown" and label is not None for answer, label in said)
+        stray = labels.count(None)
+        print(f"{n:19} {n_labelled:6} {right:6} {len(said) - right - unknown - stray:6} {unknown:8} {stray:11}")
+
+
 def main() -> None:
     """Write the recordings and their truth."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -128,6 +185,7 @@ def main() -> None:
     parser.add_argument("--recordings", type=int, default=4, help="to train on; half as many are new")
     parser.add_argument("--blows", type=int, default=40, help="in each recording, a minute's worth")
     parser.add_argument("--seed", type=int, default=20)
+    parser.add_argument("--learn", action="store_true", help="count right answers after 1, 2, 4 labelled recordings")
     given = parser.parse_args()
     random = np.random.default_rng(given.seed)
     given.folder.mkdir(parents=True, exist_ok=True)
@@ -145,6 +203,7 @@ def main() -> None:
             comments="",
         )
         rows += [{"path": name, **row} for row in truth]
+        print(f"{given.folder / name}: {len(truth)} blows in {len(samples) / RATE:.0f} s", flush=True)
     with (given.folder / "truth.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
@@ -153,7 +212,9 @@ def main() -> None:
         samples = np.column_stack([np.arange(int(RATE)) / RATE, tap(random)])
         header = "time (s),hammer (N),left (m/s^2),right (m/s^2)"
         np.savetxt(given.folder / f"tap_{k}.csv", samples, fmt="%.8g", delimiter=",", header=header, comments="")
-    print(f"{len(rows)} blows in {len(names)} recordings in {given.folder}")
+    print(f"{given.folder}: truth.csv with {len(rows)} blows, and tap_0.csv to tap_4.csv")
+    if given.learn:
+        learn(given.folder)
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def written_by_command(tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper") / "out"
     with pytest.MonkeyPatch.context() as patch:
         lines = []
-        patch.setattr("cgid.cli.studies.click.echo", lambda text, **_: lines.append(text))
+        patch.setattr("cgid.cli.studies.click.echo", lambda text, err=False, **_: err or lines.append(text))
         for name in ("draw", "draw_table"):
             patch.setattr(output, name, drawn_once(getattr(output, name)))
         assert run(["reproduce", "-o", str(folder)]) == 0

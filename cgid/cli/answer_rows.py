@@ -311,6 +311,6 @@ class RecordingRows:
                 self.lines.turn(self.source, self.name(one.share.channel), one, self._question.cost_of_dilution)
                 continue
             self.shares += [one] * self._keep
-            if one.n_impacts or one.n_unknown or self._always:
+            if one.n_impacts or self._always or (one.n_unknown and self.lines.as_json):
                 self.lines.share(self.source, self.name(one.channel), one)
         self._held_shares = []

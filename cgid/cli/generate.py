@@ -191,11 +191,10 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
         path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
     megabytes = n_signals * asked.signal_bytes / 1e6
-    say(
-        f"{path}: {counted(n_signals, 'signal')} of {counted(scene.sampling.samples, 'sample')} in {seconds:.1f} s: "
-        f"{n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s",
-        err=True,
-    )
+    # A run that is resumed makes only what was missing.
+    speed = f": {n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s" if not options["resume"] else ""
+    text = f"{counted(n_signals, 'signal')} of {counted(scene.sampling.samples, 'sample')}"
+    say(f"{path}: {text} in {seconds:.1f} s{speed}", err=True)
 
 
 def _warn_of_plate(scene: Any, seed: int) -> None:

@@ -371,3 +371,4 @@ def reproduce(output: str, overwrite: bool, finite_element: bool, jobs: int | No
         )
     for path in written:
         say(str(path))
+    say(f"wrote {counted(len(written), 'file')}; begin with {Path(output) / 'report.md'}", err=True)

@@ -379,7 +379,8 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     say(f"Brier score {metrics['brier_score']:.4f}")
     chance = metrics["calibration_error_by_chance"]
     say(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
-    say("wrote " + ", ".join(map(str, written)), err=True)
+    then = f"cgid predict FILE --model {shlex.quote(str(path))}"
+    say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
 
 
 def _share(metrics: dict[str, Any]) -> str:

@@ -12,11 +12,11 @@ import io
 import numpy as np
 from matplotlib import pyplot as plt
 
-from cgid import find_impacts, load_scene, shipped
+from cgid import find_impacts, load_scene
 from cgid.plots import recording_picture
 from cgid.scene import parse_scene, record
 
-content = load_scene(shipped.scene_path("caving")).model_dump(mode="json", exclude_none=True)
+content = load_scene("caving").model_dump(mode="json", exclude_none=True)
 content["stream"]["duration"] = "10 s"
 content["stream"]["mixture"] = {"times": ["0 s", "10 s"], "gangue": [0.05, 0.9]}
 scene = parse_scene(content)
