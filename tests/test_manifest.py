@@ -159,7 +159,7 @@ MISTAKES = {
     "overlapping intervals": ("path,label,start,end\na,b,0,2\na,c,1,3\n", "must not overlap, b and c do at 1 s"),
     "recording twice": ("path,label\na,b\na,c\n", "must not overlap"),
     "recording in two groups": ("path,label,start,end,group\na,b,0,1,x\na,c,1,2,y\n", "must lie in one group"),
-    "rate of one row": ("path,label,start,end,rate\na,b,0,1,8e3\na,c,1,2,\n", "must have one rate, got 8000.0 and none"),
+    "rate of one row": ("path,label,start,end,rate\na,b,0,1,8e3\na,c,1,2,\n", "one rate, got 8000.0 and none"),
     "invert of one row": ("path,label,start,end,invert\na,b,0,1,\na,c,1,2,yes\n", "one invert, got no and yes"),
     "unit of one row": ("path,label,start,end,unit\na,b,0,1,\na,c,1,2,g\n", "one unit, got none and g"),
     "path with a zero byte": ("path,label\na\0b,c\n", "path must be the name of a file"),

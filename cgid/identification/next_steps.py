@@ -356,7 +356,7 @@ class Diagnosis:
                 f"if it is an acceleration, {self._cure('--unit')}, else label impacts and train on them",
                 (*self._corrected("--unit", "m/s^2"), *self._training()),
             )
-        reason = "they are clear, but unlike those of the training, as on another beam or with another mounting or sensor"
+        reason = "they are clear, but unlike those of the training, as on another beam, mount or sensor"
         if cause == "shape":
             reason = "they are no single pulses like those of the training, as where the sensor rings or filters"
         elif causes:
