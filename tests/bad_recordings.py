@@ -32,6 +32,7 @@ def make_recordings(folder: Path) -> None:
     np.savez(folder / "several.npz", a=blow, b=blow[:500], fs=float(RATE), unit="m/s^2")
     wavfile.write(folder / "blow.wav", RATE, (blow / 300).astype(np.float32))
     sound = (folder / "blow.wav").read_bytes()
+    (folder / "copy.wav").write_bytes(sound)
     (folder / "head.wav").write_bytes(sound[: sound.index(b"data") + 8])
     (folder / "half.raw").write_bytes(b"abc")
     (folder / "broken.raw").write_bytes(np.where(np.arange(50) == 0, np.nan, 1.0).astype("<f4").tobytes())
@@ -74,6 +75,9 @@ _MANIFESTS = {
     "channel": "path,label,channel\nblow.wav,coal,7\n",
     "unsensed": "path,label\nvolts.csv,coal\n",
     "deaf": "path,label,sensitivity\nvolts.csv,coal,10.2 g/mV\n",
+    "rates": "path,label,start,end,rate,unit\nblow.npy,coal,0,0.1,25600,g\nblow.npy,gangue,0.1,0.2,51200,g\n",
+    "turned": "path,label,start,end,invert\nblow.wav,coal,0,0.1,\nblow.wav,gangue,0.1,0.2,yes\n",
+    "twice": "path,label,group\nblow.wav,coal,day\ncopy.wav,gangue,day\n",
     "ranges": "path,label,start,end,full_scale\ncounts.wav,coal,0,0.1,5 V\ncounts.wav,coal,0.1,0.2,10 V\n",
 }
 _SAID = ("--rate", "25600", "--unit", "m/s^2")
@@ -245,6 +249,10 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("sensitivity of a signal", ("predict", "two.h5", "--index", "0", "--gain", "2"), 65, ("--gain", "two.h5")),
     ("sensitivity of a scene", ("train", "reference", "--gain", "2", *_MODEL_FREE), 65, ("--gain", "no manifest")),
     ("sensitivity in a manifest", ("train", "deaf.csv", *_MODEL_FREE), 65, ("row 2", "'10.2 g/mV'")),
+    ("two rates in a manifest", ("train", "rates.csv", *_MODEL_FREE), 65, ("one rate", "25600.0 and 51200.0")),
+    ("half turned over", ("train", "turned.csv", *_MODEL_FREE), 65, ("one invert", "no and yes")),
+    ("a copy with another label", ("train", "twice.csv", *_MODEL_FREE), 65, ("must not overlap", "blow.wav")),
+    ("bits in other digits", ("predict", "counts.wav", "--full-scale", "10 V at ٢٤ bit"), 65, ("full_scale must be",)),
     ("two ranges in a manifest", ("train", "ranges.csv", *_MODEL_FREE), 65, ("one full_scale", "5 V and 10 V")),
     ("hop of nothing", ("train", "day.csv", "--hop", "1e-9", *_MODEL_FREE), 65, ("hop_time", "1e-09 s")),
     ("groups of a scene", ("train", "reference", "--by", "impact", *_MODEL_FREE), 65, ("--by", "no manifest")),

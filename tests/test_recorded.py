@@ -265,6 +265,11 @@ def test_copies_in_different_groups_are_refused(folder: Path) -> None:
     (folder / "copies.csv").write_text(f"path,label,rate,unit\n0.npy,coal,{RATE},g\ncopy.npy,coal,{RATE},g\n")
     with pytest.raises(BadData, match="it holds the same as"):
         record(read_manifest(folder / "copies.csv"), NAMES)
+    (folder / "twice.csv").write_text(
+        f"path,label,rate,unit,group\n0.npy,coal,{RATE},g,day\ncopy.npy,gangue,{RATE},g,day\n"
+    )
+    with pytest.raises(BadData, match="intervals must not overlap, it holds the same as"):
+        record(read_manifest(folder / "twice.csv"), NAMES)
 
 
 def test_nothing_to_learn_from_is_said(folder: Path) -> None:

@@ -272,6 +272,17 @@ def test_a_file_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.Monkey
     assert run(["predict", SAMPLE, "-o", str(path)]) == 73
     assert run(["predict", SAMPLE, str(tmp_path / "bad.csv"), "--strict", "--overwrite", "-o", str(path)]) == 65
     assert path.read_bytes() == before
+    failing = Path.open
+
+    def opened(path: Path, *arguments: object, **settings: object) -> object:
+        if "late" in path.name and arguments == ("xb",):
+            monkeypatch.setattr(Path, "open", failing)  # there is room again for the second file
+            raise OSError(28, "No space left on device")
+        return failing(path, *arguments, **settings)
+
+    monkeypatch.setattr(Path, "open", opened)
+    assert run(["predict", SAMPLE, SAMPLE, "-o", str(tmp_path / "late.csv")]) == 73
+    assert not (tmp_path / "late.csv").exists()
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert run(["predict", SAMPLE, "-o", str(tmp_path / "rows.parquet")]) == 69
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,7 +48,9 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     folder = Path() if path is None else path.parent
     rows: list[dict[str, str]] = []
     every = [str(one) for file in files for one in (recordings_in(Path(file)) if Path(file).is_dir() else [file])]
-    code = each_file(every, lambda file: rows.extend(_rows(file, folder, reading)), strict=strict)
+    # A recording named twice, such as by its folder, too, has its impacts once.
+    once = {os.path.realpath(file): file for file in reversed(every)}
+    code = each_file(reversed(once.values()), lambda file: rows.extend(_rows(file, folder, reading)), strict=strict)
     if not rows:
         return code
     text = manifest_text(rows)

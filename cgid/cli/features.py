@@ -70,7 +70,7 @@ def features(
         if as_list:
             rows.of_features()
             return 0
-        return each_file(files, treat, strict=strict)
+        return each_file(files, treat, strict=strict, one_output=True)
 
 
 def _warn(problems: list[str], source: str, what: str) -> None:

@@ -22,7 +22,7 @@ from typing import Any, TextIO
 
 import click
 
-from cgid.errors import CgidError
+from cgid.errors import CannotCreate, CgidError, WriteFailed
 from cgid.terminal import printable
 
 #: Version of the lines that --json prints.
@@ -68,8 +68,12 @@ def say(text: str, *, err: bool = False) -> None:
         drop(sys.stderr)
 
 
-def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False) -> int:
+def each_file(
+    files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False, one_output: bool = False
+) -> int:
     """Treat every file; report the error of one and go on, or stop if `strict`.
+
+    With one output for all files, an error of writing it ends the work: it would lack rows.
 
     Return the exit code of the first failed file.
     """
@@ -78,7 +82,7 @@ def each_file(files: Iterable[str], treat: Callable[[str], None], *, strict: boo
         try:
             treat(file)
         except CgidError as error:
-            if strict:
+            if strict or (one_output and isinstance(error, CannotCreate | WriteFailed)):
                 raise
             say_error(error)
             code = code or error.exit_code

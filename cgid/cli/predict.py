@@ -332,7 +332,7 @@ def predict(
             prediction.recording(reading.recording(path))
 
     with table:
-        code = each_file(files, treat, strict=strict)
+        code = each_file(files, treat, strict=strict, one_output=True)
     if pages is not None and pages.write():
         say(f"wrote {report}", err=True)
     return code

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -354,9 +355,9 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
     rates = [recording.sampling_rate for recording in recordings]
-    warnings = []
+    warnings, heard = [], set(sources)
     for file, _ in measured:
-        empty = [one.name for one in file.annotations if one.name not in sources]
+        empty = [one.name for one in file.annotations if one.name not in heard]
         said = (f"{name}: there must be {cutting.slicing.by}s to be measured, there is none" for name in empty)
         warnings += [*file.recording.warnings, *(f"{text}; check start and end" for text in said)]
     return Rows(
@@ -480,9 +481,14 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
 
 
 def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
-    for annotation, channel in product(file.annotations, range(len(file.recording.channels))):
-        within = [event for event in events if annotation.start <= event.time < annotation.end]
-        own = [event for event in within if event.channel == channel]
+    starts = [one.start for one in file.annotations]
+    inside: dict[tuple[int, int], list[Event]] = {}
+    for event in events:
+        k = bisect_right(starts, event.time) - 1
+        if k >= 0 and event.time < file.annotations[k].end:
+            inside.setdefault((k, event.channel), []).append(event)
+    for (k, channel), own in sorted(inside.items()):
+        annotation = file.annotations[k]
         for numbers, frames in frames_alike(own):
             some = [own[number] for number in numbers]
             features = extract_array(

@@ -24,6 +24,7 @@ from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.files import parse_toml, read_regular
 from cgid.recordings.chain import Chain, Gain
 from cgid.units import quantity_of
+from cgid.validation import shown
 
 #: The columns of a row.
 COLUMNS = (
@@ -113,7 +114,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     """Return a checked row; paths are relative to `folder`, and `labels` are the allowed ones, None for any."""
     path = row.get("path")
     if not isinstance(path, str) or not path or "\0" in path:
-        raise InvalidValue(f"path must be the name of a file, got {validation.shown(path)}")
+        raise InvalidValue(f"path must be the name of a file, got {shown(path)}")
     reference = _truth("reference", row.get("reference", False))
     sensor, label = _word("sensor", row.get("sensor", "")), _word("label", row.get("label", ""))
     if reference:
@@ -159,9 +160,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
 def _word(name: str, value: Any) -> str:
     text = str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else None
     if text is None or len(text) > _LONGEST_WORD or not (text.isprintable()):
-        raise InvalidValue(
-            f"{name} must be a word of at most {_LONGEST_WORD} characters, got {validation.shown(value)}"
-        )
+        raise InvalidValue(f"{name} must be a word of at most {_LONGEST_WORD} characters, got {shown(value)}")
     return text
 
 
@@ -171,7 +170,7 @@ def _number(name: str, value: Any, what: str) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if math.isnan(number):
-        raise InvalidValue(f"{name} must be a number{what}, got {validation.shown(value)}")
+        raise InvalidValue(f"{name} must be a number{what}, got {shown(value)}")
     return number
 
 
@@ -194,7 +193,7 @@ def _truth(name: str, value: Any) -> bool:
     words = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
     found = value if isinstance(value, bool) else words.get(str(value).lower())
     if found is None:
-        raise InvalidValue(f"{name} must be yes or no, got {validation.shown(value)}")
+        raise InvalidValue(f"{name} must be yes or no, got {shown(value)}")
     return found
 
 
@@ -206,9 +205,7 @@ def _channels(value: Any) -> tuple[int | str, ...] | None:
     good = all(isinstance(one, int | str) and not isinstance(one, bool) and str(one).strip() for one in listed)
     channels = tuple(one.strip() if isinstance(one, str) else one for one in listed) if good else ()
     if not channels or len({str(one) for one in channels}) != len(channels):
-        raise InvalidValue(
-            f"channel must be a name or a number from 1, or different ones (1+2), got {validation.shown(value)}"
-        )
+        raise InvalidValue(f"channel must be a name or a number from 1, or different ones (1+2), got {shown(value)}")
     return channels
 
 
@@ -395,9 +392,7 @@ def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
     _check_names(list(content), (*_SHARED, "labels", "recording"), f"{path}: keys")
     labels = content.get("labels")
     if labels is not None and not (isinstance(labels, list) and all(isinstance(one, str) for one in labels)):
-        raise BadData(
-            f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {validation.shown(labels)}'
-        )
+        raise BadData(f'{path}: labels must be a list of words, such as ["coal", "gangue"], got {shown(labels)}')
     shared = {name: content[name] for name in _SHARED if name in content}
     rows: list[Row] = []
     for number, recording in enumerate(recordings, 1):
@@ -406,8 +401,7 @@ def _toml_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         intervals = recording.pop("intervals", [{}])
         if not isinstance(intervals, list) or not all(isinstance(one, dict) for one in intervals):
             raise BadData(
-                f"{path}: {where}: intervals must be a list of {{ start, end, label }}, "
-                f"got {validation.shown(intervals)}"
+                f"{path}: {where}: intervals must be a list of {{ start, end, label }}, got {intervals!r:.80}"
             )
         for interval in intervals:
             _check_names(list(interval), ("start", "end", "label"), f"{path}: {where}: keys of an interval")

@@ -334,7 +334,7 @@ class Diagnosis:
                 self._corrected("--rate", f"{middle:g}"),
             )
         if cause == "amplitude":
-            size = f"{_times(middle)} times as strong as" if middle > 1 else f"{_times(1 / middle)} times weaker than"
+            size = f"about {_times(middle)} times as {'strong' if middle > 1 else 'weak'} as"
             units = ", ".join(_spellings(model.quantity))
             return (
                 f"they are {size} those of the training, otherwise like them",
@@ -342,7 +342,7 @@ class Diagnosis:
                 self._corrected("--unit", "UNIT"),
             )
         if cause == "duration":
-            size = f"{_times(middle)} times as long as" if middle > 1 else f"{_times(1 / middle)} times shorter than"
+            size = f"about {_times(middle)} times as {'long' if middle > 1 else 'short'} as"
             return (
                 f"they are {size} those of the training, otherwise like them",
                 f"check the sampling rate, {self._rate:g} Hz, and {self._cure('--rate')}",
@@ -356,7 +356,7 @@ class Diagnosis:
                 f"if it is an acceleration, {self._cure('--unit')}, else label impacts and train on them",
                 (*self._corrected("--unit", "m/s^2"), *self._training()),
             )
-        reason = "they are clear, but unlike those of the training: another beam, mounting or sensor"
+        reason = "they are clear, but unlike those of the training, as on another beam, mount or sensor"
         if cause == "shape":
             reason = "they are no single pulses like those of the training, as where the sensor rings or filters"
         elif causes:
@@ -406,7 +406,8 @@ def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:
 
 
 def _times(factor: float) -> str:
-    return f"{factor:.0f}" if factor >= 10 else f"{factor:.2g}"
+    """Return how many times larger or smaller: one digit, because only powers of 10^(1/4) are tried."""
+    return f"{float(f'{max(factor, 1 / factor):.1g}'):.0f}"
 
 
 def _spellings(quantity: str) -> list[str]:
