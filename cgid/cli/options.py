@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 #: Longest dead time [ms]; no struck body rings for longer.
 LONGEST_DEAD_TIME = 1e4
+#: Parts of a measuring chain, and parameters of its options.
+_CHAIN = ("sensitivity", "gain", "full_scale")
 
 
 class PathName(click.types.StringParamType):
@@ -100,11 +102,10 @@ def require_one_crew(context: click.Context) -> None:
 
 def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options for the measuring chain; the command receives them as `chain`, arguments of `open_recording`."""
-    names = ("sensitivity", "gain", "full_scale")
 
     @wraps(command)
     def chained(**options: Any) -> Any:
-        return command(chain={name: options.pop(name) or None for name in names}, **options)
+        return command(chain={name: options.pop(name) or None for name in _CHAIN}, **options)
 
     add = _options(
         click.option(
@@ -351,7 +352,7 @@ _OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
 def given_options() -> tuple[list[str], list[str]]:
     """Return the options of the current command line: those for reading a recording, and those for answering."""
     context = click.get_current_context()
-    reading = {field.name for field in fields(Reading)}
+    reading = {*(field.name for field in fields(Reading)), *_CHAIN}
     found: tuple[list[str], list[str]] = ([], [])
     for option in context.command.params:
         name = option.name or ""
@@ -360,7 +361,8 @@ def given_options() -> tuple[list[str], list[str]]:
             continue
         values = context.params[name]
         for value in values if option.multiple else [values]:
-            found[name not in reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], f"{value}"])
+            text = f"{value:.12g}" if isinstance(value, float) else f"{value}"
+            found[name not in reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
     return found
 
 
