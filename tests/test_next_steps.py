@@ -230,6 +230,21 @@ def test_predict_closes_with_the_next_commands(tmp_path: Path, capsys: pytest.Ca
     assert '"kind": "hint"' not in capsys.readouterr().out
 
 
+def test_the_next_commands_know_the_measuring_chain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "volts.npy"
+    np.save(path, of_another_beam() / 100)
+    chain = ["--rate", f"{BEAM_RATE:g}", "--unit", "V", "--sensitivity", "10 mV/(m/s^2)"]
+    assert run(["predict", str(path), *chain]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert shlex.join(["cgid", "events", str(path), *chain, "-o", "events.csv"]) in last
+    assert run(["events", str(path), *chain, "-o", str(tmp_path / "events.csv")]) == 0
+    capsys.readouterr()
+    # A unit that a sensitivity has converted is not corrected by another unit.
+    assert run(["predict", str(path), *chain[:4], "--sensitivity", "1 V/N"]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "--sensitivity" in last and "--unit 'm/s^2'" not in last
+
+
 def test_a_live_stream_has_its_hint_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "stream.raw"
     np.minimum(stream(["coal", "gangue"] * 15, 0.05), 2000).astype("<f4").tofile(path)

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 #: Longest dead time [ms]; no struck body rings for longer.
 LONGEST_DEAD_TIME = 1e4
+#: Parts of a measuring chain, and parameters of its options.
+_CHAIN = ("sensitivity", "gain", "full_scale")
 
 
 class PathName(click.types.StringParamType):

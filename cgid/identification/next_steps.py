@@ -374,10 +374,17 @@ class Diagnosis:
 
     def _cure(self, flag: str) -> str:
         """Return how to correct what an option says: the option, or the file, which no option may contradict."""
+        if self._is_converted(flag):
+            flag = "--sensitivity"
         return f"correct it with {flag}" if flag in self._options else "correct it in the file"
 
     def _corrected(self, flag: str, value: str) -> tuple[str, ...]:
-        return (self._predict(flag, value),) if flag in self._options else ()
+        is_open = flag in self._options and not self._is_converted(flag)
+        return (self._predict(flag, value),) if is_open else ()
+
+    def _is_converted(self, flag: str) -> bool:
+        """Return whether a flag is the unit of volts, which a sensitivity converts."""
+        return flag == "--unit" and "--sensitivity" in self._options
 
     def _training(self) -> tuple[str, ...]:
         """Return the commands that make a model of this recording's own."""
