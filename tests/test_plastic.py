@@ -1,0 +1,354 @@
+"""Elastic-plastic and bilinear contacts: closed forms, pulses against an integrator, balances, limits, bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from cgid.errors import InvalidValue
+from cgid.physics import RIGID, Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, ThinPlate, Thornton, WaltonBraun
+from cgid.physics.coupled import ModalImpact
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
+
+#: Deep in plasticity a contact passes Hertz's range; the closed forms and the integrator do so alike.
+pytestmark = pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
+
+#: From a contact that hardly yields to one that hardly does anything else [Pa], at 2 m/s.
+PRESSURES = (151e6, 145e6, 120e6, 80e6, 41e6, 10e6, 1e6)
+
+
+def coal(dissipation, *, target=None, velocity=2.0, stiffness="hertz", **more):
+    return Impact(
+        sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
+        target=target or HalfSpace(material=STEEL),
+        velocity=velocity,
+        stiffness=stiffness,
+        dissipation=dissipation,
+        **more,
+    )
+
+
+ELASTIC = coal(Elastic())
+#: Largest pressure of the elastic contact, `2 E a / (pi R)` with `a^2 = R delta`.
+ELASTIC_PRESSURE = float(2 * ELASTIC.reduced_modulus / np.pi * np.sqrt(ELASTIC.peak_displacement / 0.025))
+
+
+def yield_velocity(impact, pressure):
+    """Return v_y of Thornton (1997), Eq. 39: the elastic energy at p_y, all in his own numbers."""
+    radius, modulus, mass = impact.reduced_radius, impact.reduced_modulus, impact.reduced_mass
+    return np.sqrt((np.pi / (2 * modulus)) ** 4 * 8 * np.pi * radius**3 * pressure**5 / (15 * mass))
+
+
+def published_restitution(ratio):
+    """Return e of v_y / v (Thornton 1997, Eq. 44)."""
+    root = np.sqrt(6 / 5 - ratio**2 / 5)
+    return np.sqrt(6 * np.sqrt(3) / 5) * np.sqrt(1 - ratio**2 / 6) * (ratio / (ratio + 2 * root)) ** 0.25
+
+
+def thornton_force(impact, pressure):
+    """Return P(delta, largest delta so far) by contact radius and modulus, as Thornton writes it."""
+    radius, modulus = float(impact.reduced_radius), float(impact.reduced_modulus)
+    first = (np.pi * pressure / (2 * modulus)) ** 2 * radius
+    at_yield = 4 / 3 * modulus * np.sqrt(radius) * first**1.5
+
+    def loading(delta):
+        hertz = 4 / 3 * modulus * np.sqrt(radius) * max(delta, 0.0) ** 1.5
+        return hertz if delta <= first else at_yield + np.pi * radius * pressure * (delta - first)
+
+    def unloading(largest):
+        force = loading(largest)
+        if largest <= first:
+            return loading
+        flattened = 4 * modulus / (3 * force) * ((2 * force + at_yield) / (2 * np.pi * pressure)) ** 1.5
+        stiffness = 4 / 3 * modulus * np.sqrt(flattened)
+        rest = largest - (force / stiffness) ** (2 / 3)
+        return lambda delta: stiffness * max(delta - rest, 0.0) ** 1.5
+
+    return loading, unloading, first
+
+
+def walton_braun_force(restitution, stiffness):
+    def unloading(largest):
+        return lambda delta: max(stiffness / restitution**2 * (delta - largest * (1 - restitution**2)), 0.0)
+
+    return lambda delta: stiffness * delta, unloading, np.inf
+
+
+def integrated(impact, loading, unloading, corner):
+    """Return the force over the contact by DOP853: a function of time, the end of contact and the rebound speed."""
+    mass, velocity = float(impact.reduced_mass), float(impact.velocity)
+    span, settings = 20 * float(impact.time_scale), {"method": "DOP853", "rtol": 1e-13, "dense_output": True}
+    settings["atol"] = [1e-14 * float(impact.length_scale), 1e-14 * velocity]
+    parts, state, start = [], (0.0, velocity), 0.0
+
+    def run(force, event):
+        nonlocal state, start
+        event.terminal, event.direction = True, -1
+        settings["max_step"] = float(impact.time_scale) / 50
+        found = solve_ivp(lambda _, y: (y[1], -force(y[0]) / mass), (start, span), state, events=event, **settings)
+        parts.append((start, found.t[-1], found.sol, force))
+        state, start = found.y[:, -1], found.t[-1]
+
+    if corner < impact.peak_displacement:
+        run(loading, lambda _, y: corner - y[0])
+    run(loading, lambda _, y: y[1])
+    after = unloading(state[0])
+    # Let it fly on: where the force ends, it is flat.
+    rest = (
+        brentq(lambda delta: after(delta) - 1e-13 * after(state[0]), 0, state[0], xtol=1e-20)
+        if after(0.0) == 0
+        else 0.0
+    )
+    run(after, lambda _, y: y[0] - rest)
+
+    def force(times):
+        out = np.zeros(times.shape)
+        for begin, end, solution, law in parts:
+            inside = (times >= begin) & (times < end)
+            out[inside] = [law(delta) for delta in solution(times[inside])[0]]
+        return out
+
+    return force, start, -state[1]
+
+
+def over_branches(impact, n=120):
+    """Yield Gauss's times and weights on each branch of a pulse, in a variable in which it is smooth, and d t."""
+    unit, curves = float(impact.time_scale), impact.curves
+    ends = unit * np.array([0.0, curves.end_of_elastic[0], curves.time_of_peak[0], curves.times[0][0]])
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    theta, weights = (nodes + 1) / 2, weights / 2
+    lengths = np.diff(ends)
+    yield lambda s: ends[0] + lengths[0] * s**2, theta, weights, 2 * lengths[0] * theta
+    yield lambda s: ends[1] + lengths[1] * s, theta, weights, lengths[1] * np.ones(n)
+    yield lambda s: ends[3] - lengths[2] * s**2, theta[::-1], weights, 2 * lengths[2] * theta[::-1]
+
+
+def impulse_of(impact):
+    return sum((impact.force(times(s)) * w * rate).sum() for times, s, w, rate in over_branches(impact))
+
+
+def loop_of(impact, n=60):
+    """Return the integral of P d(delta) [J], the displacement of each branch by its Chebyshev series."""
+    total = 0.0
+    for index, (times, s, w, _) in enumerate(over_branches(impact)):
+        series = np.polynomial.Chebyshev.interpolate(lambda s, times=times: impact.displacement(times(s)), n, [0, 1])
+        total += (-1 if index == 2 else 1) * (impact.force(times(s)) * series.deriv()(s) * w).sum()
+    return total
+
+
+LAWS = {
+    **{f"thornton {pressure:g}": Thornton(yield_pressure=pressure) for pressure in PRESSURES},
+    **{f"walton-braun {e:g}": WaltonBraun(restitution=e) for e in (1.0, 0.7, 0.3, 0.05)},
+}
+
+
+# ---- Thornton -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pressure", PRESSURES)
+@pytest.mark.parametrize("velocity", [2.0, 8.0])
+def test_restitution_is_the_published_closed_form(pressure, velocity):
+    impact = coal(Thornton(yield_pressure=pressure), velocity=velocity)
+    ratio = yield_velocity(impact, pressure) / velocity
+    assert ratio < 1
+    assert float(impact.restitution) == pytest.approx(float(published_restitution(ratio)), rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize("pressure", PRESSURES)
+def test_force_is_that_of_an_integrator(pressure):
+    impact = coal(Thornton(yield_pressure=pressure))
+    force, end, rebound = integrated(impact, *thornton_force(impact, pressure))
+    times = np.linspace(0, 1.02, 4001) * float(impact.contact_duration)
+    peak = float(impact.peak_force)
+    assert np.abs(impact.force(times) - force(times)).max() < 1e-9 * peak
+    assert force(times).max() <= peak * (1 + 1e-12)
+    assert impact.force(impact.time_of_peak) == pytest.approx(peak, rel=1e-12)
+    assert impact.displacement(impact.compression_time) == pytest.approx(impact.peak_displacement, rel=1e-12)
+    assert float(impact.rebound_velocity) == pytest.approx(rebound, rel=1e-9)
+    # The integrator leaves where the force falls below 1e-13 of its peak.
+    assert float(impact.contact_duration) == pytest.approx(end, rel=1e-7)
+
+
+def test_an_impact_below_yield_is_the_elastic_one():
+    impact = coal(Thornton(yield_pressure=1.0001 * ELASTIC_PRESSURE))
+    times = np.linspace(-0.1, 1.1, 1001) * float(ELASTIC.contact_duration)
+    assert impact.restitution == 1 and impact.end_displacement == 0 and impact.dissipated_energy == 0
+    for name in ("peak_force", "peak_displacement", "contact_duration", "time_of_peak", "impulse"):
+        assert getattr(impact, name) == pytest.approx(getattr(ELASTIC, name), rel=1e-14)
+    assert np.abs(impact.force(times) - ELASTIC.force(times)).max() < 1e-13 * ELASTIC.peak_force
+    assert np.abs(impact.displacement(times) - ELASTIC.displacement(times)).max() < 3e-13 * ELASTIC.peak_displacement
+
+
+def test_yield_begins_at_the_pressure_of_the_elastic_contact():
+    just = coal(Thornton(yield_pressure=np.array([0.9999, 1.0001]) * ELASTIC_PRESSURE))
+    assert just.restitution[0] < 1 and just.restitution[1] == 1
+    assert just.restitution[0] > 0.9998
+
+
+def test_deep_in_plasticity_restitution_falls_as_the_fourth_root_of_speed():
+    slow, quick = (coal(Thornton(yield_pressure=1e3), velocity=v).restitution for v in (0.1, 1.6))
+    assert float(slow / quick) == pytest.approx(2, rel=1e-4)
+    # Thornton's own limit, 1.185 (v_y / v)^(1/4).
+    limit = 1.185 * (yield_velocity(ELASTIC, 1e3) / 1.6) ** 0.25
+    assert float(quick) == pytest.approx(float(limit), rel=1e-3)
+
+
+def test_pulse_leans_to_the_other_side_than_that_of_a_damped_one():
+    impact = coal(Thornton(yield_pressure=41e6))
+    assert impact.time_of_peak > 0.6 * impact.contact_duration
+    assert 0 < impact.end_displacement < impact.peak_displacement
+
+
+@pytest.mark.parametrize("stiffness", ["rigid-sphere", "series"])
+def test_other_theories_keep_the_slope_of_the_plastic_branch(stiffness):
+    impact = coal(Thornton(yield_pressure=20e6), target=RIGID, stiffness=stiffness)
+    middle = float(impact.curves.end_of_elastic[0] * impact.time_scale + impact.time_of_peak) / 2
+    force, depth = (getattr(impact, name)([middle, middle * 1.001]) for name in ("force", "displacement"))
+    assert float(np.diff(force)[0] / np.diff(depth)[0]) == pytest.approx(np.pi * 0.025 * 20e6, rel=1e-9)
+
+
+# ---- Walton and Braun ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.7, 0.3, 0.05])
+def test_bilinear_contact_is_that_of_an_integrator(restitution):
+    impact = coal(WaltonBraun(restitution=restitution, loading_stiffness=2e6))
+    force, end, rebound = integrated(impact, *walton_braun_force(restitution, 2e6))
+    times = np.linspace(0, 1.02, 4001) * float(impact.contact_duration)
+    assert np.abs(impact.force(times) - force(times)).max() < 1e-9 * impact.peak_force
+    assert (impact.restitution == restitution).all()
+    assert restitution * float(impact.velocity) == pytest.approx(rebound, rel=1e-9)
+    quarter = np.pi / 2 * np.sqrt(impact.reduced_mass / 2e6)
+    assert float(impact.contact_duration) == pytest.approx(float((1 + restitution) * quarter), rel=1e-14)
+    assert float(impact.contact_duration) == pytest.approx(end, rel=1e-9)
+    assert float(impact.peak_force) == pytest.approx(float(2 * np.sqrt(2e6 * impact.reduced_mass)), rel=1e-14)
+
+
+def test_the_spring_of_equal_depth_is_as_deep_as_the_elastic_contact():
+    impact = coal(WaltonBraun(restitution=0.4))
+    assert float(impact.peak_displacement) == pytest.approx(float(ELASTIC.peak_displacement), rel=1e-14)
+    modulus, mass, root = ELASTIC.reduced_modulus, ELASTIC.reduced_mass, np.sqrt(0.025)
+    stiffness = 16 / 15 * root * modulus * (15 * mass * 4 / (16 * root * modulus)) ** 0.2
+    given = coal(WaltonBraun(restitution=0.4, loading_stiffness=stiffness))
+    assert float(given.peak_force) == pytest.approx(float(impact.peak_force), rel=1e-14)
+
+
+# ---- both ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_impulse_and_energy_balance_by_quadrature(law):
+    impact = coal(law)
+    energy = 0.5 * float(impact.reduced_mass) * 4
+    assert impulse_of(impact) == pytest.approx(float(impact.impulse), rel=1e-12)
+    assert float(impact.impulse) == pytest.approx(float((1 + impact.restitution) * impact.reduced_mass * 2), rel=1e-14)
+    assert loop_of(impact) == pytest.approx(float(impact.dissipated_energy), rel=0, abs=1e-11 * energy)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_frames_are_the_force_at_their_samples(law):
+    impact = coal(law)
+    rate, onset = 3e5, 1.37e-5
+    times = np.arange(1024) / rate - onset
+    for dtype, error in (("float64", 1e-13), ("float32", 2e-7)):
+        frames = impact.force_frames(rate, 1024, onset, dtype=dtype)
+        assert np.abs(frames - impact.force(times)).max() < error * impact.peak_force
+        assert (frames >= 0).all()
+        assert not frames[times >= float(impact.contact_duration)].any() and not frames[times <= 0].any()
+
+
+def test_frames_that_begin_or_end_within_contact():
+    impact = coal(Thornton(yield_pressure=41e6))
+    whole = impact.force_frames(2e5, 256, 50 / 2e5)
+    assert np.array_equal(impact.force_frames(2e5, 80, 50 / 2e5), whole[:80])
+    shifted = impact.force_frames(2e5, 100, -30 / 2e5)
+    assert np.abs(shifted - whole[80:180]).max() < 1e-13 * impact.peak_force
+
+
+@pytest.mark.parametrize(
+    "law",
+    [Thornton(yield_pressure=np.geomspace(1e6, 1e9, 700)), WaltonBraun(restitution=np.linspace(0.05, 1, 700))],
+    ids=lambda law: type(law).__name__,
+)
+def test_compiled_and_interpreted_pulses_have_the_same_bits(law):
+    many, times = coal(law), np.linspace(0, 4e-4, 40)
+    frames, forces, depths = many.force_frames(1e5, 64, 1e-5), many.force(times), many.displacement(times)
+    assert np.array_equal(many.force_frames(1e5, 64, 1e-5, threads=2), frames)
+    name = "yield_pressure" if isinstance(law, Thornton) else "restitution"
+    for row in (0, 350, 699):
+        one = coal(type(law)(**{name: getattr(law, name)[row]}))
+        assert one.restitution == many.restitution[row]
+        assert np.array_equal(one.force_frames(1e5, 64, 1e-5), frames[row])
+        assert np.array_equal(one.force(times), forces[row])
+        assert np.array_equal(one.displacement(times), depths[row])
+
+
+def test_impacts_broadcast_with_times_and_onsets():
+    impact = coal(Thornton(yield_pressure=[[4e7], [8e7]]), velocity=[1.0, 2.0, 3.0])
+    assert impact.restitution.shape == (2, 3)
+    frames = impact.force_frames(2e5, 128, np.array([1e-4, 1e-4, 2e-4]))
+    alone = coal(Thornton(yield_pressure=8e7), velocity=3.0)
+    assert np.array_equal(frames[1, 2], alone.force_frames(2e5, 128, 2e-4))
+    spread = alone.force_frames(2e5, 128, np.array([1e-4, 2e-4]))
+    assert np.array_equal(spread[1], frames[1, 2])
+
+
+def test_a_crushed_sphere_can_pass_the_range_of_hertz_where_an_elastic_one_does_not():
+    with pytest.warns(HertzRangeWarning, match="displacement / radius"):
+        coal(Thornton(yield_pressure=1e5), velocity=2.0)
+
+
+# ---- bad input ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [0.0, -1e6, np.nan, np.inf, [1e7, 0.0], "hard", None, 1j])
+def test_invalid_yield_pressures(value):
+    with pytest.raises(InvalidValue, match=r"yield_pressure must be .*, got ") as error:
+        Thornton(yield_pressure=value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.5, 1.01, np.nan])
+def test_invalid_restitutions(value):
+    with pytest.raises(InvalidValue, match="restitution must "):
+        WaltonBraun(restitution=value)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_invalid_stiffnesses(value):
+    with pytest.raises(InvalidValue, match=r"loading_stiffness must be .*, got .* N/m"):
+        WaltonBraun(restitution=0.5, loading_stiffness=value)
+
+
+@pytest.mark.parametrize("pressure", [1e-200, 1e200])
+def test_yield_pressures_beyond_double_precision(pressure):
+    with pytest.raises(InvalidValue, match="yield displacement of the impact must lie between 1e-290 and 1e290"):
+        coal(Thornton(yield_pressure=pressure))
+
+
+def test_extreme_but_representable_yield_pressures_give_finite_pulses():
+    for pressure in (1e-30, 1e30):
+        with np.errstate(all="raise"), pytest.warns(HertzRangeWarning) if pressure < 1 else np.errstate():
+            impact = coal(Thornton(yield_pressure=pressure))
+        assert np.isfinite(impact.force(np.linspace(0, float(impact.contact_duration), 50))).all()
+        assert 0 < impact.restitution <= 1
+
+
+@pytest.mark.parametrize("law", [Thornton(yield_pressure=4e7), WaltonBraun(restitution=0.5)], ids=["T", "WB"])
+def test_plates_gravity_and_modes_are_refused(law):
+    name = type(law).__name__
+    with pytest.raises(InvalidValue, match=f"target must take no energy with {name} dissipation, got a ThinPlate; "):
+        coal(law, target=ThinPlate(material=STEEL, thickness=0.01))
+    with pytest.raises(InvalidValue, match=rf"gravity must be 0 m/s\^2 with {name} dissipation, got 9.8 m/s\^2"):
+        coal(law, gravity=9.8)
+    with pytest.raises(InvalidValue, match=r"dissipation must be .*Elastic.*HuntCrossley"):
+        ModalImpact(
+            sphere=ELASTIC.sphere, target=ELASTIC.target, velocity=2.0, stiffness="hertz", dissipation=law,
+            frequency=[100.0], damping_ratio=[0.01], compliance=[0.1],
+        )  # fmt: skip
+
+
+def test_replacing_the_law_keeps_the_impact():
+    assert replace(ELASTIC, dissipation=Thornton(yield_pressure=41e6)).restitution < 1
