@@ -1,5 +1,7 @@
 """Elastic-plastic and bilinear contacts: closed forms, pulses against an integrator, balances, limits, bad input."""
 
+import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +9,29 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from cgid.errors import InvalidValue
-from cgid.physics import RIGID, Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, ThinPlate, Thornton, WaltonBraun
+from cgid.ceiling import ceiling
+from cgid.errors import BadData, InvalidValue
+from cgid.physics import (
+    RIGID,
+    Elastic,
+    HalfSpace,
+    HertzRangeWarning,
+    Impact,
+    Sphere,
+    ThinPlate,
+    Thornton,
+    WaltonBraun,
+    materials,
+)
 from cgid.physics.coupled import ModalImpact
-from cgid.physics.materials import STEEL, YANG2018_SPHERES
+from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene.plan import plan
+from cgid.scene.schema import varied
+from cgid.scene.stream import record
+from cgid.scene.synthesis import columns_of
+from tests.plan_scenes import STEEL as STEEL_TARGET
+from tests.plan_scenes import scene_of, uniform
 
 #: Deep in plasticity a contact passes Hertz's range; the closed forms and the integrator do so alike.
 pytestmark = pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
@@ -298,6 +319,119 @@ def test_impacts_broadcast_with_times_and_onsets():
 def test_a_crushed_sphere_can_pass_the_range_of_hertz_where_an_elastic_one_does_not():
     with pytest.warns(HertzRangeWarning, match="displacement / radius"):
         coal(Thornton(yield_pressure=1e5), velocity=2.0)
+
+
+# ---- scenes -------------------------------------------------------------------------------------------------------
+
+CRUSHED = {"restitution": None, "yield_pressure": uniform("10 MPa", "200 MPa")}
+SCENES = {
+    "thornton": scene_of({"dissipation": "thornton"}, CRUSHED, {}),
+    "walton-braun": scene_of({"dissipation": "walton-braun"}, None, {}),
+}
+
+
+def first_impacts(scene, parameters):
+    """Return the impacts of a batch, built from its stored parameters."""
+    material = Material(**{name: parameters[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
+    law = WaltonBraun(restitution=parameters["restitution"])
+    if scene.impact.dissipation == "thornton":
+        law = Thornton(yield_pressure=parameters["yield_pressure"])
+    return Impact(
+        sphere=Sphere(material=material, radius=parameters["radius"]),
+        target=scene.body, velocity=parameters["velocity"], stiffness="hertz", dissipation=law,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_holds_the_impacts_of_its_parameters(name):
+    scene = SCENES[name]
+    (batch,) = synthesise(scene, 200, dtype="float64")
+    impact = first_impacts(scene, batch.parameters)
+    frames = impact.force_frames(200e3, 2048, batch.parameters["onset"])
+    assert np.abs(batch.signals - frames).max() < 1e-10 * frames.max()
+    for quantity in ("restitution", "peak_force", "contact_duration"):
+        assert batch.parameters[quantity] == pytest.approx(getattr(impact, quantity), rel=1e-14)
+    assert ("yield_pressure" in batch.parameters) == (name == "thornton")
+    assert parse_scene(json.loads(scene.text)) == scene
+
+
+def test_a_table_has_the_drawn_pressure_and_the_delivered_restitution():
+    (rows,) = columns_of(plan(SCENES["thornton"], "closed-form"), 100)
+    impact = first_impacts(SCENES["thornton"], rows.columns)
+    assert "asked_restitution" not in rows.columns
+    for quantity in ("restitution", "peak_displacement", "time_of_peak", "impulse", "dissipated_energy"):
+        assert rows.columns[quantity] == pytest.approx(getattr(impact, quantity), rel=1e-13)
+    assert plan(SCENES["thornton"], "closed-form").decisions["impacts"].why.startswith("thornton: closed forms")
+
+
+def test_the_other_numbers_of_a_rock_do_not_depend_on_the_law():
+    damped, crushed = (next(iter(synthesise(scene, 50))).parameters for scene in (scene_of(), SCENES["thornton"]))
+    for name in ("density", "youngs_modulus", "poisson_ratio", "radius", "velocity", "onset"):
+        assert np.array_equal(damped[name], crushed[name])
+
+
+def test_a_rock_that_rebounds_in_a_stream_crushes_less_each_time():
+    scene = scene_of(
+        {"dissipation": "thornton"}, CRUSHED, {}, sampling={"sampling_rate": 100e3},
+        stream={"duration": "5 s", "arrivals": {"rate": "4 Hz"}, "rebounds": {"most": 3, "least_speed": "0.05 m/s"}},
+    )  # fmt: skip
+    _, truth = record(scene, 3)
+    assert (truth["bounce"] == 2).any()
+    for rock in np.unique(truth["rock"]):
+        rows = np.flatnonzero(truth["rock"] == rock)
+        assert np.ptp(truth["yield_pressure"][rows]) == 0
+        assert (np.diff(truth["restitution"][rows]) > 0).all()
+        assert truth["velocity"][rows[1:]] == pytest.approx((truth["restitution"] * truth["velocity"])[rows[:-1]])
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_filter_in_the_sensor_keeps_the_impulse(name):
+    sensor = {"anti_alias": {"frequency": "20 kHz", "order": 4}}
+    scene = varied(SCENES[name], anti_alias=sensor["anti_alias"])
+    (batch,) = synthesise(scene, 100, dtype="float64")
+    impulse = first_impacts(scene, batch.parameters).impulse
+    assert batch.signals.sum(axis=1) / 200e3 == pytest.approx(impulse, rel=1e-3)
+
+
+def test_a_hunt_crossley_scene_becomes_one_of_crushing_rocks():
+    scene = varied(load_scene("reference"), dissipation="thornton", restitution=None, yield_pressure="41 MPa")
+    assert scene.populations[0].yield_pressure is not None and scene.sha256 != load_scene("reference").sha256
+
+
+@pytest.mark.parametrize(
+    ("impact", "population", "says"),
+    [
+        ({}, {"yield_pressure": None}, "populations.0.yield_pressure: is missing, thornton dissipation needs it"),
+        ({}, {"restitution": 0.5}, "populations.0.restitution: must be left out when dissipation is thornton"),
+        ({}, {"yield_pressure": 0}, "populations.0.yield_pressure: must be above 0"),
+        ({}, {"yield_pressure": "-4 MPa"}, "got -4e+06 Pa"),
+        ({}, {"yield_pressure": "4 N"}, "populations.0.yield_pressure: "),
+        ({"law": "flores"}, {}, "impact: law must be left out when dissipation is thornton, got 'flores'"),
+        ({"gravity": 9.81}, {}, "impact.gravity: must be left out when dissipation is thornton; "),
+        ({"target": {**STEEL_TARGET, "thickness": "20 mm"}}, {}, "impact.target.thickness: must be left out when"),
+        ({"dissipation": "walton-braun"}, {}, "populations.0.restitution: is missing, walton-braun dissipation needs"),
+        ({"dissipation": "elastic"}, {}, "populations.0.yield_pressure: must be left out when dissipation is elastic"),
+        ({"dissipation": "thorton"}, {}, "did you mean 'thornton'"),
+    ],
+)
+def test_scenes_that_cannot_be(impact, population, says):
+    with pytest.raises(BadData) as error:
+        scene_of({"dissipation": "thornton", **impact}, {**CRUSHED, **population})
+    assert says in str(error.value)
+
+
+def test_the_ceiling_knows_one_family_only():
+    two = varied(load_scene("reference"), dissipation="thornton", restitution=None, yield_pressure="41 MPa")
+    with pytest.raises(InvalidValue, match="the ceiling needs hunt-crossley dissipation: thornton pulses are another"):
+        ceiling(two, 100)
+
+
+@pytest.mark.parametrize("name", ["COAL", "MUDSTONE", "SANDSTONE", "LIMESTONE"])
+def test_strengths_are_those_of_their_sources(name):
+    strength = getattr(materials, f"{name}_STRENGTH")
+    printed = [float(number) * 1e6 for text in strength.sources for number in re.findall(r"([\d.]+) MPa", text)]
+    assert strength.compressive_strength == pytest.approx((min(printed), max(printed)))
+    assert strength.yield_pressure == pytest.approx((1.6 * min(printed), 1.6 * max(printed)))
 
 
 # ---- bad input ----------------------------------------------------------------------------------------------------

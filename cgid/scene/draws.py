@@ -27,8 +27,9 @@ PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
 IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED = 16, 17, 18, 19, 20
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
-#: The columns of a rock's numbers, in order. Height and speed of a fall share one number.
+#: The columns of a rock's numbers, in order. Quantities of which a population has only one share a number.
 FALL = (*PARTICLE, "restitution", "drop_height")
+_SHARED = {"velocity": "drop_height", "yield_pressure": "restitution"}
 #: The columns of optional purposes.
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
@@ -52,7 +53,7 @@ PARAMETER_UNITS = {
     "contact_duration": "s",
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
-_MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
+_MORE_UNITS = {"yield_pressure": "Pa", "second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
 RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
@@ -150,14 +151,14 @@ def quantities_of(
     """Convert uniform numbers to the quantities of rocks and taps; no other function does.
 
     which is the source index, (n,). numbers holds uniform numbers by the name of the quantity, each (n,); a velocity
-    uses the number of the drop height. The named quantities are in SI units, nan where a source has none; a drop height
-    also sets the velocity.
+    uses the number of the drop height, a yield pressure that of the restitution. The named quantities are in SI units,
+    nan where a source has none; a drop height also sets the velocity.
     """
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):
         rows = np.flatnonzero(which == index)
         for name, law in source.laws.items():
-            number = numbers["drop_height" if name == "velocity" else name]
+            number = numbers[_SHARED.get(name, name)]
             values[name][rows] = law.quantile(number[rows])
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
 from cgid.physics.coupled import ModalImpact
+from cgid.physics.laws import Dissipation
 from cgid.physics.materials import Material
 from cgid.physics.modes import MeasuredModes, Modes
 from cgid.physics.response import Response
@@ -27,7 +28,7 @@ from cgid.scene.draws import PARTICLE, drawn_block
 from cgid.scene.extremes import unwarned, weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
-from cgid.scene.sections import SHAPES, TailBeamSection, TargetSection
+from cgid.scene.sections import SHAPES, ImpactSection, TailBeamSection, TargetSection
 from cgid.validation import Floats
 
 # -- the beam and the recorder ----------------------------------------------------------------------------
@@ -207,17 +208,28 @@ def _residual_compliance(scene: Scene, highest: float) -> float:
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:
     """Return the arguments of an impact except its target."""
-    asked = {name: values[name][rows] for name in (*PARTICLE, "restitution", "velocity")}
+    asked = {name: values[name][rows] for name in (*PARTICLE, "velocity")}
     material = Material(
         density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
     )
-    elastic = scene.impact.dissipation == "elastic"
     return {
         "sphere": Sphere(material=material, radius=asked["radius"]),
         "velocity": asked["velocity"],
         "stiffness": scene.impact.stiffness,
-        "dissipation": Elastic() if elastic else HuntCrossley(restitution=asked["restitution"], law=scene.impact.law),
+        "dissipation": _dissipation(scene.impact, values, rows),
     }
+
+
+def _dissipation(section: ImpactSection, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Dissipation:
+    """Return the loss of some impacts."""
+    if section.material_key is None:
+        return Elastic()
+    asked = values[section.material_key][rows]
+    if section.dissipation == "thornton":
+        return Thornton(yield_pressure=asked)
+    if section.dissipation == "walton-braun":
+        return WaltonBraun(restitution=asked)
+    return HuntCrossley(restitution=asked, law=section.law)
 
 
 # -- the pulses of a block --------------------------------------------------------------------------------

@@ -324,6 +324,8 @@ def _impacts(asked: Plan) -> Decision:
         return Decision(True, "integrated: a plate or beam that gives way leaves no closed form")
     if _gravity(asked).runs:
         return Decision(True, "closed forms, integrated where gravity is felt")
+    if scene.impact.plastic:
+        return Decision(True, f"{scene.impact.dissipation}: closed forms; pulses of three branches, each exact")
     if _damps_beyond(scene):
         return Decision(True, f"integrated where law {scene.impact.law} damps beyond the table of pulses")
     return Decision(True, "closed forms and the table of pulses are exact here")

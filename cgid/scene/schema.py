@@ -87,15 +87,10 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
-        elastic = self.impact.dissipation == "elastic"
         problems = []
         if not self.sources:
             problems.append("populations: must be at least 1 where there are no taps, got none of either")
-        for index, population in enumerate(self.populations):
-            if elastic and population.restitution is not None:
-                problems.append(f"populations.{index}.restitution: must be left out when dissipation is elastic")
-            if not elastic and population.restitution is None:
-                problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
+        problems += self._problems_of_dissipation()
         problems += self._problems_of_beam()
         if not problems:  # an invalid beam cannot serve as target
             thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
@@ -131,6 +126,26 @@ class Scene(Section):
         return f"Scene({self.name!r}: {sources}; {size} at {rate} [{self.sensor.unit}])"
 
     __str__ = __repr__
+
+    def _problems_of_dissipation(self) -> list[str]:
+        dissipation, needed, problems = self.impact.dissipation, self.impact.material_key, []
+        for index, population in enumerate(self.populations):
+            for name in ("restitution", "yield_pressure"):
+                given = getattr(population, name) is not None
+                if given and name != needed:
+                    problems.append(f"populations.{index}.{name}: must be left out when dissipation is {dissipation}")
+                if not given and name == needed:
+                    problems.append(f"populations.{index}.{name}: is missing, {dissipation} dissipation needs it")
+        if self.impact.plastic:
+            cure = "leave it out, or take hunt-crossley"
+            for name, wrong in {
+                "impact.gravity": self.impact.gravity is not None,
+                "impact.target.thickness": getattr(self.impact.target, "thickness", None) is not None,
+                "tail_beam": self.tail_beam is not None,
+            }.items():
+                if wrong:
+                    problems.append(f"{name}: must be left out when dissipation is {dissipation}; {cure}")
+        return problems
 
     def _problems_of_beam(self) -> list[str]:
         if self.tail_beam is None:

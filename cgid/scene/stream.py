@@ -67,12 +67,14 @@ def impact_units(scene: Scene) -> dict[str, str]:
     - time: of touch, from the first sample on
     - rock: its number in the recording, by arrival; bounce: number of its earlier impacts
     - restitution: as delivered, including losses to the target; velocity: normal to the beam
+    - yield_pressure: where dissipation is thornton
     - drop_height: nan except for a first fall from a height
     - next_impact: time to the next touch of any rock, nan for the last; overlapping: 1 if contacts overlap
     - impact_x, impact_y: on a beam of known size
     """
+    more = {"yield_pressure": "Pa"} if scene.impact.dissipation == "thornton" else {}
     place = {} if scene.panel is None else POINT_UNITS
-    return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
+    return {**_UNITS, **more, **place, **_NEIGHBOUR_UNITS}
 
 
 def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
