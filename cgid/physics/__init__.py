@@ -22,6 +22,7 @@ from cgid.physics.sensitivity import (
     plate_thickness,
     range_influence,
     response_grid,
+    yield_pressure,
 )
 
 __all__ = [
@@ -51,4 +52,5 @@ __all__ = [
     "plate_thickness",
     "range_influence",
     "response_grid",
+    "yield_pressure",
 ]
