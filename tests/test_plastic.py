@@ -19,12 +19,14 @@ from cgid.physics import (
     ThinPlate,
     Thornton,
     WaltonBraun,
+    local_sensitivity,
     materials,
     yield_pressure,
 )
 from cgid.physics.coupled import ModalImpact
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene.distributions import LIMITS
 from cgid.scene.impacts import draw
 from cgid.scene.plan import plan
 from cgid.scene.schema import varied
@@ -387,6 +389,21 @@ def test_scenes_that_cannot_be(impact, population, says):
     assert says in str(error.value)
 
 
+@pytest.mark.parametrize("velocity", LIMITS["speed"])
+@pytest.mark.parametrize("radius", LIMITS["length"])
+@pytest.mark.parametrize("modulus", LIMITS["modulus"])
+@pytest.mark.parametrize("pressure", LIMITS["modulus"])
+def test_the_widest_scenes_allowed_give_finite_signals(pressure, modulus, radius, velocity):
+    rocks = {"youngs_modulus": modulus, "radius": radius, "velocity": velocity, "density": 1e-3}
+    frame = {"sampling_rate": 1e5, "samples": 64, "pre_trigger": 8}
+    scene = scene_of({"dissipation": "thornton"}, {**CRUSHED, **rocks, "yield_pressure": pressure}, {}, sampling=frame)
+    with np.errstate(all="raise", under="ignore"):
+        (batch,) = synthesise(scene, 2, dtype="float64")
+    assert np.isfinite(batch.signals).all() and (batch.signals >= 0).all()
+    restitution = batch.parameters["restitution"]
+    assert ((restitution > 0) & (restitution <= 1)).all()
+
+
 def test_the_ceiling_knows_one_family_only():
     two = varied(load_scene("reference"), dissipation="thornton", restitution=None, yield_pressure="41 MPa")
     with pytest.raises(InvalidValue, match="the ceiling needs hunt-crossley dissipation: thornton pulses are another"):
@@ -449,6 +466,11 @@ def test_plates_gravity_and_modes_are_refused(law):
             sphere=ELASTIC.sphere, target=ELASTIC.target, velocity=2.0, stiffness="hertz", dissipation=law,
             frequency=[100.0], damping_ratio=[0.01], compliance=[0.1],
         )  # fmt: skip
+
+
+def test_local_sensitivities_are_refused():
+    with pytest.raises(InvalidValue, match="dissipation must be Elastic or HuntCrossley for local sensitivities"):
+        local_sensitivity(coal(Thornton(yield_pressure=4e7)))
 
 
 def test_replacing_the_law_keeps_the_impact():
