@@ -14,6 +14,7 @@ from cgid.physics import (
     Elastic,
     HalfSpace,
     HertzRangeWarning,
+    HuntCrossley,
     Impact,
     Sphere,
     ThinPlate,
@@ -33,8 +34,8 @@ from cgid.scene.schema import varied
 from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
 from tests import naive
+from tests.plan_scenes import POPULATION, scene_of, uniform
 from tests.plan_scenes import STEEL as STEEL_TARGET
-from tests.plan_scenes import scene_of, uniform
 
 #: Deep in plasticity a contact passes Hertz's range; the closed forms and the integrator do so alike.
 pytestmark = pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
@@ -402,6 +403,87 @@ def test_the_widest_scenes_allowed_give_finite_signals(pressure, modulus, radius
     assert np.isfinite(batch.signals).all() and (batch.signals >= 0).all()
     restitution = batch.parameters["restitution"]
     assert ((restitution > 0) & (restitution <= 1)).all()
+
+
+def mixed(**more):
+    """Return a scene of one label whose rocks lose energy in one of four ways."""
+    rock = {key: value for key, value in {**POPULATION, "restitution": None}.items() if value is not None}
+    pressure = {"yield_pressure": uniform("10 MPa", "200 MPa")}
+    populations = [
+        {**rock, **pressure, "weight": 2.0},
+        {**rock, "dissipation": "hunt-crossley", "restitution": uniform(0.2, 0.9)},
+        {**rock, "dissipation": "walton-braun", "restitution": uniform(0.2, 0.9)},
+        {**rock, "dissipation": "elastic"},
+    ]
+    return scene_of({"dissipation": "thornton"}, None, {}, populations=populations, **more)
+
+
+def test_populations_of_one_label_may_lose_energy_in_different_ways():
+    batches = list(synthesise(mixed(), 700, dtype="float64"))
+    values = {name: np.concatenate([one.parameters[name] for one in batches]) for name in batches[0].parameters}
+    signals, laws = np.concatenate([one.signals for one in batches]), values["dissipation"]
+    assert np.mean(laws == 2) == pytest.approx(0.4, abs=0.06)
+    material = [values[name] for name in ("density", "youngs_modulus", "poisson_ratio")]
+    for index, law in enumerate(
+        (
+            lambda rows: Elastic(),
+            lambda rows: HuntCrossley(restitution=values["restitution"][rows]),
+            lambda rows: Thornton(yield_pressure=values["yield_pressure"][rows]),
+            lambda rows: WaltonBraun(restitution=values["restitution"][rows]),
+        )
+    ):
+        rows = np.flatnonzero(laws == index)
+        assert rows.size > 70
+        assert np.isfinite(values["yield_pressure"][rows]).all() == (index == 2)
+        density, modulus, ratio = (column[rows] for column in material)
+        rock = Material(density=density, youngs_modulus=modulus, poisson_ratio=ratio)
+        impact = Impact(
+            sphere=Sphere(material=rock, radius=values["radius"][rows]), target=mixed().body,
+            velocity=values["velocity"][rows], stiffness="hertz", dissipation=law(rows),
+        )  # fmt: skip
+        frames = impact.force_frames(200e3, 2048, values["onset"][rows])
+        assert np.abs(signals[rows] - frames).max() < 1e-10 * frames.max()
+        assert values["restitution"][rows] == pytest.approx(impact.restitution, rel=1e-13)
+    assert parse_scene(json.loads(mixed().text)) == mixed()
+
+
+def test_a_table_and_a_stream_of_mixed_laws():
+    (rows,) = columns_of(plan(mixed(), "closed-form"), 200)
+    asked = np.isfinite(rows.columns["asked_restitution"])
+    assert np.array_equal(asked, np.isin(rows.columns["dissipation"], (1, 3)))
+    assert rows.columns["restitution"][asked] == pytest.approx(rows.columns["asked_restitution"][asked], rel=1e-12)
+    scene = mixed(
+        sampling={"sampling_rate": 100e3},
+        stream={"duration": "3 s", "arrivals": {"rate": "20 Hz"}, "rebounds": {"most": 2, "least_speed": "0.05 m/s"}},
+    )
+    _, truth = record(scene, 1)
+    assert set(truth["dissipation"]) == {0, 1, 2, 3}
+    for rock in np.unique(truth["rock"]):
+        assert np.ptp(truth["dissipation"][truth["rock"] == rock]) == 0
+    bounces = [
+        truth["restitution"][truth["rock"] == rock] for rock in np.unique(truth["rock"][truth["dissipation"] == 1])
+    ]
+    assert all(np.ptp(one) < 1e-12 for one in bounces)
+
+
+def test_laws_are_listed_where_the_plan_is_explained():
+    why = plan(mixed()).decisions["impacts"].why
+    assert why.startswith(
+        "thornton, hunt-crossley, walton-braun, elastic: closed forms; pulses of thornton and walton-br"
+    )
+
+
+def test_mixed_laws_that_cannot_be():
+    with pytest.raises(BadData, match=r"populations.0.restitution: must be left out when dissipation is elastic"):
+        scene_of({}, {"dissipation": "elastic"})
+    with pytest.raises(BadData, match=r"impact.gravity: must be left out when dissipation is thornton"):
+        scene_of({"gravity": 9.81}, {**CRUSHED, "dissipation": "thornton"})
+    both = varied(load_scene("reference"), keep_frame=False)
+    content = json.loads(both.text)
+    del content["populations"][0]["restitution"]
+    content["populations"][0]["dissipation"] = "elastic"
+    with pytest.raises(InvalidValue, match="the ceiling needs one law of loss for all populations"):
+        ceiling(parse_scene(content), 100)
 
 
 def test_the_ceiling_knows_one_family_only():

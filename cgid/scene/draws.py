@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cgid.errors import InvalidValue
 from cgid.physics import free_fall_velocity
 from cgid.scene.schema import Scene
-from cgid.scene.sections import SHAPES, Population, Tap
+from cgid.scene.sections import DISSIPATIONS, SHAPES, Population, Tap
 from cgid.validation import Floats
 
 #: Samples that share one address.
@@ -53,6 +53,7 @@ PARAMETER_UNITS = {
     "contact_duration": "s",
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
+#: Index in `DISSIPATIONS` of the law of each impact, where populations differ in it; nan for a tap.
 _MORE_UNITS = {"yield_pressure": "Pa", "second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
@@ -87,6 +88,8 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     """Return the stored parameters of a scene and their units: `PARAMETER_UNITS`, and those of its optional parts."""
     drawn = {name for source in scene.sources for name in source.laws}
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
+    if scene.mixes_laws:
+        units |= {"dissipation": "1"}
     if scene.panel is not None:
         units |= POINT_UNITS
     return units | {name: unit for name, unit in RANDOMISED_UNITS.items() if scene.draws(name)}
@@ -134,6 +137,7 @@ def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
         if not laws.isdisjoint(names):
             columns |= dict(zip(names, uniforms(seed, block, len(names), purpose), strict=True))
     values = quantities_of(sources, which, columns, parameter_units(scene))
+    values |= laws_of(scene, which)
     values |= points_of_impact(scene, seed, block)
     values["onset"] = onset_of(here, numbers[-1])
     values |= levels_of(here, values)
@@ -163,6 +167,14 @@ def quantities_of(
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
     return values
+
+
+def laws_of(scene: Scene, which: NDArray[np.intp]) -> dict[str, Floats]:
+    """Return the column "dissipation" of rocks of these sources, (n,); empty where all populations have the same."""
+    if not scene.mixes_laws:
+        return {}
+    order = [float(list(DISSIPATIONS).index(name)) for name in scene.dissipations]
+    return {"dissipation": np.array(order + [np.nan] * len(scene.taps))[which]}
 
 
 def settled(scene: Scene, seed: int, block: int) -> Scene:

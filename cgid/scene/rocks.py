@@ -26,6 +26,7 @@ from cgid.scene.draws import (
     FALL,
     PARTICLE,
     POINT_UNITS,
+    laws_of,
     points_of_impact,
     quantities_of,
     specimen_of,
@@ -190,7 +191,7 @@ COLUMNS = {
     "bounce": np.int64,  # number of its earlier impacts
     "population": np.int64,
     "specimen": np.uint64,
-    **dict.fromkeys((*PARTICLE, "restitution", "yield_pressure", "drop_height", "velocity"), np.float64),
+    **dict.fromkeys((*PARTICLE, "restitution", "yield_pressure", "drop_height", "velocity", "dissipation"), np.float64),
     "slip": np.float64,  # speed down the slope [m/s]
     "impact_x": np.float64,  # point of impact on the beam [m]
     "impact_y": np.float64,
@@ -202,7 +203,8 @@ class Rocks:
     """Rocks before an impact, by the names of `COLUMNS`, each (n,).
 
     The restitution is the requested one, the velocity the normal one. A rock has either a restitution or a yield
-    pressure, the other is nan. drop_height is nan except for a first fall from a
+    pressure, the other is nan. Its dissipation is an index, 0 where all populations have the same. drop_height is
+    nan except for a first fall from a
     height; impact_x and impact_y are nan for a beam without points.
     """
 
@@ -242,7 +244,9 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
     points = {name: at[rows] for name, at in points_of_impact(scene, seed, stretch.block, recording).items()}
     slope = scene.stream.inclination
     columns = {
+        "dissipation": np.zeros(n),
         **values,
+        **laws_of(scene, which),
         **(points or nowhere),
         "time": stretch.times,
         "rock": first + np.arange(n),

@@ -51,10 +51,22 @@ SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
     "haversine": lambda u: sin(np.pi * u) ** 2,
 }
 
+#: How a rock may lose energy, and the key of a population that says how much. The order defines their indices.
+DISSIPATIONS: Mapping[str, str | None] = {
+    "elastic": None,
+    "hunt-crossley": "restitution",
+    "thornton": "yield_pressure",
+    "walton-braun": "restitution",
+}
+#: Those whose loss does not depend on speed: closed forms, but no weight and no target that takes energy.
+PLASTIC = ("thornton", "walton-braun")
+
 if TYPE_CHECKING:
     Law = str
     Shape = str
+    Loss = str
 else:
+    Loss = Literal[*DISSIPATIONS]
     Law = Literal[*HUNT_CROSSLEY_LAWS]
     Shape = Literal[*SHAPES]
 
@@ -122,6 +134,9 @@ class Population(_Source):
         The pulse comes a second time.
     clipped_at : distribution, optional
         Share of the peak at which the pulse is clipped, as by a sensor whose range is too small.
+    dissipation : str, optional
+        How these rocks lose energy, instead of `impact.dissipation`. Populations of one label may differ in it: then
+        their weights say how often each law applies.
     density : distribution [kg/m^3]
         Density of the rock.
     youngs_modulus : distribution [Pa]
@@ -152,6 +167,7 @@ class Population(_Source):
         "velocity",
     )
 
+    dissipation: Loss | None = None
     density: Annotated[Distribution, measured("density"), measured_within("density")]
     youngs_modulus: Annotated[Distribution, measured("modulus"), measured_within("modulus")]
     poisson_ratio: Annotated[
@@ -257,7 +273,7 @@ class ImpactSection(Section):
     """
 
     stiffness: Literal["hertz", "rigid-sphere", "series"]
-    dissipation: Literal["elastic", "hunt-crossley", "thornton", "walton-braun"]
+    dissipation: Loss
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
     gravity: Acceleration | None = None
@@ -265,20 +281,9 @@ class ImpactSection(Section):
 
     @model_validator(mode="after")
     def _law_applies(self) -> Self:
-        if self.plastic and self.law != "exact":
+        if self.dissipation in PLASTIC and self.law != "exact":
             raise ValueError(f"law must be left out when dissipation is {self.dissipation}, got {self.law!r}")
         return self
-
-    @property
-    def plastic(self) -> bool:
-        """Whether the loss does not depend on speed: such impacts have closed forms, but no weight and no plate."""
-        return self.dissipation in ("thornton", "walton-braun")
-
-    @property
-    def material_key(self) -> str | None:
-        """The key of a population that the dissipation needs."""
-        keys = {"hunt-crossley": "restitution", "thornton": "yield_pressure", "walton-braun": "restitution"}
-        return keys.get(self.dissipation)
 
     @property
     def body(self) -> HalfSpace | ThinPlate | RigidWall:
