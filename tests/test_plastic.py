@@ -190,14 +190,24 @@ def test_yield_pressure_gives_the_wanted_restitution():
 
 
 def test_crushing_alone_explains_the_assumed_restitution_of_coal_at_a_plausible_strength():
-    """Quantiles found by independent code: 41 MPa (21 to 71) for coal, 207 MPa (99 to 391) for gangue."""
+    """Found by independent code: quantiles of the pressure [MPa], and medians of peak and duration over damped ones."""
     drawn = [draw(load_scene("reference"), 0, block) for block in range(8)]
     labels = np.concatenate([one.labels for one in drawn])
-    found = np.concatenate([yield_pressure(one.impact.restitution, one.impact) for one in drawn]) / 1e6
-    for label, quantiles in {"coal": (21, 41, 71), "gangue": (99, 207, 391)}.items():
-        assert np.quantile(found[labels == label], [0.1, 0.5, 0.9]) == pytest.approx(
-            quantiles, rel=0.08
-        )  # of 1000 rocks: 2 to 3 %
+    pressures = [yield_pressure(one.impact.restitution, one.impact) for one in drawn]
+    crushed = [
+        replace(one.impact, dissipation=Thornton(yield_pressure=pressure))
+        for one, pressure in zip(drawn, pressures, strict=True)
+    ]
+    pairs = [(one, two.impact) for one, two in zip(crushed, drawn, strict=True)]
+    peaks = np.concatenate([one.peak_force / two.peak_force for one, two in pairs])
+    lengths = np.concatenate([one.contact_duration / two.contact_duration for one, two in pairs])
+    known = {"coal": ((21, 41, 71), 0.41, 1.19), "gangue": ((99, 207, 391), 0.60, 1.10)}
+    for label, (quantiles, peak, length) in known.items():
+        own = labels == label
+        found = np.quantile(np.concatenate(pressures)[own] / 1e6, [0.1, 0.5, 0.9])
+        assert found == pytest.approx(quantiles, rel=0.08)  # of 1000 rocks: 2 to 3 %
+        assert np.median(peaks[own]) == pytest.approx(peak, abs=0.01)
+        assert np.median(lengths[own]) == pytest.approx(length, abs=0.01)
 
 
 # ---- Walton and Braun ---------------------------------------------------------------------------------------------
