@@ -53,7 +53,6 @@ PARAMETER_UNITS = {
     "contact_duration": "s",
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
-#: Index in `DISSIPATIONS` of the law of each impact, where populations differ in it; nan for a tap.
 _MORE_UNITS = {"yield_pressure": "Pa", "second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
@@ -89,7 +88,7 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     drawn = {name for source in scene.sources for name in source.laws}
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
     if scene.mixes_laws:
-        units |= {"dissipation": "1"}
+        units |= {"dissipation": "1"}  # index in `DISSIPATIONS`, nan for a tap
     if scene.panel is not None:
         units |= POINT_UNITS
     return units | {name: unit for name, unit in RANDOMISED_UNITS.items() if scene.draws(name)}
