@@ -7,7 +7,8 @@ The population is that of the shipped scene "peers": 2048 samples at 200 kHz, fl
 with the same pulses on the same grid; the error is the largest force error over the peak of a pulse, against
 quadrature (1e-13) of the first 500. Peers receive mass, stiffness, damping and velocity (`benchmarks/peers.py`), cgid
 mass, stiffness, restitution and velocity; "from materials" also builds the impacts from radius, moduli and density.
-Times are the least of several runs and depend on the machine: compare ratios.
+Times are the least of several runs and depend on the machine: compare ratios. "Thornton" and "Walton-Braun" are these
+rocks with the same restitution by other laws; their error is against DOP853 (rtol 1e-13) of the first 20.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import io
 import sys
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,15 +28,17 @@ from peers import ONSET, SAMPLES, SAMPLING_RATE, Population, available_peers, fr
 
 from cgid import shipped
 from cgid.files import write_whole
-from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, _taylor
+from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, Thornton, WaltonBraun, _taylor, yield_pressure
 from cgid.physics.curves import Curves
+from cgid.physics.laws import Dissipation
 from cgid.physics.materials import STEEL, Material
 from cgid.plots import png, require_matplotlib
 from cgid.scene import load_scene
 from cgid.scene.impacts import draw
+from tests import naive
 
 HERE = Path(__file__).parent
-KNOWN = 500  # pulses whose error is measured; quadrature is slow
+KNOWN, INTEGRATED = 500, 20  # pulses whose error is measured; quadrature is slow, and DOP853 slower
 BLOCK = 250  # frames at a time: 4 MB, as in data generation
 LEVELS = tuple(10.0**-exponent for exponent in range(3, 10))
 
@@ -76,25 +80,63 @@ def cgid_reference(impacts: Population) -> np.ndarray:
     return frames
 
 
-def from_materials(n: int) -> Run:
-    """Return a function that makes n frames from materials, radius, restitution and velocity: `Impact.force_frames`."""
-    scene = load_scene(shipped.scene_path("peers"))
-    blocks = [draw(scene, 0, block).parameters for block in range(-(-n // 256))]
-    drawn = {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
-    target = HalfSpace(material=STEEL)
+def from_materials(n: int, law: Callable[[Impact], Dissipation] | None = None) -> Run:
+    """Return a function that makes n frames from materials, radius, loss and velocity: `Impact.force_frames`."""
+    impacts, numbers = impacts_of(n), None
+    if law is not None:
+        numbers = law(impacts)
 
     def run(_: Population) -> np.ndarray:
-        rock = Material(**{name: drawn[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
-        impact = Impact(
-            sphere=Sphere(material=rock, radius=drawn["radius"]),
-            target=target,
-            velocity=drawn["velocity"],
-            stiffness="hertz",
-            dissipation=HuntCrossley(restitution=drawn["restitution"]),
-        )
-        return impact.force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
+        return impacts_of(n, numbers).force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
 
     return run
+
+
+@cache
+def drawn_numbers(n: int) -> dict[str, np.ndarray]:
+    """Return the drawn numbers of n impacts."""
+    scene = load_scene(shipped.scene_path("peers"))
+    blocks = [draw(scene, 0, block).parameters for block in range(-(-n // 256))]
+    return {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
+
+
+def impacts_of(n: int, dissipation: Dissipation | None = None) -> Impact:
+    """Return n impacts of the population, from materials, radius and velocity; by default with its own loss."""
+    drawn = drawn_numbers(n)
+    rock = Material(**{name: drawn[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
+    return Impact(
+        sphere=Sphere(material=rock, radius=drawn["radius"]),
+        target=HalfSpace(material=STEEL),
+        velocity=drawn["velocity"],
+        stiffness="hertz",
+        dissipation=HuntCrossley(restitution=drawn["restitution"]) if dissipation is None else dissipation,
+    )
+
+
+def thornton(impacts: Impact) -> Thornton:
+    """Return crushing rocks of the same restitution."""
+    return Thornton(yield_pressure=yield_pressure(impacts.restitution, impacts))
+
+
+def walton_braun(impacts: Impact) -> WaltonBraun:
+    """Return bilinear contacts of the same restitution and, without loss, the same depth."""
+    stiffness = 0.8 * impacts.contact_stiffness * np.sqrt(1.25**0.4 * impacts.length_scale)
+    return WaltonBraun(restitution=impacts.restitution, loading_stiffness=stiffness)
+
+
+def integrated_frames(law: Dissipation) -> np.ndarray:
+    """Return the first frames by DOP853."""
+    impacts, times = impacts_of(INTEGRATED), (np.arange(SAMPLES) - ONSET) / SAMPLING_RATE
+    frames = np.zeros((INTEGRATED, SAMPLES))
+    for row in range(INTEGRATED):
+        if isinstance(law, Thornton):
+            numbers = (impacts.reduced_radius[row], impacts.reduced_modulus[row], np.ravel(law.yield_pressure)[row])
+            contact = naive.thornton_contact(*numbers)
+        else:
+            contact = naive.walton_braun_contact(np.ravel(law.restitution)[row], np.ravel(law.loading_stiffness)[row])
+        scales = (impacts.reduced_mass[row], np.ravel(impacts.velocity)[row], impacts.time_scale[row])
+        frames[row] = naive.two_path_impact(*scales, *contact)[0](times)
+    return frames
 
 
 def least_time(run: Callable[[], Any], repeats: int) -> float:
@@ -130,6 +172,10 @@ def work_precision(impacts: Population, quick: bool) -> list[Row]:
         measured("cgid", "table, float32", lambda few: cgid_frames(few, "float32"), impacts, exact, 25),
         measured("cgid", "reference path", cgid_reference, impacts, exact, 3),
     ]
+    for name, law in {"Thornton": thornton, "Walton-Braun": walton_braun}.items():
+        few = integrated_frames(law(impacts_of(INTEGRATED)))
+        run = from_materials(whole, law)
+        rows.append(measured("cgid", f"{name}, from materials", run, impacts, few, 15, block=whole))
     for name, peer in available_peers().items():
         few = impacts.part(0, min(peer.pulses, 10 if quick and peer.pulses < 100 else peer.pulses))
         for setting in peer.settings[::2] if quick else peer.settings:

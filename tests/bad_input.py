@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
+_PRESSURE = 'yield_pressure = "41 MPa"'
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,12 @@ def _csv(path: Path, samples: np.ndarray, header: str = f"# sampling_rate: {RATE
 
 def _scene(path: Path, change: Callable[[str], str], scene: str = "reference") -> None:
     path.write_text(change((ROOT / "datasets" / f"{scene}.toml").read_text()))
+
+
+def _crushing(text: str) -> str:
+    """Return a scene whose rocks crush."""
+    text = text.replace('"hunt-crossley"', '"thornton"')
+    return re.sub(r"(?m)^restitution = .*$", _PRESSURE, text)
 
 
 def _changed(folder: Path, scene: str, changes: dict[str, tuple[str, str]]) -> None:
@@ -128,6 +136,10 @@ def make_files(folder: Path) -> None:
     _scene(folder / "rates.toml", lambda text: text.replace("[sensor]", f"[randomise]\n{_RATES}\n[sensor]"))
     _scene(folder / "sheet.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "5 mm" }'))
     _scene(folder / "plate.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "80 mm" }'))
+    _scene(folder / "uncrushed.toml", lambda text: _crushing(text).replace(_PRESSURE, "", 1))
+    _scene(folder / "soft.toml", lambda text: _crushing(text).replace(_PRESSURE, "yield_pressure = 0", 1))
+    _scene(folder / "fallen.toml", lambda text: _crushing(text).replace('law = "exact"', "gravity = 9.81"))
+    _scene(folder / "crushed_beam.toml", _crushing, "tail_beam")
     _scene(folder / "silent.toml", lambda text: text.replace("relative_noise = 0.01", "relative_noise = 0.0"))
     (folder / "old.png").write_bytes(b"mine")
     (folder / "old.html").write_bytes(b"mine")
@@ -500,6 +512,15 @@ CASES = (
     Case("model exists", ("train", "two.h5", "-o", "model.npz"), 73, ("model.npz", "--overwrite")),
     Case("folder of the model is missing", ("train", "two.h5", "-o", "no/new.npz"), 73, ("no",)),
     Case("restitution 0", ("check", "zero.toml"), 65, ("populations.0.restitution", "0.05 and 1")),
+    Case(
+        "no yield pressure",
+        ("check", "uncrushed.toml"),
+        65,
+        ("populations.0.yield_pressure", "missing, thornton dissipation needs it"),
+    ),
+    Case("yield pressure 0", ("check", "soft.toml"), 65, ("populations.0.yield_pressure", "above 0", "got 0 Pa")),
+    Case("weight of crushing rocks", ("check", "fallen.toml"), 65, ("impact.gravity", "left out", "hunt-crossley")),
+    Case("crushing on a beam", ("check", "crushed_beam.toml"), 65, ("tail_beam: must be left out", "thornton")),
     Case("restitution 1.2", ("check", "high.toml"), 65, ("populations.1.restitution", "1.2")),
     Case("negative density", ("check", "negative.toml"), 65, ("populations.0.density", "above 0", "kg/m^3")),
     Case("unknown key", ("check", "unknown.toml"), 65, ("sampling.jittter", "unknown key")),

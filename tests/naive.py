@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 from cgid import family
 
@@ -243,6 +243,77 @@ class Contact:
         """Return displacement and force at times within the contact."""
         x, y, _, _ = self._solved.sol(times)
         return x, self._force(x, y)
+
+
+def thornton_contact(radius: float, modulus: float, pressure: float) -> tuple[Callable, Callable, float]:
+    """Return P(delta) while loading and after a largest delta, and where it yields, as Thornton (1997) writes it."""
+    first = (math.pi * pressure / (2 * modulus)) ** 2 * radius
+    at_yield = 4 / 3 * modulus * math.sqrt(radius) * first**1.5
+
+    def loading(delta: float) -> float:
+        hertz = 4 / 3 * modulus * math.sqrt(radius) * max(delta, 0.0) ** 1.5
+        return hertz if delta <= first else at_yield + math.pi * radius * pressure * (delta - first)
+
+    def unloading(largest: float) -> Callable[[float], float]:
+        force = loading(largest)
+        if largest <= first:
+            return loading
+        flattened = 4 * modulus / (3 * force) * ((2 * force + at_yield) / (2 * math.pi * pressure)) ** 1.5
+        stiffness = 4 / 3 * modulus * math.sqrt(flattened)
+        rest = largest - (force / stiffness) ** (2 / 3)
+        return lambda delta: stiffness * max(delta - rest, 0.0) ** 1.5
+
+    return loading, unloading, first
+
+
+def walton_braun_contact(restitution: float, stiffness: float) -> tuple[Callable, Callable, float]:
+    """Return the same of a bilinear contact, which never changes its loading path."""
+
+    def unloading(largest: float) -> Callable[[float], float]:
+        return lambda delta: max(stiffness / restitution**2 * (delta - largest * (1 - restitution**2)), 0.0)
+
+    return lambda delta: stiffness * delta, unloading, math.inf
+
+
+def two_path_impact(
+    mass: float, velocity: float, unit: float, loading: Callable, unloading: Callable, corner: float
+) -> tuple[Callable[[np.ndarray], np.ndarray], float, float]:
+    """Return the force over time of a contact that loads on one path and unloads on another, by DOP853.
+
+    Also where it ends (the force falls to 1e-13 of its peak) and the rebound speed. unit is a time to scale the steps.
+    """
+    settings = {"method": "DOP853", "rtol": 1e-13, "atol": [1e-14 * velocity * unit, 1e-14 * velocity]}
+    parts, state, start = [], (0.0, velocity), 0.0
+
+    def run(force: Callable, *events: Callable) -> None:
+        nonlocal state, start
+        for event in events:
+            event.terminal, event.direction = True, -1
+        found = solve_ivp(
+            lambda _, y: (y[1], -force(y[0]) / mass), (start, 20 * unit), state,
+            events=events, dense_output=True, max_step=unit / 50, **settings,
+        )  # fmt: skip
+        parts.append((start, found.t[-1], found.sol, force))
+        state, start = found.y[:, -1], found.t[-1]
+
+    run(loading, lambda _, y: y[1], lambda _, y: corner - y[0] if corner < math.inf else 1.0)
+    if state[1] > 1e-9 * velocity:
+        run(loading, lambda _, y: y[1])
+    after, largest = unloading(state[0]), state[0]
+    rest = 0.0
+    if after(0.0) == 0:  # contact ends while the body is still flattened
+        rest = brentq(lambda delta: after(delta) - 1e-13 * after(largest), 0, largest, xtol=1e-20)
+    run(after, lambda _, y: y[0] - rest)
+
+    def force(times: np.ndarray) -> np.ndarray:
+        out = np.zeros(times.shape)
+        for begin, end, solution, law in parts:
+            inside = (times >= begin) & (times < end)
+            if inside.any():
+                out[inside] = [law(delta) for delta in solution(times[inside])[0]]
+        return out
+
+    return force, start, -state[1]
 
 
 def damped_pulse(times: np.ndarray, peak: float, duration: float, onset: float, restitution: float) -> np.ndarray:

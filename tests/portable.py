@@ -24,6 +24,7 @@ from tests.plan_scenes import CASES, PANEL, STEEL, TAP, beam_of, scene_of
 DATASETS = Path(__file__).parents[1] / "datasets"
 SEED, N_SIGNALS = 3, 2000
 SCENES = ("reference", "tail_beam", "yang2018")
+CRUSHING = {"distribution": "log-uniform", "lowest": "5 MPa", "highest": "1 GPa"}
 
 
 def digest(arrays: dict[str, Any]) -> str:
@@ -92,6 +93,8 @@ def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
         )
     }
     scenes |= {
+        "thornton": scene_of({"dissipation": "thornton"}, {"restitution": None, "yield_pressure": CRUSHING}),
+        "walton-braun": scene_of({"dissipation": "walton-braun"}),
         "weight": scene_of({"gravity": 9.81, "gravity_tolerance": 1e-7}),
         "weight on a plate": scene_of({"gravity": 9.81, "target": plate}, {"restitution": 0.7}),
         "hum": scene_of(background={"hum": hum}),

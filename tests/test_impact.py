@@ -557,7 +557,10 @@ def test_no_impacts_and_no_times():
     [
         ({"target": "rigid"}, "target must be .*Sphere or RigidWall, got 'rigid'"),
         ({"target": STEEL}, "target must be .*got Material"),
-        ({"dissipation": None}, "dissipation must be .*Elastic or HuntCrossley or Viscoelastic, got None"),
+        (
+            {"dissipation": None},
+            "dissipation must be .*Elastic or HuntCrossley or Viscoelastic or Thornton or WaltonBraun, got None",
+        ),
         ({"dissipation": HuntCrossley}, "dissipation must be .*got <class"),
         ({"dissipation": 0.5}, r"dissipation must be .*got 0\.5"),
         ({"sphere": STEEL}, "sphere must be a Sphere, got Material"),

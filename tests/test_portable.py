@@ -23,7 +23,16 @@ _ALL_NEWER = "X86_V3 X86_V4 AVX2 FMA3 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX
 _NO_AVX512 = "X86_V4 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
 OLDEST = {"NPY_DISABLE_CPU_FEATURES": _ALL_NEWER, "NUMBA_CPU_NAME": "generic", "OPENBLAS_CORETYPE": "Prescott"}
 #: Some of the varied scenes.
-SOME = ["lognormal radius", "rosin-rammler radius", "haversine tap", "hum", "coloured noise", "bandwidth"]
+SOME = [
+    "thornton",
+    "walton-braun",
+    "lognormal radius",
+    "rosin-rammler radius",
+    "haversine tap",
+    "hum",
+    "coloured noise",
+    "bandwidth",
+]
 #: A C library whose functions return the neighbouring double, but for whole numbers, which every library gets right.
 _NEIGHBOURS = r"""
 #define _GNU_SOURCE

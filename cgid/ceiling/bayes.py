@@ -228,7 +228,9 @@ def check_covered(scene: Scene) -> None:
             getattr(scene.impact.target, "thickness", None) is not None,
             "a half space or a rigid wall: on a plate the pulses are another family",
         ),
-        (scene.impact.dissipation == "elastic", "hunt-crossley dissipation: elastic pulses have no shape to be told"),
+        (scene.mixes_laws, "one law of loss for all populations"),
+        ("elastic" in scene.dissipations, "hunt-crossley dissipation: elastic pulses have no shape to be told"),
+        (scene.plastic, f"hunt-crossley dissipation: {', '.join(scene.plastic)} pulses are another family"),
         (
             any(p.second_hit is not None or p.clipped_at is not None for p in scene.populations),
             "single hits that no sensor cuts off",

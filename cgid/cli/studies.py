@@ -133,7 +133,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     from cgid.measure.pulses import WANTED_SAMPLES
     from cgid.physics.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
 
-    strain = np.concatenate([d.impact.peak_displacement / d.impact.reduced_radius for d in draws])
+    strain = np.concatenate([d.strain for d in draws])
     inelasticity = np.concatenate([d.inelasticity for d in draws])
     end = values.get("onset", 0.0) + np.nan_to_num(values.get("second_hit_delay", 0.0)) + values["contact_duration"]
     beyond = {

@@ -9,7 +9,9 @@ from cgid.physics.laws import (
     STIFFNESS_THEORIES,
     Elastic,
     HuntCrossley,
+    Thornton,
     Viscoelastic,
+    WaltonBraun,
     contact_stiffness,
     free_fall_velocity,
 )
@@ -20,6 +22,7 @@ from cgid.physics.sensitivity import (
     plate_thickness,
     range_influence,
     response_grid,
+    yield_pressure,
 )
 
 __all__ = [
@@ -37,7 +40,9 @@ __all__ = [
     "Sphere",
     "ThinPlate",
     "ThinPlateWarning",
+    "Thornton",
     "Viscoelastic",
+    "WaltonBraun",
     "contact_stiffness",
     "damping_number",
     "delivered_restitution",
@@ -47,4 +52,5 @@ __all__ = [
     "plate_thickness",
     "range_influence",
     "response_grid",
+    "yield_pressure",
 ]

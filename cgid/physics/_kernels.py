@@ -1,4 +1,4 @@
-"""Numba kernels of the tabulated pulses; `cgid.family` describes how a pulse is stored.
+"""Numba kernels of the tabulated pulses and of those made of branches; `cgid.family` describes how a pulse is stored.
 
 No `fastmath`: the same table gives the same bits on every machine,
 whether or not it fuses multiplication and addition.
@@ -12,12 +12,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid._elementary import sincos
 from cgid.compiled import jit
 from cgid.family import CONTACT, CUT, INTERVALS, ORDERS, POWERS, SEGMENTS
 
 Array = NDArray[Any]
 
 _MIDDLE = SEGMENTS * POWERS  # where the columns of the second half begin
+#: Columns of a pulse of three branches. Up to `loading_end` it is the elastic curve; up to `peak_time`
+#: `level + height cos(rate (peak_time - tau))`; up to `contact_time` `rest + unloading_height` times half an elastic
+#: curve, or a quarter of a sine, run backwards from separation in the unit of time `unloading_unit`.
+BRANCHES = (
+    "loading_end",
+    "rate",
+    "peak_time",
+    "contact_time",
+    "unloading_unit",
+    "level",
+    "height",
+    "rest",
+    "unloading_height",
+)
 
 
 @jit
@@ -97,6 +112,20 @@ def add_to_frames(
 
 
 @jit
+def _in_half(pulse: Array, first: int, square: float, cubic: bool) -> float:
+    """Return force or displacement where sigma^2 is square, in the half of a pulse whose columns begin at first."""
+    sigma = math.sqrt(square)
+    segment = min(int(sigma * SEGMENTS), SEGMENTS - 1)
+    u = 2.0 * (sigma * SEGMENTS - segment) - 1.0
+    column = first + segment * POWERS
+    value: float = pulse[column + POWERS - 1]
+    for power in range(POWERS - 2, -1, -1):
+        value = value * u + pulse[column + power]
+    value *= square
+    return value * sigma if cubic else value
+
+
+@jit
 def at_times(
     times: Array,
     place: Array,
@@ -121,15 +150,98 @@ def at_times(
                 out[i, k] = 0.0
                 continue
             if tau <= cut:
-                square, column = tau / cut, 0
+                out[i, k] = amplitude[i] * _in_half(pulse, 0, tau / cut, cubic)
             else:
-                square, column = (contact - tau) / (contact - cut), _MIDDLE
-            sigma = math.sqrt(square)
-            segment = min(int(sigma * SEGMENTS), SEGMENTS - 1)
-            u = 2.0 * (sigma * SEGMENTS - segment) - 1.0
-            column += segment * POWERS
-            value = pulse[column + POWERS - 1]
-            for power in range(POWERS - 2, -1, -1):
-                value = value * u + pulse[column + power]
-            value *= square
-            out[i, k] = amplitude[i] * (value * sigma if cubic else value)
+                out[i, k] = amplitude[i] * _in_half(pulse, _MIDDLE, (contact - tau) / (contact - cut), cubic)
+
+
+@jit
+def add_branches_to_frames(
+    frames: Array,
+    onset: Array,
+    step: Array,
+    branches: Array,
+    linear: bool,
+    amplitude: Array,
+    columns: Array,
+    rows: Array,
+) -> None:
+    """Add one force pulse of three branches to some rows of frames (n, n_samples); only contact is touched.
+
+    onset and step are those of `add_to_frames`, branches (n, len(`BRANCHES`)) those of the force. linear: the last
+    branch unloads a linear spring, else a Hertzian contact.
+    """
+    pulse = np.empty(columns.shape[2])
+    _blend(columns, 0.0, pulse)
+    cut = pulse[CUT]
+    for i in rows:
+        first, rate, peak, contact, unit = (
+            branches[i, 0],
+            branches[i, 1],
+            branches[i, 2],
+            branches[i, 3],
+            branches[i, 4],
+        )
+        touch, samples, grid = onset[i], frames[i], 1.0 / step[i]
+        growth, decline = step[i] / cut, step[i] / (unit * cut)  # sigma^2 from one sample to the next
+        here = _sample_after(touch, samples.size)
+        for segment in range(SEGMENTS):
+            edge = min(cut * ((segment + 1.0) / SEGMENTS) ** 2, first)
+            end = max(_sample_after(touch + edge * grid, samples.size), here)
+            coefficients = pulse[segment * POWERS : (segment + 1) * POWERS]
+            _add_segment(samples[here:end], coefficients, segment, (here - touch) * growth, growth, amplitude[i])
+            here = end
+        end = max(_sample_after(touch + peak * grid, samples.size), here)
+        for k in range(here, end):
+            share = sincos(rate * (peak - (k - touch) * step[i]))[1]
+            samples[k] += amplitude[i] * max(branches[i, 5] + branches[i, 6] * share, 0.0)
+        here, height = end, amplitude[i] * branches[i, 8]
+        for segment in range(SEGMENTS - 1, -1, -1):
+            edge = contact - unit * cut * (segment / SEGMENTS) ** 2
+            end = max(_sample_after(touch + edge * grid, samples.size), here)
+            if segment == 0 and end > here and (end - 1 - touch) * step[i] >= contact:
+                end -= 1  # a sample that falls on separation itself holds no force
+            if linear:
+                for k in range(here, end):
+                    samples[k] += height * max(sincos((contact - (k - touch) * step[i]) / unit)[0], 0.0)
+            else:
+                square = (contact - (here - touch) * step[i]) / (unit * cut)
+                coefficients = pulse[segment * POWERS : (segment + 1) * POWERS]
+                _add_segment(samples[here:end], coefficients, segment, square, -decline, height)
+            here = end
+
+
+@jit
+def branches_at_times(
+    times: Array,
+    time_scale: Array,
+    branches: Array,
+    linear: bool,
+    amplitude: Array,
+    columns: Array,
+    cubic: bool,
+    out: Array,
+    rows: Array,
+) -> None:
+    """Fill some rows of out (n, k) with the pulses at times (n, k) [s]; zero outside contact.
+
+    branches and linear are as in `add_branches_to_frames`, cubic as in `at_times`.
+    """
+    pulse = np.empty(columns.shape[2])
+    _blend(columns, 0.0, pulse)
+    cut = pulse[CUT]
+    for i in rows:
+        contact, unit = branches[i, 3], branches[i, 4]
+        for k in range(times.shape[1]):
+            tau = times[i, k] / time_scale[i]
+            if not 0.0 < tau < contact:
+                value = 0.0
+            elif tau <= branches[i, 0]:
+                value = _in_half(pulse, 0, tau / cut, cubic)
+            elif tau <= branches[i, 2]:
+                value = branches[i, 5] + branches[i, 6] * sincos(branches[i, 1] * (branches[i, 2] - tau))[1]
+            elif linear:
+                value = branches[i, 7] + branches[i, 8] * sincos((contact - tau) / unit)[0]
+            else:
+                value = branches[i, 7] + branches[i, 8] * _in_half(pulse, 0, (contact - tau) / (unit * cut), cubic)
+            out[i, k] = amplitude[i] * max(value, 0.0)

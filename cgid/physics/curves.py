@@ -243,7 +243,7 @@ class Curves:
         count("table_pulses", rows.size)
         count("integrated_pulses", rest.size)
         if counting():
-            count("pulse_samples", _samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
+            count("pulse_samples", samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
         if rows.size:
             from cgid.physics import _kernels
 
@@ -263,7 +263,7 @@ class Curves:
             in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
 
 
-def _samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
+def samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
     """Return the number of frame samples between touch and separation, both in samples."""
     first = np.clip(np.floor(touch) + 1, 0, n_samples)
     return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))

@@ -16,7 +16,8 @@ from cgid.errors import InvalidValue
 from cgid.physics import bodies
 from cgid.physics.bodies import Sphere, Target, ThinPlate
 from cgid.physics.curves import Curves, Quantity
-from cgid.physics.laws import Dissipation, Viscoelastic, contact_stiffness
+from cgid.physics.laws import Dissipation, Plastic, Thornton, Viscoelastic, WaltonBraun, contact_stiffness
+from cgid.physics.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
 from cgid.validation import Floats
 
 #: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
@@ -54,8 +55,9 @@ class Impact:
         Normal impact speed; for two spheres the relative speed.
     stiffness : {"hertz", "rigid-sphere", "series"}
         Theory of the contact stiffness (see `contact_stiffness`); no default.
-    dissipation : Elastic, HuntCrossley or Viscoelastic
-        Loss in the material; the loss to a thin plate is added to it.
+    dissipation : Elastic, HuntCrossley, Viscoelastic, Thornton or WaltonBraun
+        Loss in the material; the loss to a thin plate is added to it. The last two need a target that takes no energy
+        (no thin plate), and no gravity.
     gravity : array_like, 0 or more [m/s^2]
         Pull towards the target during contact. Neglected where it would change the speed by at most 3e-12 of the impact
         speed.
@@ -104,6 +106,8 @@ class Impact:
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
         validation.hold(self, "velocity", "gravity")
+        if isinstance(self.dissipation, Plastic):
+            self._require_closed_form()
         self._require_reach()
         self.curves.require_rebound()
         self._warn_of_range()
@@ -116,6 +120,16 @@ class Impact:
             f"Impact({f'{shape} of ' if shape else ''}radius {radius} m at {velocity} m/s on "
             f"{type(self.target).__name__}, {self.stiffness}, {type(self.dissipation).__name__})"
         )
+
+    def _require_closed_form(self) -> None:
+        law = type(self.dissipation).__name__
+        if isinstance(self.target, ThinPlate):
+            raise InvalidValue(
+                f"target must take no energy with {law} dissipation, got a ThinPlate; take a HalfSpace, or HuntCrossley"
+            )
+        if np.any(np.asarray(self.gravity)):
+            gravity = np.max(np.asarray(self.gravity))
+            raise InvalidValue(f"gravity must be 0 m/s^2 with {law} dissipation, got {gravity:g} m/s^2; leave it out")
 
     def _require_reach(self) -> None:
         with np.errstate(all="ignore"):
@@ -131,6 +145,9 @@ class Impact:
             }
             if isinstance(self.dissipation, Viscoelastic):
                 scales["dissipative constant"] = (self._given["dissipative_constant"], "s")
+            if isinstance(self.dissipation, Plastic):
+                name = "yield displacement" if isinstance(self.dissipation, Thornton) else "loading stiffness"
+                scales[name] = (self._plastic_scale, "of that of the impact")
             if isinstance(self.target, ThinPlate):
                 scales["plate impedance"] = (self.target.impedance, "kg/s")
         for name, (scale, unit) in scales.items():
@@ -142,8 +159,9 @@ class Impact:
                 )
 
     def _warn_of_range(self) -> None:
-        # An elastic impact without weight is the deepest, and cheap: its depth needs no damping number.
-        if np.any(self.curves.weight) or (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
+        # Without weight and crushing an elastic impact is the deepest, and cheap: its depth needs no damping number.
+        deeper = np.any(self.curves.weight) or isinstance(self.dissipation, Plastic)
+        if deeper or (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
             strain = (self.peak_displacement / self.reduced_radius).max(initial=0.0)
             if strain > HERTZ_LIMIT:
                 message = f"displacement / radius reaches {strain:.3g}; Hertz's theory holds up to {HERTZ_LIMIT:g}"
@@ -159,16 +177,16 @@ class Impact:
     @cached_property
     def _given(self) -> dict[str, Floats]:
         """Numbers of the impact, broadcast to one shape."""
-        restitution, dissipative_constant = self.dissipation.loss(self.sphere, self.target)
         named = {
             "radius": bodies.reduced_radius(self.sphere, self.target),
             "mass": bodies.reduced_mass(self.sphere, self.target),
             "modulus": bodies.reduced_modulus(self.sphere, self.target),
             "velocity": np.asarray(self.velocity, dtype=np.float64),
             "gravity": np.asarray(self.gravity, dtype=np.float64),
-            "restitution": restitution,
-            "dissipative_constant": dissipative_constant,
+            "restitution": np.ones(()),
+            "dissipative_constant": np.zeros(()),
             "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
+            **self.dissipation.numbers(self.sphere, self.target),
         }
         return dict(zip(named, validation.broadcast(**named), strict=True))
 
@@ -229,8 +247,22 @@ class Impact:
         return _fixed(self.reduced_mass / (self.target.impedance * self.time_scale))
 
     @cached_property
+    def _plastic_scale(self) -> Floats:
+        """Yield displacement over L of `Thornton`, loading stiffness over `K L^(1/2)` of `WaltonBraun`."""
+        if isinstance(self.dissipation, WaltonBraun):
+            given = self._given["loading_stiffness"]
+            own = given / (self.contact_stiffness * np.sqrt(self.length_scale))
+            return np.where(given > 0, own, EQUIVALENT_STIFFNESS)
+        root = 2 / 3 * np.pi * self.reduced_radius * self._given["yield_pressure"] / self.contact_stiffness
+        return np.asarray(root * root / self.length_scale)
+
+    @cached_property
     def curves(self) -> Curves:
         """The dimensionless curves, one row per impact in C order."""
+        if isinstance(self.dissipation, Thornton):
+            return thornton_curves(np.ravel(self._plastic_scale))
+        if isinstance(self.dissipation, WaltonBraun):
+            return walton_braun_curves(self._given["restitution"].ravel(), np.ravel(self._plastic_scale))
         restitution, constant = self._given["restitution"], self._given["dissipative_constant"]
         # The contact grows with the damping, about as e^-0.6 T0. A weight is neglected only where the pulse then comes
         # from the table.
@@ -284,7 +316,7 @@ class Impact:
 
     @property
     def end_displacement(self) -> Floats:
-        """Approach at separation [m]: 0, except for a viscoelastic sphere, which leaves flattened."""
+        """Approach at separation [m]: 0, except for a viscoelastic or crushed sphere, which leaves flattened."""
         return self.length_scale * self._shaped(self.curves.end_displacement)
 
     @property

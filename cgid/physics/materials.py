@@ -1,4 +1,4 @@
-"""Elastic materials: the spheres and steel of Yang et al. (2018), and published ranges for rocks, with sources."""
+"""Materials: the spheres and steel of Yang et al. (2018), and published ranges for rocks, with sources."""
 
 from __future__ import annotations
 
@@ -69,6 +69,39 @@ class MaterialRange:
     sources: tuple[str, ...]
 
 
+@dataclass(frozen=True, kw_only=True)
+class StrengthRange:
+    """Lowest and highest published uniaxial compressive strength of a rock, with their sources.
+
+    They are sample measurements of dry rock, not bounds.
+
+    Parameters
+    ----------
+    compressive_strength : tuple of two floats [Pa]
+    sources : tuple of str
+
+    Examples
+    --------
+    >>> [round(float(pressure) / 1e6) for pressure in COAL_STRENGTH.yield_pressure]
+    [12, 52]
+    """
+
+    compressive_strength: tuple[float, float]
+    sources: tuple[str, ...]
+
+    @property
+    def yield_pressure(self) -> tuple[float, float]:
+        """Contact pressure at which a sphere of this rock yields [Pa], for `cgid.physics.Thornton`.
+
+        It is 1.6 times the strength (von Mises, Poisson's ratio 0.3; Johnson 1985, Contact Mechanics, section 6.1).
+        """
+        lowest, highest = self.compressive_strength
+        return YIELD_OVER_STRENGTH * lowest, YIELD_OVER_STRENGTH * highest
+
+
+#: Largest contact pressure at first yield over the uniaxial strength.
+YIELD_OVER_STRENGTH = 1.6
+
 #: Yang, Zeng & Wan (2018), Shock and Vibration, Tables 1 and 2: spheres 1 and 2 resemble coal, 3 and 4 gangue.
 YANG2018_SPHERES = {
     1: Material(density=1380.0, youngs_modulus=2.26e9, poisson_ratio=0.28),
@@ -120,4 +153,34 @@ SANDSTONE = MaterialRange(
         f"{_DISTURBED}, medium sandstone, packsand: 2690-2720 kg/m^3, 6.37-8.21 GPa, .10-.17",
         f"{_STAGGERED}, fine and coarse sandstone: 2480-2510 kg/m^3, 29.9-52.0 GPa, .24-.29",
     ),
+)
+
+_WEATHERED = "Advances in Civil Engineering 2018, article 3210420, Table 1"
+_YANGCHENG = "Shock and Vibration 2015, article 452479, Table 2 (natural specimens)"
+_GOODMAN = "Goodman 1989, Introduction to Rock Mechanics, 2nd ed., Table 3.1"
+
+COAL_STRENGTH = StrengthRange(
+    compressive_strength=(7.25e6, 32.27e6),
+    sources=(
+        f"{_DISTURBED}: 7.25 MPa",
+        f"{_WEATHERED}: 7.65 MPa",
+        f"{_LIU}: 15.98 MPa",
+        f"{_NUCLEAR}: 32.27 MPa",
+    ),
+)
+MUDSTONE_STRENGTH = StrengthRange(
+    compressive_strength=(12.5e6, 24.13e6),
+    sources=(f"{_DISTURBED}: 12.5 MPa", f"{_YANGCHENG}: 23.05 MPa and 24.13 MPa"),
+)
+SANDSTONE_STRENGTH = StrengthRange(
+    compressive_strength=(26.5e6, 73.8e6),
+    sources=(
+        f"{_DISTURBED}, medium sandstone and packsand: 26.5 MPa and 34.3 MPa",
+        f"{_YANGCHENG}, medium and fine sandstone: 30.14 MPa and 31.85 MPa",
+        f"{_GOODMAN}, Berea sandstone: 73.8 MPa",
+    ),
+)
+LIMESTONE_STRENGTH = StrengthRange(
+    compressive_strength=(51.0e6, 245.0e6),
+    sources=(f"{_GOODMAN}, Bedford, Tavernalle and Solenhofen limestone: 51.0 MPa, 97.9 MPa and 245.0 MPa",),
 )

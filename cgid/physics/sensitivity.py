@@ -21,8 +21,9 @@ from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace, RigidWall, Sphere, ThinPlate, impedance_of_unit_thickness
 from cgid.physics.curves import Curves
 from cgid.physics.impact import Impact
-from cgid.physics.laws import Elastic, HuntCrossley
+from cgid.physics.laws import Elastic, HuntCrossley, Thornton
 from cgid.physics.materials import Material
+from cgid.physics.plastic import thornton_curves
 from cgid.validation import Floats
 
 #: Parameters of the sphere and of the half space, with their units.
@@ -35,8 +36,8 @@ PARAMETERS = {
     "target_poisson_ratio": "",
 }
 _OF_TARGET = "target_"
-#: Search bounds of zeta and lambda: from negligible loss to restitutions of 1e-5 and 1e-6.
-_ZETA, _LAMBDA = (1e-17, 1e3), (1e-17, 15.0)
+#: Search bounds of zeta, lambda and L over yield displacement: from negligible loss to restitutions of 1e-5 or 1e-6.
+_ZETA, _LAMBDA, _OVER_DEPTH = (1e-17, 1e3), (1e-17, 15.0), (0.9, 1e16)
 
 
 @dataclass(frozen=True)
@@ -321,6 +322,48 @@ def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
     inelasticity = _sought(restitution, on_half_space, curves, _LAMBDA)
     impedance = on_half_space.reduced_mass / (inelasticity * on_half_space.time_scale)
     return np.sqrt(impedance / impedance_of_unit_thickness(impact.target.material))
+
+
+def yield_pressure(restitution: ArrayLike, impact: Impact) -> Floats:
+    """Return the yield pressure [Pa] that gives an elastic-plastic impact the requested restitution.
+
+    Parameters
+    ----------
+    restitution : array_like
+        Below 1 and above about 1e-5.
+    impact : Impact
+        Bodies, velocity and stiffness; its own dissipation is replaced. No thin plate, no gravity.
+
+    Returns
+    -------
+    ndarray
+        For `Thornton(yield_pressure=...)`, in the broadcast shape of restitution and impact.
+
+    Raises
+    ------
+    InvalidValue
+        The restitution cannot be reached, or the impact has a thin plate or gravity.
+
+    Examples
+    --------
+    >>> from cgid.physics import Elastic, HalfSpace, Sphere
+    >>> from cgid.physics.materials import STEEL, YANG2018_SPHERES
+    >>> impact = Impact(
+    ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025),
+    ...     target=HalfSpace(material=STEEL), velocity=2.0, stiffness="hertz", dissipation=Elastic(),
+    ... )  # fmt: skip
+    >>> round(float(yield_pressure(0.5, impact)) / 1e6, 1)
+    38.2
+    """
+    validation.instance("impact", impact, Impact)
+    # At a yield pressure of the modulus nothing yields.
+    elastic = replace(impact, dissipation=Thornton(yield_pressure=impact.reduced_modulus))
+
+    def curves(over_depth: Floats, rows: NDArray[np.intp]) -> Curves:
+        return thornton_curves(1 / over_depth)
+
+    depth = elastic.length_scale / _sought(restitution, elastic, curves, _OVER_DEPTH)
+    return np.asarray(1.5 * elastic.contact_stiffness * np.sqrt(depth) / (np.pi * elastic.reduced_radius))
 
 
 def _sought(

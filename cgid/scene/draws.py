@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cgid.errors import InvalidValue
 from cgid.physics import free_fall_velocity
 from cgid.scene.schema import Scene
-from cgid.scene.sections import SHAPES, Population, Tap
+from cgid.scene.sections import DISSIPATIONS, SHAPES, Population, Tap
 from cgid.validation import Floats
 
 #: Samples that share one address.
@@ -27,8 +27,9 @@ PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
 IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED = 16, 17, 18, 19, 20
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
-#: The columns of a rock's numbers, in order. Height and speed of a fall share one number.
+#: The columns of a rock's numbers, in order. Quantities of which a population has only one share a number.
 FALL = (*PARTICLE, "restitution", "drop_height")
+_SHARED = {"velocity": "drop_height", "yield_pressure": "restitution"}
 #: The columns of optional purposes.
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
@@ -52,7 +53,7 @@ PARAMETER_UNITS = {
     "contact_duration": "s",
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
-_MORE_UNITS = {"second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
+_MORE_UNITS = {"yield_pressure": "Pa", "second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
 RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
@@ -86,6 +87,8 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     """Return the stored parameters of a scene and their units: `PARAMETER_UNITS`, and those of its optional parts."""
     drawn = {name for source in scene.sources for name in source.laws}
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
+    if scene.mixes_laws:
+        units |= {"dissipation": "1"}  # index in `DISSIPATIONS`, nan for a tap
     if scene.panel is not None:
         units |= POINT_UNITS
     return units | {name: unit for name, unit in RANDOMISED_UNITS.items() if scene.draws(name)}
@@ -133,6 +136,7 @@ def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
         if not laws.isdisjoint(names):
             columns |= dict(zip(names, uniforms(seed, block, len(names), purpose), strict=True))
     values = quantities_of(sources, which, columns, parameter_units(scene))
+    values |= laws_of(scene, which)
     values |= points_of_impact(scene, seed, block)
     values["onset"] = onset_of(here, numbers[-1])
     values |= levels_of(here, values)
@@ -150,18 +154,26 @@ def quantities_of(
     """Convert uniform numbers to the quantities of rocks and taps; no other function does.
 
     which is the source index, (n,). numbers holds uniform numbers by the name of the quantity, each (n,); a velocity
-    uses the number of the drop height. The named quantities are in SI units, nan where a source has none; a drop height
-    also sets the velocity.
+    uses the number of the drop height, a yield pressure that of the restitution. The named quantities are in SI units,
+    nan where a source has none; a drop height also sets the velocity.
     """
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):
         rows = np.flatnonzero(which == index)
         for name, law in source.laws.items():
-            number = numbers["drop_height" if name == "velocity" else name]
+            number = numbers[_SHARED.get(name, name)]
             values[name][rows] = law.quantile(number[rows])
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
     return values
+
+
+def laws_of(scene: Scene, which: NDArray[np.intp]) -> dict[str, Floats]:
+    """Return the column "dissipation" of rocks of these sources, (n,); empty where all populations have the same."""
+    if not scene.mixes_laws:
+        return {}
+    order = [float(list(DISSIPATIONS).index(name)) for name in scene.dissipations]
+    return {"dissipation": np.array(order + [np.nan] * len(scene.taps))[which]}
 
 
 def settled(scene: Scene, seed: int, block: int) -> Scene:

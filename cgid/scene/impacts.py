@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
 from cgid.physics.coupled import ModalImpact
+from cgid.physics.laws import Dissipation
 from cgid.physics.materials import Material
 from cgid.physics.modes import MeasuredModes, Modes
 from cgid.physics.response import Response
@@ -27,7 +28,7 @@ from cgid.scene.draws import PARTICLE, drawn_block
 from cgid.scene.extremes import unwarned, weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
-from cgid.scene.sections import SHAPES, TailBeamSection, TargetSection
+from cgid.scene.sections import DISSIPATIONS, SHAPES, TailBeamSection, TargetSection
 from cgid.validation import Floats
 
 # -- the beam and the recorder ----------------------------------------------------------------------------
@@ -139,8 +140,21 @@ def _recorder(scene: Scene, beam: bool, chain: bool) -> Recorder:
 # -- impacts ----------------------------------------------------------------------------------------------
 
 
+def impacts_of(
+    asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]
+) -> Iterator[tuple[NDArray[np.intp], Impact]]:
+    """Yield groups of rows that lose energy in the same way, and their impacts, as from `impact_of`."""
+    if not asked.scene.mixes_laws:
+        yield rows, impact_of(asked, values, rows)
+        return
+    laws = values["dissipation"][rows]
+    for law in np.unique(laws):
+        own = rows[laws == law]
+        yield own, impact_of(asked, values, own)
+
+
 def impact_of(asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Impact:
-    """Return the impacts of some rows; a beam of known size counts as an infinite plate."""
+    """Return the impacts of some rows of the same dissipation; a beam of known size counts as an infinite plate."""
     scene = asked.scene
     parts = _collision(scene, values, rows)
     if not asked.runs("gravity"):
@@ -153,7 +167,7 @@ def impacts_by_coupling(
 ) -> Iterator[tuple[NDArray[np.intp], Impact | ModalImpact, Callable[[NDArray[np.intp]], Impact | ModalImpact]]]:
     """Yield groups of rows by coupling to the beam: the rows, their impacts, and a function from rows to impacts.
 
-    impact holds those of all rows, as from `impact_of`.
+    impact holds those of all rows, which lose energy in the same way, as from `impact_of`.
     """
     through_modes = _through_modes(asked, impact, values, rows)
     plain, modal = rows[~through_modes], rows[through_modes]
@@ -207,17 +221,31 @@ def _residual_compliance(scene: Scene, highest: float) -> float:
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:
     """Return the arguments of an impact except its target."""
-    asked = {name: values[name][rows] for name in (*PARTICLE, "restitution", "velocity")}
+    asked = {name: values[name][rows] for name in (*PARTICLE, "velocity")}
     material = Material(
         density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
     )
-    elastic = scene.impact.dissipation == "elastic"
     return {
         "sphere": Sphere(material=material, radius=asked["radius"]),
         "velocity": asked["velocity"],
         "stiffness": scene.impact.stiffness,
-        "dissipation": Elastic() if elastic else HuntCrossley(restitution=asked["restitution"], law=scene.impact.law),
+        "dissipation": _dissipation(scene, values, rows),
     }
+
+
+def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Dissipation:
+    """Return the loss of some impacts, which all have the same law."""
+    name = scene.dissipations[0] if scene.dissipations else scene.impact.dissipation
+    if scene.mixes_laws and rows.size:
+        name = list(DISSIPATIONS)[int(values["dissipation"][rows[0]])]
+    key = DISSIPATIONS[name]
+    if key is None:
+        return Elastic()
+    if name == "thornton":
+        return Thornton(yield_pressure=values[key][rows])
+    if name == "walton-braun":
+        return WaltonBraun(restitution=values[key][rows])
+    return HuntCrossley(restitution=values[key][rows], law=scene.impact.law)
 
 
 # -- the pulses of a block --------------------------------------------------------------------------------
@@ -295,7 +323,7 @@ class Blows:
         frame, peak and duration are those of the first hit
     specimen : equal for pulses of equal particles or equal taps, (n_signals,)
     strikes : impacts, taps and second hits
-    impact : all drawn impacts, as if a beam had no edges
+    impacts : all drawn impacts, as if a beam had no edges, in groups of the same dissipation
     """
 
     labels: NDArray[np.str_]
@@ -303,7 +331,7 @@ class Blows:
     specimen: NDArray[np.uint64]
     strikes: tuple[Strike, ...]
     plan: Plan
-    impact: Impact | None = None
+    impacts: tuple[Impact, ...] = ()
 
     @property
     def scene(self) -> Scene:
@@ -318,6 +346,17 @@ class Blows:
                 strike.add_to_frames(frames, self.scene.sampling.sampling_rate)
             else:
                 strike.add_response(frames, recorder, self.parameters)
+
+    @property
+    def impact(self) -> Impact:
+        """All drawn impacts of a scene whose populations have the same dissipation."""
+        (impact,) = self.impacts
+        return impact
+
+    @property
+    def strain(self) -> Floats:
+        """Largest displacement of the first impacts over their radius, as if a beam had no edges, (n_impacts,)."""
+        return np.concatenate([one.peak_displacement / one.reduced_radius for one in self.impacts])
 
     @property
     def inelasticity(self) -> Floats:
@@ -337,17 +376,17 @@ def blows_of(asked: Plan, seed: int, block: int) -> Blows:
     here, values = asked.for_block(drawn.scene), drawn.values
     strikes: list[Strike] = []
     with unwarned():
-        impact = impact_of(here, values, drawn.fallen)
-        impacts = impacts_by_coupling(here, impact, values, drawn.fallen) if here.runs("pulses") else ()
-        for rows, pulses, pulses_of in impacts:
-            strikes += _strikes(here, pulses, pulses_of, rows, values)
-            # Store the delivered values; the requested restitution may differ.
-            for name in STORED:
-                values[name][rows] = getattr(pulses, name)
+        groups = list(impacts_of(here, values, drawn.fallen))
+        for own, impact in groups if here.runs("pulses") else ():
+            for rows, pulses, pulses_of in impacts_by_coupling(here, impact, values, own):
+                strikes += _strikes(here, pulses, pulses_of, rows, values)
+                # Store the delivered values; the requested restitution may differ.
+                for name in STORED:
+                    values[name][rows] = getattr(pulses, name)
         if here.runs("taps"):
             tapped = partial(_taps, drawn.shapes, values)
             strikes += _strikes(here, tapped(drawn.tapped), tapped, drawn.tapped, values)
-    return Blows(drawn.labels, values, drawn.specimen, tuple(strikes), here, impact)
+    return Blows(drawn.labels, values, drawn.specimen, tuple(strikes), here, tuple(impact for _, impact in groups))
 
 
 def _strikes(

@@ -26,6 +26,7 @@ from cgid.scene.draws import (
     FALL,
     PARTICLE,
     POINT_UNITS,
+    laws_of,
     points_of_impact,
     quantities_of,
     specimen_of,
@@ -182,6 +183,7 @@ def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
+_QUANTITIES = (*FALL, "yield_pressure", "velocity")
 #: The state of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of touch [s]
@@ -189,7 +191,7 @@ COLUMNS = {
     "bounce": np.int64,  # number of its earlier impacts
     "population": np.int64,
     "specimen": np.uint64,
-    **dict.fromkeys((*PARTICLE, "restitution", "drop_height", "velocity"), np.float64),
+    **dict.fromkeys((*PARTICLE, "restitution", "yield_pressure", "drop_height", "velocity", "dissipation"), np.float64),
     "slip": np.float64,  # speed down the slope [m/s]
     "impact_x": np.float64,  # point of impact on the beam [m]
     "impact_y": np.float64,
@@ -200,7 +202,9 @@ COLUMNS = {
 class Rocks:
     """Rocks before an impact, by the names of `COLUMNS`, each (n,).
 
-    The restitution is the requested one, the velocity the normal one. drop_height is nan except for a first fall from a
+    The restitution is the requested one, the velocity the normal one. A rock has either a restitution or a yield
+    pressure, the other is nan. Its dissipation is an index, 0 where all populations have the same. drop_height is
+    nan except for a first fall from a
     height; impact_x and impact_y are nan for a beam without points.
     """
 
@@ -235,12 +239,14 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
     count("arrivals", n)
     numbers = uniforms(seed, stretch.block, len(FALL) + 1, recording=recording)[:, rows]
     which = populations_of(scene, stretch.times, numbers[0])
-    values = quantities_of(scene.populations, which, dict(zip(FALL, numbers[1:], strict=True)), (*FALL, "velocity"))
+    values = quantities_of(scene.populations, which, dict(zip(FALL, numbers[1:], strict=True)), _QUANTITIES)
     nowhere = dict.fromkeys(POINT_UNITS, np.full(n, np.nan))
     points = {name: at[rows] for name, at in points_of_impact(scene, seed, stretch.block, recording).items()}
     slope = scene.stream.inclination
     columns = {
+        "dissipation": np.zeros(n),
         **values,
+        **laws_of(scene, which),
         **(points or nowhere),
         "time": stretch.times,
         "rock": first + np.arange(n),

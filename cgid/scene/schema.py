@@ -23,6 +23,8 @@ from cgid.physics.tail_beam import TailBeam
 from cgid.scene.distributions import DISTRIBUTION_NAMES
 from cgid.scene.extremes import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
+    DISSIPATIONS,
+    PLASTIC,
     ImpactSection,
     Population,
     RandomiseSection,
@@ -87,15 +89,10 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
-        elastic = self.impact.dissipation == "elastic"
         problems = []
         if not self.sources:
             problems.append("populations: must be at least 1 where there are no taps, got none of either")
-        for index, population in enumerate(self.populations):
-            if elastic and population.restitution is not None:
-                problems.append(f"populations.{index}.restitution: must be left out when dissipation is elastic")
-            if not elastic and population.restitution is None:
-                problems.append(f"populations.{index}.restitution: is missing, hunt-crossley dissipation needs it")
+        problems += self._problems_of_dissipation()
         problems += self._problems_of_beam()
         if not problems:  # an invalid beam cannot serve as target
             thickness = "impact.target.thickness" if self.tail_beam is None else "tail_beam.thickness"
@@ -131,6 +128,27 @@ class Scene(Section):
         return f"Scene({self.name!r}: {sources}; {size} at {rate} [{self.sensor.unit}])"
 
     __str__ = __repr__
+
+    def _problems_of_dissipation(self) -> list[str]:
+        problems = []
+        for index, (population, dissipation) in enumerate(zip(self.populations, self.dissipations, strict=True)):
+            needed = DISSIPATIONS[dissipation]
+            for name in ("restitution", "yield_pressure"):
+                given = getattr(population, name) is not None
+                if given and name != needed:
+                    problems.append(f"populations.{index}.{name}: must be left out when dissipation is {dissipation}")
+                if not given and name == needed:
+                    problems.append(f"populations.{index}.{name}: is missing, {dissipation} dissipation needs it")
+        for dissipation in self.plastic:
+            cure = "leave it out, or take hunt-crossley"
+            for name, wrong in {
+                "impact.gravity": self.impact.gravity is not None,
+                "impact.target.thickness": getattr(self.impact.target, "thickness", None) is not None,
+                "tail_beam": self.tail_beam is not None,
+            }.items():
+                if wrong:
+                    problems.append(f"{name}: must be left out when dissipation is {dissipation}; {cure}")
+        return problems
 
     def _problems_of_beam(self) -> list[str]:
         if self.tail_beam is None:
@@ -175,6 +193,21 @@ class Scene(Section):
         if self.panel is not None:
             return self.panel.plate
         return self.impact.body
+
+    @property
+    def dissipations(self) -> tuple[str, ...]:
+        """How the rocks of each population lose energy."""
+        return tuple(population.dissipation or self.impact.dissipation for population in self.populations)
+
+    @property
+    def plastic(self) -> tuple[str, ...]:
+        """The dissipations among them whose loss does not depend on speed."""
+        return tuple(name for name in PLASTIC if name in self.dissipations)
+
+    @property
+    def mixes_laws(self) -> bool:
+        """Whether populations differ in their dissipation."""
+        return len(set(self.dissipations)) > 1
 
     @property
     def sources(self) -> tuple[Population | Tap, ...]:
@@ -360,7 +393,7 @@ def _sections_in(annotation: Any) -> list[type[BaseModel]]:
 LEAST_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
 _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
-_OF_ITS_OWN = ("label", "weight")
+_OF_ITS_OWN = ("label", "weight", "dissipation")
 
 
 def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
@@ -374,10 +407,10 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
         before touch; `samples` and `pre_trigger` must then be left out.
     **changes
         `name`, `description`, or any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `range`;
-        or any key of a population or tap except label and weight, such as `radius`, `clipped_at`, which changes in all
-        that have such a key. Values are those of a scene file (a number, a string with a unit, a mapping) or objects
-        of a scene; None removes an optional setting. `velocity` replaces `drop_height` and vice versa. A setting given
-        here is no longer randomised.
+        or any key of a population or tap except label, weight and dissipation, such as `radius`, `clipped_at`, which
+        changes in all that have such a key. Values are those of a scene file (a number, a string with a unit, a
+        mapping) or objects of a scene; None removes an optional setting. `velocity` replaces `drop_height` and vice
+        versa. A setting given here is no longer randomised.
 
     Returns
     -------

@@ -51,10 +51,22 @@ SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
     "haversine": lambda u: sin(np.pi * u) ** 2,
 }
 
+#: How a rock may lose energy, and the key of a population that says how much. The order defines their indices.
+DISSIPATIONS: Mapping[str, str | None] = {
+    "elastic": None,
+    "hunt-crossley": "restitution",
+    "thornton": "yield_pressure",
+    "walton-braun": "restitution",
+}
+#: Those whose loss does not depend on speed: closed forms, but no weight and no target that takes energy.
+PLASTIC = ("thornton", "walton-braun")
+
 if TYPE_CHECKING:
     Law = str
     Shape = str
+    Loss = str
 else:
+    Loss = Literal[*DISSIPATIONS]
     Law = Literal[*HUNT_CROSSLEY_LAWS]
     Shape = Literal[*SHAPES]
 
@@ -122,6 +134,9 @@ class Population(_Source):
         The pulse comes a second time.
     clipped_at : distribution, optional
         Share of the peak at which the pulse is clipped, as by a sensor whose range is too small.
+    dissipation : str, optional
+        How these rocks lose energy, instead of `impact.dissipation`. Populations of one label may differ in it: then
+        their weights say how often each law applies.
     density : distribution [kg/m^3]
         Density of the rock.
     youngs_modulus : distribution [Pa]
@@ -131,15 +146,28 @@ class Population(_Source):
     radius : distribution [m]
         Radius of the rock, a sphere.
     restitution : distribution, optional
-        Rebound speed over impact speed that the rock alone would have; left out where dissipation is elastic.
+        Rebound speed over impact speed that the rock alone would have; for hunt-crossley and walton-braun dissipation.
+    yield_pressure : distribution, optional [Pa]
+        Contact pressure at which the rock crushes, about 1.6 times its uniaxial compressive strength; for thornton
+        dissipation.
     drop_height : distribution, optional [m]
         How far the rock falls; either this or `velocity`.
     velocity : distribution, optional [m/s]
         Impact speed; either this or `drop_height`.
     """
 
-    _DRAWN = ("density", "youngs_modulus", "poisson_ratio", "radius", "restitution", "drop_height", "velocity")
+    _DRAWN = (
+        "density",
+        "youngs_modulus",
+        "poisson_ratio",
+        "radius",
+        "restitution",
+        "yield_pressure",
+        "drop_height",
+        "velocity",
+    )
 
+    dissipation: Loss | None = None
     density: Annotated[Distribution, measured("density"), measured_within("density")]
     youngs_modulus: Annotated[Distribution, measured("modulus"), measured_within("modulus")]
     poisson_ratio: Annotated[
@@ -149,6 +177,7 @@ class Population(_Source):
     restitution: (
         Annotated[Distribution, measured("ratio"), _between(LOWEST_RESTITUTION, HIGHEST_RESTITUTION)] | None
     ) = None
+    yield_pressure: Annotated[Distribution, measured("modulus"), measured_within("modulus")] | None = None
     drop_height: _Length | None = None
     velocity: Annotated[Distribution, measured("speed"), measured_within("speed")] | None = None
 
@@ -230,10 +259,11 @@ class ImpactSection(Section):
     stiffness : str
         Theory of the contact stiffness; there is no default.
     dissipation : str
-        Whether the rock loses energy.
+        How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), or as a
+        bilinear spring (walton-braun). The last two need a half space or a rigid wall, and no gravity.
     law : str
-        Relation of the damping to the restitution: "exact" delivers the restitution that is asked for; the published
-        factors deliver another one.
+        For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is asked
+        for; the published factors deliver another one.
     target : TargetSection or "rigid"
         What is hit: an elastic body, or a wall that does not yield.
     gravity : float, optional [m/s^2]
@@ -243,11 +273,17 @@ class ImpactSection(Section):
     """
 
     stiffness: Literal["hertz", "rigid-sphere", "series"]
-    dissipation: Literal["elastic", "hunt-crossley"]
+    dissipation: Loss
     law: Law = "exact"
     target: TargetSection | Literal["rigid"]
     gravity: Acceleration | None = None
     gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
+
+    @model_validator(mode="after")
+    def _law_applies(self) -> Self:
+        if self.dissipation in PLASTIC and self.law != "exact":
+            raise ValueError(f"law must be left out when dissipation is {self.dissipation}, got {self.law!r}")
+        return self
 
     @property
     def body(self) -> HalfSpace | ThinPlate | RigidWall:

@@ -16,7 +16,7 @@ from cgid.physics.coupled import ModalImpact
 from cgid.scene._fourier import transformable
 from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS
 from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Recorder, impact_of, impacts_by_coupling, recorder_of
+from cgid.scene.impacts import Recorder, impacts_by_coupling, impacts_of, recorder_of
 from cgid.scene.noise import CHUNK, Background, add_noise, background_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
@@ -67,12 +67,16 @@ def impact_units(scene: Scene) -> dict[str, str]:
     - time: of touch, from the first sample on
     - rock: its number in the recording, by arrival; bounce: number of its earlier impacts
     - restitution: as delivered, including losses to the target; velocity: normal to the beam
+    - yield_pressure: where a rock's dissipation is thornton; dissipation: where populations differ in it, an index in
+      `cgid.scene.sections.DISSIPATIONS`
     - drop_height: nan except for a first fall from a height
     - next_impact: time to the next touch of any rock, nan for the last; overlapping: 1 if contacts overlap
     - impact_x, impact_y: on a beam of known size
     """
+    more = {"yield_pressure": "Pa"} if "thornton" in scene.dissipations else {}
+    more |= {"dissipation": "1"} if scene.mixes_laws else {}
     place = {} if scene.panel is None else POINT_UNITS
-    return {**_UNITS, **place, **_NEIGHBOUR_UNITS}
+    return {**_UNITS, **more, **place, **_NEIGHBOUR_UNITS}
 
 
 def truth_of(scene: Scene, rocks: Rocks, delivered: Mapping[str, Floats]) -> dict[str, NDArray[Any]]:
@@ -116,8 +120,8 @@ def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | 
         return delivered
     everyone = np.arange(len(rocks))
     with unwarned():
-        impact = impact_of(asked, rocks.columns, everyone)
-        parts = list(impacts_by_coupling(asked, impact, rocks.columns, everyone))
+        groups = impacts_of(asked, rocks.columns, everyone)
+        parts = [part for own, one in groups for part in impacts_by_coupling(asked, one, rocks.columns, own)]
     for rows, pulses, _ in parts:
         own = rocks.taken(rows)
         if recorder is None:

@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, drawn_block, parameter_units
 from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Blows, blows_of, impact_of, impacts_by_coupling
+from cgid.scene.impacts import Blows, blows_of, impacts_by_coupling, impacts_of
 from cgid.scene.noise import HIGHEST_NOISE, add_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene
@@ -196,10 +196,10 @@ def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
         values[name] = drawn.values[name].copy() if name in OF_TAPS else np.full(BLOCK, np.nan)
     if here.runs("impacts") and drawn.fallen.size:
         with unwarned():
-            impact = impact_of(here, drawn.values, drawn.fallen)
-            for rows, impacts, _ in impacts_by_coupling(here, impact, drawn.values, drawn.fallen):
-                for name in asked.quantities:
-                    values[name][rows] = getattr(impacts, name)
+            for own, impact in impacts_of(here, drawn.values, drawn.fallen):
+                for rows, impacts, _ in impacts_by_coupling(here, impact, drawn.values, own):
+                    for name in asked.quantities:
+                        values[name][rows] = getattr(impacts, name)
     return Rows(
         labels=drawn.labels[part],
         specimen=drawn.specimen[part],
