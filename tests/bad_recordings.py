@@ -77,7 +77,7 @@ _MANIFESTS = {
     "deaf": "path,label,sensitivity\nvolts.csv,coal,10.2 g/mV\n",
     "rates": "path,label,start,end,rate,unit\nblow.npy,coal,0,0.1,25600,g\nblow.npy,gangue,0.1,0.2,51200,g\n",
     "turned": "path,label,start,end,invert\nblow.wav,coal,0,0.1,\nblow.wav,gangue,0.1,0.2,yes\n",
-    "twice": "path,label,group\nblow.wav,coal,day\ncopy.wav,gangue,day\n",
+    "copied": "path,label,group\nblow.wav,coal,day\ncopy.wav,gangue,day\n",
     "ranges": "path,label,start,end,full_scale\ncounts.wav,coal,0,0.1,5 V\ncounts.wav,coal,0.1,0.2,10 V\n",
 }
 _SAID = ("--rate", "25600", "--unit", "m/s^2")
@@ -251,7 +251,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("sensitivity in a manifest", ("train", "deaf.csv", *_MODEL_FREE), 65, ("row 2", "'10.2 g/mV'")),
     ("two rates in a manifest", ("train", "rates.csv", *_MODEL_FREE), 65, ("one rate", "25600.0 and 51200.0")),
     ("half turned over", ("train", "turned.csv", *_MODEL_FREE), 65, ("one invert", "no and yes")),
-    ("a copy with another label", ("train", "twice.csv", *_MODEL_FREE), 65, ("must not overlap", "blow.wav")),
+    ("a copy with another label", ("train", "copied.csv", *_MODEL_FREE), 65, ("must not overlap", "blow.wav")),
     ("bits in other digits", ("predict", "counts.wav", "--full-scale", "10 V at ٢٤ bit"), 65, ("full_scale must be",)),
     ("two ranges in a manifest", ("train", "ranges.csv", *_MODEL_FREE), 65, ("one full_scale", "5 V and 10 V")),
     ("hop of nothing", ("train", "day.csv", "--hop", "1e-9", *_MODEL_FREE), 65, ("hop_time", "1e-09 s")),
