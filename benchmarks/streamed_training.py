@@ -50,16 +50,34 @@ def trained_within(room: int, little: Path, large: Path) -> dict[str, Any]:
 def _within(room: int, little: Path, large: Path) -> dict[str, Any]:
     """Train under the limit in this process; see the module docstring."""
     _trained(Dataset(little))
-    readers = [int(number) for number in Path("/proc/thread-self/children").read_text().split()]
-    for process in (os.getpid(), *readers):
-        limit = _data(process) + room
-        resource.prlimit(process, resource.RLIMIT_DATA, (limit, limit))
+    limited: set[int] = set()
+    _limit([os.getpid(), *_readers()], room, limited)
     data, peaks = Dataset(large), [_peak()]
     # A peak never falls, so the smaller dataset comes first.
     for batches in (_quarter(data), data.batches()):
-        _trained(batches)
+        _trained(_with_limited_readers(batches, room, limited))
         peaks.append(_peak())
-    return {"peaks": peaks, "readers": [_peak(number) for number in readers], "fails_at_once": not _fits(data)}
+    return {"peaks": peaks, "readers": [_peak(number) for number in _readers()], "fails_at_once": not _fits(data)}
+
+
+def _readers() -> list[int]:
+    """Return the processes that read HDF5 for this one."""
+    return [int(number) for number in Path("/proc/thread-self/children").read_text().split()]
+
+
+def _limit(processes: Iterable[int], room: int, limited: set[int]) -> None:
+    """Give each process that has no limit yet this many bytes more than it holds now."""
+    for process in set(processes) - limited:
+        limit = _data(process) + room
+        resource.prlimit(process, resource.RLIMIT_DATA, (limit, limit))
+        limited.add(process)
+
+
+def _with_limited_readers(batches: Iterable[Batch], room: int, limited: set[int]) -> Iterator[Batch]:
+    """Yield batches; a reader that took the place of one whose stream was closed early is limited, too."""
+    for batch in batches:
+        _limit(_readers(), room, limited)
+        yield batch
 
 
 def _quarter(data: Dataset) -> Iterator[Batch]:
