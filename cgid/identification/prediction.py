@@ -17,7 +17,7 @@ from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.question import Question
 from cgid.identification.stream import factor_of, identify_blocks
-from cgid.recordings.chain import Chain, Statement
+from cgid.recordings.chain import Chain, Statement, scaled
 from cgid.recordings.recording import Contents, require_one_rate
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import model_path
@@ -143,11 +143,10 @@ def predict(
     question.check(chosen)
     sign = -1.0 if question.invert else 1.0
     factors = [sign * factor_of(chosen, s.unit, s.source, s.channel, mass=question.mass) for s in signals]
-    with np.errstate(over="ignore"):  # infinite samples are refused
-        block = np.stack([signal.samples * factor for signal, factor in zip(signals, factors, strict=True)])
+    blocks = scaled([np.stack([signal.samples for signal in signals])], factors)
     names = [signal.channel for signal in signals]
     answers: list[Answer] = []
-    for step in identify_blocks([block], first.sampling_rate, chosen, names, question, first.source):
+    for step in identify_blocks(blocks, first.sampling_rate, chosen, names, question, first.source):
         answers += step.answers
         for text in (*step.silent, *step.warnings):
             warnings.warn(text, stacklevel=2)
@@ -171,7 +170,7 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
         full_scales=[largest] * len(signals),
     )
     links = chain.links(contents, range(len(signals)), unit, signals[0].source)
-    with np.errstate(over="ignore"):  # as above
+    with np.errstate(over="ignore"):  # infinite samples are refused
         return [
             replace(signal, unit=link.unit, samples=signal.samples * link.factor)
             for signal, link in zip(signals, links, strict=True)
