@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -178,39 +178,54 @@ def _tdms(path: Path, samples: np.ndarray, rate: float) -> None:
             writer.write_segment([RootObject({"name": "rig"}), GroupObject("beam"), *channels])
 
 
+def write_uff(
+    path: Path,
+    samples: np.ndarray,
+    rate: float,
+    *,
+    binary: int = 1,
+    names: Sequence[str],
+    units: Sequence[str],
+    **lines: Sequence[str],
+) -> None:
+    """Write a universal file with one set 58 a channel; `lines` are the texts of id2 to id5 of each."""
+    import pyuff
+
+    sets = [
+        pyuff.prepare_58(
+            binary=binary,
+            func_type=1,
+            rsp_node=index + 1,
+            rsp_dir=3,
+            ref_node=0,
+            ref_dir=0,
+            data=row,
+            x=np.arange(row.size) / rate,
+            id1=name,
+            ord_data_type=4,
+            abscissa_spacing=1,
+            abscissa_inc=1 / rate,
+            abscissa_spec_data_type=17,
+            ordinate_spec_data_type=12,
+            orddenom_spec_data_type=0,
+            ordinate_axis_units_lab=unit,
+            abscissa_axis_units_lab="s",
+            **{name: texts[index] for name, texts in lines.items()},
+        )
+        for index, (name, row, unit) in enumerate(zip(names, samples, units, strict=False))
+    ]
+    with warnings.catch_warnings():
+        # pyuff opens a binary file twice and leaves one handle to the garbage collector.
+        warnings.simplefilter("ignore", ResourceWarning)
+        # When it overwrites, it loses the first of several binary sets.
+        path.unlink(missing_ok=True)
+        pyuff.UFF(str(path)).write_sets(sets, mode="add")
+        gc.collect()
+
+
 def _uff(binary: int) -> Callable[[Path, np.ndarray, float], None]:
     def write(path: Path, samples: np.ndarray, rate: float) -> None:
-        import pyuff
-
-        sets = [
-            pyuff.prepare_58(
-                binary=binary,
-                func_type=1,
-                rsp_node=number,
-                rsp_dir=3,
-                ref_node=0,
-                ref_dir=0,
-                data=row,
-                x=np.arange(row.size) / rate,
-                id1=name,
-                ord_data_type=4,
-                abscissa_spacing=1,
-                abscissa_inc=1 / rate,
-                abscissa_spec_data_type=17,
-                ordinate_spec_data_type=12,
-                orddenom_spec_data_type=0,
-                ordinate_axis_units_lab=UNIT,
-                abscissa_axis_units_lab="s",
-            )
-            for number, (name, row) in enumerate(zip(NAMES, samples, strict=True), start=1)
-        ]
-        with warnings.catch_warnings():
-            # pyuff opens a binary file twice and leaves one handle to the garbage collector.
-            warnings.simplefilter("ignore", ResourceWarning)
-            # When it overwrites, it loses the first of several binary sets.
-            path.unlink(missing_ok=True)
-            pyuff.UFF(str(path)).write_sets(sets, mode="add")
-            gc.collect()
+        write_uff(path, samples, rate, binary=binary, names=NAMES, units=[UNIT] * len(samples))
 
     return write
 

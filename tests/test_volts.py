@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,40 +53,7 @@ def tdms(path: Path, rows: np.ndarray, units: list[str], *about: dict) -> None:
 
 
 def uff(path: Path, rows: np.ndarray, units: list[str], *lines: str) -> None:
-    import pyuff
-
-    sets = [
-        pyuff.prepare_58(
-            binary=1,
-            func_type=1,
-            rsp_node=number,
-            rsp_dir=3,
-            ref_node=0,
-            ref_dir=0,
-            data=row,
-            x=np.arange(row.size) / RATE,
-            id1=name,
-            id4=line,
-            ord_data_type=4,
-            abscissa_spacing=1,
-            abscissa_inc=1 / RATE,
-            abscissa_spec_data_type=17,
-            ordinate_spec_data_type=12,
-            orddenom_spec_data_type=0,
-            ordinate_axis_units_lab=unit,
-            abscissa_axis_units_lab="s",
-        )
-        for number, (name, row, unit, line) in enumerate(
-            zip(("beam", "hammer"), rows, units, lines or ("NONE", "NONE"), strict=False), start=1
-        )
-    ]
-    with warnings.catch_warnings():
-        # pyuff opens a binary file twice and leaves one handle to the garbage collector.
-        warnings.simplefilter("ignore", ResourceWarning)
-        pyuff.UFF(str(path)).write_sets(sets, mode="add")
-        import gc
-
-        gc.collect()
+    recording_files.write_uff(path, rows, RATE, names=("beam", "hammer"), units=units, id4=lines or ("NONE", "NONE"))
 
 
 def csv(path: Path, rows: np.ndarray, units: list[str], *above: str) -> None:
