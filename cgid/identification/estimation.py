@@ -42,6 +42,9 @@ class Estimates:
         Above 1 for a pulse that rises more slowly than it falls.
     covariance : ndarray, (n, 5, 5)
         Covariance of ln(peak), ln(contact duration), onset [s], ln(restitution) and baseline; 0 for what was given.
+    restitution_deviation : ndarray, (n,)
+        Standard deviation of the restitution; from the likelihood of all shapes where that is no parabola, so that it
+        covers a second shape that explains the samples as well.
     misfit : ndarray, (n,)
         Squared residual over that of the noise, about 1 for a pulse of the family.
     overload : ndarray, (n,)
@@ -55,14 +58,10 @@ class Estimates:
     restitution: Floats
     baseline: Floats
     covariance: Floats
+    restitution_deviation: Floats
     misfit: Floats
     overload: Floats
     converged: NDArray[np.bool_]
-
-    @property
-    def restitution_deviation(self) -> Floats:
-        """Standard deviation of the restitution."""
-        return np.asarray(self.restitution * np.sqrt(self.covariance[:, 3, 3]))
 
     @property
     def of_family(self) -> NDArray[np.bool_]:
@@ -150,7 +149,7 @@ def estimate(
 ) -> Estimates:
     """Fit the most likely damped-Hertz pulse to each signal.
 
-    Least squares under white noise, with Firth's penalty on the shape. Clipped samples count as "at least this value".
+    Least squares under white noise, the global optimum. Clipped samples count as "at least this value".
 
     Parameters
     ----------
@@ -232,6 +231,7 @@ def estimate(
         restitution=fit.restitution,
         baseline=fit.baseline,
         covariance=covariance,
+        restitution_deviation=fit.restitution_deviation,
         misfit=fit.misfit,
         overload=np.concatenate(overloads),
         converged=fit.converged,

@@ -8,13 +8,15 @@ leave the batch.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.measure.filters import mixing_matrix
+from cgid.measure.search import NODES, Found, Samples, search
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -22,43 +24,39 @@ from cgid.measure.template import (
     free_parameters,
     pulse_and_slopes,
     relative_times,
-    shape_penalty,
     solve_scaled,
 )
 from cgid.validation import Floats
 
-#: Extent of the coarse window before and after the peak, in widths (impulse over peak).
-BEFORE, BEHIND = 1.5, 3.0
 #: Margin of the final window around the contact found by the coarse fit, and its largest extent after the peak, in
 #: widths: less than 0.2 % of the peak is left there at any restitution.
 _MARGIN, _FURTHEST = 0.35, 4.5
 #: Window lengths are powers of this number.
 _STEP = 1.5
 #: Longer windows are averaged over equal runs of samples: a few hundred points suffice for a smooth curve.
-_LONGEST = 320
-#: Points of a coarse window.
-_COARSE = 48
+_LONGEST = 160
 #: Runs of `strongest_run`: growth factor, shortest [samples], longest over the frame.
 _GROWTH, _SHORTEST, _LONGEST_SHARE = 1.4, 3, 0.5
 #: Best run of a pulse over its width (impulse over peak), and mean of that run over the peak.
 _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 #: Largest steps of ln(width), of the place over the width, and of s.
 _LARGEST_STEPS = (0.4, 0.5, 0.7)
-_COARSE_ITERATIONS, _ITERATIONS = 7, 12
+_ITERATIONS = 12
 #: A fit ends when the next step would reduce the squared residual by less than this share of the noise variance.
 _TOLERANCE = 3e-3
-#: Weight of Jeffreys' prior. Where the shape is barely determined (bound .03), estimates are 0.1 to 0.2 standard
-#: deviations too low without the prior, some far too low, and as much too high with all of it.
-_FIRTH = 0.6
-#: Start restitutions of the two searches, the restitution below which the second is made, and by how many noise
-#: variances its cost must be lower.
-_FIRST_RESTITUTIONS, _DOUBTFUL, _SURE = (0.5, 0.2), 0.62, 12.0
 #: Rows fitted at once: their arrays must fit in the processor's cache.
 _ROWS = 1024
 #: Least damping after a failed step: less would not change the step.
 _FELT = 0.3
 #: A search ends at this damping.
 _STUCK = 1e4
+#: Shapes at which the likelihood is profiled (every other one of the search), and the highest fitted shape for it.
+PROFILED = NODES[0:20:2]
+_HIGHEST_PROFILED = 0.3
+#: A standard deviation of s up to which the likelihood is a parabola, if it has no second maximum.
+_PARABOLIC = 0.1
+#: Mean and standard deviation of the restitution of any material that falls on steel.
+WIDE_RESTITUTION = (0.5, 0.25)
 #: Smallest noise over the peak: the accuracy of the template.
 _NOISE_FLOOR = 1e-5
 #: Deviations of this share of the peak count as noise in the misfit.
@@ -101,6 +99,9 @@ class PulseFit:
     shape : s = ln e, above 0 for a pulse that rises more slowly than it falls
     baseline : 0 unless fitted
     covariance : (n, 5, 5), of `cgid.measure.template.PARAMETERS`, onset in samples; zero for given parameters
+    restitution_deviation : of exp(s)
+    expected_restitution, expected_deviation : mean and standard deviation of the restitution after the fit, if it was
+        `WIDE_RESTITUTION` before
     misfit : reduced chi-square, 1 on average for a pulse of the family; more if a sample outside the pulse stands out
     clipped : number of samples at the sensor's limit
     evidence : sum of squares that the pulse explains, over the variance of the noise
@@ -114,6 +115,9 @@ class PulseFit:
     shape: Floats
     baseline: Floats
     covariance: Floats
+    restitution_deviation: Floats
+    expected_restitution: Floats
+    expected_deviation: Floats
     misfit: Floats
     clipped: NDArray[np.intp]
     evidence: Floats
@@ -129,9 +133,7 @@ class PulseFit:
     def nothing(cls) -> PulseFit:
         """Return a fit without rows."""
         none = np.empty(0)
-        return cls(
-            *(none,) * 6, np.empty((0, 5, 5)), none, np.empty(0, np.intp), none, np.empty(0, bool), np.empty(0, np.intp)
-        )
+        return cls(*(none,) * 6, np.empty((0, 5, 5)), *(none,) * 4, *(np.empty(0, kind) for kind in (int, float, bool, int)))
 
     def spread(self, places: NDArray[np.intp], n: int) -> PulseFit:
         """Return n rows with these at `places`; the others are nan, not clipped and not converged."""
@@ -150,11 +152,6 @@ class PulseFit:
     def restitution(self) -> Floats:
         """Restitution exp(s), above 1 for a pulse that rises more slowly than it falls."""
         return np.exp(self.shape)
-
-    @property
-    def restitution_deviation(self) -> Floats:
-        """Standard deviation of the restitution."""
-        return np.asarray(self.restitution * np.sqrt(self.covariance[:, 3, 3]))
 
 
 # -- the samples of a fit -----------------------------------------------------------------------------
@@ -217,32 +214,6 @@ def windows(
         yield _window(
             samples, rows, first[rows], -(-length // run) * run, run, offset[rows], clip_level[rows], unit[rows]
         )
-
-
-def coarse_window(samples: NDArray[np.floating], start: Start, offset: Floats, clip_level: Floats) -> Window:
-    """Return few points around each peak, each the mean of a run of samples as long as the pulse's width allows."""
-    n, n_samples = samples.shape
-    run = np.maximum(np.ceil((BEFORE + BEHIND) * start.width / _COARSE), 1).astype(np.intp)
-    first = np.floor(start.place - BEFORE * start.width).astype(np.intp) - 1
-    edges = first[:, None] + run[:, None] * np.arange(_COARSE + 1)
-    total = np.zeros((n, n_samples + 1))
-    np.cumsum(samples, axis=1, dtype=np.float64, out=total[:, 1:])
-    at_edges = np.take_along_axis(total, np.clip(edges, 0, n_samples), axis=1)
-    values = np.diff(at_edges, axis=1) / run[:, None] - offset[:, None]
-    outside = (edges[:, :-1] < 0) | (edges[:, 1:] > n_samples)
-    # A point near the limit contains clipped samples.
-    clipped = ~outside & (values >= 0.97 * clip_level[:, None])
-    return Window(
-        rows=np.arange(n),
-        values=values / start.peak[:, None],
-        times=0.5 * (edges[:, :-1] + edges[:, 1:] - 1.0),
-        averaged=run.astype(np.float64),
-        outside=outside,
-        clipped=clipped if clipped.any() else None,
-        elsewhere=np.zeros(n),
-        run=1,
-        reach=edges[:, -1] - 1,
-    )
 
 
 def _window(
@@ -356,48 +327,17 @@ def _fit_block(
     unit = start.peak
     sigma = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        coarse = coarse_window(samples, start, offset, clip_level)
-        guess = _coarse(coarse, first_guess(start), sigma, fit_baseline, onset)
+        found = search(Samples(samples, offset, clip_level), start.place, start.width, fit_baseline)
+        guess = found.start()
+        guess[:, [0, 4]] /= unit[:, None]
         parts = []
         for window in windows(samples, guess, offset, clip_level, unit, averaged=response is None):
             rows = window.rows
             problem = Problem(window, fit_baseline, rows_of(onset, rows), response)
-            found = _search(problem, guess[rows], sigma[rows] / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
-            parts.append((rows, _report(problem, *found, sigma[rows], unit[rows])))
+            best = _search(problem, guess[rows], sigma[rows] / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
+            parts.append((rows, _report(problem, *best, sigma[rows], unit[rows], found.rows(rows))))
     rows = np.concatenate([rows for rows, _ in parts])
-    joined = PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
-    return replace(joined, reach=np.maximum(joined.reach, coarse.reach))
-
-
-def _coarse(window: Window, guess: Floats, sigma: Floats, fit_baseline: bool, onset: Floats | None) -> Floats:
-    """Return parameters near the best ones, from few points.
-
-    Between e of .2 and .45 two shapes may both be local optima. The search begins from the higher one; the other is
-    accepted only if it is better by more than noise can explain.
-    """
-
-    def search(rows: Rows, shape: float) -> tuple[Floats, Floats]:
-        part = window.part(rows)
-        problem = Problem(part, fit_baseline, rows_of(onset, rows), None)
-        first = guess[rows]
-        first[:, 3] = np.log(shape)
-        noise = sigma[rows] / np.sqrt(part.averaged)
-        found, cost, _, _ = _search(problem, first, noise, _COARSE_ITERATIONS, 1e-3)
-        return found, cost / noise**2 - 2 * _FIRTH * shape_penalty(found[:, 3])[0]
-
-    found, cost = search(slice(None), _FIRST_RESTITUTIONS[0])
-    doubtful = np.flatnonzero(found[:, 3] < np.log(_DOUBTFUL))
-    if doubtful.size:
-        other, other_cost = search(doubtful, _FIRST_RESTITUTIONS[1])
-        better = other_cost < cost[doubtful] - _SURE
-        found[doubtful[better]] = other[better]
-    return found
-
-
-def first_guess(start: Start) -> Floats:
-    """Return initial parameters (peak over the start's peak, ln width, place, shape, baseline), (n, 5)."""
-    one, none = np.ones(len(start.peak)), np.zeros(len(start.peak))
-    return np.stack([one, np.log(start.width), start.place, none, none], axis=1)
+    return PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
 
 
 class Problem:
@@ -454,15 +394,10 @@ def _search(
     """Return parameters, squared residual, information (times the noise variance) and convergence of each row."""
     parameters = problem.tied(guess)
     n, free, variance = len(parameters), problem.free, sigma**2
-    column = free.index(3)
     cost, information, gradient = normal_equations(*problem.residual(parameters, slice(None)))
-    penalty = np.stack(shape_penalty(parameters[:, 3])) * variance * _FIRTH
     damping, active, converged = np.full(n, first_damping), np.arange(n), np.zeros(n, bool)
     for _ in range(iterations):
-        bent, pulled = information[active], gradient[active]
-        bent[:, column, column] -= penalty[2, active]
-        pulled[:, column] += penalty[1, active]
-        step, promise = _step(bent, pulled, damping[active])
+        step, promise = _step(information[active], gradient[active], damping[active])
         done = promise < _TOLERANCE * variance[active]
         converged[active[done]] = True
         active, step = active[~done], step[~done]
@@ -473,10 +408,9 @@ def _search(
         tried[:, 3] = np.clip(tried[:, 3], LOWEST_SHAPE, HIGHEST_SHAPE)
         tried = problem.tied(tried, active)
         new = normal_equations(*problem.residual(tried, active))
-        new_penalty = np.stack(shape_penalty(tried[:, 3])) * variance[active] * _FIRTH
-        better = new[0] - 2 * new_penalty[0] <= cost[active] - 2 * penalty[0, active]
+        better = new[0] <= cost[active]
         taken = active[better]
-        parameters[taken], penalty[:, taken] = tried[better], new_penalty[:, better]
+        parameters[taken] = tried[better]
         cost[taken], information[taken], gradient[taken] = (a[better] for a in new)
         eased, raised = 0.1 * damping[active], np.maximum(10.0 * damping[active], _FELT)
         damping[active] = np.where(better, eased, raised)
@@ -516,6 +450,7 @@ def _report(
     converged: NDArray[np.bool_],
     sigma: Floats,
     unit: Floats,
+    found: Found,
 ) -> PulseFit:
     """Return the fitted pulses; `sigma` and `parameters` are in units of the start's peak."""
     window = problem.window
@@ -523,14 +458,21 @@ def _report(
     width = np.exp(log_width)
     duration, lead, _, _ = relative_times(shape)
     variance = sigma**2 / window.averaged
+    believed = variance + (MODEL_ERROR * peak) ** 2 / window.averaged
     covariance = covariance_of(information, parameters, problem.onset is not None, problem.fit_baseline)
-    covariance *= variance[:, None, None]
+    covariance *= believed[:, None, None]
+    restitution = _gaussian_restitution(shape, covariance[:, 3, 3])
+    open_to_doubt = found.in_doubt(believed * window.averaged * unit**2) | (covariance[:, 3, 3] > _PARABOLIC**2)
+    rows = np.flatnonzero(open_to_doubt & (shape < _HIGHEST_PROFILED))
+    if rows.size:
+        covariance[rows], restitution[:, rows] = _profiled(
+            problem, parameters[rows], covariance[rows], believed[rows], found.rows(rows), unit[rows], rows
+        )
     covariance[:, 4] *= unit[:, None]
     covariance[:, :, 4] *= unit[:, None]
     clipped = np.zeros(len(peak), np.intp) if window.clipped is None else window.clipped.sum(axis=1)
     counted = window.values.shape[1] - (0 if window.outside is None else window.outside.sum(axis=1))
     freedom = np.maximum(counted - clipped - len(problem.free), 1)
-    believed = variance + (MODEL_ERROR * peak) ** 2 / window.averaged
     stray = (window.elsewhere / _OUTLIER) ** 2 / (believed * window.averaged)
     return PulseFit(
         peak=peak * unit,
@@ -540,9 +482,108 @@ def _report(
         shape=shape,
         baseline=baseline * unit,
         covariance=covariance,
+        restitution_deviation=restitution[0],
+        expected_restitution=restitution[1],
+        expected_deviation=restitution[2],
         misfit=np.maximum(cost / freedom / believed, stray),
         clipped=clipped,
         evidence=peak**2 * np.maximum(information[:, 0, 0], 0.0) / variance,
         converged=converged,
         reach=window.reach,
     )
+
+
+# -- where the likelihood is no parabola --------------------------------------------------------------
+
+
+def _gaussian_restitution(shape: Floats, variance: Floats) -> Floats:
+    """Return deviation, expected value and its deviation of the restitution for a Gaussian likelihood, (3, n)."""
+    restitution = np.exp(shape)
+    deviation = restitution * np.sqrt(variance)
+    mean, wide = WIDE_RESTITUTION
+    certainty = np.maximum(deviation, 1e-12) ** -2.0
+    total = certainty + wide**-2
+    return np.stack([deviation, (certainty * restitution + mean * wide**-2) / total, total**-0.5])
+
+
+@cache
+def _interpolation() -> tuple[Floats, Floats]:
+    """Return a fine grid of shapes, and the matrix from values at `PROFILED` to a cubic spline there."""
+    fine = np.linspace(PROFILED[0], PROFILED[-1], 8 * (PROFILED.size - 1) + 1)
+    n, step = PROFILED.size, PROFILED[1] - PROFILED[0]
+    # Second derivatives of a natural spline from its values.
+    bend = np.zeros((n, n))
+    inner = np.arange(1, n - 1)
+    system = np.eye(n - 2) * 4 + np.eye(n - 2, k=1) + np.eye(n - 2, k=-1)
+    differences = np.zeros((n - 2, n))
+    differences[inner - 1, inner - 1], differences[inner - 1, inner], differences[inner - 1, inner + 1] = 1, -2, 1
+    bend[1:-1] = np.linalg.solve(system, 6 * differences / step**2)
+    cell = np.minimum(((fine - PROFILED[0]) / step).astype(np.intp), n - 2)
+    far = (fine - PROFILED[cell]) / step
+    near, eye = 1 - far, np.eye(n)
+    matrix = near[:, None] * eye[cell] + far[:, None] * eye[cell + 1]
+    matrix += (step**2 / 6) * ((near**3 - near)[:, None] * bend[cell] + (far**3 - far)[:, None] * bend[cell + 1])
+    return fine, matrix
+
+
+def _profiled(
+    problem: Problem,
+    parameters: Floats,
+    covariance: Floats,
+    variance: Floats,
+    found: Found,
+    unit: Floats,
+    rows: NDArray[np.intp],
+) -> tuple[Floats, Floats]:
+    """Return covariances, and restitutions as `_gaussian_restitution`, from the likelihood of all shapes.
+
+    At each shape the other parameters take their best values, by one step of Gauss and Newton from those of the search.
+    """
+    n, n_shapes = len(rows), PROFILED.size
+    every = slice(0, 2 * n_shapes, 2)
+    guess = np.empty((n, n_shapes, 5))
+    guess[:, :, 0] = found.peak[:, every] / unit[:, None]
+    guess[:, :, 1], guess[:, :, 2] = np.log(found.width[:, every]), found.place[:, every]
+    guess[:, :, 3], guess[:, :, 4] = PROFILED, found.baseline[:, every] / unit[:, None]
+    flat, each = guess.reshape(-1, 5), np.repeat(rows, n_shapes)
+    flat = problem.tied(flat, each)
+    kept = [k for k, column in enumerate(problem.free) if column != 3]
+    columns = [problem.free[k] for k in kept]
+    residual, slopes = problem.residual(flat, each)
+    cost, information, gradient = normal_equations(residual, slopes[:, kept])
+    step = solve_scaled(information, gradient, 1e-9)
+    cost = (cost - np.sum(step * gradient, axis=1)).reshape(n, n_shapes)
+    flat[:, columns] += _bounded(step, columns, np.exp(flat[:, 1]))
+    fine, spline = _interpolation()
+    square = (cost / variance[:, None]) @ spline.T
+    weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
+    weight /= weight.sum(axis=1, keepdims=True)
+    # Second moments about the fit, of the parameters as they are reported.
+    duration, lead, _, _ = relative_times(PROFILED)
+    moved = flat.reshape(n, n_shapes, 5)
+    width = np.exp(moved[:, :, 1])
+    best_duration, best_lead, _, _ = relative_times(parameters[:, 3])
+    best_width = np.exp(parameters[:, 1])
+    away = np.stack(
+        [
+            np.log(np.maximum(moved[:, :, 0], 1e-300) / parameters[:, :1]),
+            np.log(width * duration / (best_width * best_duration)[:, None]),
+            moved[:, :, 2] - lead * width - (parameters[:, 2] - best_lead * best_width)[:, None],
+            PROFILED - parameters[:, 3:4],
+            moved[:, :, 4] - parameters[:, 4:],
+        ],
+        axis=2,
+    )
+    if problem.onset is not None:
+        away[:, :, 2] = 0.0
+    away = np.matmul(spline, np.where(np.isfinite(away), away, 0.0))
+    spread = np.matmul(np.swapaxes(away, 1, 2), weight[:, :, None] * away)
+    column = covariance[:, :, 3]
+    given_shape = covariance - column[:, :, None] * column[:, None] / covariance[:, 3, 3][:, None, None]
+    e, best = np.exp(fine), np.exp(parameters[:, 3])
+    deviation = np.sqrt(np.sum(weight * (e - best[:, None]) ** 2, axis=1))
+    mean, wide = WIDE_RESTITUTION
+    weight = weight * np.exp(-0.5 * ((e - mean) / wide) ** 2) * e
+    weight /= weight.sum(axis=1, keepdims=True)
+    expected = weight @ e
+    return given_shape + spread, np.stack([deviation, expected, np.sqrt(np.maximum(weight @ e**2 - expected**2, 0.0))])

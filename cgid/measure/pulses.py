@@ -41,8 +41,6 @@ EVIDENCE = 40.0
 SPECTRUM_LIMIT = 4.0
 #: Least length of a spectrum's transform over that of the contact (zero-padding).
 _ZERO_PADDING = 8
-#: Mean and standard deviation of the restitution of any material that falls on steel.
-_WIDE_RESTITUTION = (0.5, 0.25)
 
 
 def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
@@ -292,14 +290,6 @@ class PulseBatch(Frames):
             return np.zeros(len(self.samples))
         return np.maximum(self.fit.peak / self.clip_level - 1, 0.0)
 
-    @cached_property
-    def shrunken_restitution(self) -> tuple[Floats, Floats]:
-        """Mean and standard deviation of the fitted restitution combined with a wide Gaussian prior."""
-        mean, deviation = _WIDE_RESTITUTION
-        certainty = self.fit.restitution_deviation**-2.0
-        total = certainty + deviation**-2
-        return (certainty * self.fit.restitution + mean * deviation**-2) / total, total**-0.5
-
     def fit_problems(self) -> dict[int, str]:
         """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
         found = without_impact(self.samples, self.fit)
@@ -482,13 +472,13 @@ PULSE_FEATURES = (
         "shrunken_restitution",
         "1",
         "mean of that restitution and of .5 +- .25, weighted by their certainty: .5 where a pulse says nothing",
-        measure=lambda p: p.shrunken_restitution[0],
+        measure=lambda p: p.fit.expected_restitution,
     ),
     _fitted(
         "shrunken_restitution_deviation",
         "1",
         "standard deviation of that mean, at most .25",
-        measure=lambda p: p.shrunken_restitution[1],
+        measure=lambda p: p.fit.expected_deviation,
         positive=True,
     ),
     _fitted(

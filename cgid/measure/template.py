@@ -236,17 +236,6 @@ def shape_deviation(shape: Floats) -> Floats:
     return np.asarray(held[:, node] + (place - node) * (held[:, node + 1] - held[:, node]))
 
 
-def shape_penalty(shape: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the logarithm of Jeffreys' prior of the shape, its slope and its curvature (never above 0).
-
-    The maximum of the likelihood is biased at first order: a small e is barely determined, and estimates drift to ever
-    smaller values. Jeffreys' prior, one over the standard deviation of the shape, removes the bias (Firth 1993,
-    Biometrika 80).
-    """
-    value, slope, curvature = shape_deviation(shape)
-    return -value, -slope, np.minimum(-curvature, 0.0)
-
-
 def parameters_of(peak: Floats, width: Floats, onset: Floats, shape: Floats) -> Floats:
     """Return (peak, ln width, place, shape, baseline 0), (n, 5), of pulses given by their onset."""
     _, lead, _, _ = relative_times(shape)
