@@ -119,17 +119,11 @@ def test_slopes_of_the_times_are_their_slopes(s):
 # -- the fit against scipy ----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def _no_penalty(monkeypatch):
-    monkeypatch.setattr("cgid.measure.fit._FIRTH", 0.0)
-
-
 CASES = [(0.45, 60, 0.01), (0.5, 30, 0.01), (0.65, 30, 0.02), (0.8, 100, 0.02), (0.95, 200, 0.02), (1.2, 60, 0.01)]
 
 
 @pytest.mark.parametrize(("e", "contact", "noise"), few(CASES, 2))
 @pytest.mark.parametrize("known", [False, True])
-@pytest.mark.usefixtures("_no_penalty")
 def test_fit_is_that_of_scipy(e, contact, noise, known):
     """No less likely than scipy's by a fiftieth of a standard deviation squared; so within a seventh of one."""
     frames, touch = frames_of(e, contact, noise, n=12, seed=3)
@@ -147,7 +141,6 @@ def test_fit_is_that_of_scipy(e, contact, noise, known):
 
 
 @pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
-@pytest.mark.usefixtures("_no_penalty")
 def test_fit_with_a_baseline_is_that_of_scipy(e):
     """The frame is shorter than the window around the pulse: both fits look at the same samples."""
     frames, touch = frames_of(e, 60, 0.01, n=10, seed=4)
@@ -165,7 +158,6 @@ def test_fit_with_a_baseline_is_that_of_scipy(e):
 
 
 @pytest.mark.parametrize("e", [0.5, 0.8])
-@pytest.mark.usefixtures("_no_penalty")
 def test_fit_through_a_low_pass_is_that_of_scipy(e):
     rate, contact, noise = 200e3, 60, 0.01
     frames, touch = frames_of(e, contact, n=8, seed=5, after=4)
@@ -184,7 +176,6 @@ def test_fit_through_a_low_pass_is_that_of_scipy(e):
 
 
 @pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
-@pytest.mark.usefixtures("_no_penalty")
 def test_fit_of_a_clipped_pulse_is_that_of_scipy(e):
     frames, touch = frames_of(e, 60, 0.01, n=10, seed=7)
     frames = np.minimum(frames, 0.6)

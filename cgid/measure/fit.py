@@ -8,7 +8,7 @@ leave the batch.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
@@ -34,7 +34,7 @@ _MARGIN, _FURTHEST = 0.35, 4.5
 #: Window lengths are powers of this number.
 _STEP = 1.5
 #: Longer windows are averaged over equal runs of samples: a few hundred points suffice for a smooth curve.
-_LONGEST = 160
+_LONGEST = 240
 #: Runs of `strongest_run`: growth factor, shortest [samples], longest over the frame.
 _GROWTH, _SHORTEST, _LONGEST_SHARE = 1.4, 3, 0.5
 #: Best run of a pulse over its width (impulse over peak), and mean of that run over the peak.
@@ -55,6 +55,8 @@ PROFILED = NODES[0:20:2]
 _HIGHEST_PROFILED = 0.3
 #: A standard deviation of s up to which the likelihood is a parabola, if it has no second maximum.
 _PARABOLIC = 0.1
+#: Points and weights of the quadrature of a Gaussian by three points.
+_HERMITE = np.array([[-np.sqrt(3), 0.0, np.sqrt(3)], [1 / 6, 2 / 3, 1 / 6]])
 #: Mean and standard deviation of the restitution of any material that falls on steel.
 WIDE_RESTITUTION = (0.5, 0.25)
 #: Smallest noise over the peak: the accuracy of the template.
@@ -133,7 +135,9 @@ class PulseFit:
     def nothing(cls) -> PulseFit:
         """Return a fit without rows."""
         none = np.empty(0)
-        return cls(*(none,) * 6, np.empty((0, 5, 5)), *(none,) * 4, *(np.empty(0, kind) for kind in (int, float, bool, int)))
+        return cls(
+            *(none,) * 6, np.empty((0, 5, 5)), *(none,) * 4, *(np.empty(0, kind) for kind in (int, float, bool, int))
+        )
 
     def spread(self, places: NDArray[np.intp], n: int) -> PulseFit:
         """Return n rows with these at `places`; the others are nan, not clipped and not converged."""
@@ -335,7 +339,7 @@ def _fit_block(
             rows = window.rows
             problem = Problem(window, fit_baseline, rows_of(onset, rows), response)
             best = _search(problem, guess[rows], sigma[rows] / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
-            parts.append((rows, _report(problem, *best, sigma[rows], unit[rows], found.rows(rows))))
+            parts.append((rows, _report(problem, best, sigma[rows], unit[rows], found.rows(rows))))
     rows = np.concatenate([rows for rows, _ in parts])
     return PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
 
@@ -388,13 +392,28 @@ def _blurred(curves: Floats, share: float) -> Floats:
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """Parameters (n, 5), squared residual, information (times the variance of the noise) and convergence of rows."""
+
+    parameters: Floats
+    cost: Floats
+    information: Floats
+    converged: NDArray[np.bool_]
+
+    def rows(self, chosen: Rows) -> Optimum:
+        """Return some of the rows."""
+        return Optimum(*(getattr(self, one.name)[chosen] for one in fields(self)))
+
+
 def _search(
-    problem: Problem, guess: Floats, sigma: Floats, iterations: int, first_damping: float
-) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
-    """Return parameters, squared residual, information (times the noise variance) and convergence of each row."""
-    parameters = problem.tied(guess)
+    problem: Problem, guess: Floats, sigma: Floats, iterations: int, first_damping: float, rows: Rows = slice(None)
+) -> Optimum:
+    """Return the optimum nearest to a guess, for all rows of a problem or some."""
+    row = np.arange(len(problem.window.rows))[rows]
+    parameters = problem.tied(guess, row)
     n, free, variance = len(parameters), problem.free, sigma**2
-    cost, information, gradient = normal_equations(*problem.residual(parameters, slice(None)))
+    cost, information, gradient = normal_equations(*problem.residual(parameters, row))
     damping, active, converged = np.full(n, first_damping), np.arange(n), np.zeros(n, bool)
     for _ in range(iterations):
         step, promise = _step(information[active], gradient[active], damping[active])
@@ -406,8 +425,8 @@ def _search(
         tried = parameters[active]
         tried[:, free] += _bounded(step, free, np.exp(tried[:, 1]))
         tried[:, 3] = np.clip(tried[:, 3], LOWEST_SHAPE, HIGHEST_SHAPE)
-        tried = problem.tied(tried, active)
-        new = normal_equations(*problem.residual(tried, active))
+        tried = problem.tied(tried, row[active])
+        new = normal_equations(*problem.residual(tried, row[active]))
         better = new[0] <= cost[active]
         taken = active[better]
         parameters[taken] = tried[better]
@@ -418,7 +437,7 @@ def _search(
         stuck = damping[active] > _STUCK
         converged[active[stuck]] = True
         active = active[~stuck]
-    return parameters, cost, information, converged
+    return Optimum(parameters, cost, information, converged)
 
 
 def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, Floats]:
@@ -442,32 +461,24 @@ def _bounded(step: Floats, free: list[int], width: Floats) -> Floats:
     return step
 
 
-def _report(
-    problem: Problem,
-    parameters: Floats,
-    cost: Floats,
-    information: Floats,
-    converged: NDArray[np.bool_],
-    sigma: Floats,
-    unit: Floats,
-    found: Found,
-) -> PulseFit:
-    """Return the fitted pulses; `sigma` and `parameters` are in units of the start's peak."""
+def _report(problem: Problem, best: Optimum, sigma: Floats, unit: Floats, found: Found) -> PulseFit:
+    """Return the fitted pulses; `sigma` and the parameters are in units of the start's peak."""
     window = problem.window
-    peak, log_width, place, shape, baseline = parameters.T
+    variance = sigma**2 / window.averaged
+    doubt = np.flatnonzero(found.in_doubt(variance * window.averaged * unit**2))
+    other = _improve(problem, best, found, np.sqrt(variance), unit, doubt)
+    believed = variance + _model_variance(best.parameters[:, 0], window.averaged)
+    covariance = _parabolic(problem, best, believed)
+    restitution = _gaussian_restitution(best.parameters[:, 3], covariance[:, 3, 3])
+    rows = np.union1d(doubt, np.flatnonzero(covariance[:, 3, 3] > _PARABOLIC**2))
+    rows = rows[best.parameters[rows, 3] < _HIGHEST_PROFILED]
+    if rows.size:
+        profile = _profiled(problem, found.rows(rows), unit[rows], rows)
+        tops = [top.rows(rows) for top in (best, other) if top is not None]
+        covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows], problem)
+    peak, log_width, place, shape, baseline = best.parameters.T
     width = np.exp(log_width)
     duration, lead, _, _ = relative_times(shape)
-    variance = sigma**2 / window.averaged
-    believed = variance + (MODEL_ERROR * peak) ** 2 / window.averaged
-    covariance = covariance_of(information, parameters, problem.onset is not None, problem.fit_baseline)
-    covariance *= believed[:, None, None]
-    restitution = _gaussian_restitution(shape, covariance[:, 3, 3])
-    open_to_doubt = found.in_doubt(believed * window.averaged * unit**2) | (covariance[:, 3, 3] > _PARABOLIC**2)
-    rows = np.flatnonzero(open_to_doubt & (shape < _HIGHEST_PROFILED))
-    if rows.size:
-        covariance[rows], restitution[:, rows] = _profiled(
-            problem, parameters[rows], covariance[rows], believed[rows], found.rows(rows), unit[rows], rows
-        )
     covariance[:, 4] *= unit[:, None]
     covariance[:, :, 4] *= unit[:, None]
     clipped = np.zeros(len(peak), np.intp) if window.clipped is None else window.clipped.sum(axis=1)
@@ -485,10 +496,10 @@ def _report(
         restitution_deviation=restitution[0],
         expected_restitution=restitution[1],
         expected_deviation=restitution[2],
-        misfit=np.maximum(cost / freedom / believed, stray),
+        misfit=np.maximum(best.cost / freedom / believed, stray),
         clipped=clipped,
-        evidence=peak**2 * np.maximum(information[:, 0, 0], 0.0) / variance,
-        converged=converged,
+        evidence=peak**2 * np.maximum(best.information[:, 0, 0], 0.0) / variance,
+        converged=best.converged,
         reach=window.reach,
     )
 
@@ -526,64 +537,117 @@ def _interpolation() -> tuple[Floats, Floats]:
     return fine, matrix
 
 
-def _profiled(
-    problem: Problem,
-    parameters: Floats,
-    covariance: Floats,
-    variance: Floats,
-    found: Found,
-    unit: Floats,
-    rows: NDArray[np.intp],
-) -> tuple[Floats, Floats]:
-    """Return covariances, and restitutions as `_gaussian_restitution`, from the likelihood of all shapes.
+def _model_variance(peak: Floats, averaged: Floats) -> Floats:
+    """Return the variance that the model of the pulse is worth: a better recorder cannot know more."""
+    return (MODEL_ERROR * peak) ** 2 / averaged
 
-    At each shape the other parameters take their best values, by one step of Gauss and Newton from those of the search.
-    """
-    n, n_shapes = len(rows), PROFILED.size
-    every = slice(0, 2 * n_shapes, 2)
+
+def _parabolic(problem: Problem, best: Optimum, variance: Floats) -> Floats:
+    """Return the covariance of a parabolic likelihood for noise of this variance, (n,)."""
+    known = problem.onset is not None
+    covariance = covariance_of(best.information, best.parameters, known, problem.fit_baseline)
+    return covariance * variance[:, None, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Profiled:
+    """The best parameters (n, n_shapes, 5) at each of `PROFILED`, and their squared residuals (n, n_shapes)."""
+
+    parameters: Floats
+    cost: Floats
+
+    def moments(self, tops: list[Optimum], variance: Floats, problem: Problem) -> tuple[Floats, Floats]:
+        """Return covariances about the best parameters, and restitutions as `_gaussian_restitution`.
+
+        `tops` holds the best parameters, perhaps also those of a second top of the likelihood; `variance` is that of
+        the noise. A top narrower than the grid counts by its own parabola, as three points of Gauss and Hermite.
+        """
+        fine, spline = _interpolation()
+        best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
+        squares = [(self.cost / variance[:, None]) @ spline.T]
+        away = [np.matmul(spline, _away(self.parameters, PROFILED, best))]
+        for top in tops:
+            shape = top.parameters[:, 3:4]
+            covariance = _parabolic(problem, top, variance)
+            deviation = np.sqrt(covariance[:, 3, 3:4])
+            narrow = deviation < _PARABOLIC
+            squares[0] = np.where(narrow & (np.abs(fine - shape) < 3 * deviation), np.inf, squares[0])
+            width = np.maximum(deviation, 1e-9) * np.sqrt(2 * np.pi) / (fine[1] - fine[0])
+            squares.append(
+                np.where(narrow, top.cost[:, None] / variance[:, None] - 2 * np.log(width * _HERMITE[1]), np.inf)
+            )
+            steps = deviation * _HERMITE[0]
+            shapes.append(shape + steps)
+            slopes = covariance[:, None, :, 3] / covariance[:, None, 3:4, 3]
+            away.append(_away(top.parameters[:, None], shape, best) + steps[:, :, None] * slopes)
+        s, square, moved = (np.concatenate(parts, axis=1) for parts in (shapes, squares, away))
+        weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
+        weight /= weight.sum(axis=1, keepdims=True)
+        if problem.onset is not None:
+            moved[:, :, 2] = 0.0
+        spread = np.matmul(np.swapaxes(moved, 1, 2), weight[:, :, None] * moved)
+        covariance = _parabolic(problem, tops[0], variance)
+        column = covariance[:, :, 3]
+        given_shape = covariance - column[:, :, None] * column[:, None] / covariance[:, 3, 3][:, None, None]
+        e, mean, wide = np.exp(s), *WIDE_RESTITUTION
+        deviation = np.sqrt(np.sum(weight * (e - np.exp(best[:, 3:4])) ** 2, axis=1))
+        # The prior is a density of e, the grid one of ln e.
+        weight = weight * (e * np.exp(-0.5 * ((e - mean) / wide) ** 2))
+        weight /= weight.sum(axis=1, keepdims=True)
+        expected = np.sum(weight * e, axis=1)
+        rest = np.sqrt(np.sum(weight * (e - expected[:, None]) ** 2, axis=1))
+        return given_shape + spread, np.stack([deviation, expected, rest])
+
+
+def _away(parameters: Floats, shape: Floats, best: Floats) -> Floats:
+    """Return how far parameters (n, k, 5) at some shapes are from the best (n, 5), as they are reported."""
+    away = _reported(parameters, shape) - _reported(best[:, None], best[:, 3:4])
+    return np.where(np.isfinite(away), away, 0.0)
+
+
+def _reported(parameters: Floats, shape: Floats) -> Floats:
+    """Return (ln peak, ln duration, onset, shape, baseline) of parameters (n, k, 5) at shapes of (n, k) or (k,)."""
+    shape = np.broadcast_to(shape, parameters.shape[:2])
+    duration, lead, _, _ = (a.reshape(shape.shape) for a in relative_times(shape.ravel()))
+    log_peak = np.log(np.maximum(parameters[:, :, 0], 1e-300))
+    onset = parameters[:, :, 2] - lead * np.exp(parameters[:, :, 1])
+    return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape, parameters[:, :, 4]], axis=2)
+
+
+def _profiled(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
+    """Return what is best at each shape, by one step of Gauss and Newton from the results of the search."""
+    n, n_shapes, every = len(rows), PROFILED.size, slice(0, 2 * PROFILED.size, 2)
     guess = np.empty((n, n_shapes, 5))
     guess[:, :, 0] = found.peak[:, every] / unit[:, None]
     guess[:, :, 1], guess[:, :, 2] = np.log(found.width[:, every]), found.place[:, every]
     guess[:, :, 3], guess[:, :, 4] = PROFILED, found.baseline[:, every] / unit[:, None]
-    flat, each = guess.reshape(-1, 5), np.repeat(rows, n_shapes)
-    flat = problem.tied(flat, each)
+    each = np.repeat(rows, n_shapes)
+    flat = problem.tied(guess.reshape(-1, 5), each)
     kept = [k for k, column in enumerate(problem.free) if column != 3]
     columns = [problem.free[k] for k in kept]
     residual, slopes = problem.residual(flat, each)
     cost, information, gradient = normal_equations(residual, slopes[:, kept])
     step = solve_scaled(information, gradient, 1e-9)
-    cost = (cost - np.sum(step * gradient, axis=1)).reshape(n, n_shapes)
+    cost = cost - np.sum(step * gradient, axis=1)
     flat[:, columns] += _bounded(step, columns, np.exp(flat[:, 1]))
-    fine, spline = _interpolation()
-    square = (cost / variance[:, None]) @ spline.T
-    weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
-    weight /= weight.sum(axis=1, keepdims=True)
-    # Second moments about the fit, of the parameters as they are reported.
-    duration, lead, _, _ = relative_times(PROFILED)
-    moved = flat.reshape(n, n_shapes, 5)
-    width = np.exp(moved[:, :, 1])
-    best_duration, best_lead, _, _ = relative_times(parameters[:, 3])
-    best_width = np.exp(parameters[:, 1])
-    away = np.stack(
-        [
-            np.log(np.maximum(moved[:, :, 0], 1e-300) / parameters[:, :1]),
-            np.log(width * duration / (best_width * best_duration)[:, None]),
-            moved[:, :, 2] - lead * width - (parameters[:, 2] - best_lead * best_width)[:, None],
-            PROFILED - parameters[:, 3:4],
-            moved[:, :, 4] - parameters[:, 4:],
-        ],
-        axis=2,
-    )
-    if problem.onset is not None:
-        away[:, :, 2] = 0.0
-    away = np.matmul(spline, np.where(np.isfinite(away), away, 0.0))
-    spread = np.matmul(np.swapaxes(away, 1, 2), weight[:, :, None] * away)
-    column = covariance[:, :, 3]
-    given_shape = covariance - column[:, :, None] * column[:, None] / covariance[:, 3, 3][:, None, None]
-    e, best = np.exp(fine), np.exp(parameters[:, 3])
-    deviation = np.sqrt(np.sum(weight * (e - best[:, None]) ** 2, axis=1))
-    mean, wide = WIDE_RESTITUTION
-    weight = weight * np.exp(-0.5 * ((e - mean) / wide) ** 2) * e
-    weight /= weight.sum(axis=1, keepdims=True)
-    expected = weight @ e
-    return given_shape + spread, np.stack([deviation, expected, np.sqrt(np.maximum(weight @ e**2 - expected**2, 0.0))])
+    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes))
+
+
+def _improve(
+    problem: Problem, best: Optimum, found: Found, sigma: Floats, unit: Floats, rows: NDArray[np.intp]
+) -> Optimum | None:
+    """Search again from the second valley for some rows; keep the better in place, return the other, by all rows."""
+    if not rows.size:
+        return None
+    guess = found.rows(rows).start(second=True)
+    guess[:, [0, 4]] /= unit[rows, None]
+    again = _search(problem, guess, sigma[rows], _ITERATIONS, 1e-6, rows)
+    other = best.rows(slice(None))
+    better = again.cost < best.cost[rows]
+    for one in fields(Optimum):
+        held, kept = getattr(best, one.name), getattr(again, one.name)
+        worse = held.copy()
+        worse[rows] = np.where(better.reshape(-1, *(1,) * (kept.ndim - 1)), held[rows], kept)
+        held[rows[better]] = kept[better]
+        other = replace(other, **{one.name: worse})
+    return other

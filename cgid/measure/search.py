@@ -12,7 +12,7 @@ not do: a dull pulse of restitution .15 in 3 % noise may also be one of .45.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,8 @@ from cgid.validation import Floats
 
 #: Shapes of the bank: most of them where materials are, some mirrored.
 NODES = np.concatenate([np.linspace(LOWEST_SHAPE, 0.8, 20), [1.2, 1.8, HIGHEST_SHAPE]])
+#: Inner nodes with evenly spaced neighbours.
+_EVEN = np.abs(np.diff(NODES, n=2)) < 1e-9
 #: Bins of the common coordinates, in widths of the elastic pulse.
 _FIRST, _LAST, N_BINS = -1.5, 4.1, 56
 _BIN = (_LAST - _FIRST) / N_BINS
@@ -32,8 +34,8 @@ MIDDLES = EDGES[:-1] + 0.5 * _BIN
 _PASSES, _LARGEST_STEP = 4, 0.4
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
-#: A shape this many nodes from the best one is another, and surely worse by this many noise variances.
-_FAR, _SURE = 2, 16.0
+#: The second valley is surely not the deepest if it is this many noise variances higher.
+_SURE = 16.0
 _SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 
 
@@ -113,14 +115,16 @@ class Samples:
 
     def bins(self, place: Floats, width: Floats, rows: NDArray[np.intp]) -> Bins:
         """Return the bins around origins `place` [samples] of unit `width` [samples]."""
-        at = place[:, None] + width[:, None] * EDGES + 0.5
-        beyond = (at < 0) | (at > self.n_samples)
-        at = np.clip(at, 0.0, self.n_samples)
-        column = np.minimum(at.astype(np.intp), self.n_samples - 1)
-        flat = self.total.ravel()
-        index = column + (rows * (self.n_samples + 1))[:, None]
-        low = flat[index]
-        sums = low + (at - column) * (flat[index + 1] - low)
+        at = place[:, None] + width[:, None] * EDGES
+        beyond = (at < 0) | (at > self.n_samples - 1)
+        at = np.clip(at, 0.0, self.n_samples - 1)
+        column = np.minimum(at.astype(np.intp), self.n_samples - 2)
+        share = at - column
+        # The integral of the line through the samples, from their running sums.
+        flat, index = self.total.ravel(), column + (rows * (self.n_samples + 1))[:, None]
+        before, middle, behind = flat[index], flat[index + 1], flat[index + 2]
+        one, next_one = middle - before, behind - middle
+        sums = before + 0.5 * one + share * (one + 0.5 * share * (next_one - one))
         values = np.diff(sums, axis=1) / (width * _BIN)[:, None] - self.offset[rows, None]
         inside = None
         if beyond.any():
@@ -134,13 +138,12 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The result of the search, each (n, n_nodes) unless stated; `origin` and `unit` [samples] are (n,).
+    """The result of the search, each (n, n_nodes); `unit` [samples] is (n,).
 
     Attributes
     ----------
     cost : sum over the bins of the squared residual
     peak, place, width, baseline : the best at each shape; place and width of the pulse [samples]
-    best : the best node, (n,)
     """
 
     cost: Floats
@@ -148,7 +151,6 @@ class Found:
     place: Floats
     width: Floats
     baseline: Floats
-    best: NDArray[np.intp]
     unit: Floats
 
     def rows(self, chosen: NDArray[np.intp]) -> Found:
@@ -156,25 +158,43 @@ class Found:
         return Found(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
     def in_doubt(self, variance: Floats) -> NDArray[np.bool_]:
-        """Return which pulses may have another shape, far from the best, for noise of this variance, (n,)."""
-        square = self.cost * (self.unit * _BIN / variance)[:, None]
-        far = np.abs(np.arange(NODES.size) - self.best[:, None]) > _FAR
-        least = np.where(far, square, np.inf).min(axis=1)
-        return np.asarray(least - square.min(axis=1) < _SURE)
+        """Return which pulses may have their second shape, for noise of this variance, (n,)."""
+        lowest, least = self._valleys[1]
+        scale = self.unit * _BIN / variance
+        # Of a pulse of few samples the bins are rough.
+        return np.asarray((least - lowest) * scale < _SURE * np.maximum(lowest * scale / N_BINS, 1.0))
 
-    def start(self) -> Floats:
-        """Return parameters (peak, ln width, place, shape, baseline) near the best ones, (n, 5)."""
-        rows, node = np.arange(len(self.best)), self.best
-        shape = NODES[node]
-        inner = (node > 0) & (node < 20 - 1)
-        middle = np.clip(node, 1, NODES.size - 2)
-        before, at, after = (self.cost[rows, middle + k] for k in (-1, 0, 1))
-        bend = before - 2 * at + after
-        move = np.where(inner & (bend > 0), 0.5 * (before - after) / np.where(bend > 0, bend, 1.0), 0.0)
-        shape = shape + np.clip(move, -0.5, 0.5) * (NODES[1] - NODES[0])
+    def start(self, second: bool = False) -> Floats:
+        """Return parameters (peak, ln width, place, shape, baseline) near the best ones, or the second best, (n, 5)."""
+        rows, node = np.arange(len(self.cost)), self._valleys[0][int(second)]
+        move = self._parabolas[0][rows, node]
         taken = (self.peak, np.log(self.width), self.place, self.baseline)
         peak, log_width, place, baseline = (values[rows, node] for values in taken)
-        return np.stack([peak, log_width, place, shape, baseline], axis=1)
+        return np.stack([peak, log_width, place, NODES[node] + move, baseline], axis=1)
+
+    @cached_property
+    def _parabolas(self) -> tuple[Floats, Floats]:
+        """Where between its neighbours each node's parabola is lowest [s from the node], and the cost there."""
+        move, lowest = np.zeros(self.cost.shape), self.cost.copy()
+        before, at, after = self.cost[:, :-2], self.cost[:, 1:-1], self.cost[:, 2:]
+        bend, tilt = before - 2 * at + after, 0.5 * (before - after)
+        inner = np.isfinite(bend) & (bend > 0) & (at <= before) & (at <= after) & _EVEN
+        share = np.where(inner, tilt / np.where(inner, bend, 1.0), 0.0)
+        move[:, 1:-1] = share * (NODES[1] - NODES[0])
+        lowest[:, 1:-1] -= 0.5 * np.where(inner, tilt, 0.0) * share
+        return move, lowest
+
+    @cached_property
+    def _valleys(self) -> tuple[NDArray[np.intp], Floats]:
+        """The nodes of the two lowest valleys and their costs, each (2, n); the second's is infinite without one."""
+        cost = np.pad(self.cost, ((0, 0), (1, 1)), constant_values=np.inf)
+        valley = (cost[:, 1:-1] <= cost[:, :-2]) & (cost[:, 1:-1] <= cost[:, 2:])
+        depths = np.where(valley, self._parabolas[1], np.inf)
+        rows, first = np.arange(len(depths)), np.argmin(depths, axis=1)
+        deepest = depths[rows, first]
+        depths[rows, first] = np.inf
+        second = np.argmin(depths, axis=1)
+        return np.stack([first, second]), np.stack([deepest, depths[rows, second]])
 
 
 def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool = False) -> Found:
@@ -211,7 +231,6 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
         origin[:, None] + unit[:, None] * move + own_unit * held.place,
         own_unit * held.width,
         baseline,
-        best,
         unit,
     )
 
