@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.measure.filters import mixing_matrix
-from cgid.measure.search import NODES, Found, Samples, search
+from cgid.measure.search import BIN, NODES, Found, Samples, search
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -41,17 +41,22 @@ _GROWTH, _SHORTEST, _LONGEST_SHARE = 1.4, 3, 0.5
 _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 #: Largest steps of ln(width), of the place over the width, and of s.
 _LARGEST_STEPS = (0.4, 0.5, 0.7)
-_ITERATIONS = 12
+_ITERATIONS = 8
 #: A fit ends when the next step would reduce the squared residual by less than this share of the noise variance.
 _TOLERANCE = 3e-3
 #: Rows fitted at once: their arrays must fit in the processor's cache.
-_ROWS = 1024
+_ROWS = 2048
 #: Least damping after a failed step: less would not change the step.
 _FELT = 0.3
 #: A search ends at this damping.
 _STUCK = 1e4
 #: Shapes at which the likelihood is profiled (every other one of the search), and the highest fitted shape for it.
-PROFILED = NODES[0:20:2]
+_EVERY = slice(0, 20, 2)
+PROFILED = NODES[_EVERY]
+#: Samples of the unit of the search from which its bins tell as much as the samples.
+_WELL_BINNED = 12.0
+#: Distance of a shape that a second search begins from.
+_ANOTHER = 0.3
 _HIGHEST_PROFILED = 0.3
 #: A standard deviation of s up to which the likelihood is a parabola, if it has no second maximum.
 _PARABOLIC = 0.1
@@ -412,11 +417,12 @@ def _search(
     """Return the optimum nearest to a guess, for all rows of a problem or some."""
     row = np.arange(len(problem.window.rows))[rows]
     parameters = problem.tied(guess, row)
-    n, free, variance = len(parameters), problem.free, sigma**2
+    n, free, variance, column = len(parameters), problem.free, sigma**2, problem.free.index(3)
     cost, information, gradient = normal_equations(*problem.residual(parameters, row))
     damping, active, converged = np.full(n, first_damping), np.arange(n), np.zeros(n, bool)
     for _ in range(iterations):
-        step, promise = _step(information[active], gradient[active], damping[active])
+        held = _held(parameters[active], information[active], gradient[active], column)
+        step, promise = _step(*held, damping[active])
         done = promise < _TOLERANCE * variance[active]
         converged[active[done]] = True
         active, step = active[~done], step[~done]
@@ -447,6 +453,16 @@ def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, 
     return np.sum(residual**2, axis=1), information, gradient
 
 
+def _held(parameters: Floats, information: Floats, gradient: Floats, column: int) -> tuple[Floats, Floats]:
+    """Return information and gradient in which a shape at its bound stays where it would leave the bounds."""
+    shape, pull = parameters[:, 3], gradient[:, column]
+    out = ((shape <= LOWEST_SHAPE) & (pull < 0)) | ((shape >= HIGHEST_SHAPE) & (pull > 0))
+    information[out, column, :] = information[out, :, column] = 0.0
+    information[out, column, column] = 1.0
+    gradient[out, column] = 0.0
+    return information, gradient
+
+
 def _step(information: Floats, gradient: Floats, damping: Floats) -> tuple[Floats, Floats]:
     """Return the damped step, and the reduction of the squared residual that a linear model predicts."""
     step = solve_scaled(information, gradient, (damping + 1e-10)[:, None, None])
@@ -465,17 +481,18 @@ def _report(problem: Problem, best: Optimum, sigma: Floats, unit: Floats, found:
     """Return the fitted pulses; `sigma` and the parameters are in units of the start's peak."""
     window = problem.window
     variance = sigma**2 / window.averaged
-    doubt = np.flatnonzero(found.in_doubt(variance * window.averaged * unit**2))
-    other = _improve(problem, best, found, np.sqrt(variance), unit, doubt)
     believed = variance + _model_variance(best.parameters[:, 0], window.averaged)
     covariance = _parabolic(problem, best, believed)
     restitution = _gaussian_restitution(best.parameters[:, 3], covariance[:, 3, 3])
-    rows = np.union1d(doubt, np.flatnonzero(covariance[:, 3, 3] > _PARABOLIC**2))
-    rows = rows[best.parameters[rows, 3] < _HIGHEST_PROFILED]
-    if rows.size:
-        profile = _profiled(problem, found.rows(rows), unit[rows], rows)
-        tops = [top.rows(rows) for top in (best, other) if top is not None]
-        covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows], problem)
+    shape, noise = best.parameters[:, 3], believed * window.averaged * unit**2
+    doubt = (covariance[:, 3, 3] > _PARABOLIC**2) | found.in_doubt(shape, noise)
+    well = found.unit >= _WELL_BINNED
+    for profiled, some in ((_binned, well), (_exact, ~well)):
+        rows = np.flatnonzero(doubt & some & (shape < _HIGHEST_PROFILED))
+        if rows.size:
+            profile = profiled(problem, found.rows(rows), unit[rows], rows)
+            tops = _improve(problem, best, profile, believed, rows)
+            covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows], problem)
     peak, log_width, place, shape, baseline = best.parameters.T
     width = np.exp(log_width)
     duration, lead, _, _ = relative_times(shape)
@@ -551,10 +568,29 @@ def _parabolic(problem: Problem, best: Optimum, variance: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Profiled:
-    """The best parameters (n, n_shapes, 5) at each of `PROFILED`, and their squared residuals (n, n_shapes)."""
+    """The best parameters (n, n_shapes, 5) at each of `PROFILED`, and their squared residuals (n, n_shapes).
+
+    Where the bins of the search tell as much as the samples, they come from its result `found`, whose costs times
+    `scale` (n,) are squared residuals.
+    """
 
     parameters: Floats
     cost: Floats
+    scale: Floats
+    found: Found | None = None
+
+    def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return parameters (n, 5) of another likely shape than the best, and which rows have one."""
+        if self.found is not None:
+            # Whichever valley the first search did not end in.
+            shape, away = best.parameters[:, 3], [self.found.shape_of(k) - best.parameters[:, 3] for k in (0, 1)]
+            nearer = np.abs(away[1]) < np.abs(away[0])
+            guess = np.where(nearer[:, None], self.found.start(), self.found.start(second=True))
+            guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.found.peak[:, 0])[:, None]
+            return guess, self.found.has_second(BIN * self.found.unit * variance / self.scale) & np.isfinite(shape)
+        far = np.where(np.abs(PROFILED - best.parameters[:, 3:4]) > _ANOTHER, self.cost, np.inf)
+        rows, node = np.arange(len(far)), np.argmin(far, axis=1)
+        return self.parameters[rows, node], far[rows, node] < best.cost + 16 * variance
 
     def moments(self, tops: list[Optimum], variance: Floats, problem: Problem) -> tuple[Floats, Floats]:
         """Return covariances about the best parameters, and restitutions as `_gaussian_restitution`.
@@ -614,15 +650,24 @@ def _reported(parameters: Floats, shape: Floats) -> Floats:
     return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape, parameters[:, :, 4]], axis=2)
 
 
-def _profiled(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
+def _binned(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
+    """Return what is best at each shape by the search, whose bins hold several samples each."""
+    scale = found.unit * BIN / problem.window.averaged[rows] / unit**2
+    return Profiled(_at_shapes(found, unit), found.cost[:, _EVERY] * scale[:, None], scale, found)
+
+
+def _at_shapes(found: Found, unit: Floats) -> Floats:
+    """Return the parameters found by the search at each of `PROFILED`, (n, n_shapes, 5)."""
+    peak, width, place, baseline = (a[:, _EVERY] for a in (found.peak, found.width, found.place, found.baseline))
+    shape = np.broadcast_to(PROFILED, peak.shape)
+    return np.stack([peak / unit[:, None], np.log(width), place, shape, baseline / unit[:, None]], axis=2)
+
+
+def _exact(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
     """Return what is best at each shape, by one step of Gauss and Newton from the results of the search."""
-    n, n_shapes, every = len(rows), PROFILED.size, slice(0, 2 * PROFILED.size, 2)
-    guess = np.empty((n, n_shapes, 5))
-    guess[:, :, 0] = found.peak[:, every] / unit[:, None]
-    guess[:, :, 1], guess[:, :, 2] = np.log(found.width[:, every]), found.place[:, every]
-    guess[:, :, 3], guess[:, :, 4] = PROFILED, found.baseline[:, every] / unit[:, None]
+    n, n_shapes = len(rows), PROFILED.size
     each = np.repeat(rows, n_shapes)
-    flat = problem.tied(guess.reshape(-1, 5), each)
+    flat = problem.tied(_at_shapes(found, unit).reshape(-1, 5), each)
     kept = [k for k, column in enumerate(problem.free) if column != 3]
     columns = [problem.free[k] for k in kept]
     residual, slopes = problem.residual(flat, each)
@@ -630,24 +675,29 @@ def _profiled(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.int
     step = solve_scaled(information, gradient, 1e-9)
     cost = cost - np.sum(step * gradient, axis=1)
     flat[:, columns] += _bounded(step, columns, np.exp(flat[:, 1]))
-    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes))
+    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), np.ones(n))
 
 
 def _improve(
-    problem: Problem, best: Optimum, found: Found, sigma: Floats, unit: Floats, rows: NDArray[np.intp]
-) -> Optimum | None:
-    """Search again from the second valley for some rows; keep the better in place, return the other, by all rows."""
-    if not rows.size:
-        return None
-    guess = found.rows(rows).start(second=True)
-    guess[:, [0, 4]] /= unit[rows, None]
-    again = _search(problem, guess, sigma[rows], _ITERATIONS, 1e-6, rows)
-    other = best.rows(slice(None))
-    better = again.cost < best.cost[rows]
-    for one in fields(Optimum):
-        held, kept = getattr(best, one.name), getattr(again, one.name)
-        worse = held.copy()
-        worse[rows] = np.where(better.reshape(-1, *(1,) * (kept.ndim - 1)), held[rows], kept)
-        held[rows[better]] = kept[better]
-        other = replace(other, **{one.name: worse})
-    return other
+    problem: Problem, best: Optimum, profile: Profiled, variance: Floats, rows: NDArray[np.intp]
+) -> list[Optimum]:
+    """Search again from the second likely shape of some rows; keep the better in place, return both, of these rows."""
+    tops = [best.rows(rows)]
+    guess, likely = profile.second(tops[0], variance[rows])
+    if likely.any():
+        again = _search(problem, guess[likely], np.sqrt(variance[rows[likely]]), _ITERATIONS, 1e-6, rows[likely])
+        better = again.cost < tops[0].cost[likely]
+        tops.append(tops[0].rows(slice(None)))
+        for one in fields(Optimum):
+            first, second, new = (getattr(held, one.name) for held in (*tops, again))
+            swapped = np.flatnonzero(likely)[better]
+            second = second.copy()
+            second[likely] = new
+            second[swapped] = first[swapped]
+            first = first.copy()
+            first[swapped] = new[better]
+            getattr(best, one.name)[rows] = first
+            tops = [replace(top, **{one.name: value}) for top, value in zip(tops, (first, second), strict=True)]
+    if profile.found is not None:
+        tops = [replace(top, cost=profile.found.depth_near(top.parameters[:, 3]) * profile.scale) for top in tops]
+    return tops

@@ -27,15 +27,16 @@ NODES = np.concatenate([np.linspace(LOWEST_SHAPE, 0.8, 20), [1.2, 1.8, HIGHEST_S
 _EVEN = np.abs(np.diff(NODES, n=2)) < 1e-9
 #: Bins of the common coordinates, in widths of the elastic pulse.
 _FIRST, _LAST, N_BINS = -1.5, 4.1, 56
-_BIN = (_LAST - _FIRST) / N_BINS
-EDGES = _FIRST + _BIN * np.arange(N_BINS + 1)
-MIDDLES = EDGES[:-1] + 0.5 * _BIN
+BIN = (_LAST - _FIRST) / N_BINS
+EDGES = _FIRST + BIN * np.arange(N_BINS + 1)
+MIDDLES = EDGES[:-1] + 0.5 * BIN
 #: Repetitions of the search, and its largest steps in place (over the width) and ln(width).
 _PASSES, _LARGEST_STEP = 4, 0.4
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
-#: The second valley is surely not the deepest if it is this many noise variances higher.
-_SURE = 16.0
+#: A shape is quite another beyond this distance, and surely not the true one if its cost is this many noise variances
+#: higher.
+_FAR, _SURE = 0.5, 16.0
 _SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 
 
@@ -65,7 +66,7 @@ class Bank:
 def _averaged(place: Floats, width: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     """Return pulses averaged over the bins, and their slopes in place and ln(width), each (n, n_bins)."""
     duration, lead, _, _ = (a[:, None] for a in relative_times(shape))
-    points = np.add.outer(MIDDLES, _BIN * (np.arange(4) - 1.5) / 4).ravel()
+    points = np.add.outer(MIDDLES, BIN * (np.arange(4) - 1.5) / 4).ravel()
     z = (points - place[:, None]) / width[:, None]
     value, in_share, _ = curve((z + lead) / duration, shape)
     slope = -in_share / duration / width[:, None]
@@ -125,7 +126,7 @@ class Samples:
         before, middle, behind = flat[index], flat[index + 1], flat[index + 2]
         one, next_one = middle - before, behind - middle
         sums = before + 0.5 * one + share * (one + 0.5 * share * (next_one - one))
-        values = np.diff(sums, axis=1) / (width * _BIN)[:, None] - self.offset[rows, None]
+        values = np.diff(sums, axis=1) / (width * BIN)[:, None] - self.offset[rows, None]
         inside = None
         if beyond.any():
             inside = ~(beyond[:, :-1] | beyond[:, 1:])
@@ -157,20 +158,36 @@ class Found:
         """Return some of the rows."""
         return Found(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
-    def in_doubt(self, variance: Floats) -> NDArray[np.bool_]:
-        """Return which pulses may have their second shape, for noise of this variance, (n,)."""
-        lowest, least = self._valleys[1]
-        scale = self.unit * _BIN / variance
+    def in_doubt(self, shape: Floats, variance: Floats) -> NDArray[np.bool_]:
+        """Return which pulses of a fitted shape may have quite another, for noise of this variance, (n,)."""
+        far = np.where(np.abs(NODES - shape[:, None]) > _FAR, self.cost, np.inf).min(axis=1)
+        return self._likely(far, variance)
+
+    def has_second(self, variance: Floats) -> NDArray[np.bool_]:
+        """Return which pulses have a second valley that may be the true one, for noise of this variance, (n,)."""
+        return self._likely(self._valleys[1][1], variance)
+
+    def _likely(self, cost: Floats, variance: Floats) -> NDArray[np.bool_]:
+        lowest, scale = self._valleys[1][0], self.unit * BIN / variance
         # Of a pulse of few samples the bins are rough.
-        return np.asarray((least - lowest) * scale < _SURE * np.maximum(lowest * scale / N_BINS, 1.0))
+        return np.asarray((cost - lowest) * scale < _SURE * np.maximum(lowest * scale / N_BINS, 1.0))
+
+    def shape_of(self, valley: int) -> Floats:
+        """Return the shape of the lowest (0) or second valley, (n,)."""
+        rows, node = np.arange(len(self.cost)), self._valleys[0][valley]
+        return NODES[node] + self._parabolas[0][rows, node]
+
+    def depth_near(self, shape: Floats) -> Floats:
+        """Return the cost of the valley nearer to a shape, (n,)."""
+        away = np.abs(np.stack([self.shape_of(0), self.shape_of(1)]) - shape)
+        return np.where((away[1] < away[0]) & np.isfinite(self._valleys[1][1]), *self._valleys[1][::-1])
 
     def start(self, second: bool = False) -> Floats:
         """Return parameters (peak, ln width, place, shape, baseline) near the best ones, or the second best, (n, 5)."""
         rows, node = np.arange(len(self.cost)), self._valleys[0][int(second)]
-        move = self._parabolas[0][rows, node]
         taken = (self.peak, np.log(self.width), self.place, self.baseline)
         peak, log_width, place, baseline = (values[rows, node] for values in taken)
-        return np.stack([peak, log_width, place, NODES[node] + move, baseline], axis=1)
+        return np.stack([peak, log_width, place, self.shape_of(int(second)), baseline], axis=1)
 
     @cached_property
     def _parabolas(self) -> tuple[Floats, Floats]:
