@@ -161,7 +161,8 @@ def estimate(
         Samples before touch, whose mean is the baseline and whose standard deviation is the noise; by default all up to
         the foot of the pulse.
     noise : float or array_like, (n_signals,), optional
-        Standard deviation of the noise, if known.
+        Standard deviation of the noise, if known and white; by default its level and its colour are those of the samples
+        before touch.
     fit_baseline : bool
         Whether to fit a constant together with the pulse (after the removal).
     remove_baseline : bool
@@ -213,6 +214,7 @@ def estimate(
                 onset=None if touch is None else touch[block],
                 clip_level=level,
                 response=response,
+                n_quiet=pulses.n_quiet if given_noise is None else None,
             )
         )
         if found := without_impact(pulses.samples, parts[-1]):

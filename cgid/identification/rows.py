@@ -29,9 +29,16 @@ from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
 #: Guards of a model of pulses: how badly a signal fits the shape of a pulse. They show novelty, not the material.
-DEFAULT_GUARDS = ("misfit", "overload")
+DEFAULT_GUARDS = ("unexplained",)
 #: Features of a model of pulses: the fitted pulse, and the uncertainty of its shape.
-DEFAULT_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
+DEFAULT_FEATURES = (
+    "fitted_peak",
+    "fitted_width",
+    "shrunken_restitution",
+    "shrunken_restitution_deviation",
+    "fitted_peak_deviation",
+    *(f"pulse_shape_{n}" for n in (1, 2, 3, 4)),
+)
 #: Features of a model of vibrations, where sampling rate and frame allow: levels by frequency, over the whole frame and
 #: while the force acts. They depend on the gain, because the strength of the impact is the most informative.
 DEFAULT_VIBRATION_FEATURES = (

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.filters import mixing_matrix
 from cgid.measure.search import BIN, NODES, Found, Samples, search
 from cgid.measure.template import (
@@ -68,6 +69,8 @@ WIDE_RESTITUTION = (0.5, 0.25)
 _NOISE_FLOOR = 1e-5
 #: Deviations of this share of the peak count as noise in the misfit.
 MODEL_ERROR = 1e-3
+#: Samples outside the pulse of this share of the peak are nothing strange: hum, the ringing of a filter.
+STRAY = 0.03
 #: A deviation of this many standard deviations outside the window counts as a misfit of 1.
 _OUTLIER = 5.5
 
@@ -110,6 +113,7 @@ class PulseFit:
     expected_restitution, expected_deviation : mean and standard deviation of the restitution after the fit, if it was
         `WIDE_RESTITUTION` before
     misfit : reduced chi-square, 1 on average for a pulse of the family; more if a sample outside the pulse stands out
+    stray : the largest sample outside the pulse, squared, over what noise and `STRAY` of the peak allow
     clipped : number of samples at the sensor's limit
     evidence : sum of squares that the pulse explains, over the variance of the noise
     reach : last sample used by the fit; only the misfit depends on the whole frame
@@ -126,6 +130,7 @@ class PulseFit:
     expected_restitution: Floats
     expected_deviation: Floats
     misfit: Floats
+    stray: Floats
     clipped: NDArray[np.intp]
     evidence: Floats
     converged: NDArray[np.bool_]
@@ -141,7 +146,7 @@ class PulseFit:
         """Return a fit without rows."""
         none = np.empty(0)
         return cls(
-            *(none,) * 6, np.empty((0, 5, 5)), *(none,) * 4, *(np.empty(0, kind) for kind in (int, float, bool, int))
+            *(none,) * 6, np.empty((0, 5, 5)), *(none,) * 5, *(np.empty(0, kind) for kind in (int, float, bool, int))
         )
 
     def spread(self, places: NDArray[np.intp], n: int) -> PulseFit:
@@ -204,10 +209,12 @@ def windows(
     clip_level: Floats | float,
     unit: Floats | float = 1.0,
     averaged: bool = True,
+    before: int = 0,
 ) -> Iterator[Window]:
     """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length.
 
-    Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples.
+    Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples. Each window begins `before`
+    points earlier than the pulse needs.
     """
     offset, clip_level, unit = (np.broadcast_to(value, len(samples)) for value in (offset, clip_level, unit))
     width = np.exp(guess[:, 1])
@@ -220,8 +227,9 @@ def windows(
         rows = np.flatnonzero(step == chosen)
         length = int(np.ceil(_STEP**chosen)) + 4
         run = max(-(-length // _LONGEST), 1) if averaged else 1
+        length = -(-length // run) * run + before * run
         yield _window(
-            samples, rows, first[rows], -(-length // run) * run, run, offset[rows], clip_level[rows], unit[rows]
+            samples, rows, first[rows] - before * run, length, run, offset[rows], clip_level[rows], unit[rows]
         )
 
 
@@ -301,10 +309,12 @@ def fit_pulses(
     onset: Floats | None = None,
     clip_level: Floats | None = None,
     response: Floats | None = None,
+    n_quiet: Floats | None = None,
 ) -> PulseFit:
     """Return the most likely pulse of the damped-Hertz family in each row of samples, (n, n_samples).
 
-    `noise` (n,) is the standard deviation of the white noise, `offset` (n,) is subtracted first, `onset` (n,) [samples]
+    `noise` (n,) is the standard deviation of the noise. It is white, unless the first `n_quiet` (n,) samples of the
+    frames show another colour. `offset` (n,) is subtracted first, `onset` (n,) [samples]
     is the time of touch if known. Samples at or above `clip_level` (n,) are lower bounds of the force; infinite: not
     clipped. `response` (n_lags,) is the sensor's symmetric impulse response from lag 0: it filters the pulse, not the
     noise.
@@ -316,7 +326,15 @@ def fit_pulses(
     clip_level = np.full(n, np.inf) if clip_level is None else clip_level
     blocks = (slice(first, first + _ROWS) for first in range(0, n, _ROWS))
     parts = (
-        (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows], rows_of(onset, rows))
+        (
+            samples[rows],
+            start.rows(rows),
+            noise[rows],
+            offset[rows],
+            clip_level[rows],
+            rows_of(onset, rows),
+            rows_of(n_quiet, rows),
+        )
         for rows in blocks
     )
     return PulseFit.joined([_fit_block(*part, fit_baseline, response) for part in parts])
@@ -329,24 +347,41 @@ def _fit_block(
     offset: Floats,
     clip_level: Floats,
     onset: Floats | None,
+    n_quiet: Floats | None,
     fit_baseline: bool,
     response: Floats | None,
 ) -> PulseFit:
     # In units of its first peak, every pulse is of order 1.
     unit = start.peak
-    sigma = np.maximum(noise / unit, _NOISE_FLOOR)
+    noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
         found = search(Samples(samples, offset, clip_level), start.place, start.width, fit_baseline)
         guess = found.start()
         guess[:, [0, 4]] /= unit[:, None]
         parts = []
-        for window in windows(samples, guess, offset, clip_level, unit, averaged=response is None):
-            rows = window.rows
-            problem = Problem(window, fit_baseline, rows_of(onset, rows), response)
-            best = _search(problem, guess[rows], sigma[rows] / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
-            parts.append((rows, _report(problem, best, sigma[rows], unit[rows], found.rows(rows))))
+        for rows, coloured in _by_colour(samples, n_quiet, MODEL_ERROR * unit):
+            levels = (offset[rows], clip_level[rows], unit[rows])
+            for window in windows(samples[rows], guess[rows], *levels, response is None, ORDER * coloured):
+                own = rows[window.rows]
+                problem = Problem(window, fit_baseline, rows_of(onset, own), response)
+                sigma = noise_over_peak[own]
+                if coloured and n_quiet is not None:
+                    problem.colour = colour_of(samples[own], n_quiet[own], MODEL_ERROR * unit[own], window.run)
+                    sigma = problem.colour.innovation / unit[own] * np.sqrt(window.run)
+                best = _search(problem, guess[own], sigma / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
+                parts.append((own, _report(problem, best, sigma, noise_over_peak[own], unit[own], found.rows(own))))
     rows = np.concatenate([rows for rows, _ in parts])
     return PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
+
+
+def _by_colour(
+    samples: NDArray[np.floating], n_quiet: Floats | None, floor: Floats
+) -> list[tuple[NDArray[np.intp], bool]]:
+    """Return the rows with white noise, and those with coloured noise and True; without the empty ones."""
+    rows = np.arange(len(samples))
+    coloured = np.empty(0, np.intp) if n_quiet is None else colour_of(samples, n_quiet, floor).rows
+    white = rows if not coloured.size else np.setdiff1d(rows, coloured)
+    return [(part, flag) for part, flag in ((white, False), (coloured, True)) if part.size]
 
 
 class Problem:
@@ -357,6 +392,7 @@ class Problem:
         self.free = free_parameters(onset is not None, fit_baseline)
         #: The mean over a run of samples is the curve at its middle plus this share of its second difference.
         self.blur = (1 - window.run**-2) / 24 if window.run > 1 else 0.0
+        self.colour: Colour | None = None
         self.mixing = None
         if response is not None:
             self.mixing = mixing_matrix(response, window.values.shape[1])
@@ -388,6 +424,9 @@ class Problem:
         if ignored is not None:
             residual = np.where(ignored, 0.0, residual)
             slopes = np.where(ignored[:, None], 0.0, slopes)
+        if self.colour is not None:
+            chosen = np.arange(len(self.window.rows))[rows]
+            residual, slopes = self.colour.whitened(residual, chosen), self.colour.whitened(slopes, chosen)
         return residual, slopes
 
 
@@ -477,16 +516,16 @@ def _bounded(step: Floats, free: list[int], width: Floats) -> Floats:
     return step
 
 
-def _report(problem: Problem, best: Optimum, sigma: Floats, unit: Floats, found: Found) -> PulseFit:
-    """Return the fitted pulses; `sigma` and the parameters are in units of the start's peak."""
+def _report(problem: Problem, best: Optimum, sigma: Floats, noise: Floats, unit: Floats, found: Found) -> PulseFit:
+    """Return the fitted pulses; `sigma`, `noise` and the parameters are in units of the start's peak."""
     window = problem.window
     variance = sigma**2 / window.averaged
     believed = variance + _model_variance(best.parameters[:, 0], window.averaged)
     covariance = _parabolic(problem, best, believed)
     restitution = _gaussian_restitution(best.parameters[:, 3], covariance[:, 3, 3])
-    shape, noise = best.parameters[:, 3], believed * window.averaged * unit**2
-    doubt = (covariance[:, 3, 3] > _PARABOLIC**2) | found.in_doubt(shape, noise)
-    well = found.unit >= _WELL_BINNED
+    shape = best.parameters[:, 3]
+    doubt = (covariance[:, 3, 3] > _PARABOLIC**2) | found.in_doubt(shape, believed * window.averaged * unit**2)
+    well = (found.unit >= _WELL_BINNED) & (problem.colour is None)
     for profiled, some in ((_binned, well), (_exact, ~well)):
         rows = np.flatnonzero(doubt & some & (shape < _HIGHEST_PROFILED))
         if rows.size:
@@ -501,7 +540,7 @@ def _report(problem: Problem, best: Optimum, sigma: Floats, unit: Floats, found:
     clipped = np.zeros(len(peak), np.intp) if window.clipped is None else window.clipped.sum(axis=1)
     counted = window.values.shape[1] - (0 if window.outside is None else window.outside.sum(axis=1))
     freedom = np.maximum(counted - clipped - len(problem.free), 1)
-    stray = (window.elsewhere / _OUTLIER) ** 2 / (believed * window.averaged)
+    stray = (window.elsewhere / _OUTLIER) ** 2 / (noise**2 + (MODEL_ERROR * peak) ** 2)
     return PulseFit(
         peak=peak * unit,
         duration=width * duration,
@@ -514,6 +553,7 @@ def _report(problem: Problem, best: Optimum, sigma: Floats, unit: Floats, found:
         expected_restitution=restitution[1],
         expected_deviation=restitution[2],
         misfit=np.maximum(best.cost / freedom / believed, stray),
+        stray=(window.elsewhere / _OUTLIER) ** 2 / (noise**2 + (STRAY * peak) ** 2),
         clipped=clipped,
         evidence=peak**2 * np.maximum(best.information[:, 0, 0], 0.0) / variance,
         converged=best.converged,

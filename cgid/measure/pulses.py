@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.measure.fit import PulseFit, Start, fit_pulses, strongest_run
+from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, strongest_run
 from cgid.measure.frames import Frames, constant_signal
+from cgid.measure.search import N_SHAPES, Remainder, Samples, remainder
 from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature
 from cgid.validation import Floats
@@ -254,6 +255,7 @@ class PulseBatch(Frames):
             self.noise[alive],
             offset=self.offset[alive],
             clip_level=None if self.clip_level is None else self.clip_level[alive],
+            n_quiet=self.n_quiet[alive],
         )
         return found if alive.size == len(self.samples) else found.spread(alive, len(self.samples))
 
@@ -289,6 +291,19 @@ class PulseBatch(Frames):
         if self.clip_level is None:
             return np.zeros(len(self.samples))
         return np.maximum(self.fit.peak / self.clip_level - 1, 0.0)
+
+    @cached_property
+    def remainder(self) -> Remainder:
+        """What the fitted pulse leaves; nan where there is no fit."""
+        fit, n = self.fit, len(self.samples)
+        rows = np.flatnonzero(np.isfinite(fit.shape) & (fit.peak > 0) & (fit.width > 0))
+        level = np.full(n, np.inf) if self.clip_level is None else self.clip_level
+        own = (fit.peak[rows], fit.width[rows], fit.onset[rows], fit.shape[rows])
+        noise = np.hypot(self.noise, MODEL_ERROR * np.maximum(fit.peak, 0.0))[rows]
+        found = remainder(Samples(self.samples[rows], self.offset[rows], level[rows]), *own, noise)
+        components, unexplained = np.full((n, N_SHAPES), np.nan), np.full(n, np.nan)
+        components[rows], unexplained[rows] = found.components, found.unexplained
+        return Remainder(components, np.maximum(unexplained, fit.stray))
 
     def fit_problems(self) -> dict[int, str]:
         """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
@@ -480,6 +495,32 @@ PULSE_FEATURES = (
         "standard deviation of that mean, at most .25",
         measure=lambda p: p.fit.expected_deviation,
         positive=True,
+    ),
+    _fitted(
+        "fitted_peak_deviation",
+        "1",
+        "standard deviation of that peak, over it",
+        measure=lambda p: np.sqrt(p.fit.covariance[:, 0, 0]),
+        positive=True,
+    ),
+    Bank(
+        "pulse_shape_*",
+        "1",
+        "principal component * of how pulses of other laws of loss differ from the fitted one, over its peak, 0 where "
+        "noise hides it",
+        "cgid.measure.search: components of Thornton's, Walton's and Kuwabara's pulses",
+        lambda p, n: p.remainder.components[:, n],
+        [str(n + 1) for n in range(N_SHAPES)],
+        fitted=True,
+    ),
+    _fitted(
+        "unexplained",
+        "1",
+        "mean square of what no known pulse explains, over what noise and 1 % of the peak would leave, or a stray "
+        "sample outside the pulse",
+        measure=lambda p: p.remainder.unexplained,
+        positive=True,
+        whole_frame=True,
     ),
     _fitted(
         "misfit",

@@ -32,12 +32,16 @@ EDGES = _FIRST + BIN * np.arange(N_BINS + 1)
 MIDDLES = EDGES[:-1] + 0.5 * BIN
 #: Repetitions of the search, and its largest steps in place (over the width) and ln(width).
 _PASSES, _LARGEST_STEP = 4, 0.4
+#: Root mean square of what the components leave of pulses of other laws, over the peak.
+SHAPE_ERROR = 0.01
+#: Components that say how a pulse differs from the family, see `tests/references/make_shapes.py`.
+N_SHAPES = 4
+SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
 #: A shape is quite another beyond this distance, and surely not the true one if its cost is this many noise variances
 #: higher.
 _FAR, _SURE = 0.5, 16.0
-_SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,3 +271,80 @@ def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
     explained = np.einsum("nki,nki->nk", solution, right)
     cost = np.sum(bins.values**2, axis=1)[:, None] - explained
     return solution, np.where(solution[:, :, 0] > 0, cost, np.inf)
+
+
+# -- what the family leaves --------------------------------------------------------------------------
+
+
+def residual_bins(
+    samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats
+) -> tuple[Floats, NDArray[np.bool_] | None, Floats]:
+    """Return samples minus fitted pulse, over its peak, in the bins around it (n, n_bins), which count, and the unit.
+
+    Times in samples; `unit` (n,) is that of the bins' coordinates.
+    """
+    own_place, own_width = bank().conditions(shape)
+    unit = width / own_width
+    origin = onset + relative_times(shape)[1] * width - own_place * unit
+    bins = samples.bins(origin, unit, np.arange(len(peak)))
+    left = bins.values / peak[:, None] - _averaged(own_place, own_width, shape)[0]
+    return (left if bins.inside is None else np.where(bins.inside, left, 0.0)), bins.inside, unit
+
+
+@cache
+def tangents() -> Floats:
+    """Return how small changes of peak, place, width and shape change the pulses of the nodes, (n_nodes, n_bins, 4)."""
+    held, step = bank(), 1e-3
+    moved = [
+        _averaged(*held.conditions(np.clip(NODES + k, NODES[0], NODES[-1])), np.clip(NODES + k, NODES[0], NODES[-1]))[0]
+        for k in (-step, step)
+    ]
+    return np.concatenate([held.basis, ((moved[1] - moved[0]) / step)[:, :, None]], axis=2)
+
+
+@cache
+def _components() -> tuple[Floats, Floats, Floats, Floats]:
+    """Return designs (tangents, components), their pseudo-inverses' last rows, orthonormal bases, and the spreads."""
+    with np.load(SHAPES_PATH, allow_pickle=False) as stored:
+        components, spreads = stored["components"], stored["spreads"]
+    design = np.concatenate([tangents(), np.broadcast_to(components.T, (NODES.size, *components.T.shape))], axis=2)
+    return design, np.linalg.pinv(design)[:, 4:], np.linalg.qr(design)[0], spreads
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What a fitted damped-Hertz pulse leaves of the samples.
+
+    Attributes
+    ----------
+    components : over the peak, (n, N_SHAPES), drawn towards 0 where the noise hides them
+    unexplained : mean square of the rest over what the noise and `SHAPE_ERROR` would leave, (n,)
+    """
+
+    components: Floats
+    unexplained: Floats
+
+
+def remainder(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats) -> Remainder:
+    """Return the components of what fitted pulses leave of samples; noise (n,) is its standard deviation."""
+    left, inside, unit = residual_bins(samples, peak, width, onset, shape)
+    node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
+    designs, inverses, bases, spreads = _components()
+    per_bin = (noise / peak) ** 2 / np.maximum(BIN * unit, 1.0)
+    count = np.full(len(left), float(N_BINS))
+    if inside is None:
+        found = np.einsum("nkb,nb->nk", inverses[node], left)
+        explained = np.sum(np.einsum("nbk,nb->nk", bases[node], left) ** 2, axis=1)
+    else:
+        design = designs[node] * inside[:, :, None]
+        information = np.swapaxes(design, 1, 2) @ design
+        right = np.einsum("nbk,nb->nk", design, left)
+        # Bins that are missing leave some of it open; it is then nothing.
+        prior = np.concatenate([np.full(4, 1e-9), 1e-4 / spreads**2])
+        all_found = np.linalg.solve(information + np.diag(prior), right[..., None])[..., 0]
+        found, explained = all_found[:, 4:], np.sum(all_found * right, axis=1)
+        count = inside.sum(axis=1).astype(np.float64)
+    rest = np.maximum(np.sum(left**2, axis=1) - explained, 0.0)
+    certain = spreads**2 / (spreads**2 + per_bin[:, None])
+    free = np.maximum(count - 4 - N_SHAPES, 1.0)
+    return Remainder(found * certain, rest / (free * (per_bin + SHAPE_ERROR**2)))

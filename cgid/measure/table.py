@@ -97,6 +97,7 @@ class Bank:
     source: str
     measure: Callable[[Any, int], Floats]
     labels: Sequence[str]
+    fitted: bool = False
     spectral: bool = False
     kind: Kind = "pulse"
     highest_frequency: float | Sequence[float] = 0.0
@@ -120,6 +121,7 @@ class Bank:
             self.definition.replace("*", self.labels[number]),
             self.source,
             lambda batch: self.measure(batch, number),
+            fitted=self.fitted,
             spectral=self.spectral,
             kind=self.kind,
             highest_frequency=float(np.broadcast_to(self.highest_frequency, n)[number]),

@@ -1,0 +1,127 @@
+"""The colour of noise: an autoregression from the samples before touch, and the filter that makes the noise white.
+
+Where noise is not white, least squares is not the most likely pulse, and deviations are wrong: slow noise looks like a
+longer pulse. Samples minus what the ones before predict are white again, and so the pulse is fitted to these.
+
+A hundred samples do not tell many coefficients. The candidates are therefore noise with a power density of f^-a on
+white noise, with two numbers to be found, and, for any other colour, an autoregression of low order. Schwarz's criterion (1978, Ann. Stat.
+6, 461) decides. Noise whose first autocorrelations are small (Box & Pierce 1970, J. Am. Stat. Assoc. 65, 1509) is white.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.validation import Floats
+
+#: Coefficients, fewest samples for them, and most samples that are looked at.
+ORDER, FEWEST, MOST = 16, 40, 512
+#: Highest order of an autoregression of any colour.
+_FREE_ORDER = 4
+#: By how much twice the ln(likelihood) of any colour must rise beyond Schwarz's criterion.
+_MARGIN = 6.0
+#: Autocorrelations that are tested, and the sum of their squares times the samples from which noise may be coloured:
+#: white noise exceeds it once in twenty times.
+_TESTED, _SUSPICION = 4, 9.5
+#: Exponents, shares of white noise, and samples to a period of the slowest noise.
+_EXPONENTS, _WHITE, _PERIOD = np.arange(0.25, 2.01, 0.25), np.array([0.0, 0.1, 0.3, 0.6]), 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Colour:
+    """Autoregression of the noise of some rows: coefficients (n, ORDER), 0 for white noise, and what they leave.
+
+    `innovation` (n,) is the standard deviation of the part that the samples before do not predict.
+    """
+
+    coefficients: Floats
+    innovation: Floats
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """Rows whose noise is not white."""
+        return np.flatnonzero(self.coefficients.any(axis=1))
+
+    def whitened(self, curves: Floats, rows: NDArray[np.intp]) -> Floats:
+        """Return curves (n, ..., n_samples) of some rows minus their prediction; the first `ORDER` samples are 0."""
+        coefficients = self.coefficients[rows].reshape(len(rows), *(1,) * (curves.ndim - 2), ORDER)
+        out = np.zeros(curves.shape)
+        out[..., ORDER:] = curves[..., ORDER:]
+        for lag in range(1, ORDER + 1):
+            out[..., ORDER:] -= coefficients[..., lag - 1 : lag] * curves[..., ORDER - lag : -lag]
+        return out
+
+
+def colour_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run: int = 1) -> Colour:
+    """Return the colour of the noise in the first `n_quiet` (n,) samples of frames (n, n_samples).
+
+    Each `run` of samples is averaged first. `floor` (n,) is the standard deviation of white noise to add: what the
+    model of a pulse is worth.
+    """
+    n = len(samples)
+    colour = Colour(np.zeros((n, ORDER)), np.zeros(n))
+    stop = np.minimum(n_quiet.astype(np.intp), samples.shape[1])
+    # Rows with the same number of samples go together, so that a row does not depend on its neighbours.
+    for length in np.unique(np.minimum(stop // run, MOST)):
+        if length < FEWEST:
+            continue
+        rows = np.flatnonzero(np.minimum(stop // run, MOST) == length)
+        columns = stop[rows, None] - length * run + np.arange(length * run)
+        seen = samples[rows[:, None], columns].astype(np.float64).reshape(rows.size, length, run).mean(axis=2)
+        seen -= seen.mean(axis=1, keepdims=True)
+        white = floor[rows] ** 2 / run + 1e-300
+        power = np.mean(seen**2, axis=1) + white
+        lags = [np.einsum("nt,nt->n", seen[:, lag:], seen[:, :-lag]) / length / power for lag in range(1, _TESTED + 1)]
+        colour.innovation[rows] = np.sqrt(power)
+        suspect = np.flatnonzero(length * np.sum(np.square(lags), axis=0) > _SUSPICION)
+        if suspect.size:
+            own = rows[suspect]
+            colour.coefficients[own], colour.innovation[own] = _coloured(seen[suspect], white[suspect])
+    return colour
+
+
+def _coloured(seen: Floats, white: Floats) -> tuple[Floats, Floats]:
+    """Return coefficients and innovation of the most likely candidate for samples (n, n_samples).
+
+    The likelihood is that of the samples after the first `ORDER`, with an unknown mean; `white` (n,) is a variance.
+    """
+    n, count = len(seen), seen.shape[1] - ORDER
+    lagged = np.stack([seen[:, ORDER - lag : seen.shape[1] - lag] for lag in range(ORDER + 1)], axis=1)
+    lagged -= lagged.mean(axis=2, keepdims=True)
+    gram = lagged @ np.swapaxes(lagged, 1, 2) / count
+    gram[:, np.arange(ORDER + 1), np.arange(ORDER + 1)] += white[:, None]
+    known = _power_laws()
+    left = np.einsum("mi,nij,mj->nm", known, gram, known, optimize=True)
+    best = np.argmin(left, axis=1)
+    coefficients, left = -known[best, 1:], left[np.arange(n), best]
+    criterion = count * np.log(left / gram[:, 0, 0]) + np.log(count)
+    for order in range(1, _FREE_ORDER + 1):
+        inner = slice(1, order + 1)
+        free = np.linalg.solve(gram[:, inner, inner], gram[:, inner, :1])[:, :, 0]
+        own_left = gram[:, 0, 0] - np.sum(free * gram[:, inner, 0], axis=1)
+        own = count * np.log(own_left / gram[:, 0, 0]) + order * np.log(count) + _MARGIN
+        better = own < criterion
+        coefficients[better] = 0.0
+        coefficients[better, :order], left[better] = free[better], own_left[better]
+        criterion = np.where(better, own, criterion)
+    coefficients[criterion >= 0], left[criterion >= 0] = 0.0, gram[criterion >= 0, 0, 0]
+    return coefficients, np.sqrt(left)
+
+
+@cache
+def _power_laws() -> Floats:
+    """Return what filters noise of power laws on white noise to white: 1 and minus the coefficients, (n, ORDER + 1)."""
+    frequency = np.fft.rfftfreq(_PERIOD)
+    frequency[0] = frequency[1]
+    apart = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
+    filters = []
+    for exponent in _EXPONENTS:
+        lags = np.fft.irfft(frequency**-exponent)[: ORDER + 1]
+        for white in _WHITE:
+            own = (1 - white) * lags / lags[0] + white * (np.arange(ORDER + 1) == 0)
+            filters.append(np.append(1.0, -np.linalg.solve(own[apart], own[1:])))
+    return np.array(filters)
