@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.filters import mixing_matrix
-from cgid.measure.search import BIN, NODES, Found, Samples, search
+from cgid.measure.search import BIN, NODES, Found, around, search
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -44,13 +44,17 @@ _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 _LARGEST_STEPS = (0.4, 0.5, 0.7)
 _ITERATIONS = 8
 #: A fit ends when the next step would reduce the squared residual by less than this share of the noise variance.
-_TOLERANCE = 3e-3
+_TOLERANCE = 8e-3
 #: Rows fitted at once: their arrays must fit in the processor's cache.
 _ROWS = 2048
 #: Least damping after a failed step: less would not change the step.
-_FELT = 0.3
+_FELT = 0.6
+#: Share of the promised gain from which a step was good.
+_KEPT = 0.7
 #: A search ends at this damping.
 _STUCK = 1e4
+#: Extent of the samples that the search looks at, over what the pulse of the start would need.
+_REACH = 2.0
 #: Shapes at which the likelihood is profiled (every other one of the search), and the highest fitted shape for it.
 _EVERY = slice(0, 20, 2)
 PROFILED = NODES[_EVERY]
@@ -265,12 +269,17 @@ def _window(
 def _largest_elsewhere(
     samples: NDArray[np.floating], rows: NDArray[np.intp], first: NDArray[np.intp], length: int, offset: Floats
 ) -> Floats:
-    out = np.zeros(len(rows))
-    for place, (row, column, base) in enumerate(zip(rows.tolist(), first.tolist(), offset.tolist(), strict=True)):
-        for part in (samples[row, : max(column, 0)], samples[row, max(column + length, 0) :]):
-            if part.size:
-                out[place] = max(out[place], float(part.max()) - base, base - float(part.min()))
-    return out
+    n_samples = samples.shape[1]
+    begin, end = np.clip(first, 0, n_samples), np.clip(first + length, 0, n_samples)
+    # The parts of a row before and after the window, and what lies between, as runs of all samples one after another.
+    edges = np.stack([np.zeros_like(begin), begin, end, np.full_like(begin, n_samples)], axis=1)
+    flat = np.minimum((edges + (rows * n_samples)[:, None]).ravel(), samples.size - 1)
+    highest, lowest = (
+        reduce.reduceat(samples.ravel(), flat).reshape(-1, 4)[:, :3:2] for reduce in (np.maximum, np.minimum)
+    )
+    some = np.stack([begin > 0, end < n_samples], axis=1)
+    away = np.maximum(highest - offset[:, None], offset[:, None] - lowest)
+    return np.where(some, away, 0.0).max(axis=1)
 
 
 def strongest_run(samples: NDArray[np.floating], offset: Floats) -> tuple[Floats, Floats, Floats]:
@@ -355,7 +364,10 @@ def _fit_block(
     unit = start.peak
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        found = search(Samples(samples, offset, clip_level), start.place, start.width, fit_baseline)
+        parts_found = around(samples, start.place, start.width, offset, clip_level, _REACH)
+        found = Found.joined(
+            [(rows, search(own, start.place[rows], start.width[rows], fit_baseline)) for rows, own in parts_found]
+        )
         guess = found.start()
         guess[:, [0, 4]] /= unit[:, None]
         parts = []
@@ -464,7 +476,7 @@ def _search(
         step, promise = _step(*held, damping[active])
         done = promise < _TOLERANCE * variance[active]
         converged[active[done]] = True
-        active, step = active[~done], step[~done]
+        active, step, promise = active[~done], step[~done], promise[~done]
         if not active.size:
             break
         tried = parameters[active]
@@ -472,12 +484,14 @@ def _search(
         tried[:, 3] = np.clip(tried[:, 3], LOWEST_SHAPE, HIGHEST_SHAPE)
         tried = problem.tied(tried, row[active])
         new = normal_equations(*problem.residual(tried, row[active]))
-        better = new[0] <= cost[active]
+        gained = cost[active] - new[0]
+        better = gained >= 0
         taken = active[better]
         parameters[taken] = tried[better]
         cost[taken], information[taken], gradient[taken] = (a[better] for a in new)
-        eased, raised = 0.1 * damping[active], np.maximum(10.0 * damping[active], _FELT)
-        damping[active] = np.where(better, eased, raised)
+        # A step that gains much less than promised has overshot; the next would come back.
+        raised = np.maximum(np.where(better, 2.0, 10.0) * damping[active], _FELT)
+        damping[active] = np.where(gained > _KEPT * promise, 0.1 * damping[active], raised)
         # Where even a tiny step goes uphill, the minimum is at a kink (a sample at touch).
         stuck = damping[active] > _STUCK
         converged[active[stuck]] = True
@@ -610,27 +624,29 @@ def _parabolic(problem: Problem, best: Optimum, variance: Floats) -> Floats:
 class Profiled:
     """The best parameters (n, n_shapes, 5) at each of `PROFILED`, and their squared residuals (n, n_shapes).
 
-    Where the bins of the search tell as much as the samples, they come from its result `found`, whose costs times
-    `scale` (n,) are squared residuals.
+    The costs of the search, `found`, times `scale` (n,) are squared residuals, too. Where the bins tell as much as the
+    samples, they are these (`binned`).
     """
 
     parameters: Floats
     cost: Floats
+    found: Found
     scale: Floats
-    found: Found | None = None
+    binned: bool
 
     def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return parameters (n, 5) of another likely shape than the best, and which rows have one."""
-        if self.found is not None:
-            # Whichever valley the first search did not end in.
-            shape, away = best.parameters[:, 3], [self.found.shape_of(k) - best.parameters[:, 3] for k in (0, 1)]
-            nearer = np.abs(away[1]) < np.abs(away[0])
-            guess = np.where(nearer[:, None], self.found.start(), self.found.start(second=True))
-            guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.found.peak[:, 0])[:, None]
-            return guess, self.found.has_second(BIN * self.found.unit * variance / self.scale) & np.isfinite(shape)
+        # Whichever valley the first search did not end in.
+        away = [np.abs(self.found.shape_of(k) - best.parameters[:, 3]) for k in (0, 1)]
+        guess = np.where((away[1] < away[0])[:, None], self.found.start(), self.found.start(second=True))
+        guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.found.peak[:, 0])[:, None]
+        likely = self.found.has_second(BIN * self.found.unit * variance / self.scale)
+        if self.binned:
+            return guess, likely
         far = np.where(np.abs(PROFILED - best.parameters[:, 3:4]) > _ANOTHER, self.cost, np.inf)
         rows, node = np.arange(len(far)), np.argmin(far, axis=1)
-        return self.parameters[rows, node], far[rows, node] < best.cost + 16 * variance
+        lower = far[rows, node] < best.cost + np.where(likely, -1, 16) * variance
+        return np.where(lower[:, None], self.parameters[rows, node], guess), likely | lower
 
     def moments(self, tops: list[Optimum], variance: Floats, problem: Problem) -> tuple[Floats, Floats]:
         """Return covariances about the best parameters, and restitutions as `_gaussian_restitution`.
@@ -640,7 +656,7 @@ class Profiled:
         """
         fine, spline = _interpolation()
         best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
-        squares = [(self.cost / variance[:, None]) @ spline.T]
+        squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]
         away = [np.matmul(spline, _away(self.parameters, PROFILED, best))]
         for top in tops:
             shape = top.parameters[:, 3:4]
@@ -683,8 +699,8 @@ def _away(parameters: Floats, shape: Floats, best: Floats) -> Floats:
 
 def _reported(parameters: Floats, shape: Floats) -> Floats:
     """Return (ln peak, ln duration, onset, shape, baseline) of parameters (n, k, 5) at shapes of (n, k) or (k,)."""
-    shape = np.broadcast_to(shape, parameters.shape[:2])
     duration, lead, _, _ = (a.reshape(shape.shape) for a in relative_times(shape.ravel()))
+    shape = np.broadcast_to(shape, parameters.shape[:2])
     log_peak = np.log(np.maximum(parameters[:, :, 0], 1e-300))
     onset = parameters[:, :, 2] - lead * np.exp(parameters[:, :, 1])
     return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape, parameters[:, :, 4]], axis=2)
@@ -693,7 +709,7 @@ def _reported(parameters: Floats, shape: Floats) -> Floats:
 def _binned(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
     """Return what is best at each shape by the search, whose bins hold several samples each."""
     scale = found.unit * BIN / problem.window.averaged[rows] / unit**2
-    return Profiled(_at_shapes(found, unit), found.cost[:, _EVERY] * scale[:, None], scale, found)
+    return Profiled(_at_shapes(found, unit), found.cost[:, _EVERY] * scale[:, None], found, scale, True)
 
 
 def _at_shapes(found: Found, unit: Floats) -> Floats:
@@ -706,6 +722,7 @@ def _at_shapes(found: Found, unit: Floats) -> Floats:
 def _exact(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
     """Return what is best at each shape, by one step of Gauss and Newton from the results of the search."""
     n, n_shapes = len(rows), PROFILED.size
+    scale = found.unit * BIN / problem.window.averaged[rows] / unit**2
     each = np.repeat(rows, n_shapes)
     flat = problem.tied(_at_shapes(found, unit).reshape(-1, 5), each)
     kept = [k for k, column in enumerate(problem.free) if column != 3]
@@ -715,7 +732,7 @@ def _exact(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp])
     step = solve_scaled(information, gradient, 1e-9)
     cost = cost - np.sum(step * gradient, axis=1)
     flat[:, columns] += _bounded(step, columns, np.exp(flat[:, 1]))
-    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), np.ones(n))
+    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), found, scale, False)
 
 
 def _improve(
@@ -738,6 +755,6 @@ def _improve(
             first[swapped] = new[better]
             getattr(best, one.name)[rows] = first
             tops = [replace(top, **{one.name: value}) for top, value in zip(tops, (first, second), strict=True)]
-    if profile.found is not None:
+    if profile.binned:
         tops = [replace(top, cost=profile.found.depth_near(top.parameters[:, 3]) * profile.scale) for top in tops]
     return tops

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, strongest_run
 from cgid.measure.frames import Frames, constant_signal
-from cgid.measure.search import N_SHAPES, Remainder, Samples, remainder
+from cgid.measure.search import N_SHAPES, Remainder, around, remainder
 from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature
 from cgid.validation import Floats
@@ -298,11 +298,14 @@ class PulseBatch(Frames):
         fit, n = self.fit, len(self.samples)
         rows = np.flatnonzero(np.isfinite(fit.shape) & (fit.peak > 0) & (fit.width > 0))
         level = np.full(n, np.inf) if self.clip_level is None else self.clip_level
-        own = (fit.peak[rows], fit.width[rows], fit.onset[rows], fit.shape[rows])
-        noise = np.hypot(self.noise, MODEL_ERROR * np.maximum(fit.peak, 0.0))[rows]
-        found = remainder(Samples(self.samples[rows], self.offset[rows], level[rows]), *own, noise)
         components, unexplained = np.full((n, N_SHAPES), np.nan), np.full(n, np.nan)
-        components[rows], unexplained[rows] = found.components, found.unexplained
+        noise = np.hypot(self.noise, MODEL_ERROR * np.maximum(fit.peak, 0.0))
+        taken = (fit.onset[rows] + 0.5 * fit.width[rows], fit.width[rows], self.offset[rows], level[rows])
+        for part, samples in around(self.samples[rows], *taken, 1.3):
+            own = rows[part]
+            pulse = (fit.peak[own], fit.width[own], fit.onset[own], fit.shape[own])
+            found = remainder(samples, *pulse, noise[own])
+            components[own], unexplained[own] = found.components, found.unexplained
         return Remainder(components, np.maximum(unexplained, fit.stray))
 
     def fit_problems(self) -> dict[int, str]:

@@ -11,6 +11,7 @@ not do: a dull pulse of restitution .15 in 3 % noise may also be one of .45.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from pathlib import Path
@@ -37,6 +38,8 @@ SHAPE_ERROR = 0.01
 #: Components that say how a pulse differs from the family, see `tests/references/make_shapes.py`.
 N_SHAPES = 4
 SHAPES_PATH = Path(__file__).with_name("shapes.npz")
+#: Power of 2 of the fewest samples around a pulse.
+_SHORTEST = 5
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
 #: A shape is quite another beyond this distance, and surely not the true one if its cost is this many noise variances
@@ -109,18 +112,20 @@ class Bins:
 
 
 class Samples:
-    """Running sums of some frames, from which bins anywhere follow."""
+    """Running sums of the samples around some pulses, from which bins anywhere follow; `first` (n,) is their column."""
 
-    def __init__(self, samples: NDArray[np.floating], offset: Floats, clip_level: Floats) -> None:
+    def __init__(
+        self, samples: NDArray[np.floating], offset: Floats, clip_level: Floats, first: NDArray[np.intp]
+    ) -> None:
         n, self.n_samples = samples.shape
         self.total = np.zeros((n, self.n_samples + 1))
         np.cumsum(samples, axis=1, dtype=np.float64, out=self.total[:, 1:])
-        self.offset, self.clip_level = offset, clip_level
+        self.offset, self.clip_level, self.first = offset, clip_level, first
         self.clips = bool(np.isfinite(clip_level).any())
 
     def bins(self, place: Floats, width: Floats, rows: NDArray[np.intp]) -> Bins:
-        """Return the bins around origins `place` [samples] of unit `width` [samples]."""
-        at = place[:, None] + width[:, None] * EDGES
+        """Return the bins around origins `place` [samples of the frame] of unit `width` [samples]."""
+        at = (place - self.first[rows])[:, None] + width[:, None] * EDGES
         beyond = (at < 0) | (at > self.n_samples - 1)
         at = np.clip(at, 0.0, self.n_samples - 1)
         column = np.minimum(at.astype(np.intp), self.n_samples - 2)
@@ -141,6 +146,26 @@ class Samples:
         return Bins(values if inside is None else np.where(inside, values, 0.0), inside)
 
 
+def around(
+    samples: NDArray[np.floating], place: Floats, width: Floats, offset: Floats, clip_level: Floats, reach: float
+) -> Iterator[tuple[NDArray[np.intp], Samples]]:
+    """Yield rows of pulses of similar width, and their samples within `reach` times the extent of the bins."""
+    n_samples = samples.shape[1]
+    # Lengths come in steps, so that what a row shows does not depend on the other rows.
+    wanted = np.maximum(reach * (_LAST - _FIRST) * width, 2.0**_SHORTEST)
+    step = np.minimum(np.ceil(np.log2(wanted)), 62).astype(np.intp)
+    length = np.minimum(1 << step, n_samples)
+    middle = place + 0.5 * (_FIRST + _LAST) * width
+    first = np.clip(np.floor(middle - 0.5 * length), 0, n_samples - length).astype(np.intp)
+    for chosen in np.unique(length):
+        rows = np.flatnonzero(length == chosen)
+        if chosen == n_samples:
+            part = samples if rows.size == len(samples) else samples[rows]
+        else:
+            part = samples[rows[:, None], first[rows, None] + np.arange(chosen)]
+        yield rows, Samples(part, offset[rows], clip_level[rows], first[rows])
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """The result of the search, each (n, n_nodes); `unit` [samples] is (n,).
@@ -157,6 +182,12 @@ class Found:
     width: Floats
     baseline: Floats
     unit: Floats
+
+    @classmethod
+    def joined(cls, parts: list[tuple[NDArray[np.intp], Found]]) -> Found:
+        """Return the result of all rows from those of some."""
+        order = np.argsort(np.concatenate([rows for rows, _ in parts]), kind="stable")
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for _, part in parts])[order] for f in fields(cls)})
 
     def rows(self, chosen: NDArray[np.intp]) -> Found:
         """Return some of the rows."""
@@ -188,10 +219,15 @@ class Found:
 
     def start(self, second: bool = False) -> Floats:
         """Return parameters (peak, ln width, place, shape, baseline) near the best ones, or the second best, (n, 5)."""
-        rows, node = np.arange(len(self.cost)), self._valleys[0][int(second)]
-        taken = (self.peak, np.log(self.width), self.place, self.baseline)
-        peak, log_width, place, baseline = (values[rows, node] for values in taken)
-        return np.stack([peak, log_width, place, self.shape_of(int(second)), baseline], axis=1)
+        rows, node, shape = np.arange(len(self.cost)), self._valleys[0][int(second)], self.shape_of(int(second))
+        middle = np.clip(node, 1, NODES.size - 2)
+        share = (shape - NODES[node]) / (NODES[1] - NODES[0])  # 0 where the neighbours are not alike
+        found = np.stack([self.peak, np.log(self.width), self.place, self.baseline])
+        before, at, after = found[:, rows, middle - 1], found[:, rows, node], found[:, rows, middle + 1]
+        peak, log_width, place, baseline = at + np.where(
+            share == 0, 0.0, 0.5 * share * (after - before) + 0.5 * share**2 * (after - 2 * at + before)
+        )
+        return np.stack([peak, log_width, place, shape, baseline], axis=1)
 
     @cached_property
     def _parabolas(self) -> tuple[Floats, Floats]:
@@ -260,11 +296,14 @@ def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
     """Return the least-squares solutions for all shapes, (n, n_nodes, n_free), and their squared residuals."""
     n, (n_nodes, n_bins, n_free) = len(bins.values), held.basis.shape
     flat = np.moveaxis(held.basis, 0, 1).reshape(n_bins, -1)
-    right = (bins.values @ flat).reshape(n, n_nodes, n_free)
+    # Row by row: the result of one must not depend on how many there are.
+    right = np.matmul(bins.values[:, None], flat).reshape(n, n_nodes, n_free)
     if bins.inside is None:
         solution = np.einsum("kij,nkj->nki", held.inverse, right)
     else:
-        information = (bins.inside.astype(np.float64) @ held.products).reshape(n, n_nodes, n_free, n_free)
+        information = np.matmul(bins.inside[:, None].astype(np.float64), held.products).reshape(
+            n, n_nodes, n_free, n_free
+        )
         ridge = 1e-6 * np.einsum("nkii->nki", information) + 1e-9
         information[..., np.arange(n_free), np.arange(n_free)] += ridge
         solution = np.linalg.solve(information, right[..., None])[..., 0]
@@ -287,8 +326,21 @@ def residual_bins(
     unit = width / own_width
     origin = onset + relative_times(shape)[1] * width - own_place * unit
     bins = samples.bins(origin, unit, np.arange(len(peak)))
-    left = bins.values / peak[:, None] - _averaged(own_place, own_width, shape)[0]
+    left = bins.values / peak[:, None] - _between_nodes(shape)
     return (left if bins.inside is None else np.where(bins.inside, left, 0.0)), bins.inside, unit
+
+
+def _between_nodes(shape: Floats) -> Floats:
+    """Return pulses of any shapes averaged over the bins, (n, n_bins): a parabola through three nodes of the bank."""
+    middle = np.clip(np.argmin(np.abs(NODES - shape[:, None]), axis=1), 1, NODES.size - 2)
+    before, at, after = NODES[middle - 1], NODES[middle], NODES[middle + 1]
+    shares = (
+        (shape - at) * (shape - after) / ((before - at) * (before - after)),
+        (shape - before) * (shape - after) / ((at - before) * (at - after)),
+        (shape - before) * (shape - at) / ((after - before) * (after - at)),
+    )
+    pulses = bank().basis[:, :, 0]
+    return np.asarray(sum(share[:, None] * pulses[middle + k] for share, k in zip(shares, (-1, 0, 1), strict=True)))
 
 
 @cache
