@@ -244,8 +244,10 @@ class Found:
     @cached_property
     def _valleys(self) -> tuple[NDArray[np.intp], Floats]:
         """The nodes of the two lowest valleys and their costs, each (2, n); the second's is infinite without one."""
-        cost = np.pad(self.cost, ((0, 0), (1, 1)), constant_values=np.inf)
-        valley = (cost[:, 1:-1] <= cost[:, :-2]) & (cost[:, 1:-1] <= cost[:, 2:])
+        valley = np.ones(self.cost.shape, bool)
+        falls = self.cost[:, 1:] <= self.cost[:, :-1]
+        valley[:, 1:] = falls
+        valley[:, :-1] &= ~falls | (self.cost[:, 1:] == self.cost[:, :-1])
         depths = np.where(valley, self._parabolas[1], np.inf)
         rows, first = np.arange(len(depths)), np.argmin(depths, axis=1)
         deepest = depths[rows, first]

@@ -91,14 +91,15 @@ def _bend(values: Floats, axis: int) -> Floats:
 def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s."""
     node, offset = _nearest(shape)
-    value, slope, bend = np.moveaxis(_table()[1][node], -1, 0)
-    at = value + offset[:, None] * (slope + 0.5 * offset[:, None] * bend)
-    slopes = slope + offset[:, None] * bend
+    held = _table()[1][node]
+    at = held[:, :, 0] + offset[:, None] * (held[:, :, 1] + 0.5 * offset[:, None] * held[:, :, 2])
+    slopes = held[:, :, 1] + offset[:, None] * held[:, :, 2]
+    duration, peak_time, duration_slope, peak_slope = at[:, 0], at[:, 1], slopes[:, 0], slopes[:, 1]
     turned = shape > 0
-    duration, peak_time = at[:, 0], np.where(turned, at[:, 0] - at[:, 1], at[:, 1])
-    sign = np.where(turned, -1.0, 1.0)
-    duration_slope = sign * slopes[:, 0]
-    peak_slope = np.where(turned, duration_slope + slopes[:, 1], slopes[:, 1])
+    if turned.any():
+        peak_time = np.where(turned, duration - peak_time, peak_time)
+        duration_slope = np.where(turned, -duration_slope, duration_slope)
+        peak_slope = np.where(turned, duration_slope + peak_slope, peak_slope)
     return duration, peak_time, duration_slope, peak_slope
 
 
@@ -113,7 +114,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     if turned.any():
         u = np.where(turned[:, None], 1 - share, share)
     inside = (u > 0) & (u < 1)
-    u = np.clip(u, _EDGE, 1 - _EDGE)
+    u = np.minimum(np.maximum(u, _EDGE), 1 - _EDGE)
     root, other = np.sqrt(u), np.sqrt(1 - u)
     place = (root - other + 1) * (0.5 * _PLACES)
     column = np.rint(place)
@@ -134,7 +135,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
 def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
     """Return the nearest node of s (of -s above 0) and the distance from it."""
     place = (-np.abs(shape) - LOWEST_SHAPE) * (_SHAPES / -LOWEST_SHAPE)
-    node = np.clip(np.rint(place), 0, _SHAPES).astype(np.intp)
+    node = np.minimum(np.maximum(np.rint(place), 0), _SHAPES).astype(np.intp)
     return node, (place - node) * (-LOWEST_SHAPE / _SHAPES)
 
 
