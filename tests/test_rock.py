@@ -28,6 +28,7 @@ from cgid.physics.laws import LEAST_VISCOELASTIC, viscoelastic_number
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.draws import LUMP
+from cgid.scene.impacts import draw
 from cgid.scene.plan import plan
 from cgid.scene.schema import varied
 from cgid.scene.stream import record
@@ -363,6 +364,30 @@ def test_viscoelastic_rocks_need_solid_ground():
             scene_of({"dissipation": "kuwabara-kono", **more})
     with pytest.raises(InvalidValue, match="kuwabara-kono pulses are another family"):
         ceiling(varied(load_scene("reference"), dissipation="kuwabara-kono"), 100)
+
+
+def test_the_shipped_rocks_are_those_of_reference_by_other_laws_and_shapes():
+    rock, reference = load_scene("rock"), load_scene("reference")
+    drawn, plain = draw_all(rock), draw_all(reference)
+    for name in ("density", "youngs_modulus", "poisson_ratio", "radius", "velocity"):
+        for label in rock.labels:
+            pair = [np.quantile(part[name][part["label"] == label], [0.1, 0.5, 0.9]) for part in (drawn, plain)]
+            assert pair[0] == pytest.approx(pair[1], rel=0.06)
+    sphere, law = drawn["curvature"] == 1, drawn["dissipation"]
+    assert sphere.mean() == pytest.approx(0.5, abs=0.03) and (sphere == (drawn["effective_mass"] == 1)).all()
+    strong = np.isfinite(drawn["strength"])
+    assert [np.mean(law == index) for index in range(5)] == pytest.approx([0, 0.2, 0.4, 0.2, 0.2], abs=0.03)
+    for label, wanted, crushed in (("coal", 0.35, 0.27), ("gangue", 0.50, 0.26)):
+        own = sphere & (drawn["label"] == label)
+        for rows, median in ((law == 1, wanted), (law == 4, wanted), ((law == 2) & ~strong, wanted), (strong, crushed)):
+            assert np.median(drawn["restitution"][own & rows]) == pytest.approx(median, abs=0.025)
+
+
+def draw_all(scene, n_blocks=16):
+    """Return the parameters and labels of some blocks."""
+    parts = [draw(scene, 5, block) for block in range(n_blocks)]
+    values = {name: np.concatenate([part.parameters[name] for part in parts]) for name in parts[0].parameters}
+    return values | {"label": np.concatenate([part.labels for part in parts])}
 
 
 def test_a_shape_is_a_setting_of_a_variation():
