@@ -26,6 +26,7 @@ from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
+_COAL = 'label = "coal"'
 _PRESSURE = 'yield_pressure = "41 MPa"'
 
 
@@ -58,6 +59,11 @@ def _crushing(text: str) -> str:
     """Return a scene whose rocks crush."""
     text = text.replace('"hunt-crossley"', '"thornton"')
     return re.sub(r"(?m)^restitution = .*$", _PRESSURE, text)
+
+
+def _viscous(text: str) -> str:
+    """Return a scene of viscoelastic rocks."""
+    return text.replace('"hunt-crossley"', '"kuwabara-kono"')
 
 
 def _changed(folder: Path, scene: str, changes: dict[str, tuple[str, str]]) -> None:
@@ -138,6 +144,11 @@ def make_files(folder: Path) -> None:
     _scene(folder / "plate.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "80 mm" }'))
     _scene(folder / "uncrushed.toml", lambda text: _crushing(text).replace(_PRESSURE, "", 1))
     _scene(folder / "soft.toml", lambda text: _crushing(text).replace(_PRESSURE, "yield_pressure = 0", 1))
+    for _, file, (key, value), _ in _OF_CRUSHING:
+        line = f"{key} = {value}"
+        _scene(folder / f"{file}.toml", lambda text, line=line: _crushing(text).replace(_PRESSURE, line, 1))
+    _scene(folder / "viscous_fall.toml", lambda text: _viscous(text).replace('law = "exact"', "gravity = 9.81"))
+    _scene(folder / "viscous_beam.toml", _viscous, "tail_beam")
     _scene(folder / "fallen.toml", lambda text: _crushing(text).replace('law = "exact"', "gravity = 9.81"))
     _scene(folder / "crushed_beam.toml", _crushing, "tail_beam")
     _scene(folder / "silent.toml", lambda text: text.replace("relative_noise = 0.01", "relative_noise = 0.0"))
@@ -155,6 +166,7 @@ def make_files(folder: Path) -> None:
     _changed(folder, "tail_beam", _BEAMS)
     _changed(folder, "caving", _STREAMS)
     _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
+    _changed(folder, "reference", {file: (_COAL, f"{_COAL}\n{line}") for _, file, line, _ in _OF_ROCKS})
     _tables(folder)
     tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), "closed-form"), folder / "table.csv", 9)
     lines = (folder / "table.csv").read_text().splitlines()
@@ -176,6 +188,50 @@ def make_files(folder: Path) -> None:
 
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
 _RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'
+#: What is wrong with the first rocks of `reference`: a line for each scene file, and the text of its error.
+_OF_ROCKS = (
+    ("corner of no radius", "pointed", "curvature = 0", ("populations.0.curvature", "0.001 and 10", "got 0")),
+    ("negative curvature", "hollow", "curvature = -0.5", ("populations.0.curvature", "0.001 and 10", "got -0.5")),
+    ("curvature nan", "nowhere", "curvature = nan", ("populations.0.curvature", "finite")),
+    ("curvature in mm", "measured", 'curvature = "3 mm"', ("populations.0.curvature", "3 mm", "%")),
+    (
+        "side too flat",
+        "flat",
+        'curvature = { distribution = "uniform", lowest = 0.5, highest = 20.0 }',
+        ("populations.0.curvature", "0.001 and 10", "can be drawn as 20", "lowest and highest"),
+    ),
+    ("blow of no mass", "massless", "effective_mass = 0", ("populations.0.effective_mass", "0.01 and 1", "got 0")),
+    ("more than all mass", "massive", "effective_mass = 1.2", ("populations.0.effective_mass", "0.01 and 1", "1.2")),
+    ("effective mass nan", "weighty", "effective_mass = nan", ("populations.0.effective_mass", "finite")),
+    ("strength of damped rocks", "strong", 'strength = "16 MPa"', ("populations.0.strength", "hunt-crossley")),
+    ("pressure of damped rocks", "pressed", 'yield_pressure = "41 MPa"', ("populations.0.yield_pressure", "left out")),
+    ("rocks of weight 0", "rare", "weight = 0", ("populations.0.weight", "greater than 0", "got 0")),
+    ("rocks of negative weight", "rarer", "weight = -1.0", ("populations.0.weight", "greater than 0", "got -1")),
+    ("rocks of weight nan", "uncertain", "weight = nan", ("populations.0.weight", "finite", "nan")),
+    ("unknown loss", "lost", 'dissipation = "thorton"', ("populations.0.dissipation", "did you mean 'thornton'")),
+)
+#: The same for the first rocks of a scene that crushes: the key and its value, and the text of the error.
+_OF_CRUSHING = (
+    ("negative yield pressure", "sucking", ("yield_pressure", '"-4 MPa"'), ("above 0", "-4e+06 Pa")),
+    ("yield pressure nan", "vague", ("yield_pressure", "nan"), ("finite",)),
+    ("yield pressure in N", "forced", ("yield_pressure", '"4 N"'), ("'4 N'", "GPa")),
+    ("strength 0", "crumbling", ("strength", "0"), ("above 0", "got 0 Pa")),
+    ("negative strength", "weak", ("strength", "-1e6"), ("above 0", "-1e+06 Pa")),
+    ("strength nan", "foggy", ("strength", "nan"), ("finite",)),
+    (
+        "strength that can be drawn as nothing",
+        "normal",
+        ("strength", '{ distribution = "normal", mean = "16 MPa", deviation = "8 MPa" }'),
+        ("above 0", "can be drawn as -", "lowest and highest"),
+    ),
+    ("viscous crushing", "crushed_both", ("restitution", f"0.5\n{_PRESSURE}"), ("left out", "thornton")),
+    (
+        "strength and yield pressure",
+        "strength_twice",
+        ("strength", f'"16 MPa"\n{_PRESSURE}'),
+        ("beside yield_pressure",),
+    ),
+)
 _BEAMS = {
     "sensor_off": ('sensor_point = { x = "0.5 m"', 'sensor_point = { x = "2.5 m"'),
     "impact_off": ('highest = "1.5 m"', 'highest = "1.7 m"'),
@@ -519,6 +575,13 @@ CASES = (
         ("populations.0.yield_pressure", "missing, thornton dissipation needs it"),
     ),
     Case("yield pressure 0", ("check", "soft.toml"), 65, ("populations.0.yield_pressure", "above 0", "got 0 Pa")),
+    *(Case(name, ("check", f"{file}.toml"), 65, says) for name, file, _, says in _OF_ROCKS),
+    *(
+        Case(name, ("check", f"{file}.toml"), 65, (f"populations.0.{key}", *says))
+        for name, file, (key, _), says in _OF_CRUSHING
+    ),
+    Case("weight of viscoelastic rocks", ("check", "viscous_fall.toml"), 65, ("impact.gravity", "kuwabara-kono")),
+    Case("viscoelastic rocks on a beam", ("check", "viscous_beam.toml"), 65, ("tail_beam: must be", "kuwabara-kono")),
     Case("weight of crushing rocks", ("check", "fallen.toml"), 65, ("impact.gravity", "left out", "hunt-crossley")),
     Case("crushing on a beam", ("check", "crushed_beam.toml"), 65, ("tail_beam: must be left out", "thornton")),
     Case("restitution 1.2", ("check", "high.toml"), 65, ("populations.1.restitution", "1.2")),

@@ -230,7 +230,10 @@ def check_covered(scene: Scene) -> None:
         ),
         (scene.mixes_laws, "one law of loss for all populations"),
         ("elastic" in scene.dissipations, "hunt-crossley dissipation: elastic pulses have no shape to be told"),
-        (scene.plastic, f"hunt-crossley dissipation: {', '.join(scene.plastic)} pulses are another family"),
+        (
+            foreign := [name for name in dict.fromkeys(scene.dissipations) if name not in ("elastic", "hunt-crossley")],
+            f"hunt-crossley dissipation: {', '.join(foreign)} pulses are another family",
+        ),
         (
             any(p.second_hit is not None or p.clipped_at is not None for p in scene.populations),
             "single hits that no sensor cuts off",

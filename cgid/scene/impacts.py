@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.coupled import ModalImpact
 from cgid.physics.laws import Dissipation
 from cgid.physics.materials import Material
@@ -24,7 +24,7 @@ from cgid.physics.modes import MeasuredModes, Modes
 from cgid.physics.response import Response
 from cgid.physics.sampled import SampledPulses
 from cgid.physics.tail_beam import TailBeam
-from cgid.scene.draws import PARTICLE, drawn_block
+from cgid.scene.draws import LUMP, PARTICLE, drawn_block
 from cgid.scene.extremes import unwarned, weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
@@ -225,8 +225,9 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
     material = Material(
         density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
     )
+    shape = {name: values[name][rows] for name in LUMP if name in values}
     return {
-        "sphere": Sphere(material=material, radius=asked["radius"]),
+        "sphere": Sphere(material=material, radius=asked["radius"], **shape),
         "velocity": asked["velocity"],
         "stiffness": scene.impact.stiffness,
         "dissipation": _dissipation(scene, values, rows),
@@ -245,6 +246,8 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
         return Thornton(yield_pressure=values[key][rows])
     if name == "walton-braun":
         return WaltonBraun(restitution=values[key][rows])
+    if name == "kuwabara-kono":
+        return Viscoelastic(restitution=values[key][rows])
     return HuntCrossley(restitution=values[key][rows], law=scene.impact.law)
 
 
