@@ -122,7 +122,9 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
     """Return the smallest and largest value of each quantity that is drawn per block."""
     if scene.randomise is None:
         return {}
-    units = {"sampling_rate": "Hz", "relative_noise": "1", "bandwidth": "Hz"}
+    from cgid.scene.draws import RANDOMISED_UNITS
+
+    units = {"sampling_rate": "Hz"} | RANDOMISED_UNITS
     return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
 
 
