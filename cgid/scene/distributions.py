@@ -385,41 +385,40 @@ _MEASURED = ("value", "values", "lowest", "highest", "mean", "deviation", "media
 
 def measured(dimension: str) -> BeforeValidator:
     """Return a validator that converts the units of a distribution to SI; a bare number becomes a constant."""
+    return BeforeValidator(partial(_in_si, dimension=dimension))
 
-    def read(content: Any) -> Any:
-        if not isinstance(content, dict):
-            return (
-                content if isinstance(content, BaseModel) else {"distribution": "constant", "value": _si("", content)}
-            )
-        problems: list[str] = []
-        numbers = dict(content)
-        for key in content.keys() & set(_MEASURED):
+
+def _in_si(content: Any, dimension: str) -> Any:
+    if isinstance(content, BaseModel):
+        return content
+    if not isinstance(content, dict):
+        return {"distribution": "constant", "value": _si("", content, dimension)}
+    problems: list[str] = []
+    numbers = dict(content)
+    for key in content.keys() & set(_MEASURED):
+        try:
+            numbers[key] = _si(f"{key} ", content[key], dimension)
+        except ValueError as error:
+            problems.append(str(error))
+    if isinstance(content.get("parts"), list):
+        numbers["parts"] = []
+        for number, part in enumerate(content["parts"]):
             try:
-                numbers[key] = _si(f"{key} ", content[key])
+                numbers["parts"].append(_in_si(part, dimension))
             except ValueError as error:
-                problems.append(str(error))
-        if isinstance(numbers.get("parts"), list | tuple):
-            numbers["parts"] = [_part(number, part, problems) for number, part in enumerate(numbers["parts"])]
-        if problems:
-            raise ValueError("; ".join(sorted(problems)))
-        return numbers
+                problems.append(f"parts.{number}: {error}")
+    if problems:
+        raise ValueError("; ".join(sorted(problems)))
+    return numbers
 
-    def _part(number: int, content: Any, problems: list[str]) -> Any:
-        try:
-            return read(content)
-        except ValueError as error:
-            problems.append(f"parts.{number}: {error}")
-            return content
 
-    def _si(key: str, value: Any) -> Any:
-        try:
-            if isinstance(value, list):
-                return tuple(parse(item, dimension) for item in value)
-            return parse(value, dimension)
-        except ValueError as error:
-            raise ValueError(f"{key}{error}") from None
-
-    return BeforeValidator(read)
+def _si(key: str, value: Any, dimension: str) -> Any:
+    try:
+        if isinstance(value, list):
+            return tuple(parse(item, dimension) for item in value)
+        return parse(value, dimension)
+    except ValueError as error:
+        raise ValueError(f"{key}{error}") from None
 
 
 Distribution = Annotated[
