@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal, stats
 
+from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
@@ -462,9 +463,17 @@ def test_white_noise_needs_no_transform(monkeypatch):
         noise_frames(drawn, 1, first=coloured * BLOCK)
 
 
-def test_the_plan_says_the_colour():
+def test_the_plan_says_the_colour(tmp_path, capsys):
     found = plan(noise_scene(noise_exponent=1.2)).decisions["noise"]
     assert found.why == "1/f^1.2, flat below 97.66 Hz; whole frames"
     found = plan(noise_scene(noise_spectrum=SPECTRUM), "features", features=["peak_force"])
     assert found.decisions["noise"].why == "of the spectrum given, flat below 97.66 Hz; whole frames"
     assert found.decisions["rest of the frames"].why == "coloured noise is made of whole frames"
+    (tmp_path / "pink.toml").write_text(
+        'name = "pink"\n[impact]\nstiffness = "hertz"\ndissipation = "elastic"\ntarget = "rigid"\n'
+        '[sampling]\nsampling_rate = "200 kHz"\nsamples = 2048\npre_trigger = 16\n'
+        "[sensor]\nrelative_noise = 0.1\nnoise_exponent = 1\n"
+        '[[taps]]\nlabel = "tap"\nshape = "square"\npeak_force = 1\ncontact_duration = "1 ms"\n'
+    )
+    assert run(["check", str(tmp_path / "pink.toml")]) == 0
+    assert "\nnoise: 1/f^1, flat below 97.66 Hz; whole frames\n" in capsys.readouterr().out
