@@ -24,6 +24,7 @@ from cgid.physics import HuntCrossley, ThinPlate
 from cgid.scene.draws import parameter_units
 from cgid.scene.extremes import largest_error, tolerance_of
 from cgid.scene.schema import Scene, samples_of
+from cgid.scene.sensor import CHUNK
 
 #: The possible outputs.
 OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
@@ -434,10 +435,14 @@ def _tail_beam(asked: Plan) -> Decision:
 
 def _sensor_chain(asked: Plan) -> Decision:
     sensor = asked.scene.sensor
-    if not sensor.filters:
+    drawn = asked.scene.draws("anti_alias_frequency")
+    if not sensor.filters and not drawn:
         return _OFF
     if not asked.sensed:
         return _NO_SENSOR
+    if drawn:
+        mounting = "" if sensor.mounting is None else f"mounting {sensor.mounting.frequency:g} Hz, "
+        return Decision(True, f"{mounting}anti-alias drawn for each block", RESPONSE_TOLERANCE)
     parts = {"mounting": sensor.mounting, "anti-alias": sensor.anti_alias}
     on = ", ".join(f"{name} {part.frequency:g} Hz" for name, part in parts.items() if part is not None)
     return Decision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
@@ -458,6 +463,11 @@ def _rest_of_frames(asked: Plan) -> Decision:
         return Decision(True, "what is heard of a blow through a beam or a filter rings on")
     if asked.scene.background is not None:
         return Decision(True, "a background may stand out anywhere")
+    if sensor.coloured:
+        return Decision(True, "coloured noise is made of whole frames")
+    drawn = [name for name in ("noise_exponent", "hum", "anti_alias_frequency") if asked.scene.draws(name)]
+    if drawn:
+        return Decision(True, f"for each block whose {' or '.join(drawn)} needs it")
     if sensor.relative_noise * FAINT > 1 and not asked.scene.draws("relative_noise"):
         return Decision(True, f"a pulse below {FAINT:g} times the noise is looked for in all the frame")
     return Decision(False, "no asked feature looks there; made for the signals where that is not certain")
@@ -477,17 +487,30 @@ def _noise(asked: Plan) -> Decision:
         return _NO_SENSOR
     if not asked.scene.sensor.noisy and not asked.scene.draws("relative_noise"):
         return _OFF
-    whole = _rest_of_frames(asked).runs
-    return Decision(True, "whole frames" if whole else "up to the last sample that a feature looks at")
+    whole = "whole frames" if _rest_of_frames(asked).runs else "up to the last sample that a feature looks at"
+    return Decision(True, f"{_colour(asked)}{whole}")
+
+
+def _colour(asked: Plan) -> str:
+    """Return what colours the noise, with the frequency below which it is flat."""
+    sensor, rate = asked.scene.sensor, asked.scene.extreme_rates[0]
+    if asked.scene.draws("noise_exponent"):
+        return "colour drawn for each block; "
+    if not sensor.coloured:
+        return ""
+    shape = f"1/f^{sensor.noise_exponent:g}" if sensor.noise_spectrum is None else "of the spectrum given"
+    least = "at least " if asked.scene.draws("sampling_rate") else ""
+    return f"{shape}, flat below {least}{rate / (asked.scene.sampling.samples or CHUNK):.4g} Hz; "
 
 
 def _background(asked: Plan) -> Decision:
-    section = asked.scene.background
-    if section is None:
+    section, drawn = asked.scene.background, asked.scene.draws("hum")
+    if section is None and not drawn:
         return _OFF
     if not asked.sensed:
         return _NO_SENSOR
-    on = [name for name in ("hum", "coloured", "recorded") if getattr(section, name)]
+    on = [name for name in ("hum", "coloured", "recorded") if section is not None and getattr(section, name)]
+    on += ["hum drawn for each block"] * drawn
     return Decision(True, f"{', '.join(on)}; always whole frames")
 
 
@@ -499,8 +522,11 @@ def _clipping(asked: Plan) -> Decision:
 
 def _digitising(asked: Plan) -> Decision:
     sensor = asked.scene.sensor
-    parts = {"offset": sensor.offset, "drift": sensor.drift, "range": sensor.range, "bits": sensor.bits}
+    names = ("offset", "drift", "range", "relative_range", "bits")
+    drawn = [name for name in names if asked.scene.draws(name)]
+    parts = {name: getattr(sensor, name) for name in names if name not in drawn}
     on = [f"{name} {value:g}" for name, value in parts.items() if value]
+    on += [f"{' and '.join(drawn)} drawn for each block"] if drawn else []
     if not on:
         return _OFF
     return Decision(True, ", ".join(on)) if asked.sensed else _NO_SENSOR

@@ -20,6 +20,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import parse_toml, read_regular
 from cgid.physics.bodies import Target
 from cgid.physics.tail_beam import TailBeam
+from cgid.scene.background import BackgroundSection, with_spectrum
 from cgid.scene.distributions import DISTRIBUTION_NAMES
 from cgid.scene.extremes import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
@@ -36,13 +37,15 @@ from cgid.scene.sections import (
     TargetSection,
     with_table,
 )
-from cgid.scene.sensor import BackgroundSection, Sensor
+from cgid.scene.sensor import CHUNK, Sensor
 from cgid.scene.stream_section import StreamSection
 from cgid.shipped import scene_path
 from cgid.validation import cut, shown, suggestion
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000
+#: Frequency of the mains where `randomise.hum_frequency` does not say it [Hz].
+HUM_FREQUENCY = 50.0
 #: Most mistakes in one report.
 _MOST_MISTAKES = 20
 
@@ -108,6 +111,10 @@ class Scene(Section):
         if self.impact.gravity is not None and self.tail_beam is not None:
             problems.append("impact.gravity: must be left out, an impact on a tail beam has no weight")
         problems += self._problems_of_band()
+        period = (self.sampling.samples or CHUNK) / self.extreme_rates[0]
+        drawn = () if self.randomise is None else tuple(self.randomise.laws)
+        problems += self.sensor.problems((1 / period, self.extreme_rates[-1] / 2), drawn)
+        problems += self._problems_of_hum()
         problems += self.sampling.frame_problems(self.stream is not None)
         if self.stream is not None:
             problems += self.stream.problems(self.populations, self.sensor, self.sampling.sampling_rate)
@@ -115,7 +122,9 @@ class Scene(Section):
                 if getattr(self, name):
                     problems.append(f"{name}: must be left out of a stream, one recording of rocks that fall")
         if self.background is not None:
-            problems += self.background.problems(self.sensor, self.extreme_rates[0])
+            problems += self.background.problems(
+                self.sensor.quantity, self.extreme_rates[0], is_stream=self.stream is not None
+            )
         if problems:
             raise ValueError("\n".join(problems))
         return self
@@ -183,6 +192,16 @@ class Scene(Section):
             "unlimited sensor"
             for name, limit in limits.items()
             if limit is not None and limit >= nyquist
+        ]
+
+    def _problems_of_hum(self) -> list[str]:
+        drawn = None if self.randomise is None else self.randomise.hum_frequency
+        highest = HUM_FREQUENCY if drawn is None else drawn.extremes[1]
+        if not self.draws("hum") or highest < self.extreme_rates[0] / 2:
+            return []
+        return [
+            f"randomise.hum_frequency: must be below half the sampling rate, {self.extreme_rates[0] / 2:g} Hz, it can "
+            f"be {highest:g} Hz; lower it, or raise the sampling rate"
         ]
 
     @cached_property
@@ -295,7 +314,7 @@ def load_scene(path: str | Path) -> Scene:
     except ValueError as error:  # also integers of thousands of digits
         raise BadData(f"{path}: a scene file must be valid TOML: {error}; correct it there") from None
     folder = Path(path).parent
-    return parse_scene(with_table(content, folder), source=str(path), folder=folder)
+    return parse_scene(with_spectrum(with_table(content, folder), folder), source=str(path), folder=folder)
 
 
 def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | None = None) -> Scene:
@@ -398,6 +417,9 @@ def _sections_in(annotation: Any) -> list[type[BaseModel]]:
 LEAST_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
 _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
+#: Settings of which one replaces the other, and what is drawn in place of which setting under another name.
+_INSTEAD = {"velocity": "drop_height", "drop_height": "velocity", "range": "relative_range", "relative_range": "range"}
+_DRAWN_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}
 _OF_ITS_OWN = ("label", "weight", "dissipation")
 
 
@@ -443,9 +465,8 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
         if not places:
             raise InvalidValue(f"{name} must be a setting of scene {scene.name}, which has none of this name to change")
         for place in places:
-            for other in {"velocity": ("drop_height",), "drop_height": ("velocity",)}.get(name, ()):
+            for other in (name, _INSTEAD.get(name, name)):
                 place.pop(other, None)
-            place.pop(name, None)
             if value is not None:
                 place[name] = value
     return parse_scene(content, source=f"variation of {scene.name}", folder=scene.folder)
@@ -454,8 +475,9 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
 def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
     """Return the sections of a scene that may have this key, and remove it from `randomise`."""
     randomise = content.get("randomise", {})
-    if name in RandomiseSection.model_fields and randomise.pop(name, None) is not None and not randomise:
-        del content["randomise"]
+    for drawn in (name, _DRAWN_AS.get(name, name)):
+        if drawn in RandomiseSection.model_fields and randomise.pop(drawn, None) is not None and not randomise:
+            del content["randomise"]
     if name in ("name", "description"):
         return [content]
     found = [content.setdefault(part, {}) for part, section in _SECTIONS.items() if name in section.model_fields]

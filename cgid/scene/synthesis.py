@@ -15,7 +15,7 @@ from cgid.measure.features import extract_array, extract_truncated, samples_need
 from cgid.scene.draws import BLOCK, drawn_block, parameter_units
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Blows, blows_of, impacts_by_coupling, impacts_of
-from cgid.scene.noise import HIGHEST_NOISE, add_noise, background_of
+from cgid.scene.noise import HIGHEST_NOISE, add_sensor_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import Sensor, clip
@@ -138,12 +138,12 @@ def make_beginnings(
         peak = np.abs(frames).max(axis=1).astype(np.float64)
     if asked.runs("noise"):
         level = sensor.noise_level(peak, rate)
-        add_noise(frames, level, seed, block)
+        add_sensor_noise(frames, level, blows.scene, seed, block)
         highest_behind += HIGHEST_NOISE * level
     background = background_of(blows.scene) if asked.runs("background") else None
     if background is not None:
         count("background_samples", frames.size)
-        frames += background.in_frames(seed, block, frames.shape[1]).astype(frames.dtype)
+        frames += background.in_frames(seed, block, frames.shape[1], peak).astype(frames.dtype)
     count("frames", n_signals)
     count("frame_samples", frames.size)
     if asked.runs("clipping"):
@@ -151,17 +151,17 @@ def make_beginnings(
         clip(frames, blows.parameters["clipped_at"] * peak)
     if asked.runs("offset, range and bits"):
         count("digitised_frames", n_signals)
-        sensor.digitise(frames, rate)
-        highest_behind += _digitised_by(sensor, rate, n_samples, sampling.samples)
+        sensor.digitise(frames, rate, peak)
+        highest_behind += _digitised_by(sensor, rate, peak, n_samples, sampling.samples)
     return frames, highest_behind
 
 
-def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: int) -> float:
+def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int, n_samples: int) -> Floats:
     """Return the largest increase of a sample, from a first one on, by offset, drift and rounding."""
-    drift, step = (sensor.drift or 0.0) / sampling_rate, 0.0
-    if sensor.range is not None and sensor.bits is not None:
-        step = sensor.range / 2**sensor.bits  # half of one
-    return (sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step
+    drift, step, full = (sensor.drift or 0.0) / sampling_rate, 0.0, sensor.full_scale(peak)
+    if full is not None and sensor.bits is not None:
+        step = full / 2**sensor.bits  # half of one
+    return np.asarray((sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step)
 
 
 # -- columns of a table -----------------------------------------------------------------------------------
