@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
+from cgid.ceiling.coloured import Frames, Noise, noise_of, profile_in, true_parameters
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Prior, Profile, profile
@@ -192,12 +193,13 @@ def ceilings(
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
     ]
     weights = np.log([population.weight for population in scene.populations])
+    noise = noise_of(scene)
     truth: list[NDArray[np.str_]] = []
     evidence: list[list[Floats]] = [[] for _ in known]
     for batch in _joined(synthesise(scene, n_signals, seed)):
         truth.append(batch.labels)
         log_speed = np.log(batch.parameters["velocity"])[:, None]
-        profiles = _profiles(scene, batch, known[0], n_nodes)
+        profiles = _profiles(scene, batch, noise, known[0], n_nodes)
         for held, knowledge in zip(evidence, known, strict=True):
             columns = [k.evidence(p, batch, log_speed) for k, p in zip(knowledge, profiles, strict=True)]
             held.append(np.stack(columns, axis=1) + weights)
@@ -316,38 +318,63 @@ def _one(held: list[Batch]) -> Batch:
     )
 
 
-def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
+def _profiles(scene: Scene, batch: Batch, noise: Noise, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
     """Return the likelihood along the shape for each population.
 
     The populations share it, unless the restitution of one hardly varies: then each has its own nodes.
     """
-    sensor, sampling = scene.sensor, scene.sampling
-    noise = sensor.noise_level(batch.parameters["peak_force"], batch.sampling_rate)
-    if sensor.bits is not None and sensor.range is not None:
-        noise = np.hypot(noise, sensor.range / 2 ** (sensor.bits - 1) / np.sqrt(12))
-    limit = None if sensor.range is None else np.full(len(batch), 0.999 * sensor.range)
-    response = None if sensor.bandwidth is None else low_pass_response(sampling.sampling_rate, sensor.bandwidth)
-    fit = PulseBatch(batch.signals, batch.sampling_rate, batch.pre_trigger, remove_baseline=False).fit
-    touch = float(sampling.pre_trigger)
     bounds = [k.prior.shape_bounds for k in knowledge]
     if min(high - low for low, high in bounds) > _NARROW:
         bounds = [(min(low for low, _ in bounds), max(high for _, high in bounds))] * len(bounds)
-    found = {
-        (low, high): profile(
-            batch.signals,
-            fit,
-            noise,
-            lowest=low,
-            highest=high,
-            n_nodes=n_nodes,
-            onset=np.full(len(batch), touch) if sampling.jitter == 0 else None,
-            onset_between=None if sampling.jitter == 0 else (touch, touch + sampling.jitter),
-            clip_level=limit,
-            response=response,
-        )
-        for low, high in set(bounds)
-    }
+    along = _along_in_white if noise.white else _along_in_coloured
+    found = {(low, high): along(scene, batch, noise, low, high, n_nodes) for low, high in set(bounds)}
     return [found[bound] for bound in bounds]
+
+
+def _touch(scene: Scene, n: int) -> tuple[Floats | None, tuple[float, float] | None, Floats | None]:
+    """Return the onsets if known, their bounds if not [samples], and the response of the sensor."""
+    sampling, bandwidth = scene.sampling, scene.sensor.bandwidth
+    touch = float(sampling.pre_trigger)
+    response = None if bandwidth is None else low_pass_response(sampling.sampling_rate, bandwidth)
+    if sampling.jitter == 0:
+        return np.full(n, touch), None, response
+    return None, (touch, touch + sampling.jitter), response
+
+
+def _along_in_white(
+    scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int
+) -> Profile:
+    onset, onset_between, response = _touch(scene, len(batch))
+    limit = None if scene.sensor.range is None else np.full(len(batch), 0.999 * scene.sensor.range)
+    return profile(
+        batch.signals,
+        PulseBatch(batch.signals, batch.sampling_rate, batch.pre_trigger, remove_baseline=False).fit,
+        noise.level(batch.parameters["peak_force"]),
+        lowest=lowest,
+        highest=highest,
+        n_nodes=n_nodes,
+        onset=onset,
+        onset_between=onset_between,
+        clip_level=limit,
+        response=response,
+    )
+
+
+def _along_in_coloured(
+    scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int
+) -> Profile:
+    onset, onset_between, response = _touch(scene, len(batch))
+    values, rate = batch.parameters, batch.sampling_rate
+    frames = Frames(
+        batch.signals, values["peak_force"], noise, float(scene.sampling.pre_trigger), onset, response
+    )
+    # The search for the most likely pulse begins at the true one; where it ends does not depend on that.
+    near = true_parameters(
+        values["peak_force"], values["contact_duration"] * rate, values["onset"] * rate, values["restitution"]
+    )
+    return profile_in(
+        frames, near, lowest=lowest, highest=highest, n_nodes=n_nodes, onset_between=onset_between
+    )
 
 
 def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: Floats) -> Ceiling:
