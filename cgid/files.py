@@ -355,6 +355,24 @@ def read_regular(path: str | Path, what: str, largest: int, cure: str = "check t
         raise NoInput(f"{path}: {what} cannot be read ({reason}); {cure}") from None
 
 
+def read_cells(path: str | Path, what: str, largest: int) -> list[tuple[int, list[str]]]:
+    """Return the numbered lines of a UTF-8 file of comma-separated values as cells.
+
+    Empty lines and lines that begin with # are left out. Raises as `read_regular`, `BadData` also for other text.
+    """
+    import csv
+
+    try:
+        text = read_regular(path, what, largest).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadData(f"{path}: {what} must be UTF-8 text; save it as CSV in UTF-8") from None
+    return [
+        (number, [cell.strip() for cell in next(csv.reader([line], skipinitialspace=True))])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip(" ,\t") and not line.lstrip().startswith("#")
+    ]
+
+
 def parse_toml(text: str, most_keys: int) -> dict[str, Any]:
     """Parse TOML; raise `ValueError` if it is invalid or has too many keys or levels."""
     import tomllib

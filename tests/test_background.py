@@ -14,6 +14,7 @@ from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.noise import CHUNK, background_of, reference_peak
 from cgid.scene.stream import record
+from tests.plan_scenes import PANEL, beam_of
 from tests.test_stream import RATE, population
 from tests.test_stream import content as stream_content
 
@@ -40,7 +41,7 @@ def recorded(background, seed=0, number=0):
 
 
 def in_frames(background, samples=4096, block=0, seed=0):
-    return background_of(frames(background)).in_frames(seed, block, samples)
+    return background_of(frames(background)).in_frames(seed, block, samples, np.ones(BLOCK))
 
 
 # ---- hum -------------------------------------------------------------------------------------------------------------
@@ -69,6 +70,24 @@ def test_hum_has_another_phase_in_every_frame_and_recording():
     assert abs(np.mean(lines / 3)) < 4 / np.sqrt(BLOCK)
     phases = [np.angle(lines_of(recorded(asked, 0, number)[: int(RATE)])[100]) for number in range(3)]
     assert np.unique(np.round(phases, 6)).size == 3
+
+
+def test_hum_relative_to_the_peak_has_the_share_of_each_peak():
+    asked = {"hum": [{"frequency": "50 Hz", "relative_amplitude": "2 %"}, {"frequency": 150, "amplitude": 3.0}]}
+    scene, silent = frames(asked, samples=int(RATE) // 2), frames(None, samples=int(RATE) // 2)
+    (hum,), (without,) = synthesise(scene, 64, dtype="float64"), synthesise(silent, 64, dtype="float64")
+    lines = np.abs(np.fft.rfft(hum.signals - without.signals)) / (RATE / 4)
+    np.testing.assert_allclose(lines[:, 25], 0.02 * without.parameters["peak_force"], rtol=1e-6)
+    np.testing.assert_allclose(lines[:, 75], 3.0, rtol=1e-6)
+
+
+def test_hum_relative_to_the_peak_of_a_motion_is_of_its_largest_sample():
+    hum = {"hum": [{"frequency": "60 Hz", "relative_amplitude": 0.1}]}
+    scene = beam_of(PANEL, {"quantity": "acceleration"})
+    (with_hum,) = synthesise(parse_scene({**json.loads(scene.text), "background": hum}), 16, dtype="float64")
+    (without,) = synthesise(scene, 16, dtype="float64")
+    largest = np.abs(with_hum.signals - without.signals).max(axis=1) / np.abs(without.signals).max(axis=1)
+    np.testing.assert_allclose(largest, 0.1, rtol=1e-3)
 
 
 # ---- coloured noise --------------------------------------------------------------------------------------------------
@@ -237,7 +256,13 @@ def test_the_same_address_gives_the_same_numbers():
         ({"hum": [{"frequency": 50, "amplitude": -1}]}, "background.hum.0.amplitude", "above 0"),
         ({"hum": [{"frequency": 50, "amplitude": "1 g"}]}, "background.hum.0.amplitude", "force"),
         ({"hum": [{"frequency": 50, "amplitude": True}]}, "background.hum.0.amplitude", "number or a string"),
-        ({"hum": [{"frequency": 50}]}, "background.hum.0.amplitude", "missing"),
+        ({"hum": [{"frequency": 50}]}, "background.hum.0", "either amplitude or relative_amplitude"),
+        ({"hum": [{"frequency": 50, "amplitude": 1, "relative_amplitude": 1}]}, "background.hum.0", "not both"),
+        (
+            {"hum": [{"frequency": 50, "relative_amplitude": 0}]},
+            "background.hum.0.relative_amplitude",
+            "greater than 0, got 0",
+        ),
         ({"coloured": {"frequencies": [10, 5], "density": [1, 1]}}, "background.coloured", "ascend"),
         ({"coloured": {"frequencies": [5, 10], "density": [1]}}, "background.coloured", "as many numbers"),
         ({"coloured": {"frequencies": [5, 10], "density": [1, 0]}}, "background.coloured.density", "above 0"),
@@ -262,3 +287,9 @@ def test_one_mistake_is_one_line_with_its_path(asked, path, says):
         frames(asked)
     (line,) = str(caught.value).splitlines()
     assert line.startswith(f"scene: {path}: ") and says in line
+
+
+def test_a_stream_has_no_peak_that_its_hum_is_relative_to():
+    asked = {"hum": [{"frequency": 50, "relative_amplitude": 0.1}]}
+    with pytest.raises(BadData, match=r"^scene: background\.hum\.0\.relative_amplitude: must be left out of a stream"):
+        parse_scene(stream_content(background=asked))

@@ -1,4 +1,7 @@
-"""White noise by address: its numbers, its statistics, and that they do not depend on what is asked for."""
+"""Noise by address: its numbers, its statistics, and that they do not depend on what is asked for.
+
+White noise, and noise of a sensor coloured by an exponent or a spectrum.
+"""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -7,12 +10,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import signal, stats
 
-from cgid.errors import InvalidValue
+from cgid.errors import BadData, InvalidValue
+from cgid.scene import load_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
 from cgid.scene.draws import BLOCK, NOISE, TAPS
-from cgid.scene.noise import MOST_SAMPLES, add_noise
+from cgid.scene.noise import CHUNK, MOST_SAMPLES, add_noise
+from cgid.scene.plan import plan
+from cgid.scene.schema import Scene
+from cgid.scene.stream import record
+from tests.plan_scenes import scene_of
+from tests.test_stream import RATE as STREAM_RATE
+from tests.test_stream import content as stream_content
 
 #: Numbers of the statistical tests; what their mean is off by is about 1 / sqrt(MANY).
 MANY = 1 << 23
@@ -229,3 +239,212 @@ def test_out_of_range(options, says):
     with pytest.raises(InvalidValue) as caught:
         noise(10, **options)
     assert says in str(caught.value)
+
+
+# ---- the colour of a sensor's noise ----------------------------------------------------------------------------------
+
+RATE, SAMPLES = 200e3, 2048
+#: Falls and rises; from below one period of the frame to half its sampling rate.
+SPECTRUM = {"frequencies": [40, 2e3, 20e3, 100e3], "density": ["3 kN/sqrt(Hz)", 3000, 100, 400]}
+
+
+def noise_scene(**sensor) -> Scene:
+    """Return a scene whose frames hold hardly more than noise of 2 N."""
+    faint = {"label": "tap", "shape": "half-sine", "peak_force": 1e-6, "contact_duration": "0.1 ms"}
+    return scene_of(populations=[], taps=[faint], sensor={"absolute_noise": 2.0, **sensor})
+
+
+def noise_frames(scene, n_signals=2048, seed=0, **options):
+    return np.concatenate([batch.signals for batch in synthesise(scene, n_signals, seed, **options)])
+
+
+def welch(frames, rate=RATE, length=SAMPLES):
+    frequency, density = signal.welch(frames, rate, "hann", length, detrend=False)
+    return frequency, density.mean(axis=0) if density.ndim > 1 else density
+
+
+@pytest.mark.parametrize("exponent", [-1.0, -0.5, 0.5, 1.0, 1.5, 2.0])
+def test_noise_has_the_slope_and_the_level_of_its_exponent(exponent):
+    frames = noise_frames(noise_scene(noise_exponent=exponent), dtype="float64")
+    assert np.sqrt(np.mean(frames**2)) == pytest.approx(2.0, rel=0.01)
+    frequency, density = welch(frames)
+    inside = (frequency > 8 * RATE / SAMPLES) & (frequency < 0.9 * RATE / 2)
+    places = np.log(frequency[inside])
+    slope = np.polyfit(places, np.log(density[inside]), 1)[0]
+    assert slope == pytest.approx(-exponent, abs=0.01)
+    # By octaves: no step anywhere.
+    line = np.polyval(np.polyfit(places, np.log(density[inside]), 1), places)
+    octave = ((places - places[0]) / np.log(2)).astype(int)
+    assert max(abs(np.mean((np.log(density[inside]) - line)[octave == k])) for k in range(octave[-1])) < 0.03
+
+
+@pytest.mark.parametrize("samples", [1000, 2048])
+def test_noise_is_flat_below_one_period_of_the_frame(samples):
+    sampling = {"sampling_rate": RATE, "samples": samples, "pre_trigger": 128}
+    scene = noise_scene(noise_exponent=1.0)
+    frames = noise_frames(Scene.model_validate({**scene.model_dump(exclude_none=True), "sampling": sampling}), 4096)
+    # The mean of a frame is what lies below its period. In theory, by fine lines of the density:
+    lines = (np.arange(2**20) + 0.5) / 2**20 * RATE / 2
+    density = 1 / np.maximum(lines, RATE / samples)
+    density *= 4.0 / density.sum()
+    theory = np.sum(density * np.sinc(lines * samples / RATE) ** 2)
+    assert np.var(frames.mean(axis=1)) == pytest.approx(theory, rel=0.1)
+    # The ends of a frame are no neighbours.
+    assert abs(np.mean(frames[:, 0] * frames[:, -1])) < 0.25 * np.mean(frames[:, 0] * frames[:, 1])
+
+
+def test_noise_has_the_shape_of_its_spectrum_and_the_stated_level():
+    frames = noise_frames(noise_scene(noise_spectrum=SPECTRUM))
+    assert np.sqrt(np.mean(frames**2)) == pytest.approx(2.0, rel=0.01)
+    frequency, density = welch(frames)
+    shape = np.exp(
+        2 * np.interp(np.log(np.maximum(frequency, 1)), np.log(SPECTRUM["frequencies"]), np.log([3e3, 3e3, 100, 400]))
+    )
+    inside = (frequency > 4 * RATE / SAMPLES) & (frequency < 0.95 * RATE / 2)
+    ratio = (density / shape)[inside]
+    assert np.abs(ratio / np.median(ratio) - 1).max() < 0.1
+    twice = {**SPECTRUM, "density": [6000, 6000, 200, 800]}  # the shape alone counts
+    np.testing.assert_allclose(noise_frames(noise_scene(noise_spectrum=twice), 300), frames[:300], atol=1e-6)
+
+
+def test_coloured_noise_is_relative_to_each_peak():
+    scene = scene_of(sensor={"relative_noise": 0.05, "noise_exponent": 1.0})
+    silent = scene_of(sensor={})
+    noise = noise_frames(scene, 1024, dtype="float64") - noise_frames(silent, 1024, dtype="float64")
+    peak = np.concatenate([batch.parameters["peak_force"] for batch in synthesise(silent, 1024)])
+    standard = noise / peak[:, None]
+    assert np.sqrt(np.mean(standard**2)) == pytest.approx(0.05, rel=0.01)
+    of_each = np.sqrt(np.mean(standard**2, axis=1))
+    assert abs(np.corrcoef(of_each, np.log(peak))[0, 1]) < 0.1
+    assert stats.kurtosis(standard[:, ::64].ravel()) == pytest.approx(0, abs=0.1)
+
+
+def test_coloured_noise_does_not_depend_on_how_signals_are_split():
+    scene = scene_of(sensor={"relative_noise": 0.05, "noise_exponent": 1.3})
+    whole = noise_frames(scene, 700, 3)
+    np.testing.assert_array_equal(noise_frames(scene, 300, 3, first=200), whole[200:500])
+    np.testing.assert_array_equal(noise_frames(scene, 1, 3, first=699), whole[699:])
+
+
+def test_coloured_noise_of_blocks_and_seeds_is_independent():
+    scene = noise_scene(noise_exponent=1.0)
+    frames = np.concatenate([noise_frames(scene, 512, seed) for seed in (0, 1)])
+    # Rows of the same place in a block of another number, seed; neighbours; white and coloured noise of one address.
+    groups = frames.reshape(4, 256, SAMPLES)
+    white = noise_frames(noise_scene(), 256)
+    lines = 20  # (sum p)^2 / sum p^2 of the powers p of pink noise: independent numbers in a row
+    pairs = [(groups[0], groups[1]), (groups[0], groups[2]), (groups[1], groups[3]), (groups[0], white)]
+    pairs.append((frames[:-1], frames[1:]))
+    for one, other in pairs:
+        found = np.mean(one * other) / np.sqrt(np.mean(one**2) * np.mean(other**2))
+        assert abs(found) < 5 / np.sqrt(len(one) * lines)
+
+
+def test_an_exponent_of_0_is_white_noise_to_the_last_bit():
+    asked = noise_scene(noise_exponent=0.0)
+    np.testing.assert_array_equal(noise_frames(asked, 300), noise_frames(noise_scene(), 300))
+
+
+def quiet_stream(**sensor):
+    silent = {"arrivals": {"times": ["39 s"]}, "duration": "40 s"}
+    return Scene.model_validate(stream_content(sensor={"absolute_noise": 3.0, **sensor}, **silent))
+
+
+@pytest.mark.parametrize("sensor", [{"noise_exponent": 1.5}, {"noise_exponent": -1.0}])
+def test_coloured_noise_of_a_recording_has_no_seams(sensor):
+    samples = record(quiet_stream(**sensor), dtype="float64")[0].samples[: int(38 * STREAM_RATE)]
+    assert np.std(samples) == pytest.approx(3.0, rel=0.03)
+    frequency, density = welch(samples, STREAM_RATE, 4096)
+    inside = (frequency > 8 * STREAM_RATE / 4096) & (frequency < 0.4 * STREAM_RATE)
+    slope = np.polyfit(np.log(frequency[inside]), np.log(density[inside]), 1)[0]
+    assert slope == pytest.approx(-sensor["noise_exponent"], abs=0.03)
+    # A seam would be a step between two neighbours at the borders of the chunks.
+    steps = np.diff(samples)
+    borders = steps[np.arange(1, samples.size // CHUNK + 1) * CHUNK - 1]
+    assert np.abs(borders).max() < 4 * np.std(steps)
+    # In the middle of a chunk, two segments share the power.
+    quarters = samples[: samples.size // CHUNK * CHUNK].reshape(-1, 16, CHUNK // 16)
+    rough = np.diff(quarters).std(axis=(0, 2))
+    assert rough == pytest.approx(np.full(16, rough.mean()), rel=0.05)
+
+
+def test_a_spectrum_from_a_file_is_the_same_scene(tmp_path):
+    rows = zip(SPECTRUM["frequencies"], (3000, 3000, 100, 400), strict=True)
+    table = "# of the empty rig\ndensity [V/sqrt(Hz)], frequency [Hz]\n" + "".join(f"{d},{f}\n" for f, d in rows)
+    (tmp_path / "hiss.csv").write_text(table)
+    text = (
+        'name = "hiss"\n[impact]\nstiffness = "hertz"\ndissipation = "elastic"\ntarget = "rigid"\n'
+        '[sampling]\nsampling_rate = "200 kHz"\nsamples = 4096\npre_trigger = 16\n'
+        '[sensor]\nrelative_noise = 0.1\nnoise_spectrum = "hiss.csv"\n'
+        '[[taps]]\nlabel = "tap"\nshape = "square"\npeak_force = 1\ncontact_duration = "1 ms"\n'
+    )
+    (tmp_path / "hiss.toml").write_text(text)
+    from_file = load_scene(tmp_path / "hiss.toml")
+    assert from_file.sensor.noise_spectrum.frequencies == (40, 2e3, 20e3, 100e3)
+    inline = "{ frequencies = [40, 2e3, 20e3, 100e3], density = [3e3, 3e3, 100.0, 400.0] }"
+    (tmp_path / "inline.toml").write_text(text.replace('"hiss.csv"', inline))
+    assert load_scene(tmp_path / "inline.toml").sha256 == from_file.sha256
+    (tmp_path / "hiss.csv").unlink()  # the scene holds its numbers
+    assert noise_frames(from_file, 2).std() > 0
+
+
+@pytest.mark.parametrize(
+    ("sensor", "path", "says"),
+    [
+        ({"noise_exponent": 2.5}, "sensor.noise_exponent", "less than or equal to 2, got 2.5"),
+        ({"noise_exponent": -1.5}, "sensor.noise_exponent", "greater than or equal to -1, got -1.5"),
+        ({"noise_exponent": math.nan}, "sensor.noise_exponent", "finite number"),
+        ({"noise_exponent": 1, "absolute_noise": 0}, "sensor.noise_exponent", "come with relative_noise or absolute"),
+        ({"noise_exponent": 1, "noise_density": 1}, "sensor.noise_density", "give the standard deviation"),
+        ({"noise_exponent": 1, "noise_spectrum": SPECTRUM}, "sensor.noise_spectrum", "left out with noise_exponent"),
+        (
+            {"noise_spectrum": {"frequencies": [50, 9e3], "density": [1, 1]}},
+            "sensor.noise_spectrum.frequencies",
+            "from one period of the signals, 97.6562 Hz, to half the sampling rate, 100000 Hz, got 50 to 9000 Hz; ",
+        ),
+        (
+            {"noise_spectrum": {"frequencies": [200, 1e5], "density": [1, 1]}},
+            "sensor.noise_spectrum.frequencies",
+            "got 200 to 100000 Hz; measure the rest, or add rows",
+        ),
+        (
+            {"noise_spectrum": {"frequencies": [50, 40, 1e5], "density": [1, 1, 1]}},
+            "sensor.noise_spectrum",
+            "frequencies must ascend, got 40 Hz after 50 Hz",
+        ),
+        (
+            {"noise_spectrum": {"frequencies": [50, 1e5], "density": [1, 0]}},
+            "sensor.noise_spectrum.density",
+            "above 0, within 1e-100 and 1e+15 N, got 0",
+        ),
+        (
+            {"noise_spectrum": {"frequencies": [50, 1e5], "density": [1, math.nan]}},
+            "sensor.noise_spectrum.density",
+            "finite",
+        ),
+        (
+            {"noise_spectrum": {"frequencies": [50, math.nan], "density": [1, 1]}},
+            "sensor.noise_spectrum.frequencies.1",
+            "finite",
+        ),
+        (
+            {"noise_spectrum": {"frequencies": [50, 1e5], "density": ["1 g/sqrt(Hz)", 1]}},
+            "sensor.noise_spectrum.density",
+            "force noise density",
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_colour_that_is_none_is_one_line_with_its_path(sensor, path, says):
+    with pytest.raises(BadData) as caught:
+        noise_scene(**sensor)
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith(f"scene: {path}: ") and says in line
+
+
+def test_the_plan_says_the_colour():
+    found = plan(noise_scene(noise_exponent=1.2)).decisions["noise"]
+    assert found.why == "1/f^1.2, flat below 97.66 Hz; whole frames"
+    found = plan(noise_scene(noise_spectrum=SPECTRUM), "features", features=["peak_force"])
+    assert found.decisions["noise"].why == "of the spectrum given, flat below 97.66 Hz; whole frames"
+    assert found.decisions["rest of the frames"].why == "coloured noise is made of whole frames"

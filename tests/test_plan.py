@@ -264,7 +264,7 @@ WORKERS = {
     "taps": [(TapPulses, "add_to_frames")],
     "tail beam": [(BeamModes, "participation")],
     "bandwidth": [(Sensor, "limit_band")],
-    "noise": [(synthesis, "add_noise")],
+    "noise": [(synthesis, "add_sensor_noise")],
     "background": [(synthesis, "background_of")],
     "clipping": [(synthesis, "clip")],
     "offset, range and bits": [(Sensor, "digitise")],

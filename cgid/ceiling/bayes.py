@@ -221,6 +221,7 @@ def check_covered(scene: Scene) -> None:
             scene.background is not None or bool(scene.sensor.offset) or bool(scene.sensor.drift),
             "white noise alone, without background, offset and drift",
         ),
+        (scene.sensor.coloured, "white noise: take noise_exponent or noise_spectrum out"),
         (scene.impact.gravity is not None, "impacts without gravity, which the family leaves out"),
         (scene.taps, "a scene of impacts alone, this one has taps"),
         (scene.randomise is not None, "a scene without [randomise]: vary it setting by setting"),

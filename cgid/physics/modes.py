@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.files import read_regular
+from cgid.files import read_cells
 from cgid.physics.plates import Shapes
 from cgid.validation import Floats
 
@@ -188,18 +187,10 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
     >>> modes.participation().round(6).tolist()
     [0.001714, -0.001167]
     """
-    try:
-        text = read_regular(path, "the table of modes", _LARGEST_FILE).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise BadData(f"{path}: a table of modes must be UTF-8 text; save it as CSV in UTF-8") from None
-    lines = [
-        (number, next(csv.reader([line], skipinitialspace=True)))
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip(" ,\t") and not line.lstrip().startswith("#")
-    ]
+    lines = read_cells(path, "the table of modes", _LARGEST_FILE)
     if len(lines) < 2:
         raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
-    places = _places(path, [title.strip() for title in lines[0][1]])
+    places = _places(path, lines[0][1])
     rows = [_row(f"{path}, line {number}", cells, places) for number, cells in lines[1:]]
     for (number, _), before, row in zip(lines[2:], rows[:-1], rows[1:], strict=True):
         if row["frequency"] < before["frequency"]:
@@ -227,7 +218,7 @@ def _row(place: str, cells: list[str], places: dict[str, int]) -> dict[str, floa
     """Return the numbers of one mode, or raise `BadData` that names the place."""
     row = {}
     for name, index in places.items():
-        cell = cells[index].strip() if index < len(cells) else ""
+        cell = cells[index] if index < len(cells) else ""
         try:
             row[name] = float(cell)
         except ValueError:

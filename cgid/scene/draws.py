@@ -24,7 +24,7 @@ from cgid.validation import Floats
 BLOCK = 256
 #: Purposes of random numbers; a new purpose gets a new number.
 PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
-IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED = 16, 17, 18, 19, 20
+IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE = 16, 17, 18, 19, 20, 21
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
 #: The columns of a rock's numbers, in order. Quantities of which a population has only one share a number.

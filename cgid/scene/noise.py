@@ -1,6 +1,6 @@
 """Addressed noise: each sample of each signal has its own noise, however the signal is split.
 
-White noise of the sensor, and the background of a scene: hum, coloured noise, a recording.
+White or coloured noise of the sensor, and the background of a scene: hum, coloured noise, a recording.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from cgid.elementary import cos, power, sin
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings import read_recording
 from cgid.scene._noise import LANES, TILE, add_normal
-from cgid.scene.draws import BLOCK, COLOURED, HUM, NOISE, RECORDED, require_seed, uniforms
+from cgid.scene.background import BackgroundSection, ColouredNoise
+from cgid.scene.draws import BLOCK, COLOURED, COLOURED_NOISE, HUM, NOISE, RECORDED, require_seed, uniforms
 from cgid.scene.impacts import Blows, blows_of
 from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene
-from cgid.scene.sensor import BackgroundSection
+from cgid.scene.sensor import CHUNK, Sensor
 from cgid.validation import Floats
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
@@ -68,8 +69,6 @@ def add_noise(
     add_normal(frames, np.asarray(level, frames.dtype), first_sample, *words)
 
 
-#: Samples of a recording that share one address.
-CHUNK = 1 << 16
 #: Largest denominator of the ratio of two sampling rates.
 _LARGEST_TERM = 10_000
 #: Half width of the resampling filter in periods of the lower rate, and beta of its Kaiser window.
@@ -78,6 +77,98 @@ _HALF_PERIODS, _KAISER = 10, 5.0
 _REFERENCE_BLOCKS = 4
 #: A blow has passed its peak within this many samples.
 _REFERENCE_SAMPLES = 2048
+
+
+@dataclass(frozen=True)
+class Coloured:
+    """Noise of a given spectrum at one sampling rate: a background's, or a sensor's of standard deviation 1."""
+
+    of: ColouredNoise | Sensor
+    quantity: str  # of the sensor
+    sampling_rate: float  # [Hz]
+    purpose: int  # of its numbers
+
+    def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
+        """Return noise of its own for each frame of one block, (`BLOCK`, n_samples)."""
+        # A period of at least twice the frame, so that the ends of the frame are independent.
+        length = 1 << (2 * n_samples - 1).bit_length()
+        density = _density(self.of, self.quantity, self.sampling_rate, length, n_samples)
+        return self._rows(density, seed, block, 0, BLOCK)[:, :n_samples]
+
+    def in_recording(self, seed: int, recording: int, chunk: int) -> Floats:
+        """Return the noise of one chunk of a recording, (`CHUNK`,)."""
+        return _segment(self, seed, recording, chunk)[CHUNK:] + _segment(self, seed, recording, chunk + 1)[:CHUNK]
+
+    def segment(self, seed: int, recording: int, number: int) -> Floats:
+        """Return one segment of a recording, (2 `CHUNK`,).
+
+        Each spans two chunks, so two overlap in every chunk. They are faded by a sine, whose squares add up to 1, which
+        keeps the power constant.
+        """
+        fade = sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
+        density = _density(self.of, self.quantity, self.sampling_rate, 2 * CHUNK, CHUNK)
+        return np.asarray(fade * self._rows(density, seed, recording, number, 1)[0])
+
+    def _rows(self, density: Floats, seed: int, block: int, number: int, rows: int) -> Floats:
+        """Return periodic Gaussian noise of the density at its lines, (rows, length); the length is a power of 2."""
+        from cgid.scene._fourier import from_spectrum
+
+        length = 2 * (density.size - 1)
+        parts = np.zeros((rows, 2 * density.size))
+        add_noise(parts, np.ones(rows), seed, block, first_sample=number * parts.shape[1], purpose=self.purpose)
+        # The expected periodogram 2 |X|^2 / (rate n) is then the density. The lines at 0 Hz, half as wide as others,
+        # and at half the rate are real and count once.
+        height = np.sqrt(density * self.sampling_rate * length / 4)
+        height[0] *= np.sqrt(2.0)
+        height[-1] *= 2.0
+        return np.asarray(from_spectrum(parts[:, : height.size] * height, parts[:, height.size :] * height, length))
+
+
+@lru_cache(maxsize=4)
+def _density(of: ColouredNoise | Sensor, quantity: str, sampling_rate: float, length: int, n_samples: int) -> Floats:
+    """Return the power density at the lines of rows of a length, [unit^2/Hz].
+
+    That of a sensor is flat below one period of n_samples, down to 0 Hz, and adds up to 1.
+    """
+    frequency = np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)
+    if isinstance(of, ColouredNoise):
+        return of.at(frequency, quantity)
+    lowest = sampling_rate / n_samples
+    frequency = np.maximum(frequency, lowest)
+    if of.noise_spectrum is None:
+        assert of.noise_exponent is not None
+        density = power(frequency / lowest, -of.noise_exponent)
+    else:
+        known = of.noise_spectrum.frequencies
+        density = of.noise_spectrum.at(np.clip(frequency, known[0], known[-1]), quantity)
+    return np.asarray(density / ((density[0] / 2 + density[1:].sum()) * (sampling_rate / length)))
+
+
+@lru_cache(maxsize=4)
+def _segment(coloured: Coloured, seed: int, recording: int, number: int) -> Floats:
+    return coloured.segment(seed, recording, number)
+
+
+def colour_of(scene: Scene) -> Coloured | None:
+    """Return the noise of a scene's sensor with a standard deviation of 1; None if it is white."""
+    sensor = scene.sensor
+    if not sensor.coloured:
+        return None
+    return Coloured(sensor, sensor.quantity, scene.sampling.sampling_rate, COLOURED_NOISE)
+
+
+def add_sensor_noise(frames: NDArray[Any], level: Floats, scene: Scene, seed: int, block: int) -> None:
+    """Add the noise of a scene's sensor, of standard deviation `level` (n,), to the frames of one block, in place.
+
+    frames are (n, n_samples), all of the frame or its first samples.
+    """
+    colour = colour_of(scene)
+    if colour is None:
+        add_noise(frames, level, seed, block)
+        return
+    count("noise_samples", frames.size)
+    unit = colour.in_frames(seed, block, scene.sampling.samples)[: len(frames), : frames.shape[1]]
+    frames += (level[:, None] * unit).astype(frames.dtype)
 
 
 @dataclass(frozen=True)
@@ -90,17 +181,15 @@ class Background:
     recorded: Floats | None  # the recording at this rate, with mean 0 and root mean square 1
     recorded_level: float = 0.0  # its factor
 
-    def in_frames(self, seed: int, block: int, n_samples: int) -> Floats:
-        """Return a separate background for each frame of one block, (`BLOCK`, n_samples)."""
+    def in_frames(self, seed: int, block: int, n_samples: int, peak: Floats) -> Floats:
+        """Return a separate background for each frame of one block, whose peaks are these, (`BLOCK`, n_samples)."""
         out = np.zeros((BLOCK, n_samples))
         numbers = uniforms(seed, block, len(self.section.hum), HUM) if self.section.hum else ()
-        for line, amplitude, phases in zip(self.section.hum, self._amplitudes, numbers, strict=True):
+        for line, phases in zip(self.section.hum, numbers, strict=True):
             turns = line.frequency * np.arange(n_samples) / self.sampling_rate
-            out += amplitude * _wave(turns + phases[:, None])
-        if self.section.coloured is not None:
-            # A period of at least twice the frame, so that the ends of the frame are independent.
-            length = 1 << (2 * n_samples - 1).bit_length()
-            out += self._coloured(seed, block, 0, BLOCK, length)[:, :n_samples]
+            out += line.amplitude_in(self.quantity, peak[:, None]) * _wave(turns + phases[:, None])
+        if self._coloured is not None:
+            out += self._coloured.in_frames(seed, block, n_samples)
         if self.recorded is not None:
             starts = (uniforms(seed, block, 1, RECORDED)[0] * self.recorded.size).astype(np.intp)
             out += self.recorded_level * self.recorded[(starts[:, None] + np.arange(n_samples)) % self.recorded.size]
@@ -111,10 +200,11 @@ class Background:
         samples = chunk * CHUNK + np.arange(CHUNK)
         out = np.zeros(CHUNK)
         numbers = uniforms(seed, 0, len(self.section.hum), HUM, recording)[:, 0] if self.section.hum else ()
-        for line, amplitude, phase in zip(self.section.hum, self._amplitudes, numbers, strict=True):
+        for line, phase in zip(self.section.hum, numbers, strict=True):
+            amplitude = line.amplitude_in(self.quantity, 0.0)
             out += amplitude * _wave(line.frequency * (samples / self.sampling_rate) + phase)
-        if self.section.coloured is not None:
-            out += self._segment(seed, recording, chunk)[CHUNK:] + self._segment(seed, recording, chunk + 1)[:CHUNK]
+        if self._coloured is not None:
+            out += self._coloured.in_recording(seed, recording, chunk)
         if self.recorded is not None:
             start = int(uniforms(seed, 0, 1, RECORDED, recording)[0, 0] * self.recorded.size)
             out += self.recorded_level * self.recorded[(start + samples) % self.recorded.size]
@@ -125,47 +215,15 @@ class Background:
         """Root mean square of the whole background, in SI units."""
         return float(np.sqrt(self.section.known_power(self.quantity) + self.recorded_level * self.recorded_level))
 
-    @cached_property
-    def _amplitudes(self) -> Floats:
-        return self.section.amplitudes(self.quantity)
-
-    def _segment(self, seed: int, recording: int, number: int) -> Floats:
-        """Return one segment of a recording's coloured noise, (2 `CHUNK`,).
-
-        Each spans two chunks, so two overlap in every chunk. They are faded by a sine, whose squares add up to 1, which
-        keeps the power constant.
-        """
-        return _faded_segment(self.section, self.quantity, self.sampling_rate, seed, recording, number)
-
-    def _coloured(self, seed: int, block: int, number: int, rows: int, length: int) -> Floats:
-        """Return periodic Gaussian noise of the section's density, (rows, length); the length is a power of 2."""
-        from cgid.scene._fourier import from_spectrum
-
-        assert self.section.coloured is not None
-        frequency = np.asarray(np.fft.rfftfreq(length, 1 / self.sampling_rate), np.float64)
-        power = self.section.coloured.at(frequency, self.quantity)
-        parts = np.zeros((rows, 2 * frequency.size))
-        add_noise(parts, np.ones(rows), seed, block, first_sample=number * parts.shape[1], purpose=COLOURED)
-        # The expected periodogram 2 |X|^2 / (rate n) is then the density. The line at 0 Hz is left out; the line at
-        # half the rate is real and counts once.
-        height = np.sqrt(power * self.sampling_rate * length / 4)
-        height[0] = 0.0
-        height[-1] *= 2.0
-        return np.asarray(from_spectrum(parts[:, : height.size] * height, parts[:, height.size :] * height, length))
+    @property
+    def _coloured(self) -> Coloured | None:
+        section = self.section.coloured
+        return None if section is None else Coloured(section, self.quantity, self.sampling_rate, COLOURED)
 
 
 def _wave(turns: Floats) -> Floats:
     """Return the sine of an angle in turns."""
     return sin(2 * np.pi * (turns - np.rint(turns)))
-
-
-@lru_cache(maxsize=4)
-def _faded_segment(
-    section: BackgroundSection, quantity: str, sampling_rate: float, seed: int, recording: int, number: int
-) -> Floats:
-    background = Background(section, quantity, sampling_rate, None)
-    fade = sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
-    return np.asarray(fade * background._coloured(seed, recording, number, 1, 2 * CHUNK)[0])
 
 
 @lru_cache(maxsize=16)

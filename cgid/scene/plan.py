@@ -24,6 +24,7 @@ from cgid.physics import HuntCrossley, ThinPlate
 from cgid.scene.draws import parameter_units
 from cgid.scene.extremes import largest_error, tolerance_of
 from cgid.scene.schema import Scene, samples_of
+from cgid.scene.sensor import CHUNK
 
 #: The possible outputs.
 OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
@@ -454,6 +455,8 @@ def _rest_of_frames(asked: Plan) -> Decision:
         return Decision(True, "what is heard of a blow through a beam or a filter rings on")
     if asked.scene.background is not None:
         return Decision(True, "a background may stand out anywhere")
+    if sensor.coloured:
+        return Decision(True, "coloured noise is made of whole frames")
     if sensor.relative_noise * FAINT > 1 and not asked.scene.draws("relative_noise"):
         return Decision(True, f"a pulse below {FAINT:g} times the noise is looked for in all the frame")
     return Decision(False, "no asked feature looks there; made for the signals where that is not certain")
@@ -473,8 +476,18 @@ def _noise(asked: Plan) -> Decision:
         return _NO_SENSOR
     if not asked.scene.sensor.noisy and not asked.scene.draws("relative_noise"):
         return _OFF
-    whole = _rest_of_frames(asked).runs
-    return Decision(True, "whole frames" if whole else "up to the last sample that a feature looks at")
+    whole = "whole frames" if _rest_of_frames(asked).runs else "up to the last sample that a feature looks at"
+    return Decision(True, f"{_colour(asked)}{whole}")
+
+
+def _colour(asked: Plan) -> str:
+    """Return what colours the noise, with the frequency below which it is flat."""
+    sensor, rate = asked.scene.sensor, asked.scene.extreme_rates[0]
+    if not sensor.coloured:
+        return ""
+    shape = f"1/f^{sensor.noise_exponent:g}" if sensor.noise_spectrum is None else "of the spectrum given"
+    least = "at least " if asked.scene.draws("sampling_rate") else ""
+    return f"{shape}, flat below {least}{rate / (asked.scene.sampling.samples or CHUNK):.4g} Hz; "
 
 
 def _background(asked: Plan) -> Decision:

@@ -20,6 +20,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import parse_toml, read_regular
 from cgid.physics.bodies import Target
 from cgid.physics.tail_beam import TailBeam
+from cgid.scene.background import BackgroundSection, with_spectrum
 from cgid.scene.distributions import DISTRIBUTION_NAMES
 from cgid.scene.extremes import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
@@ -35,7 +36,7 @@ from cgid.scene.sections import (
     TargetSection,
     with_table,
 )
-from cgid.scene.sensor import BackgroundSection, Sensor
+from cgid.scene.sensor import CHUNK, Sensor
 from cgid.scene.stream_section import StreamSection
 from cgid.shipped import scene_path
 from cgid.validation import cut, shown, suggestion
@@ -107,6 +108,9 @@ class Scene(Section):
         if self.impact.gravity is not None and self.tail_beam is not None:
             problems.append("impact.gravity: must be left out, an impact on a tail beam has no weight")
         problems += self._problems_of_band()
+        period = (self.sampling.samples or CHUNK) / self.extreme_rates[0]
+        drawn = () if self.randomise is None else tuple(self.randomise.laws)
+        problems += self.sensor.problems((1 / period, self.extreme_rates[-1] / 2), drawn)
         problems += self.sampling.frame_problems(self.stream is not None)
         if self.stream is not None:
             problems += self.stream.problems(self.populations, self.sensor, self.sampling.sampling_rate)
@@ -114,7 +118,9 @@ class Scene(Section):
                 if getattr(self, name):
                     problems.append(f"{name}: must be left out of a stream, one recording of rocks that fall")
         if self.background is not None:
-            problems += self.background.problems(self.sensor, self.extreme_rates[0])
+            problems += self.background.problems(
+                self.sensor.quantity, self.extreme_rates[0], is_stream=self.stream is not None
+            )
         if problems:
             raise ValueError("\n".join(problems))
         return self
@@ -290,7 +296,7 @@ def load_scene(path: str | Path) -> Scene:
     except ValueError as error:  # also integers of thousands of digits
         raise BadData(f"{path}: a scene file must be valid TOML: {error}; correct it there") from None
     folder = Path(path).parent
-    return parse_scene(with_table(content, folder), source=str(path), folder=folder)
+    return parse_scene(with_spectrum(with_table(content, folder), folder), source=str(path), folder=folder)
 
 
 def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | None = None) -> Scene:

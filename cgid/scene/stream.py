@@ -17,10 +17,11 @@ from cgid.scene._fourier import transformable
 from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Recorder, impacts_by_coupling, impacts_of, recorder_of
-from cgid.scene.noise import CHUNK, Background, add_noise, background_of
+from cgid.scene.noise import Background, add_noise, background_of, colour_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.schema import Scene, samples_of
+from cgid.scene.sensor import CHUNK
 from cgid.signals import Signal
 from cgid.validation import Floats
 
@@ -286,7 +287,12 @@ def _recorded(
     sensor, rate = asked.scene.sensor, asked.scene.sampling.sampling_rate
     if asked.runs("noise"):
         level = sensor.noise_level(np.zeros(1), rate)
-        add_noise(samples[None], level, seed, number, first_sample=chunk * CHUNK)
+        colour = colour_of(asked.scene)
+        if colour is None:
+            add_noise(samples[None], level, seed, number, first_sample=chunk * CHUNK)
+        else:
+            count("noise_samples", samples.size)
+            samples += level * colour.in_recording(seed, number, chunk)
     if background is not None:
         count("background_samples", samples.size)
         samples += background.in_recording(seed, number, chunk)

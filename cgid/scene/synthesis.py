@@ -15,7 +15,7 @@ from cgid.measure.features import extract_array, extract_truncated, samples_need
 from cgid.scene.draws import BLOCK, drawn_block, parameter_units
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Blows, blows_of, impacts_by_coupling, impacts_of
-from cgid.scene.noise import HIGHEST_NOISE, add_noise, background_of
+from cgid.scene.noise import HIGHEST_NOISE, add_sensor_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import Sensor, clip
@@ -138,12 +138,12 @@ def make_beginnings(
         peak = np.abs(frames).max(axis=1).astype(np.float64)
     if asked.runs("noise"):
         level = sensor.noise_level(peak, rate)
-        add_noise(frames, level, seed, block)
+        add_sensor_noise(frames, level, blows.scene, seed, block)
         highest_behind += HIGHEST_NOISE * level
     background = background_of(blows.scene) if asked.runs("background") else None
     if background is not None:
         count("background_samples", frames.size)
-        frames += background.in_frames(seed, block, frames.shape[1]).astype(frames.dtype)
+        frames += background.in_frames(seed, block, frames.shape[1], peak).astype(frames.dtype)
     count("frames", n_signals)
     count("frame_samples", frames.size)
     if asked.runs("clipping"):
