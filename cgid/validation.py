@@ -135,6 +135,11 @@ def ascending(name: str, values: Floats, unit: str = "") -> Floats:
 
 def restitution(name: str, value: ArrayLike) -> Floats:
     """Return coefficients of restitution as float64 within (0, 1]; at 0 the damping would be infinite."""
+    return share(name, value)
+
+
+def share(name: str, value: ArrayLike) -> Floats:
+    """Return shares of a whole as float64 within (0, 1]."""
     numbers = real(name, value)
     _require((numbers > 0) & (numbers <= 1), name, "must lie above 0 and up to 1", numbers)
     return numbers

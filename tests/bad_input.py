@@ -26,6 +26,7 @@ from tests.bad_recordings import RECORDING_CASES, make_recordings
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
+_COAL = 'label = "coal"'
 _PRESSURE = 'yield_pressure = "41 MPa"'
 
 
@@ -155,6 +156,7 @@ def make_files(folder: Path) -> None:
     _changed(folder, "tail_beam", _BEAMS)
     _changed(folder, "caving", _STREAMS)
     _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
+    _changed(folder, "reference", {file: (_COAL, f"{_COAL}\n{line}") for _, file, line, _ in _OF_ROCKS})
     _tables(folder)
     tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), "closed-form"), folder / "table.csv", 9)
     lines = (folder / "table.csv").read_text().splitlines()
@@ -176,6 +178,26 @@ def make_files(folder: Path) -> None:
 
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
 _RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'
+#: What is wrong with the first rocks of `reference`: a line for each scene file, and the text of its error.
+_OF_ROCKS = (
+    ("corner of no radius", "pointed", "curvature = 0", ("populations.0.curvature", "0.001 and 10", "got 0")),
+    ("negative curvature", "hollow", "curvature = -0.5", ("populations.0.curvature", "0.001 and 10", "got -0.5")),
+    ("curvature nan", "nowhere", "curvature = nan", ("populations.0.curvature", "finite")),
+    ("curvature in mm", "measured", 'curvature = "3 mm"', ("populations.0.curvature", "3 mm", "%")),
+    (
+        "side too flat",
+        "flat",
+        'curvature = { distribution = "uniform", lowest = 0.5, highest = 20.0 }',
+        ("populations.0.curvature", "0.001 and 10", "can be drawn as 20", "lowest and highest"),
+    ),
+    ("blow of no mass", "massless", "effective_mass = 0", ("populations.0.effective_mass", "0.01 and 1", "got 0")),
+    ("more than all mass", "massive", "effective_mass = 1.2", ("populations.0.effective_mass", "0.01 and 1", "1.2")),
+    ("effective mass nan", "weighty", "effective_mass = nan", ("populations.0.effective_mass", "finite")),
+    ("rocks of weight 0", "rare", "weight = 0", ("populations.0.weight", "greater than 0", "got 0")),
+    ("rocks of negative weight", "rarer", "weight = -1.0", ("populations.0.weight", "greater than 0", "got -1")),
+    ("rocks of weight nan", "uncertain", "weight = nan", ("populations.0.weight", "finite", "nan")),
+    ("unknown loss", "lost", 'dissipation = "thorton"', ("populations.0.dissipation", "did you mean 'thornton'")),
+)
 _BEAMS = {
     "sensor_off": ('sensor_point = { x = "0.5 m"', 'sensor_point = { x = "2.5 m"'),
     "impact_off": ('highest = "1.5 m"', 'highest = "1.7 m"'),
@@ -519,6 +541,7 @@ CASES = (
         ("populations.0.yield_pressure", "missing, thornton dissipation needs it"),
     ),
     Case("yield pressure 0", ("check", "soft.toml"), 65, ("populations.0.yield_pressure", "above 0", "got 0 Pa")),
+    *(Case(name, ("check", f"{file}.toml"), 65, says) for name, file, _, says in _OF_ROCKS),
     Case("weight of crushing rocks", ("check", "fallen.toml"), 65, ("impact.gravity", "left out", "hunt-crossley")),
     Case("crushing on a beam", ("check", "crushed_beam.toml"), 65, ("tail_beam: must be left out", "thornton")),
     Case("restitution 1.2", ("check", "high.toml"), 65, ("populations.1.restitution", "1.2")),

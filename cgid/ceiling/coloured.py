@@ -12,7 +12,7 @@ all that a frame tells of its amplitude and phase is used, but not that its ampl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -35,6 +35,8 @@ from cgid.measure.template import (
     solve_scaled,
 )
 from cgid.scene import Scene
+from cgid.scene.draws import COLOURED
+from cgid.scene.noise import Coloured, colour_of
 from cgid.validation import Floats
 
 #: White noise that is always added, over the peak: the accuracy of the pulse as a curve.
@@ -97,30 +99,24 @@ class Noise:
 
 
 def noise_of(scene: Scene) -> Noise:
-    """Return the noise of a scene: that of its sensor, the rounding of its converter, hum and coloured background."""
+    """Return the noise of a scene: its sensor, the rounding of its converter, hum and coloured background."""
     sensor, sampling, background = scene.sensor, scene.sampling, scene.background
     lags = np.arange(sampling.samples)
-    relative, absolute = np.zeros(lags.size), np.zeros(lags.size)
-    white = lags == 0
-    relative += sensor.relative_noise**2 * white
-    absolute += float(sensor.noise_level(np.zeros(()), sampling.sampling_rate)) ** 2 * white
+    sensed = colour_of(scene)
+    unit = np.where(lags == 0, 1.0, 0.0) if sensed is None else sensed.autocovariance(lags.size)
+    relative = sensor.relative_noise**2 * unit
+    absolute = sensor.noise_level(np.zeros(()), sampling.sampling_rate) ** 2 * unit
     if sensor.bits is not None and sensor.range is not None:
         absolute[0] += (sensor.range / 2 ** (sensor.bits - 1)) ** 2 / 12
+    if background is not None:
+        for line in background.hum:
+            own = absolute if line.relative_amplitude is None else relative
+            turns = line.frequency * lags / sampling.sampling_rate
+            own += 0.5 * line.amplitude_in(sensor.quantity, 1.0) ** 2 * np.cos(2 * np.pi * turns)
+        if background.coloured is not None:
+            made = Coloured(background.coloured, sensor.quantity, sampling.sampling_rate, COLOURED)
+            absolute += made.autocovariance(lags.size)
     return Noise(relative, absolute)
-
-
-def of_density(density: Callable[[Floats], Floats], sampling_rate: float, n_samples: int) -> Floats:
-    """Return the autocovariance of noise made with a one-sided power density, (n_samples,).
-
-    It is periodic with a power of 2 of at least twice as many samples and without a line at 0 Hz, as a background is
-    made; `density` takes frequencies [Hz], (n,).
-    """
-    period = 1 << (2 * n_samples - 1).bit_length()
-    power = np.zeros(period // 2 + 1)
-    frequency = np.fft.rfftfreq(period, 1 / sampling_rate)
-    power[1:] = density(np.asarray(frequency[1:], np.float64)) * (sampling_rate / 2)
-    power[-1] *= 2.0
-    return np.asarray(np.fft.irfft(power, n=period)[:n_samples])
 
 
 class Maps(NamedTuple):

@@ -14,27 +14,61 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """A solid elastic sphere.
+    """A solid elastic sphere, or a lump of its size that touches with another curvature or beside its centre.
 
     Parameters
     ----------
     material : Material
     radius : array_like, above 0 [m]
+        Of the sphere; of a lump, that of the sphere of equal mass.
+    curvature : array_like, above 0
+        Radius of curvature where a lump touches, over `radius`: below 1 at a corner, above 1 on a flat side.
+    effective_mass : array_like, in (0, 1]
+        Mass that takes part in the blow, over the mass: `1 / (1 + b^2 / k^2)` for a lump of radius of gyration k that
+        touches at a distance b from the vertical through its centre, without friction; the rest of it turns aside.
+
+    Raises
+    ------
+    InvalidValue
+        A value is out of range.
+
+    Examples
+    --------
+    A lump that touches with a corner of 5 mm, as far off its centre as its radius of gyration:
+
+    >>> from cgid.physics.materials import YANG2018_SPHERES
+    >>> lump = Sphere(material=YANG2018_SPHERES[1], radius=0.025, curvature=0.2, effective_mass=0.5)
+    >>> round(float(lump.contact_radius), 9), float(lump.mass_in_blow / lump.mass)
+    (0.005, 0.5)
     """
 
     material: Material
     radius: ArrayLike
+    curvature: ArrayLike = 1.0
+    effective_mass: ArrayLike = 1.0
 
     def __post_init__(self) -> None:
         validation.instance("material", self.material, Material)
         validation.positive("radius", self.radius, "m")
-        validation.hold(self, "radius")
+        validation.positive("curvature", self.curvature)
+        validation.share("effective_mass", self.effective_mass)
+        validation.hold(self, "radius", "curvature", "effective_mass")
 
     @property
     def mass(self) -> Floats:
         """`4/3 pi R^3 rho` [kg]."""
         radius = np.asarray(self.radius, np.float64)
         return 4 / 3 * np.pi * (radius * radius * radius) * np.asarray(self.material.density, np.float64)
+
+    @property
+    def contact_radius(self) -> Floats:
+        """Radius of curvature where it touches [m]."""
+        return np.asarray(self.radius, np.float64) * np.asarray(self.curvature, np.float64)
+
+    @property
+    def mass_in_blow(self) -> Floats:
+        """Effective mass of an eccentric blow [kg]."""
+        return self.mass * np.asarray(self.effective_mass, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +138,9 @@ Target = HalfSpace | ThinPlate | Sphere | RigidWall
 
 def reduced_radius(sphere: Sphere, target: Target) -> Floats:
     """Return R of the contact [m]: `1/R = 1/R1 + 1/R2` (Yang 2018, Eq. 8), or R1 on a flat target."""
-    radius = np.asarray(sphere.radius, np.float64)
     if not isinstance(target, Sphere):
-        return radius
-    return 1 / (1 / radius + 1 / np.asarray(target.radius, np.float64))
+        return sphere.contact_radius
+    return 1 / (1 / sphere.contact_radius + 1 / target.contact_radius)
 
 
 def reduced_modulus(sphere: Sphere, target: Target) -> Floats:
@@ -124,7 +157,7 @@ def sphere_share(sphere: Sphere, target: Target) -> Floats:
 
 
 def reduced_mass(sphere: Sphere, target: Target) -> Floats:
-    """Return the reduced mass m [kg]: `1/m = 1/m1 + 1/m2` for two spheres, otherwise m1."""
+    """Return the reduced mass m [kg]: `1/m = 1/m1 + 1/m2` for two spheres, otherwise m1; of eccentric ones as felt."""
     if not isinstance(target, Sphere):
-        return sphere.mass
-    return 1 / (1 / sphere.mass + 1 / target.mass)
+        return sphere.mass_in_blow
+    return 1 / (1 / sphere.mass_in_blow + 1 / target.mass_in_blow)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.physics.bodies import HalfSpace, RigidWall, Sphere, ThinPlate, impedance_of_unit_thickness
+from cgid.physics.bodies import HalfSpace, RigidWall, ThinPlate, impedance_of_unit_thickness
 from cgid.physics.curves import Curves
 from cgid.physics.impact import Impact
 from cgid.physics.laws import Elastic, HuntCrossley, Thornton
@@ -238,7 +238,7 @@ def _changed(impact: Impact, values: Mapping[str, ArrayLike]) -> Impact:
     if isinstance(target, HalfSpace):
         changes = {name: values[_OF_TARGET + name] for name in ("youngs_modulus", "poisson_ratio")}
         target = HalfSpace(material=replace(target.material, **changes))
-    return replace(impact, sphere=Sphere(material=material, radius=values["radius"]), target=target)
+    return replace(impact, sphere=replace(impact.sphere, material=material, radius=values["radius"]), target=target)
 
 
 def _filled(values: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> dict[str, Floats]:

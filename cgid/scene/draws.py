@@ -23,18 +23,21 @@ from cgid.validation import Floats
 #: Samples that share one address.
 BLOCK = 256
 #: Purposes of random numbers; a new purpose gets a new number.
-PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED = 1, 2, 3, 4, 5, 6
+PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, LUMPS = 1, 2, 3, 4, 5, 6, 7
 IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE = 16, 17, 18, 19, 20, 21
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
 #: The columns of a rock's numbers, in order. Quantities of which a population has only one share a number.
 FALL = (*PARTICLE, "restitution", "drop_height")
 _SHARED = {"velocity": "drop_height", "yield_pressure": "restitution"}
+#: The shape of a lump and its values for a sphere, which every rock has that draws none.
+LUMP = {"curvature": 1.0, "effective_mass": 1.0}
 #: The columns of optional purposes.
 _LATER = {
     TAPS: ("peak_force", "contact_duration"),
     SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
     CLIPPING: ("clipped_at",),
+    LUMPS: tuple(LUMP),
 }
 #: The columns of settings drawn for a whole block; append new ones.
 _OF_BLOCKS = ("sampling_rate", "relative_noise", "bandwidth")
@@ -53,7 +56,13 @@ PARAMETER_UNITS = {
     "contact_duration": "s",
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
-_MORE_UNITS = {"yield_pressure": "Pa", "second_hit_delay": "s", "second_hit_ratio": "1", "clipped_at": "1"}
+_MORE_UNITS = {
+    **dict.fromkeys(LUMP, "1"),
+    "yield_pressure": "Pa",
+    "second_hit_delay": "s",
+    "second_hit_ratio": "1",
+    "clipped_at": "1",
+}
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
 RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
@@ -130,11 +139,7 @@ def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
     weights = np.array([source.weight for source in sources])
     edges = np.cumsum(weights / weights.sum())
     which = np.minimum(np.searchsorted(edges, numbers[0], side="right"), len(weights) - 1)
-    columns = dict(zip(FALL, numbers[1:-1], strict=True))
-    laws = {name for source in sources for name in source.laws}
-    for purpose, names in _LATER.items():
-        if not laws.isdisjoint(names):
-            columns |= dict(zip(names, uniforms(seed, block, len(names), purpose), strict=True))
+    columns = dict(zip(FALL, numbers[1:-1], strict=True)) | optional_numbers(sources, seed, block)
     values = quantities_of(sources, which, columns, parameter_units(scene))
     values |= laws_of(scene, which)
     values |= points_of_impact(scene, seed, block)
@@ -148,6 +153,18 @@ def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
     return Drawn(np.array([source.label for source in sources])[which], values, specimen, shapes, here)
 
 
+def optional_numbers(
+    sources: Sequence[Population | Tap], seed: int, block: int, recording: int = 0
+) -> dict[str, Floats]:
+    """Return the uniform numbers of the optional purposes that the sources use, by name, each (`BLOCK`,)."""
+    laws = {name for source in sources for name in source.laws}
+    columns: dict[str, Floats] = {}
+    for purpose, names in _LATER.items():
+        if not laws.isdisjoint(names):
+            columns |= dict(zip(names, uniforms(seed, block, len(names), purpose, recording), strict=True))
+    return columns
+
+
 def quantities_of(
     sources: Sequence[Population | Tap], which: NDArray[np.intp], numbers: Mapping[str, Floats], names: Iterable[str]
 ) -> dict[str, Floats]:
@@ -155,11 +172,13 @@ def quantities_of(
 
     which is the source index, (n,). numbers holds uniform numbers by the name of the quantity, each (n,); a velocity
     uses the number of the drop height, a yield pressure that of the restitution. The named quantities are in SI units,
-    nan where a source has none; a drop height also sets the velocity.
+    nan where a source has none; a drop height also sets the velocity, and a rock without a shape is a sphere.
     """
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):
         rows = np.flatnonzero(which == index)
+        for name in LUMP.keys() & values.keys() if isinstance(source, Population) else ():
+            values[name][rows] = LUMP[name]
         for name, law in source.laws.items():
             number = numbers[_SHARED.get(name, name)]
             values[name][rows] = law.quantile(number[rows])

@@ -103,7 +103,7 @@ def heaviest_impact(
     low, high = population.poisson_ratio.extremes
     softest = min(abs(low), abs(high)) if low * high > 0 else 0.0
     parts: dict[str, Any] = {
-        "sphere": _largest_sphere(population, population.youngs_modulus.extremes[0], softest),
+        "sphere": _largest_sphere(population, population.youngs_modulus.extremes[0], softest, sharp=True),
         "target": target,
         "velocity": _speeds(population)[0],
         "stiffness": section.stiffness,
@@ -137,10 +137,10 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
     if not isinstance(target, ThinPlate):
         return None
     poisson_ratio = max(population.poisson_ratio.extremes[::-1], key=abs)
-    sphere = _largest_sphere(population, population.youngs_modulus.extremes[1], poisson_ratio)
+    sphere = _largest_sphere(population, population.youngs_modulus.extremes[1], poisson_ratio, sharp=False)
     velocity = _speeds(population)[1]
     # lambda = m / (Z T0) with T0 = (m / K)^(2/5) v^(-1/5) grows with all of these.
-    mass = float(sphere.mass)
+    mass = float(sphere.mass_in_blow)
     stiffness = contact_stiffness(reduced_radius(sphere, target), reduced_modulus(sphere, target), theory)
     inelasticity = float(power(mass, 0.6) * power(stiffness, 0.4) * power(velocity, 0.2) / target.impedance)
     if inelasticity <= HIGHEST_INELASTICITY:
@@ -160,8 +160,15 @@ def _speeds(population: Population) -> tuple[float, float]:
     return float(free_fall_velocity(low)), float(free_fall_velocity(high))
 
 
-def _largest_sphere(population: Population, youngs_modulus: float, poisson_ratio: float) -> Sphere:
+def _largest_sphere(population: Population, youngs_modulus: float, poisson_ratio: float, *, sharp: bool) -> Sphere:
+    """Return the heaviest rock of a population, touching with its sharpest corner or its flattest side."""
     material = Material(
         density=population.density.extremes[1], youngs_modulus=youngs_modulus, poisson_ratio=poisson_ratio
     )
-    return Sphere(material=material, radius=population.radius.extremes[1])
+    curvature = (1.0, 1.0) if population.curvature is None else population.curvature.extremes
+    return Sphere(
+        material=material,
+        radius=population.radius.extremes[1],
+        curvature=curvature[0 if sharp else 1],
+        effective_mass=1.0 if population.effective_mass is None else population.effective_mass.extremes[1],
+    )

@@ -24,7 +24,7 @@ from cgid.physics.modes import MeasuredModes, Modes
 from cgid.physics.response import Response
 from cgid.physics.sampled import SampledPulses
 from cgid.physics.tail_beam import TailBeam
-from cgid.scene.draws import PARTICLE, drawn_block
+from cgid.scene.draws import LUMP, PARTICLE, drawn_block
 from cgid.scene.extremes import unwarned, weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
@@ -225,8 +225,9 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
     material = Material(
         density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
     )
+    shape = {name: values[name][rows] for name in LUMP if name in values}
     return {
-        "sphere": Sphere(material=material, radius=asked["radius"]),
+        "sphere": Sphere(material=material, radius=asked["radius"], **shape),
         "velocity": asked["velocity"],
         "stiffness": scene.impact.stiffness,
         "dissipation": _dissipation(scene, values, rows),

@@ -24,9 +24,11 @@ from cgid.scene.draws import (
     ARRIVALS,
     BLOCK,
     FALL,
+    LUMP,
     PARTICLE,
     POINT_UNITS,
     laws_of,
+    optional_numbers,
     points_of_impact,
     quantities_of,
     specimen_of,
@@ -183,7 +185,7 @@ def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
-_QUANTITIES = (*FALL, "yield_pressure", "velocity")
+_QUANTITIES = (*FALL, *LUMP, "yield_pressure", "velocity")
 #: The state of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of touch [s]
@@ -191,7 +193,9 @@ COLUMNS = {
     "bounce": np.int64,  # number of its earlier impacts
     "population": np.int64,
     "specimen": np.uint64,
-    **dict.fromkeys((*PARTICLE, "restitution", "yield_pressure", "drop_height", "velocity", "dissipation"), np.float64),
+    **dict.fromkeys(
+        (*PARTICLE, *LUMP, "restitution", "yield_pressure", "drop_height", "velocity", "dissipation"), np.float64
+    ),
     "slip": np.float64,  # speed down the slope [m/s]
     "impact_x": np.float64,  # point of impact on the beam [m]
     "impact_y": np.float64,
@@ -203,9 +207,9 @@ class Rocks:
     """Rocks before an impact, by the names of `COLUMNS`, each (n,).
 
     The restitution is the requested one, the velocity the normal one. A rock has either a restitution or a yield
-    pressure, the other is nan. Its dissipation is an index, 0 where all populations have the same. drop_height is
-    nan except for a first fall from a
-    height; impact_x and impact_y are nan for a beam without points.
+    pressure, the other is nan. Its dissipation is an index, 0 where all populations have the same. It keeps its shape
+    from one impact to the next. drop_height is nan except for a first fall from a height; impact_x and impact_y are nan
+    for a beam without points.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -239,11 +243,13 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
     count("arrivals", n)
     numbers = uniforms(seed, stretch.block, len(FALL) + 1, recording=recording)[:, rows]
     which = populations_of(scene, stretch.times, numbers[0])
-    values = quantities_of(scene.populations, which, dict(zip(FALL, numbers[1:], strict=True)), _QUANTITIES)
+    optional = optional_numbers(scene.populations, seed, stretch.block, recording)
+    columns = dict(zip(FALL, numbers[1:], strict=True)) | {name: column[rows] for name, column in optional.items()}
+    values = quantities_of(scene.populations, which, columns, _QUANTITIES)
     nowhere = dict.fromkeys(POINT_UNITS, np.full(n, np.nan))
     points = {name: at[rows] for name, at in points_of_impact(scene, seed, stretch.block, recording).items()}
     slope = scene.stream.inclination
-    columns = {
+    known = {
         "dissipation": np.zeros(n),
         **values,
         **laws_of(scene, which),
@@ -256,7 +262,7 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
         "slip": values["velocity"] * sin(slope),
         "velocity": values["velocity"] * cos(slope),
     }
-    return Rocks({name: columns[name].astype(kind, copy=False) for name, kind in COLUMNS.items()})
+    return Rocks({name: known[name].astype(kind, copy=False) for name, kind in COLUMNS.items()})
 
 
 def thrown_back(
@@ -264,7 +270,9 @@ def thrown_back(
 ) -> Rocks:
     """Return the rocks still followed after an impact, before their next one.
 
-    A rock leaves with the normal speed `e v`, flies for `2 e v / (g cos alpha)` and returns with the same normal speed.
+    A rock leaves with the normal speed u = e v, flies for `2 u / (g cos alpha)` and returns with the same normal speed.
+    An eccentric blow by the share r of its mass, the impulse `(1 + e) r m v`, leaves its centre
+    `u = ((1 + e) r - 1) v`; where that is not above 0 the rock topples over and is followed no further.
     Gravity moves it down the slope by `u t + g sin(alpha) t^2 / 2` between touches. delivered is the restitution
     including losses to the target. Rocks with inaudible impacts are dropped.
     """
@@ -272,7 +280,8 @@ def thrown_back(
     rebounds, slope = scene.stream.rebounds, scene.stream.inclination
     assert rebounds is not None  # ensured by the plan
     count("rebounds", len(rocks))
-    velocity = delivered * rocks["velocity"]
+    aside = (1 - rocks["effective_mass"]) * (1 + delivered)
+    velocity = (delivered - aside) * rocks["velocity"]
     between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * cos(slope))
     pull = STANDARD_GRAVITY * sin(slope)
     after = Rocks(

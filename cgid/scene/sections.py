@@ -61,6 +61,10 @@ DISSIPATIONS: Mapping[str, str | None] = {
 #: Those whose loss does not depend on speed: closed forms, but no weight and no target that takes energy.
 PLASTIC = ("thornton", "walton-braun")
 
+#: Sharpest corner and flattest side of a rock over its radius, and the least share of its mass in a blow: wider than
+#: any lump.
+CURVATURES, LEAST_MASS = (1e-3, 10.0), 1e-2
+
 if TYPE_CHECKING:
     Law = str
     Shape = str
@@ -144,7 +148,13 @@ class Population(_Source):
     poisson_ratio : distribution
         Poisson's ratio of the rock.
     radius : distribution [m]
-        Radius of the rock, a sphere.
+        Radius of the rock, a sphere, or of the sphere of equal mass.
+    curvature : distribution, optional
+        Radius of curvature where the rock touches, over its radius: below 1 at a corner, above 1 on a flat side; left
+        out for a sphere.
+    effective_mass : distribution, optional
+        Mass that takes part in the blow, over the mass of the rock: below 1 where it touches beside its centre and
+        turns aside; left out for a central blow.
     restitution : distribution, optional
         Rebound speed over impact speed that the rock alone would have; for hunt-crossley and walton-braun dissipation.
     yield_pressure : distribution, optional [Pa]
@@ -161,6 +171,8 @@ class Population(_Source):
         "youngs_modulus",
         "poisson_ratio",
         "radius",
+        "curvature",
+        "effective_mass",
         "restitution",
         "yield_pressure",
         "drop_height",
@@ -174,6 +186,8 @@ class Population(_Source):
         Distribution, measured("ratio"), within(-1 + 1e-9, 0.5 - 1e-9, "must lie between -1 and 0.5")
     ]
     radius: _Length
+    curvature: Annotated[Distribution, measured("ratio"), _between(*CURVATURES)] | None = None
+    effective_mass: Annotated[Distribution, measured("ratio"), _between(LEAST_MASS, 1.0)] | None = None
     restitution: (
         Annotated[Distribution, measured("ratio"), _between(LOWEST_RESTITUTION, HIGHEST_RESTITUTION)] | None
     ) = None

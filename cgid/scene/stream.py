@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene._fourier import transformable
-from cgid.scene.draws import PARAMETER_UNITS, POINT_UNITS
+from cgid.scene.draws import LUMP, PARAMETER_UNITS, POINT_UNITS
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Recorder, impacts_by_coupling, impacts_of, recorder_of
 from cgid.scene.noise import Background, add_noise, background_of, colour_of
@@ -70,12 +70,14 @@ def impact_units(scene: Scene) -> dict[str, str]:
     - restitution: as delivered, including losses to the target; velocity: normal to the beam
     - yield_pressure: where a rock's dissipation is thornton; dissipation: where populations differ in it, an index in
       `cgid.scene.sections.DISSIPATIONS`
+    - curvature, effective_mass: where a population has a shape
     - drop_height: nan except for a first fall from a height
     - next_impact: time to the next touch of any rock, nan for the last; overlapping: 1 if contacts overlap
     - impact_x, impact_y: on a beam of known size
     """
     more = {"yield_pressure": "Pa"} if "thornton" in scene.dissipations else {}
     more |= {"dissipation": "1"} if scene.mixes_laws else {}
+    more |= {name: "1" for name in LUMP for population in scene.populations if name in population.laws}
     place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **more, **place, **_NEIGHBOUR_UNITS}
 
