@@ -56,7 +56,8 @@ def drawn_pulses(text, index, n=40_000):
     """Very many pulses of one population as the sensor sees them, without noise."""
     scene = parse_scene(json.loads(text))
     sensor = scene.sensor.model_copy(update={"relative_noise": 0.0, "absolute_noise": 0.0})
-    quiet = scene.model_copy(update={"populations": (scene.populations[index],), "sensor": sensor})
+    only = {"populations": (scene.populations[index],), "sensor": sensor, "background": None}
+    quiet = scene.model_copy(update=only)
     return collected(quiet, n, seed=41)[0]
 
 
@@ -116,6 +117,68 @@ def test_weights_of_the_populations_count():
     assert np.mean(signals.truth == "coal") == pytest.approx(5 / 6, abs=0.05)
     assert signals.probabilities[:, 0].mean() == pytest.approx(5 / 6, abs=0.05)
     assert signals.accuracy >= 5 / 6 - 0.02  # always saying coal is right so often
+
+
+# -- noise that is not white --------------------------------------------------------------------------------------
+
+HUM = {"hum": [{"frequency": 2000, "relative_amplitude": 0.3}]}
+#: With a part that goes with the peak, and one that does not: some 5 % of the peaks of these rocks.
+BOTH = {"coloured": {"frequencies": [100, 1e5], "density": [0.6, 0.2]}, "hum": [{"frequency": 700, "amplitude": 40}]}
+
+
+def covariance(scene, peak):
+    """Return the covariance of the samples of one frame, by the sum over the lines of its spectrum."""
+    rate, n = scene.sampling.sampling_rate, scene.sampling.samples
+    lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    period = 2 * n
+    line = np.arange(period // 2 + 1) * rate / period
+    waves = np.cos(2 * np.pi * line[:, None] * np.arange(n) / rate)
+    level = scene.sensor.relative_noise * peak
+    found = level**2 * np.eye(n)
+    if scene.sensor.noise_exponent is not None:
+        power = np.maximum(line, rate / n) ** -scene.sensor.noise_exponent
+        power[0] /= 2
+        found = level**2 * (power @ waves / power.sum())[lags]
+    if scene.background is not None:
+        for hum in scene.background.hum:
+            amplitude = hum.amplitude or hum.relative_amplitude * peak
+            found = found + amplitude**2 / 2 * np.cos(2 * np.pi * hum.frequency * lags / rate)
+        if scene.background.coloured is not None:
+            (low, high), (first, last) = BOTH["coloured"]["frequencies"], BOTH["coloured"]["density"]
+            inside = (line >= low) & (line <= high)
+            slope = np.log(last / first) / np.log(high / low)
+            power = np.where(inside, first**2 * (np.maximum(line, low) / low) ** (2 * slope), 0.0) * rate / period
+            found = found + (power @ waves)[lags]
+    return found
+
+
+COLOURS = {
+    "pink": {"sensor": {"relative_noise": 0.15, "noise_exponent": 1.0}},
+    "brown and low-pass": {"sensor": {"relative_noise": 0.2, "noise_exponent": 2.0, "bandwidth": "40 kHz"}},
+    "hum": {"sensor": {"relative_noise": 0.1}, "background": HUM},
+    "two levels": {"sensor": {"relative_noise": 0.05}, "background": BOTH},
+}
+
+
+@pytest.mark.parametrize("colour", few(list(COLOURS)))
+def test_ceiling_in_coloured_noise_is_brute_force(colour, monkeypatch):
+    monkeypatch.setattr("cgid.ceiling.bayes.PRIOR_DRAWS", 1 << 18)
+    scene = rocks(*PAIR, **COLOURS[colour])
+    signals, peak = collected(scene, 16, seed=42)
+    expected = []
+    for samples, height in zip(signals, peak, strict=True):
+        white = np.linalg.inv(np.linalg.cholesky(covariance(scene, height))).T
+        logs, errors = zip(
+            *(naive.log_evidence(samples @ white, 1.0, drawn_pulses(scene.text, index) @ white) for index in (0, 1)),
+            strict=True,
+        )
+        share = 1 / (1 + np.exp(logs[1] - logs[0]))
+        expected.append((share, share * (1 - share) * np.hypot(*errors)))
+    expected, error = np.array(expected).T
+    apart = np.abs(ceiling(scene, 16, seed=42).probabilities[:, 0] - expected)
+    print(colour, np.sqrt(np.mean(apart**2)), apart.max(), error.max())
+    assert np.sqrt(np.mean(apart**2)) < 0.04
+    assert (apart < 4 * error + 0.08).all()
 
 
 # -- what must hold whatever the scene ----------------------------------------------------------------------------

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
+from cgid.ceiling.coloured import Frames, Noise, noise_of, profile_in, true_parameters
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Prior, Profile, profile
@@ -192,12 +193,13 @@ def ceilings(
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
     ]
     weights = np.log([population.weight for population in scene.populations])
+    noise = noise_of(scene)
     truth: list[NDArray[np.str_]] = []
     evidence: list[list[Floats]] = [[] for _ in known]
     for batch in _joined(synthesise(scene, n_signals, seed)):
         truth.append(batch.labels)
         log_speed = np.log(batch.parameters["velocity"])[:, None]
-        profiles = _profiles(scene, batch, known[0], n_nodes)
+        profiles = _profiles(scene, batch, noise, known[0], n_nodes)
         for held, knowledge in zip(evidence, known, strict=True):
             columns = [k.evidence(p, batch, log_speed) for k, p in zip(knowledge, profiles, strict=True)]
             held.append(np.stack(columns, axis=1) + weights)
@@ -206,26 +208,37 @@ def ceilings(
     return tuple(_by_label(scene, np.concatenate(truth), np.concatenate(held), weights) for held in evidence)
 
 
-def check_covered(scene: Scene) -> None:
-    """Raise `InvalidValue` if the integration does not cover a scene, or it has a single label."""
+def check_asked(scene: Scene) -> None:
+    """Raise `InvalidValue` if a scene has no ceiling of any kind: no single impacts, or a single label."""
     problems = (
         (scene.stream is not None, "a frame for each impact, this one is a stream; take [stream] out"),
         (
-            scene.tail_beam is not None or bool(scene.sensor.filters),
-            "the force itself: what a beam or a filter makes of it is no member of the family; give it to a learner "
+            scene.tail_beam is not None,
+            "the force itself: what a beam makes of it is no member of the family; give it to a learner "
             "(cgid train SCENE -o MODEL)",
         ),
-        (
-            scene.background is not None or bool(scene.sensor.offset) or bool(scene.sensor.drift),
-            "white noise alone, without background, offset and drift",
-        ),
-        (scene.sensor.relative_range is not None, "a full scale that does not follow each peak: give sensor.range"),
-        (scene.sensor.coloured, "white noise: take noise_exponent or noise_spectrum out"),
-        (scene.impact.gravity is not None, "impacts without gravity, which the family leaves out"),
         (scene.taps, "a scene of impacts alone, this one has taps"),
-        (scene.randomise is not None, "a scene without [randomise]: vary it setting by setting"),
         (len(scene.labels) < 2, f"at least 2 labels, got {', '.join(scene.labels)}"),
-        (not scene.sensor.noisy, "noise: without it every pulse is told exactly"),
+    )
+    for wrong, rule in problems:
+        if wrong:
+            raise InvalidValue(f"scene {scene.name}: the ceiling needs {rule}")
+
+
+def uncovered(scene: Scene) -> str:
+    """Return what the integration needs that a scene does not have, empty if it covers the scene."""
+    sensor, background = scene.sensor, scene.background
+    noise = noise_of(scene) if scene.sampling.samples else None
+    problems = (
+        (bool(sensor.filters), "the force itself: what a filter makes of it is no member of the family"),
+        (
+            background is not None and background.recorded is not None,
+            "noise of a known spectrum: take [background.recorded] out, or give its spectrum as [background.coloured]",
+        ),
+        (sensor.relative_range is not None, "a full scale that does not follow each peak: give sensor.range"),
+        (scene.impact.gravity is not None, "impacts without gravity, which the family leaves out"),
+        (scene.randomise is not None, "a scene without [randomise]: vary it setting by setting"),
+        (noise is not None and not noise.level(np.ones(1)).any(), "noise: without it every pulse is told exactly"),
         (
             getattr(scene.impact.target, "thickness", None) is not None,
             "a half space or a rigid wall: on a plate the pulses are another family",
@@ -233,17 +246,26 @@ def check_covered(scene: Scene) -> None:
         (scene.mixes_laws, "one law of loss for all populations"),
         ("elastic" in scene.dissipations, "hunt-crossley dissipation: elastic pulses have no shape to be told"),
         (
-            foreign := [name for name in dict.fromkeys(scene.dissipations) if name not in ("elastic", "hunt-crossley")],
-            f"hunt-crossley dissipation: {', '.join(foreign)} pulses are another family",
+            set(scene.dissipations) != {"hunt-crossley"},
+            f"hunt-crossley dissipation: {', '.join(sorted(set(scene.dissipations)))} pulses are another family",
         ),
         (
             any(p.second_hit is not None or p.clipped_at is not None for p in scene.populations),
             "single hits that no sensor cuts off",
         ),
+        (
+            sensor.range is not None and ((noise is not None and not noise.white) or sensor.offset or sensor.drift),
+            "white noise without offset and drift where a range cuts samples off: take sensor.range out",
+        ),
     )
-    for wrong, rule in problems:
-        if wrong:
-            raise InvalidValue(f"scene {scene.name}: the ceiling needs {rule}")
+    return next((rule for wrong, rule in problems if wrong), "")
+
+
+def check_covered(scene: Scene) -> None:
+    """Raise `InvalidValue` if the integration does not cover a scene, or it has a single label."""
+    check_asked(scene)
+    if rule := uncovered(scene):
+        raise InvalidValue(f"scene {scene.name}: the ceiling needs {rule}; cgid ceiling brackets it by learners")
 
 
 @dataclass(frozen=True)
@@ -321,38 +343,56 @@ def _one(held: list[Batch]) -> Batch:
     )
 
 
-def _profiles(scene: Scene, batch: Batch, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
+def _profiles(scene: Scene, batch: Batch, noise: Noise, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
     """Return the likelihood along the shape for each population.
 
     The populations share it, unless the restitution of one hardly varies: then each has its own nodes.
     """
-    sensor, sampling = scene.sensor, scene.sampling
-    noise = sensor.noise_level(batch.parameters["peak_force"], batch.sampling_rate)
-    if sensor.bits is not None and sensor.range is not None:
-        noise = np.hypot(noise, sensor.range / 2 ** (sensor.bits - 1) / np.sqrt(12))
-    limit = None if sensor.range is None else np.full(len(batch), 0.999 * sensor.range)
-    response = None if sensor.bandwidth is None else low_pass_response(sampling.sampling_rate, sensor.bandwidth)
-    fit = PulseBatch(batch.signals, batch.sampling_rate, batch.pre_trigger, remove_baseline=False).fit
-    touch = float(sampling.pre_trigger)
     bounds = [k.prior.shape_bounds for k in knowledge]
     if min(high - low for low, high in bounds) > _NARROW:
         bounds = [(min(low for low, _ in bounds), max(high for _, high in bounds))] * len(bounds)
-    found = {
-        (low, high): profile(
-            batch.signals,
-            fit,
-            noise,
-            lowest=low,
-            highest=high,
-            n_nodes=n_nodes,
-            onset=np.full(len(batch), touch) if sampling.jitter == 0 else None,
-            onset_between=None if sampling.jitter == 0 else (touch, touch + sampling.jitter),
-            clip_level=limit,
-            response=response,
-        )
-        for low, high in set(bounds)
-    }
+    # Clipped samples tell that the force was higher, which whitening cannot say.
+    along = _along if scene.sensor.range is None else _along_clipped
+    found = {(low, high): along(scene, batch, noise, low, high, n_nodes) for low, high in set(bounds)}
     return [found[bound] for bound in bounds]
+
+
+def _along(scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int) -> Profile:
+    onset, onset_between, response = _touch(scene, len(batch))
+    values, rate = batch.parameters, batch.sampling_rate
+    sensor, peak = scene.sensor, values["peak_force"]
+    shift = (sensor.offset or 0.0) + (sensor.drift or 0.0) / rate * np.arange(batch.signals.shape[1])
+    frames = Frames(batch.signals - shift, peak, noise, float(scene.sampling.pre_trigger), onset, response)
+    # The search for the most likely pulse begins at the true one; where it ends does not depend on that.
+    near = true_parameters(peak, values["contact_duration"] * rate, values["onset"] * rate, values["restitution"])
+    return profile_in(frames, near, lowest=lowest, highest=highest, n_nodes=n_nodes, onset_between=onset_between)
+
+
+def _along_clipped(scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int) -> Profile:
+    onset, onset_between, response = _touch(scene, len(batch))
+    assert scene.sensor.range is not None
+    return profile(
+        batch.signals,
+        PulseBatch(batch.signals, batch.sampling_rate, batch.pre_trigger, remove_baseline=False).fit,
+        noise.level(batch.parameters["peak_force"]),
+        lowest=lowest,
+        highest=highest,
+        n_nodes=n_nodes,
+        onset=onset,
+        onset_between=onset_between,
+        clip_level=np.full(len(batch), 0.999 * scene.sensor.range),
+        response=response,
+    )
+
+
+def _touch(scene: Scene, n: int) -> tuple[Floats | None, tuple[float, float] | None, Floats | None]:
+    """Return the onsets if known, their bounds if not [samples], and the response of the sensor."""
+    sampling, bandwidth = scene.sampling, scene.sensor.bandwidth
+    touch = float(sampling.pre_trigger)
+    response = None if bandwidth is None else low_pass_response(sampling.sampling_rate, bandwidth)
+    if sampling.jitter == 0:
+        return np.full(n, touch), None, response
+    return None, (touch, touch + sampling.jitter), response
 
 
 def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: Floats) -> Ceiling:

@@ -14,8 +14,10 @@ loss. Their density and that of the shape are therefore kept separately, as smoo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import family, validation
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response, mixing_matrix
-from cgid.measure.fit import Problem, PulseFit, normal_equations, rows_of, windows
+from cgid.measure.fit import Problem, normal_equations, rows_of, windows
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -224,6 +226,32 @@ class Profile:
     log_duration: Floats
 
 
+class Near(Protocol):
+    """Pulses near the most likely ones, each (n,): a `PulseFit`, for example; times in samples of the frame."""
+
+    @property
+    def peak(self) -> Floats: ...
+    @property
+    def width(self) -> Floats: ...
+    @property
+    def onset(self) -> Floats: ...
+    @property
+    def shape(self) -> Floats: ...
+
+
+class Residual(Protocol):
+    """Samples and a curve to fit to them, as `cgid.measure.fit.Problem`."""
+
+    @property
+    def free(self) -> list[int]: ...
+    def tied(self, parameters: Floats) -> Floats: ...
+    def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]: ...
+
+
+#: From rows of the frames and their pulses at the lowest shape to parts of these rows, each with its whitened residual.
+Whitened = Callable[[slice, Floats], Iterator[tuple[NDArray[np.intp], Residual]]]
+
+
 @cache
 def _stabilised() -> tuple[Floats, Floats]:
     """Return shapes, and the coordinate in which their standard deviation is the same everywhere."""
@@ -234,7 +262,7 @@ def _stabilised() -> tuple[Floats, Floats]:
 
 def profile(
     samples: NDArray[np.floating],
-    fit: PulseFit,
+    fit: Near,
     noise: Floats,
     *,
     lowest: float = LOWEST_SHAPE,
@@ -246,39 +274,57 @@ def profile(
     onset_between: tuple[float, float] | None = None,
     clip_level: Floats | None = None,
     response: Floats | None = None,
+    whitened: Whitened | None = None,
 ) -> Profile:
     """Return the likelihood along the shape of fitted pulses in samples (n, n_samples).
 
     The prior is zero outside `lowest` and `highest`. With `n_quiet` (n,), the offset is only known as the mean of this
     many samples; otherwise it is exact. Touch is equally likely within `onset_between` [samples] and impossible
     outside; for None it may be anywhere. `noise` (n,) is above 0; `offset`, `onset`, `clip_level` and `response` are as
-    in `fit_pulses`.
+    in `fit_pulses`. `whitened` takes the place of the samples and of these four where the noise is not white; `noise`
+    is then the white noise in which the shape would be as uncertain.
     """
     shapes = _grid(fit, noise, lowest, highest, n_nodes)
     out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(3)))
     for first in range(0, len(samples), _PROFILED_ROWS):
         block = slice(first, first + _PROFILED_ROWS)
         guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
-        own = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
         # As long as the pulse of the lowest shape: a window without its tail could not rule out that shape.
         longest = guess.copy()
         longest[:, 3] = shapes[block, 0]
+        if whitened is not None:
+            for rows, residual in whitened(block, longest):
+                _fill(out, first + rows, residual, guess[rows], np.ones(rows.size), None, onset_between)
+            continue
+        own = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
         for window in windows(samples[block], longest, *own, averaged=response is None):
             rows = first + window.rows
             problem = Problem(window, n_quiet is not None, rows_of(onset, rows), response)
             sigma = noise[rows] / np.sqrt(window.averaged)
             hold = None if n_quiet is None else n_quiet[rows] / window.averaged
-            for node in range(n_nodes):
-                found = _at(problem, guess[window.rows], shapes[rows, node], sigma, hold, onset_between)
-                for held, value in zip((out.log_weight, out.log_peak, out.log_duration), found, strict=True):
-                    held[rows, node] = value
+            _fill(out, rows, problem, guess[window.rows], sigma, hold, onset_between)
     widths = np.gradient(shapes, axis=1) if n_nodes > 1 else np.ones_like(shapes)
     with np.errstate(divide="ignore"):
         log_weight = out.log_weight + np.log(np.maximum(widths, 0.0))
     return Profile(shapes, log_weight, out.log_peak, out.log_duration)
 
 
-def _grid(fit: PulseFit, noise: Floats, lowest: float, highest: float, n_nodes: int) -> Floats:
+def _fill(
+    out: Profile,
+    rows: NDArray[np.intp],
+    problem: Residual,
+    guess: Floats,
+    sigma: Floats,
+    hold: Floats | None,
+    onset_between: tuple[float, float] | None,
+) -> None:
+    for node in range(out.shape.shape[1]):
+        found = _at(problem, guess, out.shape[rows, node], sigma, hold, onset_between)
+        for held, value in zip((out.log_weight, out.log_peak, out.log_duration), found, strict=True):
+            held[rows, node] = value
+
+
+def _grid(fit: Near, noise: Floats, lowest: float, highest: float, n_nodes: int) -> Floats:
     """Return nodes around the fitted shape and within the bounds, evenly spaced in the stabilised coordinate."""
     shapes, coordinate = _stabilised()
     middle = np.interp(fit.shape, shapes, coordinate)
@@ -295,7 +341,7 @@ def _grid(fit: PulseFit, noise: Floats, lowest: float, highest: float, n_nodes: 
 
 
 def _at(
-    problem: Problem,
+    problem: Residual,
     guess: Floats,
     shape: Floats,
     sigma: Floats,
