@@ -243,6 +243,13 @@ def error_of_median(values: Floats, rng: np.random.Generator) -> float:
     return float(np.median(rng.choice(values, (400, len(values))), axis=1).std())
 
 
+#: Headings of a line.
+COLUMNS = (
+    "e", "samples in contact", "noise", "estimate", "optimum", "from it [s.e.]", "penalised optimum", "from this [s.e.]",
+    "honesty", "worse by 2 in chi-square",
+)  # fmt: skip
+
+
 def judge(e: float, contact: int, noise: float, draws: int, seed: int = 0) -> dict[str, float]:
     """Return one line of the table."""
     rng = np.random.default_rng([seed, round(1000 * e), contact, round(1e6 * noise)])
@@ -268,32 +275,14 @@ def judge(e: float, contact: int, noise: float, draws: int, seed: int = 0) -> di
         worse.append(chi_square(y, noise, float(found.restitution[row]), start) > free.chi_square + 2)
     error = (found.restitution - e) / found.restitution_deviation
     middle, optimum, best = (float(np.median(v)) for v in (found.restitution, slow, penalised))
-    return {
-        "e": e,
-        "contact": contact,
-        "noise": noise,
-        "estimate": middle,
-        "likelihood": optimum,
-        "penalised": best,
-        "errors_to_likelihood": (middle - optimum) / error_of_median(np.array(slow), rng),
-        "errors_to_penalised": (middle - best) / error_of_median(np.array(penalised), rng),
-        "honesty": float(error.std()),
-        "worse": float(np.mean(worse)),
-    }
-
-
-COLUMNS = {
-    "e": "e",
-    "contact": "samples in contact",
-    "noise": "noise",
-    "estimate": "estimate",
-    "likelihood": "optimum",
-    "errors_to_likelihood": "difference [s.e.]",
-    "penalised": "penalised optimum",
-    "errors_to_penalised": "difference [s.e.]",
-    "honesty": "honesty",
-    "worse": "worse by 2",
-}
+    own = (e, contact, noise, middle, optimum, (middle - optimum) / error_of_median(np.array(slow), rng))
+    own += (
+        best,
+        (middle - best) / error_of_median(np.array(penalised), rng),
+        float(error.std()),
+        float(np.mean(worse)),
+    )
+    return dict(zip(COLUMNS, own, strict=True))
 
 
 def main() -> None:
@@ -304,12 +293,12 @@ def main() -> None:
     parser.add_argument("--contact", type=int, nargs="+", default=CONTACTS, help="samples")
     parser.add_argument("--noise", type=float, nargs="+", default=NOISES)
     arguments = parser.parse_args()
-    print(f"| {' | '.join(COLUMNS.values())} |\n|{'---|' * len(COLUMNS)}")
+    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for e in arguments.restitution:
         for contact in arguments.contact:
             for noise in arguments.noise:
-                row = judge(e, contact, noise, arguments.draws)
-                print(f"| {' | '.join(f'{row[name]:.3g}' for name in COLUMNS)} |", flush=True)
+                line = judge(e, contact, noise, arguments.draws)
+                print(f"| {' | '.join(f'{value:.3g}' for value in line.values())} |", flush=True)
 
 
 if __name__ == "__main__":
