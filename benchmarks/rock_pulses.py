@@ -137,24 +137,15 @@ def thornton_restitution(ratio: Any) -> Any:
 
 
 @cache
-def _yield_of_restitution() -> tuple[Floats, Floats]:
-    """Return nodes of ln(restitution) and the ln(yield speed over speed) that gives them."""
-    log_ratio = np.linspace(np.log(1e-9), 0.0, 20_001)
-    return np.log(thornton_restitution(np.exp(log_ratio))), log_ratio
+def _log_ratio() -> CubicSpline:
+    """Return ln(yield speed over speed) over ln(restitution)."""
+    log_ratio = np.linspace(np.log(1e-9), 0.0, 8001)
+    return CubicSpline(np.log(thornton_restitution(np.exp(log_ratio))), log_ratio)
 
 
 def yield_ratio(restitution: Floats) -> Floats:
-    """Return the yield speed over speed of a restitution, by the closed form inverted with Newton's steps."""
-    r = np.exp(np.interp(np.log(restitution), *_yield_of_restitution()))
-    for _ in range(4):
-        step = 1e-6 * r
-        low, high = thornton_restitution(r - step), thornton_restitution(np.minimum(r + step, 1.0))
-        r = np.clip(
-            r - (thornton_restitution(r) - restitution) * (np.minimum(r + step, 1.0) - r + step) / (high - low),
-            1e-12,
-            1.0,
-        )
-    return np.asarray(r)
+    """Return the yield speed over speed of a restitution: the closed form inverted."""
+    return np.exp(np.minimum(_log_ratio()(np.log(restitution)), 0.0))
 
 
 class Thornton(NamedTuple):
@@ -196,7 +187,6 @@ def thornton(ratio: Floats) -> Thornton:
 
 
 # -- rocks ------------------------------------------------------------------------------------------------
-
 
 Bounds = tuple[Literal["uniform", "log-uniform"], float, float]
 _BOUNDS = ("distribution", "lowest", "highest")

@@ -63,7 +63,7 @@ def test_thornton_by_branches_is_the_closed_form(ratio):
 
 def test_thornton_of_a_restitution():
     e = np.linspace(0.03, 0.999, 400)
-    assert rock_pulses.thornton_restitution(rock_pulses.yield_ratio(e)) == pytest.approx(e, rel=1e-12)
+    assert rock_pulses.thornton_restitution(rock_pulses.yield_ratio(e)) == pytest.approx(e, rel=1e-9)
 
 
 def test_thornton_is_its_equation_of_motion():
@@ -134,7 +134,7 @@ def test_equal_seeds_give_equal_rocks_whatever_law_and_recorder():
     crushed = record(CASES["thornton"], 64, 5)
     assert np.array_equal(plain.peak, other.peak)
     assert np.array_equal(plain.rocks.mass, crushed.rocks.mass)
-    assert plain.restitution == pytest.approx(crushed.restitution, rel=1e-12)
+    assert plain.restitution == pytest.approx(crushed.restitution, rel=1e-10)
     assert sorted(plain.labels) == ["coal"] * 32 + ["gangue"] * 32
     assert not np.array_equal(plain.peak, record(CASES["hunt-crossley"], 64, 6).peak)
 
