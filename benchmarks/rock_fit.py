@@ -8,8 +8,8 @@ peak, duration and onset are fitted from three starts: the true pulse's width an
 shape to either side. Around the two deepest valleys it looks again at a tenth of the spacing. It knows the noise and
 the true pulse, so it says where the optimum is, not what an estimator may reach.
 
-`estimate` adds Firth's penalty to the likelihood, so there are two optima: of the likelihood, and of the likelihood
-with that penalty, computed here from the information of the pulses of the table.
+There are two optima: of the likelihood, and of the likelihood with a weight of .6 of Firth's penalty on the shape,
+which moves where it is barely determined. The penalty is computed here from the information of the table's pulses.
 
 Columns: medians of the restitution; the median of `estimate` minus that of either optimum, in standard errors of the
 optimum's median (bootstrap); the standard deviation of (estimate - truth) over the stated deviation; the share of
@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 _STEP, _SHAPES, _COARSE = 0.005, 600, 10
 #: Intervals of a curve along s, share of contact = sin^2(pi s / 2).
 _PLACES = 512
-#: Weight of Firth's penalty in `estimate`.
+#: Weight of Firth's penalty.
 FIRTH = 0.6
 QUIET, SAMPLES = 200, 1024
 RESTITUTIONS, CONTACTS, NOISES = (0.15, 0.20), (30, 60, 100), (0.01, 0.02, 0.03)
@@ -251,7 +251,7 @@ COLUMNS = (
 )
 
 
-def judge(e: float, contact: int, noise: float, draws: int, seed: int = 0) -> dict[str, float]:
+def judge(e: float, contact: int, noise: float, draws: int, seed: int = 0) -> dict[str, Any]:
     """Return one line of the table."""
     rng = np.random.default_rng([seed, round(1000 * e), contact, round(1e6 * noise)])
     table = viscous("hunt-crossley")
@@ -276,14 +276,9 @@ def judge(e: float, contact: int, noise: float, draws: int, seed: int = 0) -> di
         worse.append(chi_square(y, noise, float(found.restitution[row]), start) > free.chi_square + 2)
     error = (found.restitution - e) / found.restitution_deviation
     middle, optimum, best = (float(np.median(v)) for v in (found.restitution, slow, penalised))
-    own = (e, contact, noise, middle, optimum, (middle - optimum) / error_of_median(np.array(slow), rng))
-    own += (
-        best,
-        (middle - best) / error_of_median(np.array(penalised), rng),
-        float(error.std()),
-        float(np.mean(worse)),
-    )
-    return dict(zip(COLUMNS, own, strict=True))
+    errors = [(middle - of) / error_of_median(np.array(v), rng) for of, v in ((optimum, slow), (best, penalised))]
+    shown = (middle, optimum, errors[0], best, errors[1], float(error.std()), float(np.mean(worse)))
+    return dict(zip(COLUMNS, (f"{e:g}", contact, f"{noise:g}", *shown), strict=True))
 
 
 def main() -> None:
@@ -299,7 +294,8 @@ def main() -> None:
         for contact in arguments.contact:
             for noise in arguments.noise:
                 line = judge(e, contact, noise, arguments.draws)
-                print(f"| {' | '.join(f'{value:.3g}' for value in line.values())} |", flush=True)
+                cells = (f"{value:.3f}" if isinstance(value, float) else str(value) for value in line.values())
+                print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

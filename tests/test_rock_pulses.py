@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import least_squares
 
-from cgid.measure.template import shape_penalty
+from cgid.measure.likelihood import cramer_rao_bound
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.materials import STEEL, Material
 
@@ -227,9 +227,11 @@ def test_slow_search_finds_the_deepest_of_many_optima_of_scipy(e, contact, noise
         assert penalised.chi_square >= own.chi_square - 1e-6
 
 
-def test_penalty_is_that_of_the_information():
-    """Up to a constant: the two are computed from two tables."""
-    s = np.log([0.1, 0.15, 0.3, 0.5, 0.8, 1.0, 1.5, 3.0])
-    own = rock_fit.family().penalty[np.rint(s / 0.005).astype(int) + 600]
-    theirs = shape_penalty(s)[0]
-    assert own - own[3] == pytest.approx(theirs - theirs[3], abs=0.02)
+def test_penalty_is_that_of_the_cramer_rao_bound():
+    """Minus the ln of the bound of the shape among pulses of one width, up to a constant."""
+    e = np.array([0.1, 0.15, 0.3, 0.5, 0.8, 1.0, 1.5, 3.0])
+    number = np.rint(np.log(e) / 0.005).astype(int) + 600
+    held = rock_fit.family()
+    bound = cramer_rao_bound(held.duration[number] * 1e-3, e, 0.01, 1e6)
+    expected = -np.log(bound.restitution_deviation / e)
+    assert held.penalty[number] - held.penalty[number[3]] == pytest.approx(expected - expected[3], abs=0.02)
