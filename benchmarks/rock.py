@@ -1,0 +1,430 @@
+"""A model of the force on rock as it is: other laws of loss, lumps that are no spheres, noise that is not white.
+
+    python benchmarks/rock.py                          # all tables, Markdown; one core, some ten minutes
+    python benchmarks/rock.py --quick                  # the same in two minutes, with errors of .02
+    python benchmarks/rock.py --shows 2 --cases thornton "pink 1 %" --model mine.npz --output rock.csv
+
+Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code with the package.
+
+2. The model on each case, beside a learner that trains on that case alone: boosting, network or logistic regression on
+   the features of the model, the best on a fifth that is held out. Accuracy counts *unknown* as wrong; recall,
+   calibration and "forced" take the most probable label in spite of it, and guess where a pulse cannot be measured. The
+   calibration error is over ten bins of p(coal); "by chance" is what a perfectly calibrated model would get.
+3. A law left out of the training, and the model judged on it, for each law. It trains on scenes (`--rows-of`) without
+   the populations of that law; on `own`, the laws of this generator, noise of .01 to 10 %, half with sharp corners.
+4. Strangers of the shipped scene, and the real shocks where they stand beside the checkout: the share that is flagged.
+5. The fit of one dull impact (`rock_fit.py`), and learners beside the ceilings of their scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import rock_fit
+from numpy.typing import NDArray
+from rock_pulses import CASES, LAWS, RATE, Case, Impacts, record
+from threadpoolctl import threadpool_limits
+
+from cgid import shipped
+from cgid.ceiling import ceiling
+from cgid.errors import CgidError
+from cgid.identification.answers import UNKNOWN, identify, identify_frames, suited
+from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.model import Model
+from cgid.identification.rows import Rows, measure
+from cgid.identification.training import train
+from cgid.measure.features import extract_array
+from cgid.recordings import read_recording
+from cgid.scene import Scene, load_scene, synthesise, varied
+from cgid.signals import Batch
+
+Floats = NDArray[np.float64]
+Line = dict[str, Any]
+#: Source of rows that is no scene.
+OWN = "own"
+REAL_SHOCKS = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
+#: Seeds of what is judged, of learners, of the rows with a law left out.
+_JUDGED, _LEARNED, _LEFT_OUT = 2_000_003, 1, 3
+#: Impacts made at once.
+_AT_ONCE = 4096
+#: Share of a learner's impacts that choose its family.
+_HELD_BACK = 0.2
+_FAMILIES = ("boosting", "network", "logistic")
+#: Noises of a law's training, white, over the peak.
+_NOISES = (0.0001, 0.001, 0.01, 0.03, 0.1)
+#: Law of a case, as scenes name it.
+_KINDS = {law: law.removesuffix(" by strength") for law in LAWS}
+#: Cases that only table 5 is about.
+_LATER = ("dull", "peers", "peers, pink 2 %")
+
+
+class Answered(NamedTuple):
+    """What a model says of impacts: p(coal), .5 where it cannot measure; whether it says *unknown*; and the truth."""
+
+    coal: Floats
+    unknown: NDArray[np.bool_]
+    labels: NDArray[np.str_]
+
+    @property
+    def hits(self) -> Floats:
+        """1 where the most probable label is right, 0.5 where there is none."""
+        right = (self.coal > 0.5) == (self.labels == "coal")
+        return np.where(self.coal == 0.5, 0.5, right)
+
+    def of(self, chosen: NDArray[np.bool_]) -> Answered:
+        """Return some of the answers."""
+        return Answered(*(column[chosen] for column in self))
+
+    def calibration_error(self) -> tuple[float, float]:
+        """Return the error over ten bins of p(coal), and its mean if the probabilities were right."""
+        if not len(self.coal):
+            return float("nan"), float("nan")
+        place = np.minimum((self.coal * 10).astype(int), 9)
+        spread = self.coal * (1 - self.coal)
+        gap = np.bincount(place, self.coal - (self.labels == "coal"), 10)
+        chance = np.sqrt(2 / np.pi * np.bincount(place, spread, 10))
+        return float(np.abs(gap).sum() / len(self.coal)), float(chance.sum() / len(self.coal))
+
+    def figures(self) -> Line:
+        """Return the columns of the table."""
+        answered, gangue = ~self.unknown, self.labels == "gangue"
+        error, chance = self.calibration_error()
+        return {
+            "accuracy": float((self.hits * answered).mean()),
+            "unknown": float(self.unknown.mean()),
+            "of the answered": float(self.hits[answered].mean()) if answered.any() else float("nan"),
+            "forced": float(self.hits.mean()),
+            "recall of gangue": float(self.hits[gangue].mean()),
+            "calibration error": error,
+            "by chance": chance,
+        }
+
+
+def answered(model: Model, impacts: Impacts, trigger: int) -> Answered:
+    """Return the answers of a model for impacts."""
+    answers = identify_frames(impacts.signals, RATE, model, pre_trigger=trigger)
+    coal = np.array([answer.probabilities.get("coal", 0.5) for answer in answers])
+    return Answered(coal, np.array([answer.label == UNKNOWN for answer in answers]), impacts.labels)
+
+
+def blocks(case: Case, n: int, seed: int) -> Iterator[Impacts]:
+    """Yield n impacts of a case in blocks."""
+    for number, first in enumerate(range(0, n, _AT_ONCE)):
+        yield record(case, min(_AT_ONCE, n - first), seed + 1_000_000 * number)
+
+
+# -- a learner of one case --------------------------------------------------------------------------------
+
+
+class Table(NamedTuple):
+    """Features (n, n_features), nan where not measurable, and labels."""
+
+    features: Floats
+    labels: NDArray[np.str_]
+
+
+def features_of(case: Case, n: int, seed: int, names: Sequence[str]) -> Table:
+    """Return the features of impacts of a case."""
+    parts = [
+        (extract_array(one.signals, RATE, names, pre_trigger=case.trigger, invalid="nan"), one.labels)
+        for one in blocks(case, n, seed)
+    ]
+    return Table(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def learned(training: Table, seed: int = 0) -> tuple[str, ImpactClassifier]:
+    """Return the family with the lowest log loss on the impacts held back, and its classifier of the others."""
+    measured = np.isfinite(training.features).all(axis=1)
+    x, y = training.features[measured], training.labels[measured]
+    cut = round((1 - _HELD_BACK) * len(x))
+    fits, losses = {}, {}
+    for family in _FAMILIES:
+        fits[family] = ImpactClassifier(family, rejects=False, calibration_folds=0, random_state=seed)
+        fits[family].fit(x[:cut], y[:cut])
+        truth = y[cut:, None] == fits[family].classes_
+        losses[family] = -np.log(np.maximum(fits[family].predict_proba(x[cut:])[truth], 1e-9)).mean()
+    best = min(losses, key=losses.__getitem__)
+    return best, fits[best]
+
+
+def accuracy(classifier: ImpactClassifier, test: Table) -> float:
+    """Return the accuracy; what cannot be measured is a guess."""
+    measured = np.isfinite(test.features).all(axis=1)
+    right = classifier.predict(test.features[measured]) == test.labels[measured]
+    return float((right.sum() + 0.5 * (~measured).sum()) / len(measured))
+
+
+def table_of_cases(model: Model, names: Sequence[str], n: int, n_learner: int) -> Iterator[Line]:
+    """Yield the lines of table 2."""
+    for name in names:
+        case = CASES[name]
+        impacts = record(case, n, _JUDGED)
+        line = {"case": name, **answered(model, impacts, case.trigger).figures()}
+        if n_learner:
+            family, classifier = learned(features_of(case, n_learner, _LEARNED, model.features))
+            own = extract_array(impacts.signals, RATE, model.features, pre_trigger=case.trigger, invalid="nan")
+            line |= {"learner": accuracy(classifier, Table(own, impacts.labels)), "family": family}
+        yield line
+
+
+# -- a law left out ---------------------------------------------------------------------------------------
+
+
+def own_rows(n: int, names: Sequence[str]) -> dict[str, Rows]:
+    """Return rows of each law of this generator, equally many."""
+    found = {}
+    for number, kind in enumerate(dict.fromkeys(_KINDS.values())):
+        laws = tuple(law for law in LAWS if _KINDS[law] == kind)
+        shapes = (None, ("log-uniform", 0.1, 1.0))
+        cases = [
+            replace(CASES[laws[0]], laws=laws, noise=noise, curvature=shape) for noise in _NOISES for shape in shapes
+        ]
+        batches = (
+            batch_of(block, case.trigger, kind, (number * len(cases) + k) * n)
+            for k, case in enumerate(cases)
+            for block in blocks(case, n // len(cases), _LEFT_OUT + 100 * (number * len(cases) + k))
+        )
+        found[kind] = measure(batches, names)
+    return found
+
+
+def batch_of(impacts: Impacts, trigger: int, source: str, first: int) -> Batch:
+    """Return impacts as a labelled batch; specimens count from `first`."""
+    return Batch(
+        signals=impacts.signals,
+        labels=impacts.labels,
+        sampling_rate=RATE,
+        unit="N",
+        pre_trigger=trigger,
+        specimen=np.arange(first, first + len(impacts.labels), dtype=np.uint64),
+        source=source,
+    )
+
+
+def law_of(scene: Scene, number: int) -> str:
+    """Return the law of loss of a population of a scene."""
+    return str(getattr(scene.populations[number], "dissipation", None) or scene.impact.dissipation)
+
+
+def scene_rows(scene: Scene, n: int, names: Sequence[str]) -> dict[str, Rows]:
+    """Return n rows of each law that populations of a scene name."""
+    laws = [law_of(scene, number) for number in range(len(scene.populations))]
+    found = {}
+    for number, law in enumerate(dict.fromkeys(laws)):
+        own = tuple(one for one, its in zip(scene.populations, laws, strict=True) if its == law)
+        found[law] = measure(synthesise(scene.model_copy(update={"populations": own}), n, _LEFT_OUT + number), names)
+    return found
+
+
+def rows_of(sources: Sequence[str], n: int, names: Sequence[str]) -> dict[str, Rows]:
+    """Return rows by law, n of each in each source: `own`, or a scene."""
+    parts = [
+        own_rows(n, names) if source == OWN else scene_rows(load_scene(shipped.scene_path(source)), n, names)
+        for source in sources
+    ]
+    laws = dict.fromkeys(law for part in parts for law in part)
+    return {law: joined([part[law] for part in parts if law in part]) for law in laws}
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Return the rows of several laws as one, of distinct specimens."""
+    first, starts = parts[0], np.cumsum([0, *(int(part.group.max()) + 1 for part in parts[:-1])])
+    rates = [part.sampling_rates for part in parts]
+    return replace(
+        first,
+        features=np.concatenate([part.features for part in parts]),
+        labels=np.concatenate([part.labels for part in parts]),
+        group=np.concatenate([part.group + start for part, start in zip(parts, starts.tolist(), strict=True)]),
+        source=np.concatenate([np.full(len(part.labels), k) for k, part in enumerate(parts)]),
+        sources=tuple(str(k) for k in range(len(parts))),
+        known=np.empty((sum(len(part.labels) for part in parts), 0)),
+        sampling_rates=(min(low for low, _ in rates), max(high for _, high in rates)),
+        left_out=sum(part.left_out for part in parts),
+    )
+
+
+def table_of_laws(model: Model, rows: dict[str, Rows], n: int, family: str) -> Iterator[Line]:
+    """Yield the lines of table 3: what the models say of the law that they do not know, and of it when they do."""
+    impacts = {law: record(CASES[law], n, _JUDGED) for law in LAWS}
+    guards = tuple(name for name in model.measured if name not in model.features)
+    for left_out in ("nothing", *rows):
+        kept = joined([own for law, own in rows.items() if law != left_out])
+        with threadpool_limits(1):
+            trained = train(kept, features=model.features, guards=guards, family=family).model
+        for law in LAWS:
+            if left_out in ("nothing", _KINDS[law]):
+                all_of_them = answered(trained, impacts[law], CASES[law].trigger)
+                told = all_of_them.of(~all_of_them.unknown)
+                error, chance = told.calibration_error()
+                yield {
+                    "left out": left_out,
+                    "judged on": law,
+                    "answered": 1 - float(all_of_them.unknown.mean()),
+                    "of the answered": float(told.hits.mean()) if len(told.coal) else float("nan"),
+                    "calibration error": error,
+                    "by chance": chance,
+                    "forced": float(all_of_them.hits.mean()),
+                }
+
+
+# -- strangers --------------------------------------------------------------------------------------------
+
+
+def table_of_strangers(model: Model, n: int) -> Iterator[Line]:
+    """Yield the share flagged of each kind of stranger, at three noises, and of the real shocks."""
+    scene = load_scene(shipped.scene_path("strangers"))
+    flagged: dict[str, Line] = {}
+    for noise in (0.001, 0.01, 0.1):
+        found: dict[str, list[bool]] = {}
+        for batch in synthesise(varied(scene, relative_noise=noise), n, _JUDGED):
+            answers = identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
+            for label, answer in zip(batch.labels.tolist(), answers, strict=True):
+                found.setdefault(label, []).append(not answer.in_training_range)
+        for label, flags in found.items():
+            flagged.setdefault(label, {"stranger": label})[f"at {noise:.1%}"] = float(np.mean(flags))
+    yield from flagged.values()
+    files = sorted(REAL_SHOCKS.glob("acc_*.txt"))
+    if files:
+        share = float(np.mean([shock_is_flagged(model, file) for file in files]))
+        yield {"stranger": f"{len(files)} real shocks", "at 0.1%": "-", "at 1.0%": share, "at 10.0%": "-"}
+
+
+def shock_is_flagged(model: Model, file: Path) -> bool:
+    """Return whether no impact of a recorded shock, as the force on 1 kg, is in the training range."""
+    (recorded,) = read_recording(file)
+    answers = identify(suited(recorded.as_force(1.0), model), model)
+    return not any(answer.in_training_range for answer in answers)
+
+
+# -- learners beside the ceiling --------------------------------------------------------------------------
+
+
+def limits() -> dict[str, Scene]:
+    """Return the scenes whose ceilings stand beside the learners of table 5, by case."""
+    reference, peers = (load_scene(shipped.scene_path(name)) for name in ("reference", "peers"))
+    populations: tuple[Any, ...] = ()
+    for population, (low, high) in zip(reference.populations, ((0.15, 0.40), (0.30, 0.60)), strict=True):
+        alone = reference.model_copy(update={"populations": (population,)})
+        span = {"distribution": "uniform", "lowest": low, "highest": high}
+        populations += varied(alone, restitution=span).populations
+    found = {
+        "dull": reference.model_copy(update={"populations": populations}),
+        "peers": peers,
+        "hunt-crossley": reference,
+    }
+    if "noise_exponent" in type(peers.sensor).model_fields:
+        found["peers, pink 2 %"] = varied(peers, noise_exponent=1.0)
+    return found
+
+
+def table_of_learners(names: Sequence[str], n_test: int, n_ceiling: int, n_large: int, n_sets: int) -> Iterator[Line]:
+    """Yield accuracies of learners beside the ceilings: `n_large` impacts to train, for the peers sets of 1,500."""
+    scenes = limits()
+    for name, n, sets in (
+        ("dull", n_large, 1),
+        ("peers, pink 2 %", 1500, n_sets),
+        ("peers", 1500, n_sets),
+        ("hunt-crossley", n_large, 1),
+    ):
+        test = features_of(CASES[name], n_test, _JUDGED, names)
+        training = features_of(CASES[name], n * sets, _LEARNED, names)
+        found = [learned(Table(*(column[k * n : (k + 1) * n] for column in training)), k) for k in range(sets)]
+        mean = float(np.mean([accuracy(classifier, test) for _, classifier in found]))
+        line: Line = {"case": name, "to train": n, "accuracy": mean, "its s.e.": (mean * (1 - mean) / n_test) ** 0.5}
+        if name in scenes:
+            with suppress(CgidError):  # a scene that the ceiling does not cover
+                limit = ceiling(scenes[name], n_ceiling, _JUDGED)
+                line |= {"ceiling": limit.accuracy, "s.e.": limit.accuracy_error, "below": limit.accuracy - mean}
+        families = [family for family, _ in found]
+        yield line | {"families": " ".join(f"{families.count(one)} {one}" for one in dict.fromkeys(families))}
+
+
+# -- output -----------------------------------------------------------------------------------------------
+
+
+def shown(value: Any) -> str:
+    """Return a value as a cell of the table."""
+    if isinstance(value, float):
+        return f"{value:.3f}" if np.isfinite(value) else "-"
+    return str(value)
+
+
+def printed(title: str, lines: Iterator[Line]) -> list[Line]:
+    """Print lines as Markdown as they come, and return them."""
+    print(f"\n**{title}**\n", flush=True)
+    columns: list[str] = []
+    found = []
+    for line in lines:
+        if not columns:
+            columns = list(line)
+            print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+        print(f"| {' | '.join(shown(line.get(column, '-')) for column in columns)} |", flush=True)
+        found.append({"table": title, **line})
+    return found
+
+
+def write(path: Path, lines: list[Line]) -> None:
+    """Write one row for each figure."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("table", "line", "figure", "value"))
+        for line in lines:
+            names = [str(value) for value in line.values() if not isinstance(value, float)]
+            numbers = [(name, value) for name, value in line.items() if isinstance(value, float)]
+            writer.writerows((line["table"], ", ".join(names[1:]), name, f"{value:.6g}") for name, value in numbers)
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--model", type=Path, default=shipped.path_of("models", shipped.DEFAULT_MODEL))
+    parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4, 5), default=(2, 3, 4, 5))
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=[name for name in CASES if name not in _LATER])
+    parser.add_argument("--signals", type=int, default=4096, help="to judge a line on")
+    parser.add_argument("--learner-signals", type=int, default=20_000, help="that a learner trains on")
+    parser.add_argument("--no-learner", action="store_true")
+    default = "rock" if "rock" in shipped.SCENES else OWN
+    parser.add_argument("--rows-of", nargs="+", default=[default], metavar="SCENE", help="on which table 3 trains")
+    parser.add_argument("--rows", type=int, default=10_000, help="of each law and scene in table 3")
+    parser.add_argument("--family", help="of the models in table 3; default: that of the model")
+    parser.add_argument("--draws", type=int, default=300, help="of each dull impact")
+    parser.add_argument("--quick", action="store_true", help="fewer signals everywhere")
+    parser.add_argument("--output", type=Path, help="also a CSV file of all figures")
+    own = parser.parse_args()
+    if own.quick:
+        own.signals, own.learner_signals, own.rows, own.draws = 1024, 4000, 2000, 30
+    model, began, lines = Model.load(own.model), time.perf_counter(), []
+    if 2 in own.shows:
+        n_learner = 0 if own.no_learner else own.learner_signals
+        lines += printed("2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, n_learner))
+    if 3 in own.shows:
+        rows = rows_of(own.rows_of, own.rows, model.measured)
+        family = own.family or model.family
+        lines += printed("3. A law left out of the training", table_of_laws(model, rows, own.signals, family))
+    if 4 in own.shows:
+        lines += printed("4. Strangers: share flagged", table_of_strangers(model, own.signals))
+    if 5 in own.shows:
+        dull = (
+            rock_fit.judge(e, contact, noise, own.draws)
+            for e in rock_fit.RESTITUTIONS
+            for contact in rock_fit.CONTACTS
+            for noise in rock_fit.NOISES
+        )
+        lines += printed("5. The fit of one dull impact", dull)
+        sizes = (5 * own.signals, own.signals, own.learner_signals, 2 if own.quick else 5)
+        lines += printed("5. Learners beside the ceiling", table_of_learners(model.features, *sizes))
+    print(f"\n{time.perf_counter() - began:.0f} s")
+    if own.output:
+        write(own.output, lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""The independent impacts of `benchmarks/rock_pulses.py`, and the slow search of `benchmarks/rock_fit.py`.
+
+They judge the package, so first they are judged themselves: by closed forms, by DOP853 away from the nodes of the
+tables, and by the package's own physics, which they share nothing with.
+"""
+
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import least_squares
+
+from cgid.measure.likelihood import cramer_rao_bound
+from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
+from cgid.physics.materials import STEEL, Material
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+if str(BENCHMARKS) not in sys.path:
+    sys.path.append(str(BENCHMARKS))
+
+import rock_fit  # noqa: E402
+import rock_pulses  # noqa: E402
+from rock_pulses import CASES, LAWS, RATE, record, viscous  # noqa: E402
+
+
+def test_hunt_crossley_has_its_exact_restitution():
+    table = viscous("hunt-crossley")
+    e = table.restitution[(table.restitution > 0.1) & (table.restitution < 1)]
+    loss = table.loss(e)
+    # v dv / (1 + D v) = -x^1.5 dx, integrated over loading and unloading
+    assert loss * (1 + e) == pytest.approx(np.log((1 + loss) / (1 - loss * e)), rel=1e-9)
+
+
+@pytest.mark.parametrize("law", ["hunt-crossley", "kuwabara-kono"])
+@pytest.mark.parametrize("e", [0.1123, 0.1512, 0.353, 0.707, 0.934])
+def test_interpolated_pulse_is_that_of_an_integration(law, e):
+    table = viscous(law)
+    delivered, duration, force = rock_pulses.integrate(law, float(table.loss(e)))
+    assert delivered == pytest.approx(e, abs=3e-7)
+    assert table.duration(e) == pytest.approx(duration, rel=3e-7)
+    share = np.linspace(0, 1, 3001)[1:-1]
+    curve = table.peak(e) * table.force.ev(e, 2 / np.pi * np.arcsin(np.sqrt(share)))
+    assert np.abs(curve - force(share * duration)).max() < 3e-6 * table.peak(e)
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 0.05, 0.3, 0.8, 0.999, 1.0, 3.0])
+def test_thornton_by_branches_is_the_closed_form(ratio):
+    found = rock_pulses.thornton(np.array([ratio]))
+    assert found.restitution[0] == pytest.approx(rock_pulses.thornton_restitution(ratio), rel=1e-12)
+    row = np.zeros(1, np.intp)
+    ends = (0, found.first[0], found.second[0], found.third[0])
+    impulse = sum(
+        quad(lambda t: found.force(np.array([t]), row)[0], low, high, epsabs=1e-11)[0]
+        for low, high in pairwise(ends)
+        if high > low
+    )
+    assert found.peak[0] * impulse == pytest.approx(1 + found.restitution[0], rel=1e-8)
+
+
+def test_thornton_of_a_restitution():
+    e = np.linspace(0.03, 0.999, 400)
+    assert rock_pulses.thornton_restitution(rock_pulses.yield_ratio(e)) == pytest.approx(e, rel=1e-9)
+
+
+def test_thornton_is_its_equation_of_motion():
+    ratio = 0.3
+    found, row = rock_pulses.thornton(np.array([ratio])), np.zeros(2000, np.intp)
+    depth = 1.25**0.4 * ratio**0.8
+
+    def load(x):
+        return x**1.5 if x < depth else depth**1.5 + 1.5 * np.sqrt(depth) * (x - depth)
+
+    t = np.linspace(0, found.second[0], 2000)
+    run = solve_ivp(
+        lambda _, s: [s[1], -load(max(s[0], 0))], (0, t[-1]), [0, 1], "DOP853", t, rtol=1e-11, atol=1e-13, max_step=1e-2
+    )
+    expected = np.array([load(max(x, 0)) for x in run.y[0]])
+    assert found.peak[0] * found.force(t, row) == pytest.approx(expected, abs=1e-7)
+
+
+def loss_of(law, rock, k):
+    """Return the package's law of loss of one rock."""
+    e = rock.restitution[k]
+    depth = (rock.mass[k] * rock.speed[k] ** 2 / (4 / 3 * rock.modulus[k] * np.sqrt(rock.radius[k]))) ** 0.4
+    match law:
+        case "hunt-crossley":
+            return HuntCrossley(restitution=e)
+        case "kuwabara-kono":
+            return Viscoelastic(dissipative_constant=viscous(law).loss(e) * depth / rock.speed[k])
+        case "thornton":
+            at_yield = depth * (1.25 * rock_pulses.yield_ratio(rock.restitution[k : k + 1])[0] ** 2) ** 0.4
+            return Thornton(yield_pressure=2 * rock.modulus[k] / np.pi * np.sqrt(at_yield / rock.radius[k]))
+        case "thornton by strength":
+            return Thornton(yield_pressure=rock.yield_pressure[k])
+    return WaltonBraun(restitution=e)
+
+
+@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")  # sharp corners
+@pytest.mark.parametrize("law", LAWS)
+def test_package_makes_the_same_pulses(law):
+    """Two programs, one physics: eight rocks with sharp corners and eccentric blows."""
+    case = replace(CASES[law], curvature=("log-uniform", 0.1, 1.0), mass_share=("uniform", 0.4, 1.0))
+    rock = rock_pulses.rocks(case, 8, np.random.default_rng(3))
+    pulse = rock_pulses.pulses(rock)
+    for k in range(8):
+        # A sphere of the contact's radius, as heavy as the share of the rock, of the same effective modulus.
+        modulus = 1 / (1 / rock.modulus[k] - (1 - 0.3**2) / 210e9)
+        density = rock.mass[k] / (4 / 3 * np.pi * rock.radius[k] ** 3)
+        lump = Material(density=density, youngs_modulus=modulus * (1 - 0.25**2), poisson_ratio=0.25)
+        impact = Impact(
+            sphere=Sphere(material=lump, radius=rock.radius[k]),
+            target=HalfSpace(material=STEEL),
+            velocity=rock.speed[k],
+            stiffness="hertz",
+            dissipation=loss_of(law, rock, k),
+        )
+        assert float(impact.restitution) == pytest.approx(pulse.restitution[k], abs=2e-6)
+        assert float(impact.peak_force) == pytest.approx(pulse.peak[k], rel=2e-6)
+        assert float(impact.contact_duration) == pytest.approx(pulse.duration[k], rel=2e-6)
+        t = np.linspace(0, 1, 500)[1:-1] * pulse.duration[k]
+        own = pulse.force(t, np.full(len(t), k))
+        assert np.abs(own - impact.force(t) / pulse.peak[k]).max() < 1e-5
+
+
+# -- recorder -----------------------------------------------------------------------------------------------
+
+
+def test_equal_seeds_give_equal_rocks_whatever_law_and_recorder():
+    plain, other = record(CASES["hunt-crossley"], 64, 5), record(CASES["clipped at .7"], 64, 5)
+    crushed = record(CASES["thornton"], 64, 5)
+    assert np.array_equal(plain.peak, other.peak)
+    assert np.array_equal(plain.rocks.mass, crushed.rocks.mass)
+    assert plain.restitution == pytest.approx(crushed.restitution, rel=1e-10)
+    assert sorted(plain.labels) == ["coal"] * 32 + ["gangue"] * 32
+    assert not np.array_equal(plain.peak, record(CASES["hunt-crossley"], 64, 6).peak)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_signal_is_quiet_before_touch_and_holds_the_peak(name):
+    case, impacts = CASES[name], record(CASES[name], 64, 8)
+    assert impacts.signals.shape == (64, 2048)
+    assert np.isfinite(impacts.signals).all()
+    noise = max(case.noise, case.pink, case.hum)
+    # The bits of the fixed range are a coarse noise of their own.
+    step = 2 * rock_pulses.largest_peak(case) / 2**12 if case.range == "fixed" else 0.0
+    room = (6 * noise + 1e-3) * impacts.peak + step
+    assert (np.abs(impacts.signals[:, : case.trigger]).max(axis=1) <= room).all()
+    top = impacts.signals.max(axis=1)
+    if case.clipped:
+        assert top == pytest.approx(case.clipped * impacts.peak, rel=1e-6)
+    elif case.edge:
+        assert (top < (1.1 + 5 * noise) * impacts.peak).all()
+    else:
+        samples = impacts.duration * RATE
+        assert (np.abs(top - impacts.peak) <= room + impacts.peak * 3 / samples).all()
+
+
+def test_recorded_force_is_that_of_the_pulse_at_each_sample():
+    impacts = record(replace(CASES["walton-braun"], noise=0.0), 16, 2)
+    for k in range(16):
+        t = np.arange(2048) - impacts.touch[k]
+        rise = impacts.duration[k] * RATE / (1 + impacts.restitution[k])
+        fall = rise * impacts.restitution[k]
+        up = np.where((t > 0) & (t <= rise), np.sin(np.pi / 2 * t / rise), 0)
+        down = np.where((t > rise) & (t < rise + fall), np.cos(np.pi / 2 * (t - rise) / fall), 0)
+        assert impacts.signals[k] / impacts.peak[k] == pytest.approx(up + down, abs=1e-6)
+
+
+def test_pink_noise_has_its_deviation_and_falls_by_half_an_octave():
+    noise = rock_pulses.pink_noise(np.random.default_rng(1), 2000)
+    assert noise.std() == pytest.approx(1, abs=0.02)
+    power = (np.abs(np.fft.rfft(noise, axis=1)) ** 2).mean(axis=0)
+    low, high = power[4:8].mean(), power[256:512].mean()
+    assert low / high == pytest.approx(np.mean(1 / np.arange(4, 8)) / np.mean(1 / np.arange(256, 512)), rel=0.05)
+
+
+def test_anti_alias_filter_holds_what_is_far_below_its_edge():
+    """A contact that is long beside the filter comes through delayed by its delay at low frequencies, and unchanged."""
+    case = replace(CASES["anti-alias 20 kHz"], noise=0.0)
+    filtered, plain = record(case, 256, 4), record(replace(case, edge=None), 256, 4)
+    k = int(np.argmax(plain.duration))
+    delay = 5.126 / (2 * np.pi * 20e3) * RATE  # the sum of 2 sin over the poles of order 8
+    t = np.arange(2048)
+    moved = np.interp(t - delay, t, plain.signals[k])
+    assert np.abs(filtered.signals[k] - moved).max() < 0.01 * plain.peak[k]
+
+
+# -- slow search --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("e", "contact", "noise"), [(0.15, 60, 0.02), (0.2, 30, 0.02), (0.35, 60, 0.05)])
+def test_slow_search_finds_the_deepest_of_many_optima_of_scipy(e, contact, noise):
+    rng = np.random.default_rng(17)
+    table = viscous("hunt-crossley")
+    t = np.arange(400.0)
+
+    def pulse(p):
+        share = np.clip((t - p[2]) / np.exp(p[1]), 0, 1)
+        own = np.exp(-abs(p[3]))
+        share = 1 - share if p[3] > 0 else share
+        return p[0] * table.force.ev(own, 2 / np.pi * np.arcsin(np.sqrt(share)))
+
+    truth = np.array([1.0, np.log(contact), 60.4, np.log(e)])
+    bound = np.log(0.05)
+    for _ in range(3):
+        y = pulse(truth) + noise * rng.standard_normal(len(t))
+        own, penalised = rock_fit.optima(y, noise, (1.0, contact, 60.4, e), (0.0, rock_fit.FIRTH))
+        best = min(
+            (
+                least_squares(
+                    lambda p, y=y: (y - pulse(p)) / noise,
+                    [1, truth[1] + 0.3 * (truth[3] - s), truth[2], s],
+                    bounds=([0, 0, 0, bound], [9, 9, 400, -bound]),
+                    x_scale=[1, 1, contact, 1],
+                )
+                for s in np.log([0.07, 0.12, 0.2, 0.35, 0.5, 0.7, 1.2, 2.0])
+            ),
+            key=lambda found: found.cost,
+        )
+        assert own.chi_square <= 2 * best.cost + 1e-3
+        if own.chi_square > 2 * best.cost - 1e-3:  # scipy may stop in a valley that is not the deepest
+            assert own.restitution == pytest.approx(np.exp(best.x[3]), abs=5e-3)
+        assert penalised.chi_square >= own.chi_square - 1e-6
+
+
+def test_penalty_is_that_of_the_cramer_rao_bound():
+    """Minus the ln of the bound of the shape among pulses of one width, up to a constant."""
+    e = np.array([0.1, 0.15, 0.3, 0.5, 0.8, 1.0, 1.5, 3.0])
+    number = np.rint(np.log(e) / 0.005).astype(int) + 600
+    held = rock_fit.family()
+    bound = cramer_rao_bound(held.duration[number] * 1e-3, e, 0.01, 1e6)
+    expected = -np.log(bound.restitution_deviation / e)
+    assert held.penalty[number] - held.penalty[number[3]] == pytest.approx(expected - expected[3], abs=0.02)
