@@ -467,7 +467,7 @@ def _search(
 ) -> Optimum:
     """Return the optimum nearest to a guess, for all rows of a problem or some."""
     row = np.arange(len(problem.window.rows))[rows]
-    parameters = problem.tied(guess, row)
+    parameters = problem.tied(np.where(np.isfinite(guess), guess, 0.0), row)
     n, free, variance, column = len(parameters), problem.free, sigma**2, problem.free.index(3)
     cost, information, gradient = normal_equations(*problem.residual(parameters, row))
     damping, active, converged = np.full(n, first_damping), np.arange(n), np.zeros(n, bool)
@@ -482,6 +482,8 @@ def _search(
         tried = parameters[active]
         tried[:, free] += _bounded(step, free, np.exp(tried[:, 1]))
         tried[:, 3] = np.clip(tried[:, 3], LOWEST_SHAPE, HIGHEST_SHAPE)
+        # Where nothing was seen a step may be nan: no step, then.
+        tried = np.where(np.isfinite(tried), tried, parameters[active])
         tried = problem.tied(tried, row[active])
         new = normal_equations(*problem.residual(tried, row[active]))
         gained = cost[active] - new[0]
