@@ -399,16 +399,22 @@ def test_a_shape_is_a_setting_of_a_variation():
 @pytest.mark.parametrize(
     ("population", "says"),
     [
-        ({"curvature": 0}, "populations.0.curvature: must lie between 0.001 and 10, got 0"),
-        ({"curvature": -1}, "populations.0.curvature: must lie between 0.001 and 10, got -1"),
+        ({"curvature": 0}, "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, got 0"),
+        ({"curvature": -1}, "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, got -1"),
         ({"curvature": float("nan")}, "populations.0.curvature"),
         (
             {"curvature": uniform(0.5, 20)},
-            "populations.0.curvature: must lie between 0.001 and 10, it can be drawn as 20",
+            "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, it can be drawn as 20",
         ),
         ({"curvature": "3 mm"}, "populations.0.curvature"),
-        ({"effective_mass": 0}, "populations.0.effective_mass: must lie between 0.01 and 1, got 0"),
-        ({"effective_mass": 1.2}, "populations.0.effective_mass: must lie between 0.01 and 1, got 1.2"),
+        (
+            {"effective_mass": 0},
+            "populations.0.effective_mass: must lie between 0.01 and 1 and is 1 for a central blow, got 0",
+        ),
+        (
+            {"effective_mass": 1.2},
+            "populations.0.effective_mass: must lie between 0.01 and 1 and is 1 for a central blow, got 1.2",
+        ),
         ({"effective_mass": float("nan")}, "populations.0.effective_mass"),
     ],
 )

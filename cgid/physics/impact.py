@@ -71,7 +71,7 @@ class Impact:
     Warns
     -----
     HertzRangeWarning
-        The displacement exceeds a tenth of the radius.
+        The displacement exceeds a tenth of the radius of curvature.
     ThinPlateWarning
         Zener's lambda of a thin plate exceeds 1.5.
 

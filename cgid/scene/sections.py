@@ -78,8 +78,8 @@ else:
     Shape = Literal[*SHAPES]
 
 
-def _between(lowest: float, highest: float) -> Any:
-    return within(lowest, highest, f"must lie between {lowest:g} and {highest:g}")
+def _between(lowest: float, highest: float, usual: str = "") -> Any:
+    return within(lowest, highest, f"must lie between {lowest:g} and {highest:g}{usual}")
 
 
 _Force = Annotated[Distribution, measured("force"), measured_within("force")]
@@ -193,8 +193,10 @@ class Population(_Source):
         Distribution, measured("ratio"), within(-1 + 1e-9, 0.5 - 1e-9, "must lie between -1 and 0.5")
     ]
     radius: _Length
-    curvature: Annotated[Distribution, measured("ratio"), _between(*CURVATURES)] | None = None
-    effective_mass: Annotated[Distribution, measured("ratio"), _between(LEAST_MASS, 1.0)] | None = None
+    curvature: Annotated[Distribution, measured("ratio"), _between(*CURVATURES, " and is 1 for a sphere")] | None = None
+    effective_mass: (
+        Annotated[Distribution, measured("ratio"), _between(LEAST_MASS, 1.0, " and is 1 for a central blow")] | None
+    ) = None
     restitution: (
         Annotated[Distribution, measured("ratio"), _between(LOWEST_RESTITUTION, HIGHEST_RESTITUTION)] | None
     ) = None
