@@ -41,7 +41,7 @@ from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
 from cgid.identification.training import train
-from cgid.measure.features import extract_array
+from cgid.measure.features import choose, extract_array
 from cgid.recordings import read_recording
 from cgid.scene import Scene, load_scene, synthesise, varied
 from cgid.signals import Batch
@@ -162,15 +162,17 @@ def accuracy(classifier: ImpactClassifier, test: Table) -> float:
     return float((right.sum() + 0.5 * (~measured).sum()) / len(measured))
 
 
-def table_of_cases(model: Model, names: Sequence[str], n: int, n_learner: int) -> Iterator[Line]:
+def table_of_cases(
+    model: Model, names: Sequence[str], n: int, n_learner: int, features: Sequence[str]
+) -> Iterator[Line]:
     """Yield the lines of table 2."""
     for name in names:
         case = CASES[name]
         impacts = record(case, n, _JUDGED)
         line = {"case": name, **answered(model, impacts, case.trigger).figures()}
         if n_learner:
-            family, classifier = learned(features_of(case, n_learner, _LEARNED, model.features))
-            own = extract_array(impacts.signals, RATE, model.features, pre_trigger=case.trigger, invalid="nan")
+            family, classifier = learned(features_of(case, n_learner, _LEARNED, features))
+            own = extract_array(impacts.signals, RATE, features, pre_trigger=case.trigger, invalid="nan")
             line |= {"learner": accuracy(classifier, Table(own, impacts.labels)), "family": family}
         yield line
 
@@ -251,14 +253,13 @@ def joined(parts: Sequence[Rows]) -> Rows:
     )
 
 
-def table_of_laws(model: Model, rows: dict[str, Rows], n: int, family: str) -> Iterator[Line]:
+def table_of_laws(rows: dict[str, Rows], guards: Sequence[str], n: int, family: str) -> Iterator[Line]:
     """Yield the lines of table 3: what the models say of the law that they do not know, and of it when they do."""
     impacts = {law: record(CASES[law], n, _JUDGED) for law in LAWS}
-    guards = tuple(name for name in model.measured if name not in model.features)
     for left_out in ("nothing", *rows):
         kept = joined([own for law, own in rows.items() if law != left_out])
         with threadpool_limits(1):
-            trained = train(kept, features=model.features, guards=guards, family=family).model
+            trained = train(kept, guards=guards, family=family).model
         for law in LAWS:
             if left_out in ("nothing", _KINDS[law]):
                 all_of_them = answered(trained, impacts[law], CASES[law].trigger)
@@ -391,6 +392,7 @@ def main() -> None:
     parser.add_argument("--signals", type=int, default=4096, help="to judge a line on")
     parser.add_argument("--learner-signals", type=int, default=20_000, help="that a learner trains on")
     parser.add_argument("--no-learner", action="store_true")
+    parser.add_argument("--features", nargs="+", help="of learners and of table 3; default: those of the model")
     default = "rock" if "rock" in shipped.SCENES else OWN
     parser.add_argument("--rows-of", nargs="+", default=[default], metavar="SCENE", help="on which table 3 trains")
     parser.add_argument("--rows", type=int, default=10_000, help="of each law and scene in table 3")
@@ -402,13 +404,18 @@ def main() -> None:
     if own.quick:
         own.signals, own.learner_signals, own.rows, own.draws = 1024, 4000, 2000, 30
     model, began, lines = Model.load(own.model), time.perf_counter(), []
+    features = choose(own.features or model.features)
     if 2 in own.shows:
         n_learner = 0 if own.no_learner else own.learner_signals
-        lines += printed("2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, n_learner))
+        lines += printed(
+            "2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, n_learner, features)
+        )
     if 3 in own.shows:
-        rows = rows_of(own.rows_of, own.rows, model.measured)
-        family = own.family or model.family
-        lines += printed("3. A law left out of the training", table_of_laws(model, rows, own.signals, family))
+        guards = [name for name in model.guards if name not in features]
+        laws = table_of_laws(
+            rows_of(own.rows_of, own.rows, (*features, *guards)), guards, own.signals, own.family or model.family
+        )
+        lines += printed("3. A law left out of the training", laws)
     if 4 in own.shows:
         lines += printed("4. Strangers: share flagged", table_of_strangers(model, own.signals))
     if 5 in own.shows:
@@ -420,7 +427,7 @@ def main() -> None:
         )
         lines += printed("5. The fit of one dull impact", dull)
         sizes = (5 * own.signals, own.signals, own.learner_signals, 2 if own.quick else 5)
-        lines += printed("5. Learners beside the ceiling", table_of_learners(model.features, *sizes))
+        lines += printed("5. Learners beside the ceiling", table_of_learners(features, *sizes))
     print(f"\n{time.perf_counter() - began:.0f} s")
     if own.output:
         write(own.output, lines)
