@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,9 +22,12 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.identification.families import Neighbourhood, Network, Standardiser, softmax, squares
+from cgid.identification.families import Contrast, Neighbourhood, Network, Standardiser, softmax, squares
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
+
+#: Most rows of either side that a contrast learns from, and its iterations.
+_MOST_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
 
 
 class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
@@ -131,6 +135,20 @@ def _network(settings: ImpactClassifier) -> Any:
         max_iter=200,
         random_state=settings.random_state,
     )
+
+
+def contrast_of(known: Floats, strangers: Floats, linear: tuple[int, ...], seed: int) -> Contrast:
+    """Return what tells known rows (n, n_features) from strangers: its limit is kept by 99.9 % of the known."""
+    pick = np.random.default_rng(seed)
+    rows = [part[pick.permutation(len(part))[:_MOST_CONTRASTED]] for part in (known, strangers)]
+    inputs, stranger = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])
+    with threadpool_limits(1):
+        standardiser = Standardiser.fit(inputs, linear)
+        network = _Perceptron(
+            (32, 32), activation="tanh", solver="lbfgs", alpha=0.1, max_iter=_CONTRAST_ITERATIONS, random_state=seed
+        ).fit(standardiser.apply(inputs), stranger)
+        found = Contrast(standardiser, Network(Network.export(network), inputs.shape[1], 2), 0.0)
+        return replace(found, limit=float(np.quantile(found.scores(known), Neighbourhood.INSIDE)))
 
 
 class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]

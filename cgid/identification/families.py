@@ -356,6 +356,55 @@ class Network(Family):
         return np.asarray(scores[:, 0] if self.n_scores == 1 else scores)
 
 
+@dataclass(frozen=True)
+class Contrast:
+    """Novelty against anything else: a network that tells the training from strangers.
+
+    The distance to the training does not know what else there is; among many laws, lumps and noises it forgives too
+    much. The score of a network trained on both is the logarithm of the ratio of their densities, up to a constant.
+    """
+
+    standardiser: Standardiser
+    network: Network
+    limit: float
+
+    #: Scores above the limit that make the novelty e times as large.
+    _SCALE = 4.0
+    #: Prefix of its arrays in a model.
+    PREFIX: ClassVar[str] = "contrast."
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, n_features: int) -> Contrast | None:
+        """Return the contrast in the arrays of a model; None without one. Raise `BadData` if they do not fit."""
+        own = {name.removeprefix(cls.PREFIX): a for name, a in arrays.items() if name.startswith(cls.PREFIX)}
+        if not own:
+            return None
+        shapes = dict.fromkeys(("logarithmic", "floor", "mean", "scale"), (n_features,)) | {"limit": (1,)}
+        for name, shape in shapes.items():
+            if name not in own or own[name].shape != shape:
+                raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}")
+        standardiser = Standardiser(*(own.pop(name) for name in ("logarithmic", "floor", "mean", "scale")))
+        if not (standardiser.scale > 0).all() or not (standardiser.floor > 0).all():
+            raise BadData("arrays contrast.scale and contrast.floor must be above 0")
+        limit = float(own.pop("limit")[0])
+        return cls(standardiser, Network(own, n_features, 2), limit)
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays of a model."""
+        own = {name: getattr(self.standardiser, name) for name in ("logarithmic", "floor", "mean", "scale")}
+        own |= {**self.network.arrays, "limit": np.array([self.limit])}
+        return {self.PREFIX + name: array for name, array in own.items()}
+
+    def scores(self, features: Floats) -> Floats:
+        """Return ln of the odds that rows are strangers, up to a constant."""
+        return self.network.scores(self.standardiser.apply(features))
+
+    def novelty(self, features: Floats) -> Floats:
+        """Return the novelty of rows of features and guards, 1 at the limit."""
+        return np.asarray(np.exp(np.minimum((self.scores(features) - self.limit) / self._SCALE, 100.0)))
+
+
 #: The families by their names in model files.
 BY_NAME: Mapping[str, type[Boosting] | type[Linear] | type[Network]] = {
     "boosting": Boosting,

@@ -17,7 +17,7 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
 from cgid.identification.conformal import Conformal
-from cgid.identification.families import BY_NAME, Family, Neighbourhood, Standardiser, softmax
+from cgid.identification.families import BY_NAME, Contrast, Family, Neighbourhood, Standardiser, softmax
 from cgid.identification.model_file import (
     FIELDS,
     FORMAT,
@@ -126,7 +126,7 @@ class Model:
         check_names(self)
         check_numbers(self)
         check_training(self)
-        _ = self._classifier, self.conformal  # their constructors check the arrays
+        _ = self._classifier, self.conformal, self.contrast  # their constructors check the arrays
 
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4
@@ -214,7 +214,7 @@ class Model:
         """Return the novelty of each impact, (n_impacts,); above 1 it is outside the training range.
 
         This is the largest of the Mahalanobis distance to the nearest class and the guards, each divided by the limit
-        that 99.9 % of the training impacts keep.
+        that 99.9 % of the training impacts keep; and of the novelty against strangers, if the training had some.
 
         Parameters
         ----------
@@ -237,7 +237,18 @@ class Model:
                 f"guards must be finite rows of {len(self.guards)} ({', '.join(self.guards)}), "
                 f"got {'none' if guards is None else f'shape {guards.shape}'}"
             )
-        return np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
+        novelty = np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
+        return novelty if self.contrast is None else np.maximum(novelty, self._contrast(inputs, guards))
+
+    def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
+        assert self.contrast is not None
+        rows = np.hstack([np.asarray(inputs, np.float64)[:, : len(self.features)], guards])
+        return _in_blocks(self.contrast.novelty, rows, self.contrast.network.width)
+
+    @cached_property
+    def contrast(self) -> Contrast | None:
+        """What tells the training from anything else; None if the training had no strangers."""
+        return Contrast.from_arrays(self.arrays, len(self.features) + len(self.guards))
 
     def distance(self, inputs: Floats) -> Floats:
         """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""
@@ -363,6 +374,7 @@ class Model:
         *,
         guards: Mapping[str, float] | None = None,
         conformal: Conformal | None = None,
+        contrast: Contrast | None = None,
         references: Mapping[str, Floats] | None = None,
         **fields: Any,
     ) -> Model:
@@ -375,6 +387,7 @@ class Model:
         guards : dict of float, optional
             Limits of the guards.
         conformal : Conformal, optional
+        contrast : Contrast, optional
         references : dict of ndarray, each (n_channels, n_bands), optional
             Reference spectra of the sensors.
         **fields
@@ -388,6 +401,8 @@ class Model:
         arrays |= {f"family.{name}": array for name, array in own.items()}
         if conformal is not None:
             arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
+        if contrast is not None:
+            arrays |= contrast.arrays
         if references:
             arrays["reference.spectra"] = np.stack(list(references.values()))
         # C order, as in the file: the last digit of a product may depend on the order.

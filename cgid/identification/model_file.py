@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.identification.families import BY_NAME
+from cgid.identification.families import BY_NAME, Contrast, Network
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.features import require_known
@@ -340,10 +340,12 @@ def _check_arrays(model: Model) -> None:
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
     own = {f"family.{name}" for name in BY_NAME[model.family].AXES}
+    contrast = {Contrast.PREFIX + name for name in (*STANDARDISER, *Network.AXES, "limit")}
     for name, array in arrays.items():
-        if name not in own | shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}:
+        known = own | shapes.keys() | contrast | {"conformal.scores", "conformal.labels", "reference.spectra"}
+        if name not in known:
             raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")
-        kinds = "b" if name == "standardiser.logarithmic" else "fi"
+        kinds = "b" if name.endswith(".logarithmic") else "fi"
         plain = array.dtype.kind in kinds and array.size > 0
         # Without np.abs, which would copy a large array. False for nan.
         if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from cgid import __version__, validation
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.classifier import ImpactClassifier, contrast_of
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import Neighbourhood
 from cgid.identification.grouped import (
@@ -107,6 +107,7 @@ def train(
     class_weights: Weights = None,
     level_free: bool = False,
     synthetic: Rows | None = None,
+    strangers: Rows | None = None,
     shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
     crew: Workers = ALONE,
@@ -144,6 +145,9 @@ def train(
     synthetic : Rows, optional
         Impacts of scenes or datasets, with the features and unit of the recorded ones. They train but never judge;
         their levels are shifted to those of the recordings.
+    strangers : Rows, optional
+        Impacts of anything else, with the features and guards of the model; their labels do not matter. The model
+        learns to tell them from its own, which sharpens its novelty. Not for recordings.
     shuffle_labels : bool
         Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
         With few recordings it is lower, because recordings of one material resemble each other.
@@ -182,7 +186,8 @@ def train(
         names = names or tuple(name for name in rows.names if name not in limiting)
         parts = _split(rows, judged_on, test_share, calibration_share, seed)
         record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
-        return _held_out(rows, parts, names, limiting, family or "logistic", class_weights, seed, crew, record)
+        fitted = (names, limiting, family or "logistic", class_weights, seed, crew, record)
+        return _held_out(rows, parts, strangers, *fitted)
     sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
     candidates = candidates_for(sets, rows.names, family or "linear")
     lesson = Lesson(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
@@ -330,6 +335,7 @@ def _split(
 def _held_out(
     rows: Rows,
     parts: Mapping[str, NDArray[np.bool_]],
+    strangers: Rows | None,
     names: tuple[str, ...],
     guards: tuple[str, ...],
     family: str,
@@ -349,6 +355,11 @@ def _held_out(
         classifier.fit(inputs[training], labels[training], specimen[training], crew=crew)
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
         probabilities = classifier.predict_proba(inputs[test])
+        contrast = None
+        if strangers is not None:
+            own, others = rows.columns(names + guards)[training], strangers.columns(names + guards)
+            contrast = contrast_of(own, others, linear_columns(names + guards), seed)
+            record = {**record, "n_strangers": len(others)}
     classes = tuple(str(label) for label in classifier.classes_)
     metrics = evaluate(labels[test], probabilities, classes, len(np.unique(specimen[test])))
     sets = [] if conformal is None else evaluate_sets(labels[test], probabilities, classes, conformal)
@@ -367,6 +378,7 @@ def _held_out(
         features=names,
         guards=_guard_limits(guards, rows.columns(guards)[training]),
         conformal=conformal,
+        contrast=contrast,
     )
 
 
