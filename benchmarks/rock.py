@@ -51,8 +51,8 @@ Line = dict[str, Any]
 #: Source of rows that is no scene.
 OWN = "own"
 REAL_SHOCKS = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
-#: Seeds of what is judged, of learners, of the rows with a law left out.
-_JUDGED, _LEARNED, _LEFT_OUT = 2_000_003, 1, 3
+#: Seeds of what is judged, of learners, of the first rows with a law left out; blocks are so far apart that none meet.
+_JUDGED, _LEARNED, _LEFT_OUT, _BLOCK = 2_000_003, 1, 2000, 10_000
 #: Impacts made at once.
 _AT_ONCE = 4096
 #: Share of a learner's impacts that choose its family.
@@ -118,7 +118,7 @@ def answered(model: Model, impacts: Impacts, trigger: int) -> Answered:
 def blocks(case: Case, n: int, seed: int) -> Iterator[Impacts]:
     """Yield n impacts of a case in blocks."""
     for number, first in enumerate(range(0, n, _AT_ONCE)):
-        yield record(case, min(_AT_ONCE, n - first), seed + 1_000_000 * number)
+        yield record(case, min(_AT_ONCE, n - first), seed + _BLOCK * number)
 
 
 # -- a learner of one case --------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ def own_rows(n: int, names: Sequence[str]) -> dict[str, Rows]:
         batches = (
             batch_of(block, case.trigger, kind, (number * len(cases) + k) * n)
             for k, case in enumerate(cases)
-            for block in blocks(case, n // len(cases), _LEFT_OUT + 100 * (number * len(cases) + k))
+            for block in blocks(case, n // len(cases), _LEFT_OUT + number * len(cases) + k)
         )
         found[kind] = measure(batches, names)
     return found

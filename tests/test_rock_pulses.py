@@ -4,6 +4,7 @@ They judge the package, so first they are judged themselves: by closed forms, by
 tables, and by the package's own physics, which they share nothing with.
 """
 
+import csv
 import sys
 from dataclasses import replace
 from itertools import pairwise
@@ -22,6 +23,7 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 if str(BENCHMARKS) not in sys.path:
     sys.path.append(str(BENCHMARKS))
 
+import rock  # noqa: E402
 import rock_fit  # noqa: E402
 import rock_pulses  # noqa: E402
 from rock_pulses import CASES, LAWS, RATE, record, viscous  # noqa: E402
@@ -235,3 +237,57 @@ def test_penalty_is_that_of_the_cramer_rao_bound():
     bound = cramer_rao_bound(held.duration[number] * 1e-3, e, 0.01, 1e6)
     expected = -np.log(bound.restitution_deviation / e)
     assert held.penalty[number] - held.penalty[number[3]] == pytest.approx(expected - expected[3], abs=0.02)
+
+
+# -- tables -------------------------------------------------------------------------------------------------
+
+
+def test_figures_of_answers_by_hand():
+    coal = np.array([0.95, 0.95, 0.85, 0.2, 0.5])
+    labels = np.array(["coal", "gangue", "coal", "gangue", "gangue"])
+    unknown = np.array([False, True, False, False, True])  # the last could not be measured
+    found = rock.Answered(coal, unknown, labels).figures()
+    assert found["accuracy"] == pytest.approx(3 / 5)
+    assert found["unknown"] == pytest.approx(2 / 5)
+    assert found["of the answered"] == 1
+    assert found["forced"] == pytest.approx(3.5 / 5)
+    assert found["recall of gangue"] == pytest.approx((0 + 1 + 0.5) / 3)
+    # bins: .95 and .95 hold one coal, .85 one, .2 and .5 none
+    assert found["calibration error"] == pytest.approx((abs(1.9 - 1) + abs(0.85 - 1) + 0.2 + 0.5) / 5)
+    chance = np.sqrt([2 * 0.95 * 0.05, 0.85 * 0.15, 0.2 * 0.8, 0.25]).sum() * np.sqrt(2 / np.pi) / 5
+    assert found["by chance"] == pytest.approx(chance)
+
+
+def test_rows_of_a_scene_come_apart_by_law(reference_scene):
+    crushed = tuple(one.model_copy(update={"dissipation": "walton-braun"}) for one in reference_scene.populations)
+    scene = reference_scene.model_copy(update={"populations": (*reference_scene.populations, *crushed)})
+    rows = rock.scene_rows(scene, 64, ("fitted_restitution", "misfit"))
+    assert list(rows) == ["hunt-crossley", "walton-braun"]
+    misfit = {law: np.median(own.columns(("misfit",))) for law, own in rows.items()}
+    assert misfit["hunt-crossley"] < 1.3 < misfit["walton-braun"]
+    both = rock.joined(list(rows.values()))
+    assert len(both.labels) == 128
+    assert len(np.unique(both.group)) == 128
+    assert np.bincount(both.source).tolist() == [64, 64]
+
+
+def test_own_rows_hold_each_law_equally_often():
+    rows = rock.own_rows(40, ("fitted_peak",))
+    assert list(rows) == ["hunt-crossley", "kuwabara-kono", "thornton", "walton-braun"]
+    assert all(len(own.labels) + own.left_out == 40 for own in rows.values())
+    assert len(np.unique(np.concatenate([own.group for own in rows.values()]))) > 150
+
+
+def test_table_of_two_cases_on_the_command_line(tmp_path, monkeypatch, capsys):
+    """The package's own model on the package's own law, and on one that it may not know: the learner knows it."""
+    file = tmp_path / "rock.csv"
+    cases = ["hunt-crossley", "walton-braun"]
+    sizes = ["--signals", "300", "--learner-signals", "1000"]
+    monkeypatch.setattr("sys.argv", ["rock.py", "--shows", "2", "--cases", *cases, *sizes, "--output", str(file)])
+    rock.main()
+    text = capsys.readouterr().out
+    assert [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("|")][2:] == cases
+    with file.open() as opened:
+        held = {(row["line"].split(",")[0], row["figure"]): float(row["value"]) for row in csv.DictReader(opened)}
+    assert held["hunt-crossley", "accuracy"] > 0.83
+    assert min(held[case, "learner"] for case in cases) > 0.83
