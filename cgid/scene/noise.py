@@ -92,8 +92,14 @@ class Coloured:
         """Return noise of its own for each frame of one block, (`BLOCK`, n_samples)."""
         # A period of at least twice the frame, so that the ends of the frame are independent.
         length = 1 << (2 * n_samples - 1).bit_length()
-        density = _density(self.of, self.quantity, self.sampling_rate, length, n_samples)
-        return self._rows(density, seed, block, 0, BLOCK)[:, :n_samples]
+        return self._rows(self.density(length, n_samples), seed, block, 0, BLOCK)[:, :n_samples]
+
+    def density(self, length: int, n_samples: int) -> Floats:
+        """Return the power density at the lines of rows of a length, (length // 2 + 1,) [unit^2/Hz].
+
+        That of a sensor is flat below one period of n_samples, down to 0 Hz, and adds up to 1.
+        """
+        return _density(self.of, self.quantity, self.sampling_rate, length, n_samples)
 
     def autocovariance(self, n_samples: int) -> Floats:
         """Return the covariance of two samples of a frame that are 0, 1, ... samples apart, (n_samples,)."""
@@ -113,8 +119,7 @@ class Coloured:
         keeps the power constant.
         """
         fade = sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
-        density = _density(self.of, self.quantity, self.sampling_rate, 2 * CHUNK, CHUNK)
-        return np.asarray(fade * self._rows(density, seed, recording, number, 1)[0])
+        return np.asarray(fade * self._rows(self.density(2 * CHUNK, CHUNK), seed, recording, number, 1)[0])
 
     def _rows(self, density: Floats, seed: int, block: int, number: int, rows: int) -> Floats:
         """Return periodic Gaussian noise of the density at its lines, (rows, length); the length is a power of 2."""
@@ -133,10 +138,6 @@ class Coloured:
 
 @lru_cache(maxsize=4)
 def _density(of: ColouredNoise | Sensor, quantity: str, sampling_rate: float, length: int, n_samples: int) -> Floats:
-    """Return the power density at the lines of rows of a length, [unit^2/Hz].
-
-    That of a sensor is flat below one period of n_samples, down to 0 Hz, and adds up to 1.
-    """
     frequency = np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)
     if isinstance(of, ColouredNoise):
         return of.at(frequency, quantity)

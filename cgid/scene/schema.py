@@ -436,8 +436,8 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
         `name`, `description`, or any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `range`;
         or any key of a population or tap except label, weight and dissipation, such as `radius`, `clipped_at`, which
         changes in all that have such a key. Values are those of a scene file (a number, a string with a unit, a
-        mapping) or objects of a scene; None removes an optional setting. `velocity` replaces `drop_height` and vice
-        versa. A setting given here is no longer randomised.
+        mapping) or objects of a scene; None removes an optional setting. `velocity` replaces `drop_height`, `range`
+        replaces `relative_range`, and vice versa. A setting given here is no longer randomised.
 
     Returns
     -------
