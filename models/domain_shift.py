@@ -4,6 +4,7 @@ python models/domain_shift.py [MODEL] [-n 5120]   # prints Markdown; the shipped
 """
 
 import argparse
+import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.answers import identify_frames
 from cgid.identification.card import plain, table
+from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
-from cgid.scene import Scene, load_scene, synthesise, varied
+from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.units import STANDARD_GRAVITY
 
 #: No training uses it.
@@ -24,11 +26,19 @@ def shifted_scenes() -> Iterator[tuple[str, Scene]]:
     """Yield names and scenes to judge on."""
     reference = load_scene(shipped.scene_path("reference"))
     yield "the reference scene", reference
+    yield from laws_and_shapes()
     for rate in ("1 MHz", "100 kHz", "50 kHz", "20 kHz"):
         yield f"... sampled at {rate}", varied(reference, sampling_rate=rate, keep_frame=True)
-    for noise, decibel in ((0.03, 30), (0.1, 20), (0.3, 10)):
-        yield f"... at a noise of {noise:.0%} ({decibel} dB)", varied(reference, relative_noise=noise)
+    for noise in (0.0001, 0.001, 0.03, 0.1, 0.3):
+        yield f"... at a noise of {noise:.2%}", varied(reference, relative_noise=noise)
+    for noise in (0.01, 0.05):
+        yield f"... at a pink noise of {noise:.0%}", varied(reference, relative_noise=noise, noise_exponent=1.0)
+    hum = {"hum": [{"frequency": "50 Hz", "relative_amplitude": 0.05}]}
+    yield "... with a hum of 5 %, 50 Hz", parse_scene(json.loads(reference.text) | {"background": hum})
+    for full_scale in (1.25, 5.0):
+        yield f"... by 12 bits of {full_scale:g} peaks", varied(reference, relative_range=full_scale, bits=12)
     yield "... behind a low-pass at 20 kHz", varied(reference, bandwidth="20 kHz")
+    yield "... behind an anti-alias filter at 20 kHz", varied(reference, anti_alias={"frequency": "20 kHz"})
     yield "... with clipped peaks (at .7)", varied(reference, clipped_at=0.7)
     plate = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "30 mm"}
     yield "... on a steel plate of 30 mm", varied(reference, target=plate)
@@ -36,6 +46,19 @@ def shifted_scenes() -> Iterator[tuple[str, Scene]]:
     yield "another population (scene peers)", load_scene(shipped.scene_path("peers"))
     yield "strangers (scene strangers)", load_scene(shipped.scene_path("strangers"))
     yield "strangers with pulses like the classes' (scene lookalikes)", load_scene(shipped.scene_path("lookalikes"))
+
+
+def laws_and_shapes() -> Iterator[tuple[str, Scene]]:
+    """Yield names and scenes of the rocks of scene `rock`, one law of loss and shape after the other."""
+    rock = load_scene(shipped.scene_path("rock"))
+    kinds: dict[str, list[Any]] = {}
+    for population, law in zip(rock.populations, rock.dissipations, strict=True):
+        strength = " by strength" if population.strength is not None else ""
+        shape = "spheres" if population.curvature is None else "lumps"
+        kinds.setdefault(f"{shape}, {law}{strength}", []).append(population)
+    for name, populations in sorted(kinds.items(), reverse=True):
+        yield f"... {name}", rock.model_copy(update={"populations": tuple(populations)})
+    yield "all of these (scene rock)", rock
 
 
 def shifted_vibrations() -> Iterator[tuple[str, Scene]]:
@@ -49,7 +72,10 @@ def shifted_vibrations() -> Iterator[tuple[str, Scene]]:
 
 
 def domain_shift(model: Model, n_impacts: int = 5120) -> list[dict[str, Any]]:
-    """Return, for each shifted scene, accuracy among the measured (None for strangers) and the share flagged."""
+    """Return, for each shifted scene, accuracy among the measured (None for strangers) and the share flagged.
+
+    `calibration_error` is the expected one, over ten bins, of all that were measured.
+    """
     rows = []
     for name, scene in shifted_vibrations() if model.kind == "vibration" else shifted_scenes():
         answers, truth = [], []
@@ -61,16 +87,18 @@ def domain_shift(model: Model, n_impacts: int = 5120) -> list[dict[str, Any]]:
                 batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger, drop_height=heights
             )
             truth += batch.labels.tolist()
-        hits = [
-            max(answer.probabilities, key=answer.probabilities.__getitem__) == label
-            for answer, label in zip(answers, truth, strict=True)
-            if answer.probabilities
-        ]
+        measured = [(answer, label) for answer, label in zip(answers, truth, strict=True) if answer.probabilities]
+        found: dict[str, Any] = {"accuracy": None, "calibration_error": None}
+        if measured and set(truth) <= set(model.labels):
+            labels = np.array([label for _, label in measured])
+            probabilities = np.array([[answer.probabilities[name] for name in model.labels] for answer, _ in measured])
+            metrics = evaluate(labels, probabilities, model.labels)
+            found = {"accuracy": metrics["accuracy"], "calibration_error": metrics["expected_calibration_error"]}
         rows.append(
             {
                 "name": name,
                 "n": len(answers),
-                "accuracy": float(np.mean(hits)) if hits and set(truth) <= set(model.labels) else None,
+                **found,
                 "flagged_share": float(np.mean([not answer.in_training_range for answer in answers])),
             }
         )
@@ -80,18 +108,18 @@ def domain_shift(model: Model, n_impacts: int = 5120) -> list[dict[str, Any]]:
 def domain_shift_table(rows: list[dict[str, Any]]) -> list[str]:
     """Return the table of a model in other domains.
 
-    `rows` have name, n, accuracy (None for unknown labels) and flagged_share.
+    `rows` have name, n, accuracy and calibration_error (None for unknown labels) and flagged_share.
     """
     cells = [
         (
             plain(row["name"]),
             row["n"],
-            "-" if row["accuracy"] is None else f"{row['accuracy']:.4f}",
+            *("-" if row.get(name) is None else f"{row[name]:.4f}" for name in ("accuracy", "calibration_error")),
             f"{row['flagged_share']:.2%}",
         )
         for row in rows
     ]
-    return table(("impacts of", "number", "accuracy", "flagged as strange"), cells)
+    return table(("impacts of", "number", "accuracy", "calibration error", "flagged as strange"), cells)
 
 
 def main() -> None:
