@@ -61,7 +61,7 @@ RIGS = {
 #: Samples of a frame on all rigs, of which before touch: 4.1 ms at 1 MHz, where the longest contact lasts 2.1 ms.
 RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
 #: How often a lump is drawn for each sphere of the same law.
-LUMPS = 0.4
+LUMPS = 0.3
 
 
 def on_rigs(scene: Scene) -> Scene:

@@ -67,14 +67,13 @@ class Cause:
 
 def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
     """Return the cause for each row outside of the training, from inputs (n, n_inputs) and guards (n, n_guards)."""
-    distance = model.distance(inputs)
     limits = np.array(model.guard_limits)
-    amplitudes, durations = (_scale_of(model, inputs, symbol) for symbol in ("U", "s"))
+    amplitudes, durations = (_scale_of(model, inputs, guards, symbol) for symbol in ("U", "s"))
     foremost, (low, high) = model.foremost(inputs), model.usual(_DEVIATIONS)
     found = []
     for row, own in enumerate(guards):
         scale, name = min((abs(np.log(x[row])), n) for x, n in ((amplitudes, "amplitude"), (durations, "duration")))
-        if own.size and (own / limits).max() > distance[row]:
+        if own.size and (own / limits).max() > 1:
             guard = int(np.argmax(own / limits))
             found.append(Cause(model.guards[guard], float(own[guard]), 0.0, model.guard_limits[guard]))
         elif scale < np.inf:
@@ -85,7 +84,7 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
     return found
 
 
-def _scale_of(model: Model, inputs: Floats, symbol: str) -> Floats:
+def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floats:
     """Return how many times as large as in the training the unit `symbol` of each row is; infinite where not that.
 
     It is that where a factor beyond `_FAR`, on all inputs with that unit, brings the row inside.
@@ -96,7 +95,7 @@ def _scale_of(model: Model, inputs: Floats, symbol: str) -> Floats:
     distances = []
     for factor in _SCALES:
         scaled = np.where(logarithmic, inputs + powers * np.log10(factor), inputs * factor**powers)
-        distances.append(model.distance(scaled))
+        distances.append(model.novelty(scaled, guards))
     size = 1 / _SCALES[np.argmin(distances, axis=0)]
     is_cause = (np.min(distances, axis=0) <= 1) & ((size >= _FAR) | (size <= 1 / _FAR))
     return np.where(is_cause, size, np.inf)
@@ -363,7 +362,8 @@ class Diagnosis:
             name = Counter(one.name for one in causes).most_common(1)[0][0]
             foremost = [one for one in causes if one.name == name]
             value, low, high = float(np.median([one.value for one in foremost])), foremost[0].low, foremost[0].high
-            reason += f" (foremost {name}: {value:.3g}, in the training {low:.3g} to {high:.3g})"
+            if not low <= value <= high:
+                reason += f" (foremost {name}: {value:.3g}, in the training {low:.3g} to {high:.3g})"
         if not model.covers(self._rate):
             reason += f"; and sampled at {self._rate:g} Hz, not {trained} Hz"
         return reason, "label impacts and train on them", self._training()
@@ -449,5 +449,5 @@ def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
         return ("noise" if answer.problem.startswith("no impact") else "unmeasured"), False
     if not cause:
         return "coverage", False
-    own = {"misfit": "shape", **{name: name for name in _TESTED}}
+    own = {"misfit": "shape", "unexplained": "shape", **{name: name for name in _TESTED}}
     return own.get(cause, "features"), False

@@ -59,6 +59,8 @@ TEST_SHARE = 0.25
 CALIBRATION_SHARE = 0.1
 #: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted.
 LEAST_LIMITS = {"overload": 0.05}
+#: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
+MOST_LIMITS = {"unexplained": 4.5}
 #: Fewest calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 FEWEST_CALIBRATION_SPECIMENS = 20
 
@@ -395,7 +397,10 @@ def _calibrated(
 
 def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
     limits = {
-        name: max(float(np.quantile(column, Neighbourhood.INSIDE)), LEAST_LIMITS.get(name, 0.0))
+        name: min(
+            max(float(np.quantile(column, Neighbourhood.INSIDE)), LEAST_LIMITS.get(name, 0.0)),
+            MOST_LIMITS.get(name, np.inf),
+        )
         for name, column in zip(guards, values.T, strict=True)
     }
     for name, limit in limits.items():
