@@ -230,22 +230,34 @@ class Near(Protocol):
     """Pulses near the most likely ones, each (n,): a `PulseFit`, for example; times in samples of the frame."""
 
     @property
-    def peak(self) -> Floats: ...
+    def peak(self) -> Floats:
+        """Peak above the baseline."""
+
     @property
-    def width(self) -> Floats: ...
+    def width(self) -> Floats:
+        """Impulse over peak."""
+
     @property
-    def onset(self) -> Floats: ...
+    def onset(self) -> Floats:
+        """Time of touch."""
+
     @property
-    def shape(self) -> Floats: ...
+    def shape(self) -> Floats:
+        """Shape s = ln e."""
 
 
 class Residual(Protocol):
     """Samples and a curve to fit to them, as `cgid.measure.fit.Problem`."""
 
     @property
-    def free(self) -> list[int]: ...
-    def tied(self, parameters: Floats) -> Floats: ...
-    def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]: ...
+    def free(self) -> list[int]:
+        """Columns of the parameters that are fitted."""
+
+    def tied(self, parameters: Floats) -> Floats:
+        """Return the parameters, with those that follow from others."""
+
+    def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]:
+        """Return samples minus curve (n, n_points), and the slopes of the curve (n, n_free, n_points)."""
 
 
 #: From rows of the frames and their pulses at the lowest shape to parts of these rows, each with its whitened residual.
