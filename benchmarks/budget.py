@@ -110,7 +110,8 @@ def main() -> None:
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
     drawn = blows_of(plan(scene), 0, 0)
     frames = make_frames(drawn, 0, 0, np.float32)
-    silence, level = np.zeros_like(frames), scene.sensor.noise_level(drawn.parameters["peak_force"], rate)
+    peak = drawn.parameters["peak_force"]
+    silence, level = np.zeros_like(frames), scene.sensor.noise_level(peak, rate)
     model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")
     table = table[np.isfinite(table).all(axis=1)]
@@ -123,7 +124,7 @@ def main() -> None:
         "parameters": lambda: draw(scene, 0, 0),
         "pulse": lambda: drawn.add_to_frames(frames),
         "noise": lambda: add_noise(silence, level, 0, 0),
-        "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames, rate),
+        "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames, rate, peak),
     }
     using = {
         "FFT filter": lambda: fft_filter(frames, rate, high=rate / 10),

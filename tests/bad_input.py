@@ -86,6 +86,16 @@ def _tables(folder: Path) -> None:
     (folder / "beamless.toml").write_text(text[:start] + text[stop:])
 
 
+def _spectra(folder: Path) -> None:
+    """Write scenes whose noise has a colour that is none, by itself or by its table."""
+    for name, sensor in _COLOURS.items():
+        _scene(folder / f"{name}.toml", lambda text, sensor=sensor: text.replace("relative_noise = 0.01", sensor))
+    for name, rows in _SPECTRA.items():
+        (folder / f"{name}.csv").write_text(rows)
+        sensor = f'relative_noise = 0.01\nnoise_spectrum = "{name}.csv"'
+        _scene(folder / f"{name}.toml", lambda text, sensor=sensor: text.replace("relative_noise = 0.01", sensor))
+
+
 def make_files(folder: Path) -> None:
     """Write the bad files, and good ones for wrong uses."""
     good = pulse()
@@ -158,6 +168,7 @@ def make_files(folder: Path) -> None:
     _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
     _changed(folder, "reference", {file: (_COAL, f"{_COAL}\n{line}") for _, file, line, _ in _OF_ROCKS})
     _tables(folder)
+    _spectra(folder)
     tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), "closed-form"), folder / "table.csv", 9)
     lines = (folder / "table.csv").read_text().splitlines()
     (folder / "damaged_table.csv").write_text("\n".join([*lines[:6], lines[6] + ",7", *lines[7:]]))
@@ -244,7 +255,47 @@ _STREAMS = {
     "hum_unit": ('"0.05 g"', '"0.05 N"'),
     "coloured": ('"2 kHz"]', '"20 kHz"]'),
     "steep": ('"20 deg"', '"95 deg"'),
+    "relative_hum": ('amplitude = "0.05 g"', "relative_amplitude = 0.1"),
+    "relative_range": ('range = "500 g"', "relative_range = 2"),
     "relative": ("bits = 24", "bits = 24\nrelative_noise = 0.1"),
+}
+_COLOURS = {
+    "blacker": "relative_noise = 0.01\nnoise_exponent = 3",
+    "levelless": "noise_exponent = 1",
+    "pink": "relative_noise = 0.01\nnoise_exponent = 1",
+    "two_colours": (
+        "relative_noise = 0.01\nnoise_exponent = 1\n"
+        "noise_spectrum = { frequencies = [50, 100e3], density = [1.0, 1.0] }"
+    ),
+    "white_density": 'noise_density = "1 N/sqrt(Hz)"\nnoise_exponent = 1',
+    "no_spectrum": 'relative_noise = 0.01\nnoise_spectrum = "gone.csv"',
+    "spectrum_device": 'relative_noise = 0.01\nnoise_spectrum = "/dev/null"',
+    "two_ranges": 'relative_noise = 0.01\nrange = "9 kN"\nrelative_range = 2',
+    "drawn_bits": "relative_noise = 0.01\n[randomise]\nbits = 12",
+    "drawn_hum": 'relative_noise = 0.01\n[randomise]\nhum = 0.1\nhum_frequency = "200 kHz"',
+    "drawn_blackness": (
+        "relative_noise = 0.01\n[randomise]\n"
+        'noise_exponent = { distribution = "mixed", parts = [{ distribution = "uniform", lowest = 0, highest = 4 }] }'
+    ),
+    "mixed_weights": (
+        'relative_noise = 0.01\n[randomise]\nhum = { distribution = "mixed", parts = [0, 0.1], weights = [1] }'
+    ),
+    "two_amplitudes": (
+        "relative_noise = 0.01\n[background]\n"
+        'hum = [{ frequency = "50 Hz", amplitude = "2 N", relative_amplitude = "1 %" }]'
+    ),
+}
+_SPECTRUM_HEAD = "frequency [Hz],density [V/sqrt(Hz)]\n"
+_SPECTRA = {
+    "narrow": _SPECTRUM_HEAD + "50,1\n20e3,1\n",
+    "late_start": _SPECTRUM_HEAD + "500,1\n100e3,1\n",
+    "backwards": _SPECTRUM_HEAD + "50,1\n40,1\n100e3,1\n",
+    "silence": _SPECTRUM_HEAD + "50,1\n900,0\n100e3,1\n",
+    "nan_density": _SPECTRUM_HEAD + "50,1\n900,nan\n100e3,1\n",
+    "spectrum_gap": _SPECTRUM_HEAD + "50,1\n900\n100e3,1\n",
+    "power_density": "frequency [Hz],density [V^2/Hz]\n50,1\n100e3,1\n",
+    "one_row": _SPECTRUM_HEAD + "50,1\n",
+    "empty_spectrum": "",
 }
 _HEAD = "frequency [Hz],damping_ratio [1],modal_mass [kg],shape_impact [1],shape_sensor [1]\n"
 _TABLES = {
@@ -688,6 +739,37 @@ CASES = (
     Case("hum above half the rate", ("check", "hum.toml"), 65, ("background.hum.1.frequency", "12800 Hz", "20000 Hz")),
     Case("hum in N at an accelerometer", ("check", "hum_unit.toml"), 65, ("background.hum.1.amplitude", "0.05 N")),
     Case("noise above half the rate", ("check", "coloured.toml"), 65, ("background.coloured.frequencies", "20000 Hz")),
+    Case("noise blacker than brown", ("check", "blacker.toml"), 65, ("sensor.noise_exponent", "equal to 2", "got 3")),
+    Case(
+        "colour of no noise", ("check", "levelless.toml"), 65, ("sensor.noise_exponent", "relative_noise or absolute")
+    ),
+    Case("two colours of noise", ("check", "two_colours.toml"), 65, ("sensor.noise_spectrum", "take one of the two")),
+    Case("colour of white noise", ("check", "white_density.toml"), 65, ("sensor.noise_density", "as absolute_noise")),
+    Case("no table of a spectrum", ("check", "no_spectrum.toml"), 66, ("gone.csv", "table of a spectrum")),
+    Case("table of a spectrum is a device", ("check", "spectrum_device.toml"), 65, ("/dev/null", "regular file")),
+    Case(
+        "spectrum that ends below half the rate",
+        ("generate", "narrow.toml", "-o", "new.h5"),
+        65,
+        ("sensor.noise_spectrum.frequencies", "97.6562 Hz", "100000 Hz", "50 to 20000 Hz", "add rows"),
+    ),
+    Case("spectrum that begins late", ("check", "late_start.toml"), 65, ("noise_spectrum", "500 to 100000 Hz", "add")),
+    Case("spectrum backwards", ("check", "backwards.toml"), 65, ("noise_spectrum", "ascend", "40 Hz after 50 Hz")),
+    Case("spectrum with a hole", ("check", "silence.toml"), 65, ("noise_spectrum.density", "above 0", "got 0")),
+    Case("spectrum of nan", ("check", "nan_density.toml"), 65, ("noise_spectrum.density", "finite")),
+    Case("density missing", ("check", "spectrum_gap.toml"), 65, ("spectrum_gap.csv, line 3", "density", "''")),
+    Case("density of power", ("check", "power_density.toml"), 65, ("power_density.csv", "'density [N/sqrt(Hz)]'")),
+    Case("spectrum of one row", ("check", "one_row.toml"), 65, ("noise_spectrum.frequencies", "at least 2, got 1")),
+    Case("empty table of a spectrum", ("check", "empty_spectrum.toml"), 65, ("empty_spectrum.csv", "first line")),
+    Case("two ranges", ("check", "two_ranges.toml"), 65, ("sensor.range", "relative_range", "one of the two")),
+    Case("drawn bits without range", ("check", "drawn_bits.toml"), 65, ("sensor.bits", "range or relative_range")),
+    Case("drawn hum too high", ("check", "drawn_hum.toml"), 65, ("hum_frequency", "100000 Hz", "200000 Hz", "lower")),
+    Case("drawn colour too black", ("check", "drawn_blackness.toml"), 65, ("noise_exponent", "-1 and 2", "drawn as 4")),
+    Case("mixed with one weight", ("check", "mixed_weights.toml"), 65, ("randomise.hum", "as many as parts, 2, got 1")),
+    Case("hum of two amplitudes", ("check", "two_amplitudes.toml"), 65, ("background.hum.0", "not both")),
+    Case("hum relative to no impact", ("check", "relative_hum.toml"), 65, ("hum.1.relative_amplitude", "give amp")),
+    Case("range relative to no impact", ("check", "relative_range.toml"), 65, ("sensor.relative_range", "give range")),
+    Case("ceiling of pink noise", ("ceiling", "pink.toml"), 65, ("reference", "white noise", "noise_exponent")),
     Case("beam steeper than a wall", ("check", "steep.toml"), 65, ("stream.inclination", "'95 deg'")),
     Case("noise relative to no impact", ("check", "relative.toml"), 65, ("sensor.relative_noise", "absolute_noise")),
     Case(

@@ -81,6 +81,17 @@ def beam_of(tail_beam: dict[str, Any], sensor: dict[str, Any] | None = None, sam
     return scene_of(None, SMALL, FELT if sensor is None else sensor, tail_beam=tail_beam, sampling=sampling)
 
 
+#: Of recorders and noises, those that are plain among them.
+RIGS = {
+    "relative_noise": {"distribution": "log-uniform", "lowest": 0.003, "highest": 0.03},
+    "noise_exponent": {"distribution": "mixed", "parts": [uniform(0.2, 1.2), 0]},
+    "hum": {"distribution": "mixed", "parts": [uniform(0.01, 0.05), 0]},
+    "relative_range": {"distribution": "mixed", "parts": [uniform(1, 1.2), uniform(0.5, 1)]},
+    "bits": uniform(10, 16),
+    "anti_alias_frequency": uniform("20 kHz", "150 kHz"),
+}
+
+
 @dataclass(frozen=True)
 class Case:
     """A scene and the requested output."""

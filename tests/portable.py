@@ -19,7 +19,7 @@ from cgid.physics.laws import HUNT_CROSSLEY_LAWS, STIFFNESS_THEORIES
 from cgid.scene import load_scene, synthesise
 from cgid.scene.schema import Scene
 from cgid.scene.stream import record
-from tests.plan_scenes import CASES, PANEL, STEEL, TAP, beam_of, scene_of
+from tests.plan_scenes import CASES, PANEL, RIGS, STEEL, TAP, beam_of, scene_of
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 SEED, N_SIGNALS = 3, 2000
@@ -68,6 +68,7 @@ def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
     hum = [{"frequency": "50 Hz", "amplitude": "3 N"}, {"frequency": "297.3 Hz", "amplitude": "2 N"}]
     density = ["1 N/sqrt(Hz)", "5 N/sqrt(Hz)", "5 N/sqrt(Hz)", "0.5 N/sqrt(Hz)"]
     coloured = {"frequencies": ["2 Hz", "20 Hz", "200 Hz", "2 kHz"], "density": density}
+    spectrum = {"frequencies": [50, 2e3, "100 kHz"], "density": density[:3]}
     plate = {**STEEL, "thickness": "20 mm"}
     odd = {"sampling_rate": 200e3, "samples": 1025, "pre_trigger": 128}
     bounded = {"lowest": "5 mm", "highest": "90 mm"}
@@ -99,6 +100,9 @@ def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
         "weight on a plate": scene_of({"gravity": 9.81, "target": plate}, {"restitution": 0.7}),
         "hum": scene_of(background={"hum": hum}),
         "coloured noise": scene_of(background={"coloured": coloured}),
+        "pink noise": scene_of(sensor={"relative_noise": 0.05, "noise_exponent": 1.1}),
+        "spectrum of noise": scene_of(sensor={"absolute_noise": 9, "noise_spectrum": spectrum, "relative_range": 0.9}),
+        "drawn rigs": scene_of(randomise=RIGS),
         "bandwidth": scene_of(sensor={"bandwidth": "40 kHz"}),
         "bandwidth, odd": scene_of(sensor={"bandwidth": "40 kHz"}, sampling=odd),
     }

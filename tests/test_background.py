@@ -12,7 +12,8 @@ from scipy.io import wavfile
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
-from cgid.scene.noise import CHUNK, background_of, reference_peak
+from cgid.scene.noise import background_of, reference_peak
+from cgid.scene.sensor import CHUNK
 from cgid.scene.stream import record
 from tests.plan_scenes import PANEL, beam_of
 from tests.test_stream import RATE, population

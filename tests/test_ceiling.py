@@ -361,6 +361,7 @@ THIN = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thi
         (content(sensor={"relative_noise": 0.01, "noise_exponent": 1, "range": 5e3}), "take sensor.range out"),
         (content(sensor={"relative_noise": 0.01, "anti_alias": {"frequency": 2e4}}), "what a filter makes of it"),
         (content(populations__0__dissipation="walton-braun", sensor__relative_noise=0.01), "one law of loss"),
+        (content(sensor__relative_noise=0.01, sensor__relative_range=2), "give sensor.range"),
         (content(populations__1__label="coal", sensor__relative_noise=0.01), "at least 2 labels, got coal"),
         (content(impact__target=THIN, sensor__relative_noise=0.01), "a half space or a rigid wall"),
         (content(impact__dissipation="elastic", populations__0__restitution=None, populations__1__restitution=None,
@@ -369,8 +370,8 @@ THIN = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thi
         (content(populations__0__second_hit={"delay": 1e-3, "ratio": 0.5}, sensor__relative_noise=0.01),
          "single hits that no sensor cuts off"),
     ],
-    ids=["taps", "randomised", "no noise", "range in pink noise", "anti-alias", "laws", "one label", "thin plate",
-         "elastic", "clipped", "second hit"],
+    ids=["taps", "randomised", "no noise", "range in pink noise", "anti-alias", "laws", "relative range", "one label",
+         "thin plate", "elastic", "clipped", "second hit"],
 )  # fmt: skip
 def test_what_is_not_covered_is_refused_with_the_reason(scene, said):
     with pytest.raises(InvalidValue, match="scene small: the ceiling needs") as caught:

@@ -12,13 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal, stats
 
+from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.scene import load_scene, synthesise
+from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
-from cgid.scene.draws import BLOCK, NOISE, TAPS
-from cgid.scene.noise import CHUNK, MOST_SAMPLES, add_noise
+from cgid.scene.draws import BLOCK, NOISE, TAPS, settings_of
+from cgid.scene.noise import MOST_SAMPLES, Coloured, add_noise
 from cgid.scene.plan import plan
 from cgid.scene.schema import Scene
+from cgid.scene.sensor import CHUNK
 from cgid.scene.stream import record
 from tests.plan_scenes import scene_of
 from tests.test_stream import RATE as STREAM_RATE
@@ -282,7 +284,7 @@ def test_noise_has_the_slope_and_the_level_of_its_exponent(exponent):
 def test_noise_is_flat_below_one_period_of_the_frame(samples):
     sampling = {"sampling_rate": RATE, "samples": samples, "pre_trigger": 128}
     scene = noise_scene(noise_exponent=1.0)
-    frames = noise_frames(Scene.model_validate({**scene.model_dump(exclude_none=True), "sampling": sampling}), 4096)
+    frames = noise_frames(parse_scene({**scene.model_dump(exclude_none=True), "sampling": sampling}), 4096)
     # The mean of a frame is what lies below its period. In theory, by fine lines of the density:
     lines = (np.arange(2**20) + 0.5) / 2**20 * RATE / 2
     density = 1 / np.maximum(lines, RATE / samples)
@@ -347,7 +349,7 @@ def test_an_exponent_of_0_is_white_noise_to_the_last_bit():
 
 def quiet_stream(**sensor):
     silent = {"arrivals": {"times": ["39 s"]}, "duration": "40 s"}
-    return Scene.model_validate(stream_content(sensor={"absolute_noise": 3.0, **sensor}, **silent))
+    return parse_scene(stream_content(sensor={"absolute_noise": 3.0, **sensor}, **silent))
 
 
 @pytest.mark.parametrize("sensor", [{"noise_exponent": 1.5}, {"noise_exponent": -1.0}])
@@ -442,9 +444,36 @@ def test_a_colour_that_is_none_is_one_line_with_its_path(sensor, path, says):
     assert line.startswith(f"scene: {path}: ") and says in line
 
 
-def test_the_plan_says_the_colour():
+def test_white_noise_needs_no_transform(monkeypatch):
+    parts = [{"distribution": "uniform", "lowest": 0.5, "highest": 1}, 0]
+    sensor = {"absolute_noise": 0.0, "relative_noise": 0.01}
+    drawn = noise_scene(**sensor).model_dump(exclude_none=True)
+    drawn = parse_scene({**drawn, "randomise": {"noise_exponent": {"distribution": "mixed", "parts": parts}}})
+    exponents = [settings_of(drawn, 0, block)["noise_exponent"] for block in range(8)]
+    coloured, white = (int(np.flatnonzero(kind)[0]) for kind in (np.array(exponents) > 0, np.equal(exponents, 0)))
+
+    def refuse(*_):
+        raise AssertionError("white noise is transformed")
+
+    monkeypatch.setattr(Coloured, "_rows", refuse)
+    for scene in (noise_scene(), noise_scene(noise_exponent=0), noise_scene(absolute_noise=0, relative_noise=0)):
+        noise_frames(scene, 1)
+    noise_frames(drawn, 1, first=white * BLOCK)
+    with pytest.raises(AssertionError, match="is transformed"):
+        noise_frames(drawn, 1, first=coloured * BLOCK)
+
+
+def test_the_plan_says_the_colour(tmp_path, capsys):
     found = plan(noise_scene(noise_exponent=1.2)).decisions["noise"]
     assert found.why == "1/f^1.2, flat below 97.66 Hz; whole frames"
     found = plan(noise_scene(noise_spectrum=SPECTRUM), "features", features=["peak_force"])
     assert found.decisions["noise"].why == "of the spectrum given, flat below 97.66 Hz; whole frames"
     assert found.decisions["rest of the frames"].why == "coloured noise is made of whole frames"
+    (tmp_path / "pink.toml").write_text(
+        'name = "pink"\n[impact]\nstiffness = "hertz"\ndissipation = "elastic"\ntarget = "rigid"\n'
+        '[sampling]\nsampling_rate = "200 kHz"\nsamples = 2048\npre_trigger = 16\n'
+        "[sensor]\nrelative_noise = 0.1\nnoise_exponent = 1\n"
+        '[[taps]]\nlabel = "tap"\nshape = "square"\npeak_force = 1\ncontact_duration = "1 ms"\n'
+    )
+    assert run(["check", str(tmp_path / "pink.toml")]) == 0
+    assert "\nnoise: 1/f^1, flat below 97.66 Hz; whole frames\n" in capsys.readouterr().out

@@ -43,6 +43,7 @@ from tests.plan_scenes import (
     FIT,
     IN_TIME,
     PANEL,
+    RIGS,
     SECOND,
     TAP,
     TAPPED,
@@ -438,6 +439,8 @@ SCENES = {
         randomise={"relative_noise": uniform(0.001, 0.2), "bandwidth": uniform("10 kHz", "90 kHz")},
         taps=[{**TAP, "second_hit": {"delay": uniform("0.2 ms", "4 ms"), "ratio": uniform(0.3, 3)}}],
     ),
+    "pink noise": scene_of(sensor={**NOISY, "noise_exponent": 1, "relative_range": 2, "bits": 12}),
+    "drawn rigs": scene_of(randomise=RIGS),
     "drawn noise": scene_of(randomise={"relative_noise": uniform(0.001, 0.5)}),
     "drawn rate": scene_of(randomise={"sampling_rate": uniform("50 kHz", "400 kHz")}),
 }

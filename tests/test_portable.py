@@ -31,6 +31,9 @@ SOME = [
     "haversine tap",
     "hum",
     "coloured noise",
+    "pink noise",
+    "spectrum of noise",
+    "drawn rigs",
     "bandwidth",
 ]
 #: A C library whose functions return the neighbouring double, but for whole numbers, which every library gets right.

@@ -1,10 +1,12 @@
 """Scenes: units, distributions against scipy.stats, and every mistake with its path."""
 
 import copy
+import json
 import random
 import tomllib
 from collections import Counter
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from scipy import stats
 from cgid import shipped
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.scene import load_scene, parse_scene, synthesise
-from cgid.scene.distributions import LARGEST_UNIFORM, LIMITS, SMALLEST_UNIFORM, Distribution
+from cgid.scene.distributions import LARGEST_UNIFORM, LIMITS, SMALLEST_UNIFORM, Distribution, measured
 from cgid.scene.draws import generator, uniforms
 from cgid.scene.impacts import SHAPES, draw
 from cgid.scene.recordings import require_capacity
@@ -62,6 +64,10 @@ def complaints(**changes):
     with pytest.raises(BadData) as caught:
         parse_scene(content(**changes))
     return [line.removeprefix("scene: ") for line in str(caught.value).splitlines()]
+
+
+def uniform(lowest, highest):
+    return {"distribution": "uniform", "lowest": lowest, "highest": highest}
 
 
 def distribution(**parameters):
@@ -209,6 +215,32 @@ def test_choice_at_the_last_uniform_number():
     assert ends.tolist() == [0, 10]
 
 
+def test_a_mixture_is_each_part_as_often_as_its_weight():
+    parts = [0, {"distribution": "uniform", "lowest": 2, "highest": 3}, {"distribution": "choice", "values": [5, 6]}]
+    law = TypeAdapter(Annotated[Distribution, measured("ratio")]).validate_python(
+        {"distribution": "mixed", "parts": parts, "weights": [2, 1, 1]}
+    )
+    drawn = law.quantile(GRID)
+    assert [np.mean(drawn == value) for value in (0, 5, 6)] == [0.5, 0.125, 0.125]
+    middle = drawn[(drawn > 0) & (drawn < 5)]
+    assert middle.size == 25_000
+    np.testing.assert_allclose(middle, 2 + (np.arange(25_000) + 0.5) / 25_000, atol=1e-9)
+    assert law.extremes == (0, 6)
+    ends = law.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM, 0.5, np.nextafter(0.75, 0)]))
+    np.testing.assert_allclose(ends, [0, 6, 2, 3])
+
+
+def test_the_parts_of_a_mixture_have_units():
+    parts = ["1.4 g/cm^3", {"distribution": "normal", "mean": "2.4 t/m^3", "deviation": 9}]
+    scene = parse_scene(content(populations__1__density={"distribution": "mixed", "parts": parts}))
+    law = scene.populations[1].density
+    np.testing.assert_allclose([law.parts[0].value, law.parts[1].mean], [1400, 2400])
+    assert parse_scene(json.loads(scene.text)) == scene
+    parts[1]["mean"] = "2 kg"
+    (line,) = complaints(populations__1__density={"distribution": "mixed", "parts": ["3 s", parts[1]]})
+    assert line.startswith("populations.1.density: parts.0: ") and "'3 s'" in line and "parts.1: mean" in line
+
+
 def test_a_bare_number_is_a_constant():
     (population, _) = parse_scene(content(populations__0__density="1.4 t/m^3")).populations
     assert population.density.quantile(GRID[:3]).tolist() == [1400.0] * 3
@@ -253,7 +285,9 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         ({"populations__1__density": -5}, "populations.1.density", "above 0"),
         ({"populations__1__density": NORMAL}, "populations.1.density", "can be drawn as"),
         ({"populations__0__poisson_ratio": 0.5}, "populations.0.poisson_ratio", "between -1 and 0.5"),
-        ({"sensor__bits": 12}, "sensor", "range"),
+        ({"sensor__bits": 12}, "sensor.bits", "come with range or relative_range"),
+        ({"sensor__range": 9, "sensor__relative_range": 1}, "sensor.range", "left out with relative_range"),
+        ({"sensor__relative_range": 0}, "sensor.relative_range", "0.001, got 0"),
         ({"populations__0__drop_height": 1}, "populations.0", "not both"),
         ({"populations__0__velocity": None}, "populations.0", "either drop_height or velocity"),
         ({"populations__1__restitution": None}, "populations.1.restitution", "missing"),
@@ -294,6 +328,33 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         ({"randomise__relative_noise": -0.1}, "randomise.relative_noise", "between 0 and 1e+06, got -0.1"),
         ({"randomise__bandwidth": {"distribution": "gamma"}}, "randomise.bandwidth", "got 'gamma'"),
         ({"randomise__samples": 128}, "randomise.samples", "unknown key"),
+        ({"randomise__noise_exponent": 2.1}, "randomise.noise_exponent", "between -1 and 2, got 2.1"),
+        (
+            {"randomise__noise_exponent": {"distribution": "mixed", "parts": [0, uniform(0, 3)]}},
+            "randomise.noise_exponent",
+            "between -1 and 2, it can be drawn as 3",
+        ),
+        (
+            {"randomise__noise_exponent": 1, "sensor__relative_noise": 0},
+            "sensor.noise_exponent",
+            "come with relative_noise or absolute_noise",
+        ),
+        ({"randomise__hum": -0.1}, "randomise.hum", "between 0 and 1e+06, got -0.1"),
+        ({"randomise__hum_frequency": 50}, "randomise", "hum_frequency must come with hum"),
+        (
+            {"randomise__hum": 0.1, "randomise__hum_frequency": uniform(50, 200e3)},
+            "randomise.hum_frequency",
+            "below half the sampling rate, 100000 Hz, it can be 200000 Hz",
+        ),
+        ({"randomise__bits": uniform(10, 33), "sensor__range": 9}, "randomise.bits", "between 2 and 32, it can be"),
+        ({"randomise__bits": 12}, "sensor.bits", "come with range or relative_range"),
+        ({"randomise__relative_range": 0}, "randomise.relative_range", "between 0.001 and 1e+06, got 0"),
+        ({"randomise__relative_range": 2, "sensor__range": 9}, "sensor.range", "left out with relative_range"),
+        (
+            {"randomise__anti_alias_frequency": 9, "sensor__bandwidth": 9},
+            "randomise.anti_alias_frequency",
+            "left out with bandwidth",
+        ),
         ({"impact__target": {**PLATE, "thickness": "20 mN"}}, "impact.target.thickness", "'20 mN'"),
         ({"impact__target": {**PLATE, "thickness": 0}}, "impact.target.thickness", "0.000001, got 0"),
         (
@@ -334,6 +395,11 @@ def test_restitution_must_be_left_out_when_elastic():
         ({"distribution": "choice", "values": [1, 2], "weights": [1, -1]}, "0 or more"),
         ({"distribution": "choice", "values": [1, 2], "weights": [1e308, 1e308]}, "finite sum"),
         ({"distribution": "choice", "values": []}, "at least 1"),
+        ({"distribution": "mixed", "parts": [1, 2], "weights": [1]}, "as many as parts, 2, got 1"),
+        ({"distribution": "mixed", "parts": []}, "at least 1"),
+        ({"distribution": "mixed", "parts": 7}, "valid tuple"),
+        ({"distribution": "mixed", "parts": [1400, -2]}, "above 0, within"),
+        ({"distribution": "mixed", "parts": [{"distribution": "mixed", "parts": [1400]}]}, "name its distribution"),
         ({"distribution": "normal", "mean": 1400, "deviation": 0}, "greater than 0"),
         ({"distribution": "truncated-normal", "mean": 1400, "deviation": 0, **WIDE}, "greater than 0"),
         ({"distribution": "normal", "mean": 1400, "deviation": 9, "lowest": 1}, "it is truncated-normal"),

@@ -235,6 +235,28 @@ def test_only_its_own_population_is_clipped_and_the_range_comes_after_it():
     np.testing.assert_array_equal(digital.signals, expected)
 
 
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_relative_range_is_that_of_each_peak(dtype):
+    scene = scene_of([{}], [tap("haversine")], sensor={"relative_noise": 0.02, "relative_range": 0.6, "bits": 9})
+    digital = batch_of(scene, dtype=dtype)
+    analogue = batch_of(varied(scene, relative_range=None, bits=None), dtype=dtype)
+    full = (0.6 * digital.parameters["peak_force"])[:, None]
+    expected = np.clip(np.rint(analogue.signals / full * 2**8), -(2**8), 2**8 - 1) / 2**8
+    # A sample between two steps may go to either.
+    apart = np.abs(digital.signals / full - expected)
+    assert np.sort(apart.ravel())[:-5].max() < 1e-6 and apart.max() < 1.001 / 2**8
+    np.testing.assert_allclose(digital.signals.max(axis=1), full[:, 0] * (1 - 1 / 2**8), rtol=1e-6)
+    wide = batch_of(varied(scene, relative_range=1.2, bits=24), dtype=dtype)
+    np.testing.assert_allclose(wide.signals, analogue.signals, atol=1e-6 * full.max())
+
+
+def test_a_signal_without_a_peak_has_a_range():
+    frames = np.zeros((2, 9), np.float32)
+    sensor = scene_of([{}], sensor={"relative_range": 2, "bits": 12}).sensor
+    sensor.digitise(frames, RATE, np.zeros(2))
+    assert not frames.any()
+
+
 # ---- randomised rigs -------------------------------------------------------------------------------------------------
 
 LOG_RATE = {"distribution": "log-uniform", "lowest": "25 kHz", "highest": "1 MHz"}
@@ -259,6 +281,67 @@ def test_a_block_is_the_scene_fixed_at_what_it_drew():
         np.testing.assert_array_equal(alone.signals, batch.signals)
         np.testing.assert_array_equal(batch.parameters["onset"] * batch.sampling_rate // 1, 32)
     assert 0 < unlimited < 12
+
+
+MIXED = {
+    "noise_exponent": {"distribution": "mixed", "parts": [0, uniform(0, 1.2)]},
+    "hum": {"distribution": "mixed", "parts": [0, uniform(0.01, 0.05)]},
+    "hum_frequency": {"distribution": "choice", "values": [50, 60]},
+    "relative_range": {"distribution": "mixed", "parts": [uniform(1, 1.2), uniform(0.5, 1)], "weights": [9, 1]},
+    "bits": uniform(10, 24),
+    "anti_alias_frequency": uniform("5 kHz", "400 kHz"),
+}
+
+
+def test_a_block_is_the_scene_fixed_at_all_that_it_drew():
+    scene = scene_of([{}], [TAPS[0]], randomise={"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE, **MIXED})
+    off = dict.fromkeys(("noise_exponent", "hum", "anti_alias_frequency"), 0)
+    for block, batch in enumerate(synthesise(scene, 8 * BLOCK, 3)):
+        one = {name: float(np.unique(batch.parameters[name]).item()) for name in ("relative_noise", *MIXED)}
+        edge = None if np.isnan(one["anti_alias_frequency"]) else {"frequency": one["anti_alias_frequency"]}
+        hum = [{"frequency": one["hum_frequency"], "relative_amplitude": one["hum"]}] if one["hum"] else []
+        off["noise_exponent"] += one["noise_exponent"] == 0
+        off["hum"] += not hum
+        off["anti_alias_frequency"] += edge is None
+        assert one["bits"] == round(one["bits"])
+        sensor = {name: one[name] for name in ("relative_noise", "noise_exponent", "relative_range")}
+        sensor |= {"bits": round(one["bits"])} | ({"anti_alias": edge} if edge else {})
+        content = json.loads(scene.text)
+        del content["randomise"]
+        content |= {"sensor": sensor} | ({"background": {"hum": hum}} if hum else {})
+        content["sampling"]["sampling_rate"] = batch.sampling_rate
+        (alone,) = synthesise(parse_scene(content), BLOCK, 3, first=block * BLOCK)
+        np.testing.assert_array_equal(alone.signals, batch.signals)
+    assert all(0 < times < 8 for times in off.values())
+
+
+def test_drawn_hum_is_added_to_the_background_that_is_given():
+    given_hum = {"hum": [{"frequency": 500, "amplitude": 3.0}]}
+    drawn = batch_of(scene_of([], [TAPS[0]], background=given_hum, randomise={"hum": 0.1}), dtype="float64")
+    without = batch_of(scene_of([], [TAPS[0]]), dtype="float64")
+    places = 2 * np.pi * np.array([[50], [500]]) * np.arange(1024) / RATE
+    waves = np.concatenate([np.sin(places), np.cos(places)])
+    parts = np.linalg.lstsq(waves.T, (drawn.signals - without.signals).T)[0]
+    np.testing.assert_allclose(np.hypot(parts[0], parts[2]), 0.1 * drawn.parameters["peak_force"], rtol=1e-9)
+    np.testing.assert_allclose(np.hypot(parts[1], parts[3]), 3.0, rtol=1e-6)
+
+
+def test_settings_of_a_block_are_drawn_independently():
+    scene = scene_of(
+        taps=TAPS[:1],
+        sampling={"sampling_rate": RATE, "samples": 64, "pre_trigger": 16},
+        randomise={"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE, **MIXED},
+    )
+    draws = [draw(scene, 8, block) for block in range(400)]
+    found = {name: np.array([d.parameters[name][0] for d in draws]) for name in ("relative_noise", *MIXED)}
+    assert np.mean(found["noise_exponent"] == 0) == pytest.approx(0.5, abs=0.1)
+    assert np.mean(found["relative_range"] < 1) == pytest.approx(0.1, abs=0.06)
+    assert set(found["hum_frequency"]) == {50, 60} and set(found["bits"]) == set(range(10, 25))
+    assert stats.kstest(found["noise_exponent"][found["noise_exponent"] > 0], stats.uniform(0, 1.2).cdf).pvalue > 1e-3
+    found["rate"] = np.array([d.scene.sampling.sampling_rate for d in draws])
+    del found["anti_alias_frequency"]  # off above a share of the rate
+    for one, other in itertools.combinations(found.values(), 2):
+        assert abs(stats.spearmanr(one, other).statistic) < 4.5 / np.sqrt(400)
 
 
 def test_rigs_follow_their_distributions():
@@ -495,6 +578,13 @@ def test_a_frame_keeps_its_seconds(rate, samples, pre_trigger):
     assert (changed.samples, changed.pre_trigger) == (samples, pre_trigger)
     after = (changed.samples - changed.pre_trigger) / changed.sampling_rate
     assert after == pytest.approx((2048 - 200) / 200e3, abs=0.5 / changed.sampling_rate)
+
+
+def test_what_replaces_another_setting_ends_its_draws():
+    scene = scene_of([{}], randomise={"relative_noise": LOG_NOISE, **MIXED})
+    fixed = varied(scene, range="9 kN", anti_alias=None, noise_exponent=1)
+    assert set(fixed.randomise.laws) == {"relative_noise", "hum", "hum_frequency", "bits"}
+    assert varied(fixed, relative_range=2).sensor.range is None
 
 
 def test_what_is_given_is_no_longer_randomised():

@@ -235,6 +235,7 @@ def uncovered(scene: Scene) -> str:
             background is not None and background.recorded is not None,
             "noise of a known spectrum: take [background.recorded] out, or give its spectrum as [background.coloured]",
         ),
+        (sensor.relative_range is not None, "a full scale that does not follow each peak: give sensor.range"),
         (scene.impact.gravity is not None, "impacts without gravity, which the family leaves out"),
         (scene.randomise is not None, "a scene without [randomise]: vary it setting by setting"),
         (noise is not None and not noise.level(np.ones(1)).any(), "noise: without it every pulse is told exactly"),

@@ -106,20 +106,30 @@ def noise_of(scene: Scene) -> Noise:
     sensor, sampling, background = scene.sensor, scene.sampling, scene.background
     lags = np.arange(sampling.samples)
     sensed = colour_of(scene)
-    unit = np.where(lags == 0, 1.0, 0.0) if sensed is None else sensed.autocovariance(lags.size)
+    unit = np.where(lags == 0, 1.0, 0.0) if sensed is None else _autocovariance(sensed, lags.size)
     relative = sensor.relative_noise**2 * unit
     absolute = sensor.noise_level(np.zeros(()), sampling.sampling_rate) ** 2 * unit
     if sensor.bits is not None and sensor.range is not None:
         absolute[0] += (sensor.range / 2 ** (sensor.bits - 1)) ** 2 / 12
     if background is not None:
         for line in background.hum:
-            own = absolute if line.relative_amplitude is None else relative
-            turns = line.frequency * lags / sampling.sampling_rate
-            own += 0.5 * line.amplitude_in(sensor.quantity, 1.0) ** 2 * np.cos(2 * np.pi * turns)
+            hum = np.cos(2 * np.pi * line.frequency / sampling.sampling_rate * lags)
+            if line.relative_amplitude is not None:
+                relative += 0.5 * line.relative_amplitude**2 * hum
+            else:
+                absolute += 0.5 * line.amplitude_in(sensor.quantity) ** 2 * hum
         if background.coloured is not None:
             made = Coloured(background.coloured, sensor.quantity, sampling.sampling_rate, COLOURED)
-            absolute += made.autocovariance(lags.size)
+            absolute += _autocovariance(made, lags.size)
     return Noise(relative, absolute)
+
+
+def _autocovariance(noise: Coloured, n_samples: int) -> Floats:
+    """Return the covariance of two samples of a frame that are 0, 1, ... samples apart, (n_samples,)."""
+    length = 1 << (2 * n_samples - 1).bit_length()  # the period of the noise of a frame
+    power = noise.density(length, n_samples) * (noise.sampling_rate / 2)
+    power[-1] *= 2.0
+    return np.asarray(np.fft.irfft(power, n=length)[:n_samples])
 
 
 class Maps(NamedTuple):

@@ -37,6 +37,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
         raise click.UsageError("give a SCENE, or --list for those that come with cgid")
     from cgid.scene import load_scene
     from cgid.scene.noise import background_of
+    from cgid.scene.plan import plan
 
     loaded = load_scene(scene)
     background_of(loaded)  # raises if its recording cannot be read
@@ -59,6 +60,9 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
         say(f"recording at {rate}: {told}")
     if preview["tail_beam"]:
         say("tail beam: " + ", ".join(f"{name} {value:.4g}" for name, value in preview["tail_beam"].items()))
+    if loaded.sensor.coloured:
+        asked = plan(loaded, "frames" if loaded.stream is None else "recordings")
+        say(f"noise: {asked.decisions['noise'].why}")
     for name, (low, high) in drawn.items():
         say(f"drawn for each block of 256 signals: {name} {low:g} to {high:g}")
     say("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
@@ -123,7 +127,9 @@ def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
     """Return the smallest and largest value of each quantity that is drawn per block."""
     if scene.randomise is None:
         return {}
-    units = {"sampling_rate": "Hz", "relative_noise": "1", "bandwidth": "Hz"}
+    from cgid.scene.draws import RANDOMISED_UNITS
+
+    units = {"sampling_rate": "Hz"} | RANDOMISED_UNITS
     return {f"{name} [{units[name]}]": law.extremes for name, law in scene.randomise.laws.items()}
 
 

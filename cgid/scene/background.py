@@ -172,12 +172,9 @@ class HumLine(Section):
             raise ValueError("must have either amplitude or relative_amplitude, and not both")
         return self
 
-    def amplitude_in(self, quantity: str, peak: Floats | float) -> Floats:
-        """Return the amplitude in SI units, for signals with these peaks."""
-        if self.amplitude is not None:
-            return np.asarray(_level(self.amplitude, quantity))
-        assert self.relative_amplitude is not None
-        return np.asarray(self.relative_amplitude * peak)
+    def amplitude_in(self, quantity: str) -> float:
+        """Return the amplitude in SI units; 0 for one that is relative to each peak."""
+        return 0.0 if self.amplitude is None else _level(self.amplitude, quantity)
 
 
 class RecordedBackground(Section):
@@ -264,7 +261,7 @@ class BackgroundSection(Section):
 
     def known_power(self, quantity: str) -> float:
         """Return the mean square of hum and coloured noise in SI units; that of a recording depends on the impacts."""
-        amplitudes = [float(line.amplitude_in(quantity, 0.0)) for line in self.hum]
+        amplitudes = [line.amplitude_in(quantity) for line in self.hum]
         lines = sum(0.5 * amplitude * amplitude for amplitude in amplitudes)
         return lines + (0.0 if self.coloured is None else self.coloured.power(quantity))
 

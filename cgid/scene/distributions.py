@@ -102,7 +102,36 @@ class Constant(_Distribution):
         return np.full(uniform.shape, self.value)
 
 
-class Choice(_Distribution):
+class _Weighted(_Distribution):
+    """One of several, with weights (equal by default)."""
+
+    weights: tuple[Number, ...] | None = None
+
+    @property
+    @abstractmethod
+    def _among(self) -> tuple[str, int]:
+        """The key of what is chosen among, and how many there are."""
+
+    @model_validator(mode="after")
+    def _weights_fit(self) -> Self:
+        if self.weights is not None:
+            name, number = self._among
+            if len(self.weights) != number:
+                raise ValueError(f"weights must be as many as {name}, {number}, got {len(self.weights)}")
+            if min(self.weights) < 0 or not 0 < sum(self.weights) < np.inf:
+                raise ValueError(f"weights must be 0 or more with a finite sum above 0, got {list(self.weights)}")
+        return self
+
+    @property
+    def _edges(self) -> Floats:
+        """The upper ends of the intervals of the uniform number."""
+        weights = np.ones(self._among[1]) if self.weights is None else np.array(self.weights)
+        edges = np.cumsum(weights) / weights.sum()
+        edges[np.flatnonzero(weights)[-1] :] = 1.0
+        return np.asarray(edges)
+
+
+class Choice(_Weighted):
     """One of several values, with weights (equal by default).
 
     Parameters
@@ -115,23 +144,14 @@ class Choice(_Distribution):
 
     distribution: Literal["choice"]
     values: tuple[float, ...] = Field(min_length=1)
-    weights: tuple[Number, ...] | None = None
 
-    @model_validator(mode="after")
-    def _weights_fit(self) -> Self:
-        if self.weights is not None:
-            if len(self.weights) != len(self.values):
-                raise ValueError(f"weights must be as many as values, {len(self.values)}, got {len(self.weights)}")
-            if min(self.weights) < 0 or not 0 < sum(self.weights) < np.inf:
-                raise ValueError(f"weights must be 0 or more with a finite sum above 0, got {list(self.weights)}")
-        return self
+    @property
+    def _among(self) -> tuple[str, int]:
+        return "values", len(self.values)
 
     def quantile(self, uniform: Floats) -> Floats:
         """Return the value whose interval of the cumulative weights holds the uniform number."""
-        weights = np.ones(len(self.values)) if self.weights is None else np.array(self.weights)
-        edges = np.cumsum(weights) / weights.sum()
-        edges[np.flatnonzero(weights)[-1] :] = 1.0
-        return np.asarray(self.values, np.float64)[np.searchsorted(edges, uniform, side="right")]
+        return np.asarray(self.values, np.float64)[np.searchsorted(self._edges, uniform, side="right")]
 
     @property
     def extremes(self) -> tuple[float, float]:
@@ -317,42 +337,92 @@ class RosinRammler(_Truncatable):
         return self.characteristic * power(-log1p(-probability), 1 / self.uniformity)
 
 
+Single = Annotated[
+    Constant | Choice | Uniform | LogUniform | Normal | Lognormal | RosinRammler,
+    Field(discriminator="distribution"),
+]
+
+
+class Mixed(_Weighted):
+    """One of several distributions, with weights (equal by default), such as 0 for half and uniform for the others.
+
+    Parameters
+    ----------
+    parts : tuple of distribution
+        The distributions; a plain number is one that always gives that number.
+    weights : tuple of float, optional
+        How often each is drawn from, relative to the others.
+    """
+
+    distribution: Literal["mixed"]
+    parts: tuple[Single, ...] = Field(min_length=1, max_length=64)
+
+    @property
+    def _among(self) -> tuple[str, int]:
+        return "parts", len(self.parts)
+
+    def quantile(self, uniform: Floats) -> Floats:
+        """Return the quantiles of the parts whose intervals hold the uniform numbers, at the places within these."""
+        edges = self._edges
+        which = np.searchsorted(edges, uniform, side="right")
+        below = np.concatenate([np.zeros(1), edges])[which]
+        place = np.clip((uniform - below) / (edges[which] - below), SMALLEST_UNIFORM, LARGEST_UNIFORM)
+        values = np.empty(uniform.shape)
+        for number, part in enumerate(self.parts):
+            values[which == number] = part.quantile(place[which == number])
+        return values
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """The smallest and largest value of any part, regardless of weights."""
+        lowest, highest = zip(*(part.extremes for part in self.parts), strict=True)
+        return min(lowest), max(highest)
+
+
 #: The keys of a distribution that have the dimension of the quantity.
 _MEASURED = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic")
 
 
 def measured(dimension: str) -> BeforeValidator:
     """Return a validator that converts the units of a distribution to SI; a bare number becomes a constant."""
+    return BeforeValidator(partial(_in_si, dimension=dimension))
 
-    def read(content: Any) -> Any:
-        if not isinstance(content, dict):
-            return (
-                content if isinstance(content, BaseModel) else {"distribution": "constant", "value": _si("", content)}
-            )
-        problems: list[str] = []
-        numbers = dict(content)
-        for key in content.keys() & set(_MEASURED):
-            try:
-                numbers[key] = _si(f"{key} ", content[key])
-            except ValueError as error:
-                problems.append(str(error))
-        if problems:
-            raise ValueError("; ".join(sorted(problems)))
-        return numbers
 
-    def _si(key: str, value: Any) -> Any:
+def _in_si(content: Any, dimension: str) -> Any:
+    if isinstance(content, BaseModel):
+        return content
+    if not isinstance(content, dict):
+        return {"distribution": "constant", "value": _si("", content, dimension)}
+    problems: list[str] = []
+    numbers = dict(content)
+    for key in content.keys() & set(_MEASURED):
         try:
-            if isinstance(value, list):
-                return tuple(parse(item, dimension) for item in value)
-            return parse(value, dimension)
+            numbers[key] = _si(f"{key} ", content[key], dimension)
         except ValueError as error:
-            raise ValueError(f"{key}{error}") from None
+            problems.append(str(error))
+    if isinstance(content.get("parts"), list):
+        numbers["parts"] = []
+        for number, part in enumerate(content["parts"]):
+            try:
+                numbers["parts"].append(_in_si(part, dimension))
+            except ValueError as error:
+                problems.append(f"parts.{number}: {error}")
+    if problems:
+        raise ValueError("; ".join(sorted(problems)))
+    return numbers
 
-    return BeforeValidator(read)
+
+def _si(key: str, value: Any, dimension: str) -> Any:
+    try:
+        if isinstance(value, list):
+            return tuple(parse(item, dimension) for item in value)
+        return parse(value, dimension)
+    except ValueError as error:
+        raise ValueError(f"{key}{error}") from None
 
 
 Distribution = Annotated[
-    Constant | Choice | Uniform | LogUniform | Normal | Lognormal | RosinRammler,
+    Constant | Choice | Uniform | LogUniform | Normal | Lognormal | RosinRammler | Mixed,
     Field(discriminator="distribution"),
 ]
 #: The names in a scene file; the paths of errors omit them.
@@ -364,6 +434,7 @@ DISTRIBUTION_NAMES = (
     "normal",
     "truncated-normal",
     "lognormal",
+    "mixed",
     "rosin-rammler",
 )
 

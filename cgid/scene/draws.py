@@ -10,14 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
 from cgid.physics import free_fall_velocity
-from cgid.scene.schema import Scene
+from cgid.scene.background import BackgroundSection, HumLine
+from cgid.scene.schema import HUM_FREQUENCY, Scene
 from cgid.scene.sections import DISSIPATIONS, SHAPES, Population, Tap
+from cgid.scene.sensor import AntiAlias
 from cgid.validation import Floats
 
 #: Samples that share one address.
@@ -40,7 +43,20 @@ _LATER = {
     LUMPS: tuple(LUMP),
 }
 #: The columns of settings drawn for a whole block; append new ones.
-_OF_BLOCKS = ("sampling_rate", "relative_noise", "bandwidth")
+_OF_BLOCKS = (
+    "sampling_rate",
+    "relative_noise",
+    "bandwidth",
+    "noise_exponent",
+    "hum",
+    "hum_frequency",
+    "relative_range",
+    "bits",
+    "anti_alias_frequency",
+)
+
+#: Those that are settings of a sensor as they are drawn.
+_OF_SENSOR = ("relative_noise", "noise_exponent", "relative_range")
 
 #: The stored parameters of every scene and their units.
 PARAMETER_UNITS = {
@@ -65,9 +81,18 @@ _MORE_UNITS = {
 }
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
-RANDOMISED_UNITS = {"relative_noise": "1", "bandwidth": "Hz"}
-#: A low-pass with an edge above this share of the sampling rate counts as unlimited: its transition, half as wide as
-#: its frequency, reaches beyond the band of the frame.
+RANDOMISED_UNITS = {
+    "relative_noise": "1",
+    "bandwidth": "Hz",
+    "noise_exponent": "1",
+    "hum": "1",
+    "hum_frequency": "Hz",
+    "relative_range": "1",
+    "bits": "1",
+    "anti_alias_frequency": "Hz",
+}
+#: A low-pass with an edge above this share of the sampling rate counts as unlimited: the transition of a bandwidth,
+#: half as wide as its frequency, reaches beyond the band of the frame.
 UNLIMITED = 0.45
 
 
@@ -134,7 +159,8 @@ class Drawn:
 
 def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
     """Return the drawn numbers of one block of 256 frames."""
-    here, sources = settled(scene, seed, block), scene.sources
+    settings, sources = settings_of(scene, seed, block), scene.sources
+    here = settled(scene, settings)
     numbers = numbers_of(seed, block)
     weights = np.array([source.weight for source in sources])
     edges = np.cumsum(weights / weights.sum())
@@ -144,7 +170,7 @@ def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
     values |= laws_of(scene, which)
     values |= points_of_impact(scene, seed, block)
     values["onset"] = onset_of(here, numbers[-1])
-    values |= levels_of(here, values)
+    values |= levels_of(settings)
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
     fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
     specimen = np.empty(BLOCK, np.uint64)
@@ -195,22 +221,46 @@ def laws_of(scene: Scene, which: NDArray[np.intp]) -> dict[str, Floats]:
     return {"dissipation": np.array(order + [np.nan] * len(scene.taps))[which]}
 
 
-def settled(scene: Scene, seed: int, block: int) -> Scene:
-    """Return the scene of one block, with its randomised settings drawn; the scene itself if none are."""
+def settings_of(scene: Scene, seed: int, block: int) -> dict[str, float]:
+    """Return the randomised settings of one block by name, nan for a low-pass that is off."""
     if scene.randomise is None:
-        return scene
+        return {}
     numbers = dict(zip(_OF_BLOCKS, uniforms(seed, block, len(_OF_BLOCKS), RANDOMISED)[:, :1], strict=True))
     values = {name: float(law.quantile(numbers[name])[0]) for name, law in scene.randomise.laws.items()}
     sampling_rate = values.get("sampling_rate", scene.sampling.sampling_rate)
-    bandwidth = values.get("bandwidth", scene.sensor.bandwidth)
-    sensor = {
-        "relative_noise": values.get("relative_noise", scene.sensor.relative_noise),
-        "bandwidth": None if bandwidth is None or bandwidth > UNLIMITED * sampling_rate else bandwidth,
-    }
+    for name in ("bandwidth", "anti_alias_frequency"):
+        if values.get(name, 0.0) > UNLIMITED * sampling_rate:
+            values[name] = np.nan
+    if "bits" in values:
+        values["bits"] = float(np.rint(values["bits"]))
+    return values
+
+
+def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
+    """Return the scene of one block, with its randomised settings (`settings_of`); the scene itself if it has none."""
+    if not settings:
+        return scene
+    sampling_rate = settings.get("sampling_rate", scene.sampling.sampling_rate)
+    sensor: dict[str, Any] = {name: settings[name] for name in _OF_SENSOR if name in settings}
+    if "bits" in settings:
+        sensor["bits"] = int(settings["bits"])
+    bandwidth = settings.get("bandwidth", scene.sensor.bandwidth)
+    sensor["bandwidth"] = bandwidth if bandwidth is not None and bandwidth <= UNLIMITED * sampling_rate else None
+    edge = settings.get("anti_alias_frequency")
+    if edge is not None:
+        given = scene.sensor.anti_alias or AntiAlias(frequency=1.0)
+        sensor["anti_alias"] = None if np.isnan(edge) else AntiAlias(frequency=edge, order=given.order)
+    background = scene.background
+    if settings.get("hum", 0.0) > 0:
+        frequency = settings.get("hum_frequency", HUM_FREQUENCY)
+        line = HumLine(frequency=frequency, relative_amplitude=settings["hum"])
+        others = {} if background is None else dict(background)
+        background = BackgroundSection(**others | {"hum": (*others.get("hum", ()), line)})
     return scene.model_copy(
         update={
             "sampling": scene.sampling.model_copy(update={"sampling_rate": sampling_rate}),
             "sensor": scene.sensor.model_copy(update=sensor),
+            "background": background,
             "randomise": None,
         }
     )
@@ -226,10 +276,9 @@ def onset_of(scene: Scene, number: Floats) -> Floats:
     return (scene.sampling.pre_trigger + scene.sampling.jitter * number) / scene.sampling.sampling_rate
 
 
-def levels_of(scene: Scene, names: Iterable[str]) -> dict[str, Floats]:
-    """Return the settings of the block's sensor among the names (`RANDOMISED_UNITS`), nan where unset."""
-    levels = {name: getattr(scene.sensor, name) for name in names if name in RANDOMISED_UNITS}
-    return {name: np.full(BLOCK, np.nan if level is None else level) for name, level in levels.items()}
+def levels_of(settings: Mapping[str, float]) -> dict[str, Floats]:
+    """Return the columns of the settings of a block that are stored."""
+    return {name: np.full(BLOCK, value) for name, value in settings.items() if name in RANDOMISED_UNITS}
 
 
 def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) -> dict[str, Floats]:

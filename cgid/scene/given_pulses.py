@@ -32,6 +32,7 @@ from cgid.scene.draws import (
     onset_of,
     parameter_units,
     points_of_impact,
+    settings_of,
     settled,
     specimen_of,
 )
@@ -159,12 +160,13 @@ def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
 def _blows(
     asked: Plan, pulses: SampledPulses, labels: NDArray[np.str_], known: dict[str, Floats], seed: int, block: int
 ) -> Blows:
-    here = settled(asked.scene, seed, block)
+    settings = settings_of(asked.scene, seed, block)
+    here = settled(asked.scene, settings)
     values = {name: np.full(BLOCK, np.nan) for name in parameter_units(asked.scene)}
     drawn = {"onset": onset_of(here, numbers_of(seed, block)[-1]), **points_of_impact(here, seed, block)}
     values |= {"peak_force": pulses.peak_force, "contact_duration": pulses.contact_duration, **known}
     values |= {name: np.where(np.isnan(values[name]), own, values[name]) for name, own in drawn.items()}
-    values |= levels_of(here, values)
+    values |= levels_of(settings)
     # Each unknown particle counts as a separate specimen.
     particle = [known.get(name, np.full(BLOCK, np.nan)) for name in PARTICLE]
     stranger = np.isnan(np.sum(particle, axis=0))

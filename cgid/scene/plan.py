@@ -431,10 +431,14 @@ def _tail_beam(asked: Plan) -> Decision:
 
 def _sensor_chain(asked: Plan) -> Decision:
     sensor = asked.scene.sensor
-    if not sensor.filters:
+    drawn = asked.scene.draws("anti_alias_frequency")
+    if not sensor.filters and not drawn:
         return _OFF
     if not asked.sensed:
         return _NO_SENSOR
+    if drawn:
+        mounting = "" if sensor.mounting is None else f"mounting {sensor.mounting.frequency:g} Hz, "
+        return Decision(True, f"{mounting}anti-alias drawn for each block", RESPONSE_TOLERANCE)
     parts = {"mounting": sensor.mounting, "anti-alias": sensor.anti_alias}
     on = ", ".join(f"{name} {part.frequency:g} Hz" for name, part in parts.items() if part is not None)
     return Decision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
@@ -457,6 +461,9 @@ def _rest_of_frames(asked: Plan) -> Decision:
         return Decision(True, "a background may stand out anywhere")
     if sensor.coloured:
         return Decision(True, "coloured noise is made of whole frames")
+    drawn = [name for name in ("noise_exponent", "hum", "anti_alias_frequency") if asked.scene.draws(name)]
+    if drawn:
+        return Decision(True, f"for each block whose {' or '.join(drawn)} needs it")
     if sensor.relative_noise * FAINT > 1 and not asked.scene.draws("relative_noise"):
         return Decision(True, f"a pulse below {FAINT:g} times the noise is looked for in all the frame")
     return Decision(False, "no asked feature looks there; made for the signals where that is not certain")
@@ -483,6 +490,8 @@ def _noise(asked: Plan) -> Decision:
 def _colour(asked: Plan) -> str:
     """Return what colours the noise, with the frequency below which it is flat."""
     sensor, rate = asked.scene.sensor, asked.scene.extreme_rates[0]
+    if asked.scene.draws("noise_exponent"):
+        return "colour drawn for each block; "
     if not sensor.coloured:
         return ""
     shape = f"1/f^{sensor.noise_exponent:g}" if sensor.noise_spectrum is None else "of the spectrum given"
@@ -491,12 +500,13 @@ def _colour(asked: Plan) -> str:
 
 
 def _background(asked: Plan) -> Decision:
-    section = asked.scene.background
-    if section is None:
+    section, drawn = asked.scene.background, asked.scene.draws("hum")
+    if section is None and not drawn:
         return _OFF
     if not asked.sensed:
         return _NO_SENSOR
-    on = [name for name in ("hum", "coloured", "recorded") if getattr(section, name)]
+    on = [name for name in ("hum", "coloured", "recorded") if section is not None and getattr(section, name)]
+    on += ["hum drawn for each block"] * drawn
     return Decision(True, f"{', '.join(on)}; always whole frames")
 
 
@@ -508,8 +518,11 @@ def _clipping(asked: Plan) -> Decision:
 
 def _digitising(asked: Plan) -> Decision:
     sensor = asked.scene.sensor
-    parts = {"offset": sensor.offset, "drift": sensor.drift, "range": sensor.range, "bits": sensor.bits}
+    names = ("offset", "drift", "range", "relative_range", "bits")
+    drawn = [name for name in names if asked.scene.draws(name)]
+    parts = {name: getattr(sensor, name) for name in names if name not in drawn}
     on = [f"{name} {value:g}" for name, value in parts.items() if value]
+    on += [f"{' and '.join(drawn)} drawn for each block"] if drawn else []
     if not on:
         return _OFF
     return Decision(True, ", ".join(on)) if asked.sensed else _NO_SENSOR

@@ -43,6 +43,8 @@ from cgid.validation import cut, shown, suggestion
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
 _LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000
+#: Frequency of the mains where `randomise.hum_frequency` does not say it [Hz].
+HUM_FREQUENCY = 50.0
 #: Most mistakes in one report.
 _MOST_MISTAKES = 20
 
@@ -111,6 +113,7 @@ class Scene(Section):
         period = (self.sampling.samples or CHUNK) / self.extreme_rates[0]
         drawn = () if self.randomise is None else tuple(self.randomise.laws)
         problems += self.sensor.problems((1 / period, self.extreme_rates[-1] / 2), drawn)
+        problems += self._problems_of_hum()
         problems += self.sampling.frame_problems(self.stream is not None)
         if self.stream is not None:
             problems += self.stream.problems(self.populations, self.sensor, self.sampling.sampling_rate)
@@ -184,6 +187,16 @@ class Scene(Section):
             "unlimited sensor"
             for name, limit in limits.items()
             if limit is not None and limit >= nyquist
+        ]
+
+    def _problems_of_hum(self) -> list[str]:
+        drawn = None if self.randomise is None else self.randomise.hum_frequency
+        highest = HUM_FREQUENCY if drawn is None else drawn.extremes[1]
+        if not self.draws("hum") or highest < self.extreme_rates[0] / 2:
+            return []
+        return [
+            f"randomise.hum_frequency: must be below half the sampling rate, {self.extreme_rates[0] / 2:g} Hz, it can "
+            f"be {highest:g} Hz; lower it, or raise the sampling rate"
         ]
 
     @cached_property
@@ -399,6 +412,9 @@ def _sections_in(annotation: Any) -> list[type[BaseModel]]:
 LEAST_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
 _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
+#: Settings of which one replaces the other, and what is drawn in place of which setting under another name.
+_INSTEAD = {"velocity": "drop_height", "drop_height": "velocity", "range": "relative_range", "relative_range": "range"}
+_DRAWN_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}
 _OF_ITS_OWN = ("label", "weight", "dissipation")
 
 
@@ -415,8 +431,8 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
         `name`, `description`, or any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `range`;
         or any key of a population or tap except label, weight and dissipation, such as `radius`, `clipped_at`, which
         changes in all that have such a key. Values are those of a scene file (a number, a string with a unit, a
-        mapping) or objects of a scene; None removes an optional setting. `velocity` replaces `drop_height` and vice
-        versa. A setting given here is no longer randomised.
+        mapping) or objects of a scene; None removes an optional setting. `velocity` replaces `drop_height`, `range`
+        replaces `relative_range`, and vice versa. A setting given here is no longer randomised.
 
     Returns
     -------
@@ -444,9 +460,8 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
         if not places:
             raise InvalidValue(f"{name} must be a setting of scene {scene.name}, which has none of this name to change")
         for place in places:
-            for other in {"velocity": ("drop_height",), "drop_height": ("velocity",)}.get(name, ()):
+            for other in (name, _INSTEAD.get(name, name)):
                 place.pop(other, None)
-            place.pop(name, None)
             if value is not None:
                 place[name] = value
     return parse_scene(content, source=f"variation of {scene.name}", folder=scene.folder)
@@ -455,8 +470,9 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
 def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
     """Return the sections of a scene that may have this key, and remove it from `randomise`."""
     randomise = content.get("randomise", {})
-    if name in RandomiseSection.model_fields and randomise.pop(name, None) is not None and not randomise:
-        del content["randomise"]
+    for drawn in (name, _DRAWN_AS.get(name, name)):
+        if drawn in RandomiseSection.model_fields and randomise.pop(drawn, None) is not None and not randomise:
+            del content["randomise"]
     if name in ("name", "description"):
         return [content]
     found = [content.setdefault(part, {}) for part, section in _SECTIONS.items() if name in section.model_fields]

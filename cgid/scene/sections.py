@@ -362,16 +362,37 @@ class RandomiseSection(Section):
         Drawn in place of `sensor.relative_noise`.
     bandwidth : distribution, optional [Hz]
         Drawn in place of `sensor.bandwidth`; off above 0.45 of the sampling rate.
+    noise_exponent : distribution, optional
+        Drawn in place of `sensor.noise_exponent`; 0 is white noise.
+    hum : distribution, optional
+        Amplitude over the largest sample of each signal, for a force over the true peak, of a sine that is added to
+        the background; 0 is none.
+    hum_frequency : distribution, optional [Hz]
+        Its frequency, 50 Hz when left out.
+    relative_range : distribution, optional
+        Drawn in place of `sensor.relative_range`: below 1 the pulses are clipped.
+    bits : distribution, optional
+        Drawn in place of `sensor.bits`, and rounded to a whole number.
+    anti_alias_frequency : distribution, optional [Hz]
+        Drawn in place of `sensor.anti_alias.frequency`, of order 8 when left out; off above 0.45 of the sampling rate.
     """
 
     sampling_rate: _Frequency | None = None
     relative_noise: Annotated[Distribution, measured("ratio"), _between(0.0, 1e6)] | None = None
     bandwidth: _Frequency | None = None
+    noise_exponent: Annotated[Distribution, measured("ratio"), _between(-1.0, 2.0)] | None = None
+    hum: Annotated[Distribution, measured("ratio"), _between(0.0, 1e6)] | None = None
+    hum_frequency: _Frequency | None = None
+    relative_range: Annotated[Distribution, measured("ratio"), _between(1e-3, 1e6)] | None = None
+    bits: Annotated[Distribution, measured("ratio"), _between(2, 32)] | None = None
+    anti_alias_frequency: _Frequency | None = None
 
     @model_validator(mode="after")
     def _something(self) -> Self:
         if not self.laws:
             raise ValueError(f"must name at least one of {', '.join(type(self).model_fields)}; or take it out")
+        if self.hum_frequency is not None and self.hum is None:
+            raise ValueError("hum_frequency must come with hum, its amplitude; give that, too, or leave it out")
         return self
 
     @property

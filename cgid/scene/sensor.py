@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -18,10 +18,10 @@ from cgid.scene.sections import Section
 from cgid.units import parse
 from cgid.validation import Floats
 
-#: The keys that make noise coloured.
-_COLOURS = ("noise_exponent", "noise_spectrum")
 #: The keys in the unit of the quantity -> suffix of the name of their dimension.
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
+#: Lowest full scale that follows from a peak.
+_LEAST_SCALE = 1e-25
 #: Samples of a recording that share one address: the longest period of a stream's coloured noise.
 CHUNK = 1 << 16
 
@@ -97,8 +97,11 @@ class Sensor(Section):
         Change of the offset per second, from the first sample on.
     range : float, optional
         Full scale: samples are clipped at +- this value.
+    relative_range : float, optional
+        Full scale over the largest sample of each signal before the noise, for a force over the true peak: below 1 it
+        is clipped. Excludes `range`; not for a stream.
     bits : int, optional
-        Resolution of the converter over its full scale; needs `range`.
+        Resolution of the converter over its full scale; needs `range` or `relative_range`.
     """
 
     quantity: Literal["force", "acceleration", "velocity", "displacement"] = "force"
@@ -114,6 +117,7 @@ class Sensor(Section):
     offset: Number | None = Field(default=None, ge=-1e15, le=1e15)
     drift: Number | None = Field(default=None, ge=-1e15, le=1e15)
     range: Level | None = Field(default=None, ge=1e-9)
+    relative_range: Ratio | None = Field(default=None, ge=1e-3, le=1e6)
     bits: Whole | None = Field(default=None, ge=2, le=32)
 
     @field_validator(*_LEVELS, mode="before")
@@ -126,8 +130,6 @@ class Sensor(Section):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
-        if self.bits is not None and self.range is None:
-            raise ValueError("bits must come with range: without a full scale there is no step")
         if self.bandwidth is not None and self.anti_alias is not None:
             raise ValueError("must have either bandwidth (zero phase) or anti_alias (causal), and not both")
         if self.gain is not None and self.quantity == "force":
@@ -137,11 +139,25 @@ class Sensor(Section):
         return self
 
     def problems(self, band: tuple[float, float], drawn: Collection[str]) -> list[str]:
-        """Return error messages for the colour of the noise in a band [Hz], where some settings are drawn."""
-        colours = [name for name in _COLOURS if getattr(self, name) is not None or name in drawn]
+        """Return error messages for the converter, and the noise in a band [Hz], where some settings are drawn."""
+        found, scales = [], self._given(("range", "relative_range"), drawn)
+        if len(scales) > 1:
+            found.append("sensor.range: must be left out with relative_range; take one of the two")
+        if self._given(("bits",), drawn) and not scales:
+            found.append(
+                "sensor.bits: must come with range or relative_range: without a full scale there is no step; give one"
+            )
+        if self._given(("bandwidth",), drawn) and "anti_alias_frequency" in drawn:
+            found.append("randomise.anti_alias_frequency: must be left out with bandwidth; take one of the two")
+        return found + self._problems_of_noise(band, drawn)
+
+    def _given(self, names: Iterable[str], drawn: Collection[str]) -> list[str]:
+        return [name for name in names if getattr(self, name) is not None or name in drawn]
+
+    def _problems_of_noise(self, band: tuple[float, float], drawn: Collection[str]) -> list[str]:
+        found, colours = [], self._given(("noise_exponent", "noise_spectrum"), drawn)
         if not colours:
             return []
-        found = []
         if len(colours) > 1:
             found.append(f"sensor.noise_spectrum: must be left out with {colours[0]}; take one of the two")
         if self.noise_density:
@@ -212,8 +228,15 @@ class Sensor(Section):
         gain = filter_gain(frequency, sampling_rate, None, self.bandwidth, SENSOR_TAPER)
         return np.asarray(_fourier.filtered(frames.reshape(-1, length), gain)).reshape(frames.shape)
 
-    def digitise(self, frames: NDArray[np.floating], sampling_rate: float, first: int = 0) -> None:
-        """Apply offset, drift, range and bits to the frames in place.
+    def full_scale(self, peak: Floats) -> float | Floats | None:
+        """Return the full scale for signals with these peaks, if there is one."""
+        if self.relative_range is None:
+            return self.range
+        # A signal of nothing but zeros needs a step, too.
+        return np.asarray(np.maximum(self.relative_range * peak, _LEAST_SCALE))
+
+    def digitise(self, frames: NDArray[np.floating], sampling_rate: float, peak: Floats, first: int = 0) -> None:
+        """Apply offset, drift, range and bits to frames (n, n_samples) with these peaks (n,), in place.
 
         first is the number of the first sample, counted from switching on the sensor.
         """
@@ -221,14 +244,17 @@ class Sensor(Section):
             frames += (self.drift / sampling_rate * np.arange(first, first + frames.shape[-1])).astype(frames.dtype)
         if self.offset:
             frames += frames.dtype.type(self.offset)
-        if self.range is None:
+        full: Any = self.full_scale(peak)
+        if full is None:
             return
-        highest = self.range
+        if self.relative_range is not None:
+            full = full[:, None].astype(frames.dtype)
+        highest = full
         if self.bits is not None:
-            step = self.range / 2 ** (self.bits - 1)
+            step = full / 2 ** (self.bits - 1)
             np.multiply(np.rint(frames / step), step, out=frames)
-            highest = self.range - step
-        np.clip(frames, -self.range, highest, out=frames)
+            highest = full - step
+        np.clip(frames, -full, highest, out=frames)
 
 
 def clip(frames: NDArray[np.floating], level: Floats) -> None:

@@ -300,5 +300,5 @@ def _recorded(
         samples += background.in_recording(seed, number, chunk)
     if asked.runs("offset, range and bits"):
         count("digitised_chunks")
-        sensor.digitise(samples, rate, first=chunk * CHUNK)
+        sensor.digitise(samples[None], rate, np.zeros(1), first=chunk * CHUNK)
     return samples.astype(asked.dtype)

@@ -205,6 +205,10 @@ class StreamSection(Section):
                 "sensor.relative_noise: must be left out of a stream, whose impacts share one noise; "
                 "give absolute_noise or noise_density"
             )
+        if sensor.relative_range is not None:
+            found.append(
+                "sensor.relative_range: must be left out of a stream, whose impacts share one full scale; give range"
+            )
         if sensor.bandwidth is not None and (sensor.quantity != "force" or sensor.filters):
             found.append(
                 "sensor.bandwidth: must be left out of a stream where something rings before it; give anti_alias"

@@ -151,17 +151,17 @@ def make_beginnings(
         clip(frames, blows.parameters["clipped_at"] * peak)
     if asked.runs("offset, range and bits"):
         count("digitised_frames", n_signals)
-        sensor.digitise(frames, rate)
-        highest_behind += _digitised_by(sensor, rate, n_samples, sampling.samples)
+        sensor.digitise(frames, rate, peak)
+        highest_behind += _digitised_by(sensor, rate, peak, n_samples, sampling.samples)
     return frames, highest_behind
 
 
-def _digitised_by(sensor: Sensor, sampling_rate: float, first: int, n_samples: int) -> float:
+def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int, n_samples: int) -> Floats:
     """Return the largest increase of a sample, from a first one on, by offset, drift and rounding."""
-    drift, step = (sensor.drift or 0.0) / sampling_rate, 0.0
-    if sensor.range is not None and sensor.bits is not None:
-        step = sensor.range / 2**sensor.bits  # half of one
-    return (sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step
+    drift, step, full = (sensor.drift or 0.0) / sampling_rate, 0.0, sensor.full_scale(peak)
+    if full is not None and sensor.bits is not None:
+        step = full / 2**sensor.bits  # half of one
+    return np.asarray((sensor.offset or 0.0) + max(drift * first, drift * n_samples) + step)
 
 
 # -- columns of a table -----------------------------------------------------------------------------------

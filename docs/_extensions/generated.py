@@ -146,7 +146,8 @@ def _plain(annotation: Any) -> str:
             return "number or [distribution](#distributions)"
         return " or ".join(dict.fromkeys(_plain(one) for one in inner))
     if origin is tuple:
-        return f"list of {_plain(inner[0])}s".replace("numbers or strings", "numbers")
+        of = "numbers or [distributions](#distributions)" if _is_distribution(inner[0]) else f"{_plain(inner[0])}s"
+        return f"list of {of}".replace("numbers or strings", "numbers")
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         if _is_distribution(annotation):
             return "number or [distribution](#distributions)"
