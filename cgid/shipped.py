@@ -20,7 +20,18 @@ ACCELERATION_MODEL = "default-acceleration.npz"
 SAMPLE = "sample.csv"
 FINITE_ELEMENT_IMPACTS = "finite_element.npz"
 MODELS = ("default", "default-drop-height", "default-acceleration")
-SCENES = ("reference", "peers", "yang2018", "strangers", "lookalikes", "randomised", "tail_beam", "plate", "caving")
+SCENES = (
+    "reference",
+    "peers",
+    "yang2018",
+    "strangers",
+    "lookalikes",
+    "randomised",
+    "tail_beam",
+    "plate",
+    "caving",
+    "rock",
+)
 
 
 def path_of(kind: Literal["datasets", "models"], name: str) -> Path:

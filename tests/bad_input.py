@@ -61,6 +61,11 @@ def _crushing(text: str) -> str:
     return re.sub(r"(?m)^restitution = .*$", _PRESSURE, text)
 
 
+def _viscous(text: str) -> str:
+    """Return a scene of viscoelastic rocks."""
+    return text.replace('"hunt-crossley"', '"kuwabara-kono"')
+
+
 def _changed(folder: Path, scene: str, changes: dict[str, tuple[str, str]]) -> None:
     """Write copies of a shipped scene, each with one replacement; the replaced text must exist."""
     text = (ROOT / "datasets" / f"{scene}.toml").read_text()
@@ -149,6 +154,11 @@ def make_files(folder: Path) -> None:
     _scene(folder / "plate.toml", lambda text: text.replace("= 0.30 }", '= 0.30, thickness = "80 mm" }'))
     _scene(folder / "uncrushed.toml", lambda text: _crushing(text).replace(_PRESSURE, "", 1))
     _scene(folder / "soft.toml", lambda text: _crushing(text).replace(_PRESSURE, "yield_pressure = 0", 1))
+    for _, file, (key, value), _ in _OF_CRUSHING:
+        line = f"{key} = {value}"
+        _scene(folder / f"{file}.toml", lambda text, line=line: _crushing(text).replace(_PRESSURE, line, 1))
+    _scene(folder / "viscous_fall.toml", lambda text: _viscous(text).replace('law = "exact"', "gravity = 9.81"))
+    _scene(folder / "viscous_beam.toml", _viscous, "tail_beam")
     _scene(folder / "fallen.toml", lambda text: _crushing(text).replace('law = "exact"', "gravity = 9.81"))
     _scene(folder / "crushed_beam.toml", _crushing, "tail_beam")
     _scene(folder / "silent.toml", lambda text: text.replace("relative_noise = 0.01", "relative_noise = 0.0"))
@@ -204,10 +214,34 @@ _OF_ROCKS = (
     ("blow of no mass", "massless", "effective_mass = 0", ("populations.0.effective_mass", "0.01 and 1", "got 0")),
     ("more than all mass", "massive", "effective_mass = 1.2", ("populations.0.effective_mass", "0.01 and 1", "1.2")),
     ("effective mass nan", "weighty", "effective_mass = nan", ("populations.0.effective_mass", "finite")),
+    ("strength of damped rocks", "strong", 'strength = "16 MPa"', ("populations.0.strength", "hunt-crossley")),
+    ("pressure of damped rocks", "pressed", 'yield_pressure = "41 MPa"', ("populations.0.yield_pressure", "left out")),
     ("rocks of weight 0", "rare", "weight = 0", ("populations.0.weight", "greater than 0", "got 0")),
     ("rocks of negative weight", "rarer", "weight = -1.0", ("populations.0.weight", "greater than 0", "got -1")),
     ("rocks of weight nan", "uncertain", "weight = nan", ("populations.0.weight", "finite", "nan")),
     ("unknown loss", "lost", 'dissipation = "thorton"', ("populations.0.dissipation", "did you mean 'thornton'")),
+)
+#: The same for the first rocks of a scene that crushes: the key and its value, and the text of the error.
+_OF_CRUSHING = (
+    ("negative yield pressure", "sucking", ("yield_pressure", '"-4 MPa"'), ("above 0", "-4e+06 Pa")),
+    ("yield pressure nan", "vague", ("yield_pressure", "nan"), ("finite",)),
+    ("yield pressure in N", "forced", ("yield_pressure", '"4 N"'), ("'4 N'", "GPa")),
+    ("strength 0", "crumbling", ("strength", "0"), ("above 0", "got 0 Pa")),
+    ("negative strength", "weak", ("strength", "-1e6"), ("above 0", "-1e+06 Pa")),
+    ("strength nan", "foggy", ("strength", "nan"), ("finite",)),
+    (
+        "strength that can be drawn as nothing",
+        "normal",
+        ("strength", '{ distribution = "normal", mean = "16 MPa", deviation = "8 MPa" }'),
+        ("above 0", "can be drawn as -", "lowest and highest"),
+    ),
+    ("viscous crushing", "crushed_both", ("restitution", f"0.5\n{_PRESSURE}"), ("left out", "thornton")),
+    (
+        "strength and yield pressure",
+        "strength_twice",
+        ("strength", f'"16 MPa"\n{_PRESSURE}'),
+        ("beside yield_pressure",),
+    ),
 )
 _BEAMS = {
     "sensor_off": ('sensor_point = { x = "0.5 m"', 'sensor_point = { x = "2.5 m"'),
@@ -593,6 +627,12 @@ CASES = (
     ),
     Case("yield pressure 0", ("check", "soft.toml"), 65, ("populations.0.yield_pressure", "above 0", "got 0 Pa")),
     *(Case(name, ("check", f"{file}.toml"), 65, says) for name, file, _, says in _OF_ROCKS),
+    *(
+        Case(name, ("check", f"{file}.toml"), 65, (f"populations.0.{key}", *says))
+        for name, file, (key, _), says in _OF_CRUSHING
+    ),
+    Case("weight of viscoelastic rocks", ("check", "viscous_fall.toml"), 65, ("impact.gravity", "kuwabara-kono")),
+    Case("viscoelastic rocks on a beam", ("check", "viscous_beam.toml"), 65, ("tail_beam: must be", "kuwabara-kono")),
     Case("weight of crushing rocks", ("check", "fallen.toml"), 65, ("impact.gravity", "left out", "hunt-crossley")),
     Case("crushing on a beam", ("check", "crushed_beam.toml"), 65, ("tail_beam: must be left out", "thornton")),
     Case("restitution 1.2", ("check", "high.toml"), 65, ("populations.1.restitution", "1.2")),

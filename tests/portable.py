@@ -19,7 +19,7 @@ from cgid.physics.laws import HUNT_CROSSLEY_LAWS, STIFFNESS_THEORIES
 from cgid.scene import load_scene, synthesise
 from cgid.scene.schema import Scene
 from cgid.scene.stream import record
-from tests.plan_scenes import CASES, PANEL, RIGS, STEEL, TAP, beam_of, scene_of
+from tests.plan_scenes import CASES, PANEL, RIGS, STEEL, TAP, beam_of, scene_of, uniform
 
 DATASETS = Path(__file__).parents[1] / "datasets"
 SEED, N_SIGNALS = 3, 2000
@@ -96,6 +96,9 @@ def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
     scenes |= {
         "thornton": scene_of({"dissipation": "thornton"}, {"restitution": None, "yield_pressure": CRUSHING}),
         "walton-braun": scene_of({"dissipation": "walton-braun"}),
+        "kuwabara-kono": scene_of({"dissipation": "kuwabara-kono"}),
+        "strength": scene_of({"dissipation": "thornton"}, {"restitution": None, "strength": CRUSHING}),
+        "lumps": scene_of(population={"curvature": uniform(0.1, 2.0), "effective_mass": uniform(0.4, 1.0)}),
         "weight": scene_of({"gravity": 9.81, "gravity_tolerance": 1e-7}),
         "weight on a plate": scene_of({"gravity": 9.81, "target": plate}, {"restitution": 0.7}),
         "hum": scene_of(background={"hum": hum}),

@@ -596,8 +596,11 @@ def test_wrong_things_are_named(changes, message):
         (lambda: HuntCrossley(restitution=1.0000001), "restitution must lie above 0 and up to 1, got 1"),
         (lambda: HuntCrossley(restitution=np.nan), "restitution must be finite"),
         (lambda: HuntCrossley(restitution=0.5, law="hertz"), "law must be one of 'exact', 'hunt-crossley'"),
-        (lambda: Viscoelastic(), "needs one of dissipative_constant .* and time_constant .*, not both"),
-        (lambda: Viscoelastic(dissipative_constant=1e-5, time_constant=1e-5), "not both"),
+        (lambda: Viscoelastic(), "needs one of dissipative_constant .*, time_constant .* and restitution, got none"),
+        (
+            lambda: Viscoelastic(dissipative_constant=1e-5, time_constant=1e-5),
+            "got dissipative_constant and time_constant",
+        ),
         (lambda: Viscoelastic(dissipative_constant=0.0), "dissipative_constant must be above 0, got 0 s"),
         (lambda: Viscoelastic(time_constant=[1e-6, -1]), "time_constant must be above 0, got -1 s at index 1"),
         (lambda: Viscoelastic(time_constant=np.inf), "time_constant must be finite"),

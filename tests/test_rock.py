@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.special import gamma
 
+from cgid.ceiling import ceiling
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import (
     RIGID,
@@ -22,9 +24,11 @@ from cgid.physics import (
     WaltonBraun,
     local_sensitivity,
 )
+from cgid.physics.laws import LEAST_VISCOELASTIC, viscoelastic_number
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
-from cgid.scene import parse_scene, synthesise
+from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.draws import LUMP
+from cgid.scene.impacts import draw
 from cgid.scene.plan import plan
 from cgid.scene.schema import varied
 from cgid.scene.stream import record
@@ -157,6 +161,69 @@ def test_shapes_that_cannot_be(settings, says):
     assert says in str(error.value)
 
 
+# ---- viscoelastic rocks --------------------------------------------------------------------------------------------
+
+
+def viscoelastic_restitution(zeta):
+    """Return the restitution of `x'' = -x^(3/2) - zeta x^(1/2) x'`, in w with x = w^2, by DOP853."""
+
+    def motion(_, state):
+        w, y, _ = state
+        return y / 2, -w * (w**3 + zeta * w * y), w
+
+    def released(sigma, state):
+        return state[0] ** 2 + zeta * state[1] if sigma > 0 else 1.0
+
+    released.terminal, released.direction = True, -1
+    found = solve_ivp(motion, (0, 1e3), (0, 1, 0), "DOP853", events=released, rtol=1e-13, atol=1e-15, max_step=0.05)
+    return -found.y_events[0][0][1]
+
+
+@pytest.mark.parametrize("restitution", [0.999, 0.95, 0.8, 0.5, 0.3, 0.15, 0.05, 0.01, 0.003])
+def test_the_number_of_a_viscoelastic_impact_gives_its_restitution(restitution):
+    zeta = float(viscoelastic_number(restitution))
+    assert viscoelastic_restitution(zeta) == pytest.approx(restitution, rel=1e-10)
+
+
+def test_the_number_of_a_viscoelastic_impact_has_its_published_limit():
+    """1 - e = 1.15344 zeta for little loss: Ramirez et al. (1999), Phys. Rev. E 60, 4465."""
+    first = np.sqrt(np.pi) * gamma(0.6) / (5**0.4 * 2**0.2 * gamma(2.1))
+    assert viscoelastic_number(1 - 1e-12) * first * 1e12 == pytest.approx(1, rel=2e-4)
+    assert viscoelastic_number(1.0) == 0
+    dense = np.linspace(LEAST_VISCOELASTIC, 1, 100_001)
+    assert (np.diff(viscoelastic_number(dense)) < 0).all()
+
+
+def test_a_restitution_is_delivered_at_every_speed_and_on_every_body():
+    wanted = np.array([0.003, 0.2, 0.6, 1.0])
+    law = Viscoelastic(restitution=wanted)
+    for velocity in (0.3, 6.0):
+        impact = impact_of(lump(), law, velocity=velocity)
+        assert impact.restitution == pytest.approx(wanted, rel=1e-10)
+        constant = viscoelastic_number(wanted) * impact.time_scale
+        same = impact_of(lump(), Viscoelastic(dissipative_constant=constant[:3]), velocity=velocity)
+        times = np.linspace(0, 1, 200) * float(impact.contact_duration.max())
+        assert np.abs(impact.force(times)[:3] - same.force(times)).max() < 1e-10 * same.peak_force.max()
+    on_plate = impact_of(lump(), law, ThinPlate(material=STEEL, thickness=0.03))
+    assert (on_plate.restitution < wanted).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"restitution": 0.0}, "restitution must lie between 0.003 and 1, got 0"),
+        ({"restitution": 1.1}, "restitution must lie between 0.003 and 1, got 1.1"),
+        ({"restitution": np.nan}, "restitution must be"),
+        ({"restitution": 0.5, "time_constant": 1e-6}, "Viscoelastic needs one of dissipative_constant"),
+        ({}, "got none"),
+    ],
+)
+def test_viscoelastic_losses_that_cannot_be(settings, says):
+    with pytest.raises(InvalidValue) as error:
+        Viscoelastic(**settings)
+    assert says in str(error.value)
+
+
 # ---- scenes -------------------------------------------------------------------------------------------------------
 
 SHAPE = {
@@ -235,6 +302,94 @@ def test_a_lump_keeps_its_shape_in_a_stream_and_leaves_as_its_centre_does():
     assert rebuilt(scene, truth).peak_force == pytest.approx(truth["peak_force"], rel=1e-12)
 
 
+def test_viscoelastic_rocks_rebound_as_asked_and_lose_more_before_they_turn():
+    (damped,), (batch,) = (
+        list(synthesise(scene_of({"dissipation": name}, SHAPE, {}), 200, dtype="float64"))
+        for name in ("hunt-crossley", "kuwabara-kono")
+    )
+    for name in ("restitution", "velocity", "radius", *LUMP):
+        assert batch.parameters[name] == pytest.approx(damped.parameters[name], rel=1e-10)
+    impact = replace(
+        rebuilt(scene_of(), damped.parameters), dissipation=Viscoelastic(restitution=damped.parameters["restitution"])
+    )
+    frames = impact.force_frames(200e3, 2048, damped.parameters["onset"])
+    assert np.abs(batch.signals - frames).max() < 1e-9 * frames.max()
+    assert plan(scene_of({"dissipation": "kuwabara-kono"})).decisions["impacts"].why == (
+        "kuwabara-kono impacts integrated one by one"
+    )
+
+
+def test_a_strength_is_a_yield_pressure_1_6_times_as_high():
+    strength, pressure = (
+        {"restitution": None, name: {"distribution": "lognormal", "median": median, "sigma": 0.4}}
+        for name, median in (("strength", "20 MPa"), ("yield_pressure", "32 MPa"))
+    )
+    crushing = {"dissipation": "thornton"}
+    (one,), (other,) = (list(synthesise(scene_of(crushing, part, {}), 100)) for part in (strength, pressure))
+    assert np.array_equal(one.parameters["yield_pressure"], 1.6 * one.parameters["strength"])
+    assert one.parameters["yield_pressure"] == pytest.approx(other.parameters["yield_pressure"], rel=1e-14)
+    assert np.median(one.parameters["strength"]) == pytest.approx(20e6, rel=0.15)
+    assert np.abs(one.signals - other.signals).max() < 1e-5 * other.signals.max()
+    (rows,) = columns_of(plan(scene_of(crushing, strength), "closed-form"), 50)
+    assert np.array_equal(rows.columns["yield_pressure"], 1.6 * rows.columns["strength"])
+    stream = {"duration": "2 s", "arrivals": {"rate": "10 Hz"}}
+    _, truth = record(scene_of(crushing, strength, {}, sampling={"sampling_rate": 100e3}, stream=stream))
+    assert np.isfinite(truth["yield_pressure"]).all() and (truth["restitution"] < 1).all()
+
+
+CRUSHED = {"restitution": None, "strength": "20 MPa"}
+
+
+@pytest.mark.parametrize(
+    ("impact", "population", "says"),
+    [
+        ("thornton", {**CRUSHED, "strength": 0}, "populations.0.strength: must be above 0"),
+        ("thornton", {**CRUSHED, "strength": -1e6}, "populations.0.strength: must be above 0"),
+        ("thornton", {**CRUSHED, "yield_pressure": 3e7}, "populations.0.strength: must be left out beside yield_press"),
+        ("thornton", {"restitution": None}, "yield_pressure: is missing, thornton dissipation needs it, or strength"),
+        ("hunt-crossley", {"strength": 2e7}, "populations.0.strength: must be left out when dissipation is hunt-cross"),
+        ("kuwabara-kono", CRUSHED, "populations.0.restitution: is missing, kuwabara-kono dissipation needs it"),
+        ("kuwabara-kono", {"restitution": 0.01}, "populations.0.restitution: must lie between 0.05 and 1"),
+    ],
+)
+def test_losses_that_cannot_be(impact, population, says):
+    with pytest.raises(BadData) as error:
+        scene_of({"dissipation": impact}, population)
+    assert says in str(error.value)
+
+
+def test_viscoelastic_rocks_need_solid_ground():
+    for more in ({"gravity": 9.81}, {"target": {**STEEL_TARGET, "thickness": "20 mm"}}, {"law": "flores"}):
+        with pytest.raises(BadData, match="must be left out when dissipation is kuwabara-kono"):
+            scene_of({"dissipation": "kuwabara-kono", **more})
+    with pytest.raises(InvalidValue, match="kuwabara-kono pulses are another family"):
+        ceiling(varied(load_scene("reference"), dissipation="kuwabara-kono"), 100)
+
+
+def test_the_shipped_rocks_are_those_of_reference_by_other_laws_and_shapes():
+    rock, reference = load_scene("rock"), load_scene("reference")
+    drawn, plain = draw_all(rock), draw_all(reference)
+    for name in ("density", "youngs_modulus", "poisson_ratio", "radius", "velocity"):
+        for label in rock.labels:
+            pair = [np.quantile(part[name][part["label"] == label], [0.1, 0.5, 0.9]) for part in (drawn, plain)]
+            assert pair[0] == pytest.approx(pair[1], rel=0.06)
+    sphere, law = drawn["curvature"] == 1, drawn["dissipation"]
+    assert sphere.mean() == pytest.approx(0.5, abs=0.03) and (sphere == (drawn["effective_mass"] == 1)).all()
+    strong = np.isfinite(drawn["strength"])
+    assert [np.mean(law == index) for index in range(5)] == pytest.approx([0, 0.2, 0.4, 0.2, 0.2], abs=0.03)
+    for label, wanted, crushed in (("coal", 0.35, 0.27), ("gangue", 0.50, 0.26)):
+        own = sphere & (drawn["label"] == label)
+        for rows, median in ((law == 1, wanted), (law == 4, wanted), ((law == 2) & ~strong, wanted), (strong, crushed)):
+            assert np.median(drawn["restitution"][own & rows]) == pytest.approx(median, abs=0.025)
+
+
+def draw_all(scene, n_blocks=16):
+    """Return the parameters and labels of some blocks."""
+    parts = [draw(scene, 5, block) for block in range(n_blocks)]
+    values = {name: np.concatenate([part.parameters[name] for part in parts]) for name in parts[0].parameters}
+    return values | {"label": np.concatenate([part.labels for part in parts])}
+
+
 def test_a_shape_is_a_setting_of_a_variation():
     scene = varied(scene_of(), curvature=0.2)
     assert scene.populations[0].curvature is not None and scene.sha256 != scene_of().sha256
@@ -244,16 +399,22 @@ def test_a_shape_is_a_setting_of_a_variation():
 @pytest.mark.parametrize(
     ("population", "says"),
     [
-        ({"curvature": 0}, "populations.0.curvature: must lie between 0.001 and 10, got 0"),
-        ({"curvature": -1}, "populations.0.curvature: must lie between 0.001 and 10, got -1"),
+        ({"curvature": 0}, "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, got 0"),
+        ({"curvature": -1}, "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, got -1"),
         ({"curvature": float("nan")}, "populations.0.curvature"),
         (
             {"curvature": uniform(0.5, 20)},
-            "populations.0.curvature: must lie between 0.001 and 10, it can be drawn as 20",
+            "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, it can be drawn as 20",
         ),
         ({"curvature": "3 mm"}, "populations.0.curvature"),
-        ({"effective_mass": 0}, "populations.0.effective_mass: must lie between 0.01 and 1, got 0"),
-        ({"effective_mass": 1.2}, "populations.0.effective_mass: must lie between 0.01 and 1, got 1.2"),
+        (
+            {"effective_mass": 0},
+            "populations.0.effective_mass: must lie between 0.01 and 1 and is 1 for a central blow, got 0",
+        ),
+        (
+            {"effective_mass": 1.2},
+            "populations.0.effective_mass: must lie between 0.01 and 1 and is 1 for a central blow, got 1.2",
+        ),
         ({"effective_mass": float("nan")}, "populations.0.effective_mass"),
     ],
 )

@@ -75,7 +75,7 @@ class ModalImpact(Impact):
     Warns
     -----
     HertzRangeWarning
-        The displacement exceeds a tenth of the radius.
+        The displacement exceeds a tenth of the radius of curvature.
 
     Notes
     -----

@@ -71,7 +71,7 @@ class Impact:
     Warns
     -----
     HertzRangeWarning
-        The displacement exceeds a tenth of the radius.
+        The displacement exceeds a tenth of the radius of curvature.
     ThinPlateWarning
         Zener's lambda of a thin plate exceeds 1.5.
 
@@ -143,7 +143,7 @@ class Impact:
                 "square of the velocity": (self._velocity**2, "m^2/s^2"),
                 "weight": (1 + self._weight, "times the force"),  # it may be 0
             }
-            if isinstance(self.dissipation, Viscoelastic):
+            if isinstance(self.dissipation, Viscoelastic) and self.dissipation.restitution is None:
                 scales["dissipative constant"] = (self._given["dissipative_constant"], "s")
             if isinstance(self.dissipation, Plastic):
                 name = "yield displacement" if isinstance(self.dissipation, Thornton) else "loading stiffness"
@@ -185,6 +185,7 @@ class Impact:
             "gravity": np.asarray(self.gravity, dtype=np.float64),
             "restitution": np.ones(()),
             "dissipative_constant": np.zeros(()),
+            "zeta": np.zeros(()),
             "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
             **self.dissipation.numbers(self.sphere, self.target),
         }
@@ -263,14 +264,13 @@ class Impact:
             return thornton_curves(np.ravel(self._plastic_scale))
         if isinstance(self.dissipation, WaltonBraun):
             return walton_braun_curves(self._given["restitution"].ravel(), np.ravel(self._plastic_scale))
-        restitution, constant = self._given["restitution"], self._given["dissipative_constant"]
+        restitution = self._given["restitution"]
+        zeta = self._given["dissipative_constant"] / self.time_scale + self._given["zeta"]
         # The contact grows with the damping, about as e^-0.6 T0. A weight is neglected only where the pulse then comes
         # from the table.
-        plain = (constant == 0) & (self.inelasticity == 0)
+        plain = (zeta == 0) & (self.inelasticity == 0)
         weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * power(restitution, 0.6)), 0.0, self._weight)
-        return Curves(
-            restitution.ravel(), (constant / self.time_scale).ravel(), np.ravel(self.inelasticity), weight.ravel()
-        )
+        return Curves(restitution.ravel(), zeta.ravel(), np.ravel(self.inelasticity), weight.ravel())
 
     def _shaped(self, values: Floats) -> Floats:
         return np.asarray(values.reshape(self.reduced_mass.shape))

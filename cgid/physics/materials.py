@@ -169,8 +169,12 @@ COAL_STRENGTH = StrengthRange(
     ),
 )
 MUDSTONE_STRENGTH = StrengthRange(
-    compressive_strength=(12.5e6, 24.13e6),
-    sources=(f"{_DISTURBED}: 12.5 MPa", f"{_YANGCHENG}: 23.05 MPa and 24.13 MPa"),
+    compressive_strength=(12.5e6, 59.26e6),
+    sources=(
+        f"{_DISTURBED}: 12.5 MPa",
+        f"{_YANGCHENG}: 23.05 MPa and 24.13 MPa",
+        "Shock and Vibration 2021, article 9059228, six specimens: 31.77 MPa to 59.26 MPa, mean 45.64 MPa",
+    ),
 )
 SANDSTONE_STRENGTH = StrengthRange(
     compressive_strength=(26.5e6, 73.8e6),

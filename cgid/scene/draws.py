@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
 from cgid.physics import free_fall_velocity
+from cgid.physics.materials import YIELD_OVER_STRENGTH
 from cgid.scene.background import BackgroundSection, HumLine
 from cgid.scene.schema import HUM_FREQUENCY, Scene
 from cgid.scene.sections import DISSIPATIONS, SHAPES, Population, Tap
@@ -32,7 +33,7 @@ IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE = 16, 17, 18, 1
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
 #: The columns of a rock's numbers, in order. Quantities of which a population has only one share a number.
 FALL = (*PARTICLE, "restitution", "drop_height")
-_SHARED = {"velocity": "drop_height", "yield_pressure": "restitution"}
+_SHARED = {"velocity": "drop_height", "yield_pressure": "restitution", "strength": "restitution"}
 #: The shape of a lump and its values for a sphere, which every rock has that draws none.
 LUMP = {"curvature": 1.0, "effective_mass": 1.0}
 #: The columns of optional purposes.
@@ -75,6 +76,7 @@ PARAMETER_UNITS = {
 _MORE_UNITS = {
     **dict.fromkeys(LUMP, "1"),
     "yield_pressure": "Pa",
+    "strength": "Pa",
     "second_hit_delay": "s",
     "second_hit_ratio": "1",
     "clipped_at": "1",
@@ -120,6 +122,7 @@ def uniforms(seed: int, block: int, n_kinds: int, purpose: int = PARAMETERS, rec
 def parameter_units(scene: Scene) -> dict[str, str]:
     """Return the stored parameters of a scene and their units: `PARAMETER_UNITS`, and those of its optional parts."""
     drawn = {name for source in scene.sources for name in source.laws}
+    drawn |= {"yield_pressure"} if "strength" in drawn else set()
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
     if scene.mixes_laws:
         units |= {"dissipation": "1"}  # index in `DISSIPATIONS`, nan for a tap
@@ -197,8 +200,9 @@ def quantities_of(
     """Convert uniform numbers to the quantities of rocks and taps; no other function does.
 
     which is the source index, (n,). numbers holds uniform numbers by the name of the quantity, each (n,); a velocity
-    uses the number of the drop height, a yield pressure that of the restitution. The named quantities are in SI units,
-    nan where a source has none; a drop height also sets the velocity, and a rock without a shape is a sphere.
+    uses the number of the drop height, a yield pressure or a strength that of the restitution. The named quantities are
+    in SI units, nan where a source has none; a drop height also sets the velocity, a strength the yield pressure, and a
+    rock without a shape is a sphere.
     """
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):
@@ -210,6 +214,9 @@ def quantities_of(
             values[name][rows] = law.quantile(number[rows])
     fell = np.isfinite(values["drop_height"])
     values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
+    if "strength" in values:
+        crushes = np.isfinite(values["strength"])
+        values["yield_pressure"][crushes] = YIELD_OVER_STRENGTH * values["strength"][crushes]
     return values
 
 

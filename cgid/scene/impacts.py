@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.coupled import ModalImpact
 from cgid.physics.laws import Dissipation
 from cgid.physics.materials import Material
@@ -246,6 +246,8 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
         return Thornton(yield_pressure=values[key][rows])
     if name == "walton-braun":
         return WaltonBraun(restitution=values[key][rows])
+    if name == "kuwabara-kono":
+        return Viscoelastic(restitution=values[key][rows])
     return HuntCrossley(restitution=values[key][rows], law=scene.impact.law)
 
 

@@ -159,6 +159,7 @@ class Plan:
             return measured | {f"{TRUE}{name}": unit for name, unit in parameters.items()} | rate
         drawn = {name for source in self.scene.sources for name in source.laws} | {"onset"}
         drawn |= {"velocity"} if self.scene.populations else set()  # which also follows from a drop height
+        drawn |= {"yield_pressure"} if "strength" in drawn else set()
         drawn |= {"dissipation"} if self.scene.mixes_laws else set()
         drawn |= set() if self.scene.randomise is None else set(self.scene.randomise.laws)
         # A law, a plate or gravity may change the delivered restitution.
@@ -326,10 +327,13 @@ def _impacts(asked: Plan) -> Decision:
         return Decision(True, "integrated: a plate or beam that gives way leaves no closed form")
     if _gravity(asked).runs:
         return Decision(True, "closed forms, integrated where gravity is felt")
+    integrated = "kuwabara-kono impacts integrated one by one" * ("kuwabara-kono" in scene.dissipations)
     if scene.plastic:
         names = ", ".join(dict.fromkeys(scene.dissipations))
-        rest = "" if not scene.mixes_laws else "; those of other laws as if alone"
+        rest = "; those of other laws as if alone" * scene.mixes_laws + f", {integrated}" * bool(integrated)
         return Decision(True, f"{names}: closed forms; pulses of {' and '.join(scene.plastic)} in three branches{rest}")
+    if integrated:
+        return Decision(True, integrated)
     if _damps_beyond(scene):
         return Decision(True, f"integrated where law {scene.impact.law} damps beyond the table of pulses")
     return Decision(True, "closed forms and the table of pulses are exact here")

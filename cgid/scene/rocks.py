@@ -185,7 +185,7 @@ def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
-_QUANTITIES = (*FALL, *LUMP, "yield_pressure", "velocity")
+_QUANTITIES = (*FALL, *LUMP, "yield_pressure", "strength", "velocity")
 #: The state of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of touch [s]

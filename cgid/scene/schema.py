@@ -25,6 +25,7 @@ from cgid.scene.distributions import DISTRIBUTION_NAMES
 from cgid.scene.extremes import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
     DISSIPATIONS,
+    ON_SOLID_GROUND,
     PLASTIC,
     ImpactSection,
     Population,
@@ -141,14 +142,18 @@ class Scene(Section):
     def _problems_of_dissipation(self) -> list[str]:
         problems = []
         for index, (population, dissipation) in enumerate(zip(self.populations, self.dissipations, strict=True)):
-            needed = DISSIPATIONS[dissipation]
-            for name in ("restitution", "yield_pressure"):
+            needed, place = DISSIPATIONS[dissipation], f"populations.{index}"
+            instead = {"yield_pressure": "strength"}.get(needed or "")
+            for name in ("restitution", "yield_pressure", "strength"):
                 given = getattr(population, name) is not None
-                if given and name != needed:
-                    problems.append(f"populations.{index}.{name}: must be left out when dissipation is {dissipation}")
-                if not given and name == needed:
-                    problems.append(f"populations.{index}.{name}: is missing, {dissipation} dissipation needs it")
-        for dissipation in self.plastic:
+                if given and name not in (needed, instead):
+                    problems.append(f"{place}.{name}: must be left out when dissipation is {dissipation}")
+                if not given and name == needed and not (instead and getattr(population, instead) is not None):
+                    other = f", or {instead}" * (instead is not None)
+                    problems.append(f"{place}.{name}: is missing, {dissipation} dissipation needs it{other}")
+            if population.yield_pressure is not None and population.strength is not None:
+                problems.append(f"{place}.strength: must be left out beside yield_pressure, which it stands for")
+        for dissipation in dict.fromkeys(name for name in self.dissipations if name in ON_SOLID_GROUND):
             cure = "leave it out, or take hunt-crossley"
             for name, wrong in {
                 "impact.gravity": self.impact.gravity is not None,

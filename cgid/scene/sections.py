@@ -57,9 +57,12 @@ DISSIPATIONS: Mapping[str, str | None] = {
     "hunt-crossley": "restitution",
     "thornton": "yield_pressure",
     "walton-braun": "restitution",
+    "kuwabara-kono": "restitution",
 }
 #: Those whose loss does not depend on speed: closed forms, but no weight and no target that takes energy.
 PLASTIC = ("thornton", "walton-braun")
+#: Those that scenes have on a half space or a rigid wall only, and without weight.
+ON_SOLID_GROUND = (*PLASTIC, "kuwabara-kono")
 
 #: Sharpest corner and flattest side of a rock over its radius, and the least share of its mass in a blow: wider than
 #: any lump.
@@ -75,13 +78,14 @@ else:
     Shape = Literal[*SHAPES]
 
 
-def _between(lowest: float, highest: float) -> Any:
-    return within(lowest, highest, f"must lie between {lowest:g} and {highest:g}")
+def _between(lowest: float, highest: float, usual: str = "") -> Any:
+    return within(lowest, highest, f"must lie between {lowest:g} and {highest:g}{usual}")
 
 
 _Force = Annotated[Distribution, measured("force"), measured_within("force")]
 _Time = Annotated[Distribution, measured("time"), measured_within("time")]
 _Frequency = Annotated[Distribution, measured("frequency"), measured_within("frequency")]
+_Pressure = Annotated[Distribution, measured("modulus"), measured_within("modulus")]
 _Length = Annotated[Distribution, measured("length"), measured_within("length")]
 
 
@@ -156,10 +160,12 @@ class Population(_Source):
         Mass that takes part in the blow, over the mass of the rock: below 1 where it touches beside its centre and
         turns aside; left out for a central blow.
     restitution : distribution, optional
-        Rebound speed over impact speed that the rock alone would have; for hunt-crossley and walton-braun dissipation.
+        Rebound speed over impact speed that the rock alone would have; for hunt-crossley, walton-braun and
+        kuwabara-kono dissipation.
     yield_pressure : distribution, optional [Pa]
-        Contact pressure at which the rock crushes, about 1.6 times its uniaxial compressive strength; for thornton
-        dissipation.
+        Contact pressure at which the rock crushes; for thornton dissipation.
+    strength : distribution, optional [Pa]
+        Uniaxial compressive strength of the rock, instead of `yield_pressure`, which is 1.6 times as high.
     drop_height : distribution, optional [m]
         How far the rock falls; either this or `velocity`.
     velocity : distribution, optional [m/s]
@@ -175,23 +181,27 @@ class Population(_Source):
         "effective_mass",
         "restitution",
         "yield_pressure",
+        "strength",
         "drop_height",
         "velocity",
     )
 
     dissipation: Loss | None = None
     density: Annotated[Distribution, measured("density"), measured_within("density")]
-    youngs_modulus: Annotated[Distribution, measured("modulus"), measured_within("modulus")]
+    youngs_modulus: _Pressure
     poisson_ratio: Annotated[
         Distribution, measured("ratio"), within(-1 + 1e-9, 0.5 - 1e-9, "must lie between -1 and 0.5")
     ]
     radius: _Length
-    curvature: Annotated[Distribution, measured("ratio"), _between(*CURVATURES)] | None = None
-    effective_mass: Annotated[Distribution, measured("ratio"), _between(LEAST_MASS, 1.0)] | None = None
+    curvature: Annotated[Distribution, measured("ratio"), _between(*CURVATURES, " and is 1 for a sphere")] | None = None
+    effective_mass: (
+        Annotated[Distribution, measured("ratio"), _between(LEAST_MASS, 1.0, " and is 1 for a central blow")] | None
+    ) = None
     restitution: (
         Annotated[Distribution, measured("ratio"), _between(LOWEST_RESTITUTION, HIGHEST_RESTITUTION)] | None
     ) = None
-    yield_pressure: Annotated[Distribution, measured("modulus"), measured_within("modulus")] | None = None
+    yield_pressure: _Pressure | None = None
+    strength: _Pressure | None = None
     drop_height: _Length | None = None
     velocity: Annotated[Distribution, measured("speed"), measured_within("speed")] | None = None
 
@@ -273,8 +283,9 @@ class ImpactSection(Section):
     stiffness : str
         Theory of the contact stiffness; there is no default.
     dissipation : str
-        How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), or as a
-        bilinear spring (walton-braun). The last two need a half space or a rigid wall, and no gravity.
+        How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), as a
+        bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). The last three need a half space or
+        a rigid wall, and no gravity.
     law : str
         For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is asked
         for; the published factors deliver another one.
@@ -295,7 +306,7 @@ class ImpactSection(Section):
 
     @model_validator(mode="after")
     def _law_applies(self) -> Self:
-        if self.dissipation in PLASTIC and self.law != "exact":
+        if self.dissipation in ON_SOLID_GROUND and self.law != "exact":
             raise ValueError(f"law must be left out when dissipation is {self.dissipation}, got {self.law!r}")
         return self
 
