@@ -388,19 +388,26 @@ def _at(
             parameters[:, 4] += step[:, -1]
         parameters = problem.tied(parameters)
     duration, lead, _, _ = relative_times(shape)
-    log_peak = np.log(parameters[:, 0])
+    peak, log_width = parameters[:, 0], parameters[:, 1]
     # In terms of ln(peak), ln(duration) and the place, which at a given shape moves with the onset.
     sign, determinant = np.linalg.slogdet(information / sigma[:, None, None] ** 2)
-    log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * log_peak)
+    log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * np.log(peak))
     if onset_between is not None:
-        log_likelihood += _log_inside(parameters, lead, information / sigma[:, None, None] ** 2, onset_between)
+        inside, shift = _inside(parameters, lead, information / sigma[:, None, None] ** 2, onset_between)
+        log_likelihood += inside
+        peak, log_width = np.maximum(peak + shift[:, 0], 0.2 * peak), log_width + np.clip(shift[:, 1], -0.4, 0.4)
     # The fit has missed the pulse where the samples do not determine all parameters.
     log_likelihood = np.where((sign > 0) & np.isfinite(log_likelihood), log_likelihood, -np.inf)
-    return log_likelihood, log_peak, parameters[:, 1] + np.log(duration)
+    return log_likelihood, np.log(peak), log_width + np.log(duration)
 
 
-def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]) -> Floats:
-    """Return the log probability of touch between two times, for a Gaussian likelihood."""
+def _inside(
+    parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Return the log probability of touch between two times, and how far that moves the means of the parameters.
+
+    The likelihood counts as Gaussian; the shift is (n, n_free).
+    """
     width = np.exp(parameters[:, 1])
     onset = parameters[:, 2] - lead * width
     # Slope of touch in (peak, ln width, place, ...): it moves with the width and the place.
@@ -409,7 +416,10 @@ def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: 
     spread = solve_scaled(information, slope, 1e-12)
     deviation = np.sqrt(np.maximum(np.sum(slope * spread, axis=1), 1e-300))
     low, high = ((bound - onset) / deviation for bound in between)
-    return np.asarray(np.log(np.maximum(0.5 * (_erf(high / np.sqrt(2)) - _erf(low / np.sqrt(2))), 1e-300)))
+    share = np.maximum(0.5 * (_erf(high / np.sqrt(2)) - _erf(low / np.sqrt(2))), 1e-300)
+    mean = (np.exp(-0.5 * low**2) - np.exp(-0.5 * high**2)) / np.sqrt(2 * np.pi) / share
+    mean = np.clip(mean, low, high)  # far outside, where the share is lost to rounding
+    return np.log(share), spread * (mean / deviation)[:, None]
 
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
