@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cgid import shipped
-from cgid.ceiling import Ceiling, bracket, ceilings, survey
+from cgid.ceiling import Bracket, Ceiling, bracket, ceilings, survey
 from cgid.ceiling.learner import sizes_up_to
 from cgid.ceiling.survey import N_POINTS, RATES, SNRS, SPREADS, changed, untrusted
 from cgid.cli.main import run
@@ -61,11 +61,12 @@ def test_a_known_drop_height_helps_learner_and_ceiling(peers: Scene, limits: tup
 
 
 def test_what_cannot_be_measured_is_guessed(limits: tuple[Ceiling, ...]) -> None:
-    from cgid.ceiling.learner import _learn
+    from cgid.ceiling.learner import _answers, _judged, _Rows
 
     labels = np.array(["coal"] * 80 + ["gangue"] * 120)
     inputs = np.random.default_rng(0).normal(size=(200, 2)) + 3.0 * (labels == "gangue")[:, None]
-    learner = _learn(inputs, labels, np.full((N, 2), np.nan), limits[0])
+    rows, test = _Rows(inputs, labels, 2), _Rows(np.full((N, 2), np.nan), limits[0].truth, 2)
+    learner = _judged(200, *_answers(rows, test), test.labels, limits[0], ())
     assert learner.accuracy == pytest.approx(np.mean(limits[0].truth == "gangue"))
 
 
@@ -144,6 +145,75 @@ def test_the_command_prints_what_python_finds(capsys: pytest.CaptureFixture[str]
     assert f"highest accuracy possible {limit.accuracy:.4f} +- {limit.accuracy_error:.4f}" in text
     assert f"Brier score {limit.brier_score:.4f} +- {limit.brier_error:.4f}" in text
     assert "drop height not known" in text
+
+
+@pytest.fixture(scope="module")
+def enclosed(peers: Scene) -> Bracket:
+    """Both ends of the ceiling of scene peers, as if the integration did not cover it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cgid.ceiling.learner.uncovered", lambda scene: "something else")
+        patch.setattr("cgid.ceiling.learner._HELD_DRAWS", 1 << 12)
+        patch.setattr("cgid.ceiling.learner._EXACT_SIZES", (1 << 13, 1 << 15))
+        return bracket(peers, (300, 3000), N, SEED)
+
+
+def test_learners_enclose_the_ceiling(enclosed: Bracket, limits: tuple[Ceiling, ...]) -> None:
+    assert enclosed.ceiling is None and enclosed.uncovered == "something else"
+    assert [one.n_signals for one in enclosed.learners] == [300, 3000]
+    # Judged on the same signals, so that differences are less uncertain than the accuracies.
+    for below in enclosed.learners:
+        lost = limits[0].hits.astype(float) - below.hits
+        assert lost.mean() > -2 * lost.std() / np.sqrt(N)
+    gained = enclosed.above[-1].hits.astype(float) - limits[0].hits
+    assert gained.mean() > 0
+    assert enclosed.learners[-1].difference == pytest.approx(
+        enclosed.above[-1].accuracy - enclosed.learners[-1].accuracy
+    )
+    assert np.isnan(enclosed.learners[0].regret) and enclosed.above[-1].difference == 0
+
+
+@pytest.mark.long
+def test_exact_pulses_are_told_apart_as_well_as_their_densities_allow(peers: Scene) -> None:
+    """Against Bayes' rule on exact peak, duration and restitution, by the densities of half a million draws."""
+    from cgid.ceiling import bayes
+    from cgid.ceiling.learner import _above, _exact
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cgid.ceiling.bayes.PRIOR_DRAWS", 1 << 19)
+        priors = [bayes._Knowledge.of(peers, index, False).prior for index in range(2)]
+    test = _exact(peers, 8192, SEED, False)
+    peak, duration, shape = test.inputs[:, 0], test.inputs[:, 1], test.inputs[:, 2]
+    density = np.stack([prior.log_density(peak, duration, shape) for prior in priors])
+    best = np.array(["coal", "gangue"])[density.argmax(axis=0)] == test.labels
+    (*_, last) = _above(peers, 8192, SEED, False)
+    lost = best.astype(float) - last.hits
+    assert abs(lost.mean()) < 0.003 + 2 * lost.std() / np.sqrt(8192)
+
+
+def test_the_command_encloses_what_it_does_not_integrate(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cgid.ceiling.learner._EXACT_SIZES", (1 << 12, 1 << 13))
+    monkeypatch.setattr("cgid.ceiling.learner._HELD_DRAWS", 1 << 12)
+    text = (
+        Path(shipped.scene_path("peers"))
+        .read_text()
+        .replace("relative_noise", "anti_alias = { frequency = 3e4 }\nrelative_noise")
+    )
+    (tmp_path / "filtered.toml").write_text(text)
+    arguments = ["ceiling", str(tmp_path / "filtered.toml"), "-n", "64", "--learner", "300"]
+    assert run([*arguments, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert "accuracy" not in content and "what a filter makes of it" in content["uncovered"]
+    below, above = content["learners"][-1], content["above"][-1]
+    assert "regret" not in below
+    assert run(arguments) == 0
+    out = capsys.readouterr().out
+    assert (
+        f"highest accuracy possible between {below['accuracy']:.4f} +- {below['accuracy_error']:.4f} and "
+        f"{above['accuracy']:.4f} +- {above['accuracy_error']:.4f}" in out
+    )
+    assert "not integrated: that needs the force itself" in out
 
 
 @pytest.mark.long

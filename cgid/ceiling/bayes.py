@@ -40,8 +40,8 @@ _PRIOR_SEED = 0x5EED_0000_C9D1
 _KEPT = 8
 #: Nodes along the shape: half as many change the probability of a signal by up to .1, the accuracy by .0005.
 NODES = 33
-#: Signals integrated at once.
-_ROWS = 1024
+#: Signals integrated at once, and where those of equal peaks share most of the work.
+_ROWS, _MANY_ROWS = 1024, 4096
 #: A population whose ln(restitution) varies by less than this has its own nodes.
 _NARROW = 0.3
 
@@ -196,7 +196,7 @@ def ceilings(
     noise = noise_of(scene)
     truth: list[NDArray[np.str_]] = []
     evidence: list[list[Floats]] = [[] for _ in known]
-    for batch in _joined(synthesise(scene, n_signals, seed)):
+    for batch in _joined(synthesise(scene, n_signals, seed), _MANY_ROWS if noise.mixed else _ROWS):
         truth.append(batch.labels)
         log_speed = np.log(batch.parameters["velocity"])[:, None]
         profiles = _profiles(scene, batch, noise, known[0], n_nodes)
@@ -265,7 +265,10 @@ def check_covered(scene: Scene) -> None:
     """Raise `InvalidValue` if the integration does not cover a scene, or it has a single label."""
     check_asked(scene)
     if rule := uncovered(scene):
-        raise InvalidValue(f"scene {scene.name}: the ceiling needs {rule}; cgid ceiling brackets it by learners")
+        raise InvalidValue(
+            f"scene {scene.name}: the ceiling needs {rule}; cgid ceiling without --plot, or cgid.ceiling.bracket, "
+            "encloses it by learners"
+        )
 
 
 @dataclass(frozen=True)
@@ -321,12 +324,12 @@ def _draws(text: str, n_draws: int) -> dict[str, Floats]:
     return {name: np.concatenate([block[name] for block in blocks]) for name in names}
 
 
-def _joined(batches: Iterator[Batch]) -> Iterator[Batch]:
-    """Yield the batches joined to at least `_ROWS` signals, because larger batches are faster."""
+def _joined(batches: Iterator[Batch], n_rows: int) -> Iterator[Batch]:
+    """Yield the batches joined to at least this many signals, because larger batches are faster."""
     held: list[Batch] = []
     for batch in batches:
         held.append(batch)
-        if sum(map(len, held)) >= _ROWS:
+        if sum(map(len, held)) >= n_rows:
             yield _one(held)
             held = []
     if held:

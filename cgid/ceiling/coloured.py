@@ -13,7 +13,7 @@ all that a frame tells of its amplitude and phase is used, but not that its ampl
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -46,7 +46,7 @@ _LONGEST, _MOST_POINTS = 320, 4096
 #: Lengths of windows are powers of this number.
 _STEP = 1.5
 #: The peaks that set the ratio of two noises are rounded to such steps of their logarithm.
-_LEVEL_STEP = 0.02
+_LEVEL_STEP = 0.05
 #: Evaluations of the search for the most likely pulse, and its largest steps of ln(width), place over width, and s.
 _ITERATIONS, _LARGEST_STEPS = 8, {1: 0.4, 2: 0.5, 3: 0.7}
 #: Room that a window leaves for the most likely pulses of other shapes to be longer.
@@ -73,16 +73,19 @@ class Noise:
         """Whether all samples are independent."""
         return not (self.relative[1:].any() or self.absolute[1:].any())
 
+    @property
+    def mixed(self) -> bool:
+        """Whether the ratio of its parts, and so the shape of its spectrum, goes with the peak."""
+        return bool(self.relative.any() and self.absolute.any())
+
     def level(self, peak: Floats) -> Floats:
         """Return the standard deviation of a sample for signals with these peaks, (n,)."""
-        return np.sqrt(self.relative[0] * peak**2 + self.absolute[0])
+        return np.asarray(np.sqrt(self.relative[0] * peak**2 + self.absolute[0]))
 
     def scales(self, peak: Floats) -> tuple[Floats, Floats]:
         """Return rounded peaks, and factors by which noise of these peaks is that of the true ones, each (n,)."""
-        if not self.relative.any():
-            return np.ones_like(peak), np.ones_like(peak)
-        if not self.absolute.any():
-            return np.ones_like(peak), peak
+        if not self.mixed:
+            return np.ones_like(peak), peak if self.relative.any() else np.ones_like(peak)
         rounded = np.exp(np.rint(np.log(peak) / _LEVEL_STEP) * _LEVEL_STEP)
         return rounded, peak / rounded
 
@@ -103,20 +106,30 @@ def noise_of(scene: Scene) -> Noise:
     sensor, sampling, background = scene.sensor, scene.sampling, scene.background
     lags = np.arange(sampling.samples)
     sensed = colour_of(scene)
-    unit = np.where(lags == 0, 1.0, 0.0) if sensed is None else sensed.autocovariance(lags.size)
+    unit = np.where(lags == 0, 1.0, 0.0) if sensed is None else _autocovariance(sensed, lags.size)
     relative = sensor.relative_noise**2 * unit
     absolute = sensor.noise_level(np.zeros(()), sampling.sampling_rate) ** 2 * unit
     if sensor.bits is not None and sensor.range is not None:
         absolute[0] += (sensor.range / 2 ** (sensor.bits - 1)) ** 2 / 12
     if background is not None:
         for line in background.hum:
-            own = absolute if line.relative_amplitude is None else relative
-            turns = line.frequency * lags / sampling.sampling_rate
-            own += 0.5 * line.amplitude_in(sensor.quantity, 1.0) ** 2 * np.cos(2 * np.pi * turns)
+            hum = np.cos(2 * np.pi * line.frequency / sampling.sampling_rate * lags)
+            if line.relative_amplitude is not None:
+                relative += 0.5 * line.relative_amplitude**2 * hum
+            else:
+                absolute += 0.5 * line.amplitude_in(sensor.quantity) ** 2 * hum
         if background.coloured is not None:
             made = Coloured(background.coloured, sensor.quantity, sampling.sampling_rate, COLOURED)
-            absolute += made.autocovariance(lags.size)
+            absolute += _autocovariance(made, lags.size)
     return Noise(relative, absolute)
+
+
+def _autocovariance(noise: Coloured, n_samples: int) -> Floats:
+    """Return the covariance of two samples of a frame that are 0, 1, ... samples apart, (n_samples,)."""
+    length = 1 << (2 * n_samples - 1).bit_length()  # the period of the noise of a frame
+    power = noise.density(length, n_samples) * (noise.sampling_rate / 2)
+    power[-1] *= 2.0
+    return np.asarray(np.fft.irfft(power, n=length)[:n_samples])
 
 
 class Maps(NamedTuple):
@@ -137,15 +150,27 @@ class Maps(NamedTuple):
 @lru_cache(maxsize=24)
 def maps(noise: Noise, peak: float, run: int, n_points: int, first: int, length: int) -> Maps:
     """Return the maps of a window of a frame of runs of samples, for noise beside a pulse of this peak."""
-    factor = scipy.linalg.cho_factor(
-        scipy.linalg.toeplitz(noise.autocovariance(peak, run, n_points)), lower=True, overwrite_a=True
-    )
     window = slice(first, first + length)
-    columns = np.zeros((n_points, length))
-    columns[window] = np.eye(length)
-    precision = scipy.linalg.cho_solve(factor, columns, overwrite_b=True)
-    root = np.linalg.cholesky(0.5 * (precision[window] + precision[window].T))
-    return Maps(scipy.linalg.solve_triangular(root, precision.T, lower=True).T, root)
+    precision = precision_rows(noise.autocovariance(peak, run, n_points), window)
+    root = np.linalg.cholesky(0.5 * (precision[:, window] + precision[:, window].T))
+    data = scipy.linalg.solve_triangular(root, precision, lower=True).T
+    return Maps(np.asarray(data, np.float64), np.asarray(root, np.float64))
+
+
+def precision_rows(autocovariance: Floats, window: slice) -> Floats:
+    """Return some rows of the inverse of a covariance, (n_rows, n), of stationary noise with this autocovariance, (n,).
+
+    With x the first row of the inverse P of a symmetric Toeplitz matrix,
+    `P[i, j] = P[i - 1, j - 1] + (x[i] x[j] - x[n - i] x[n - j]) / x[0]` (Gohberg & Semencul 1972).
+    """
+    x = scipy.linalg.solve_toeplitz(autocovariance, np.eye(1, len(autocovariance))[0])
+    turned = np.concatenate([[0.0], x[:0:-1]])
+    rows = np.empty((window.stop, len(x)))
+    rows[0] = x
+    for i in range(1, window.stop):
+        rows[i, 0] = x[i]
+        rows[i, 1:] = rows[i - 1, :-1] + (x[i] * x[1:] - turned[i] * turned[1:]) / x[0]
+    return rows[window]
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +253,11 @@ class Frames:
     def _scales(self) -> tuple[Floats, Floats]:
         return self.noise.scales(self.peak)
 
+    def rows(self, chosen: NDArray[np.intp]) -> Frames:
+        """Return some of the frames."""
+        onset = None if self.onset is None else self.onset[chosen]
+        return replace(self, samples=self.samples[chosen], peak=self.peak[chosen], onset=onset)
+
     def whitened(self, block: slice, longest: Floats) -> Iterator[tuple[NDArray[np.intp], Whitened]]:
         """Yield parts of a block of rows with their whitened points, for pulses up to these, (n, 5)."""
         duration, lead, _, _ = relative_times(longest[:, 3])
@@ -292,6 +322,19 @@ def profile_in(
 
     `near` (n, 5) holds pulses near the most likely ones, such as the true ones: (peak, ln width, place, s, 0).
     """
+    if frames.noise.mixed and (np.diff(frames.peak) < 0).any():
+        # Rows of similar peaks share their maps.
+        order = np.argsort(frames.peak, kind="stable")
+        ordered = profile_in(
+            frames.rows(order),
+            near[order],
+            lowest=lowest,
+            highest=highest,
+            n_nodes=n_nodes,
+            onset_between=onset_between,
+        )
+        back = np.argsort(order)
+        return Profile(**{part.name: getattr(ordered, part.name)[back] for part in fields(Profile)})
     found, deviation = _most_likely(frames, near, lowest, highest)
     peak, width, shape = found[:, 0], np.exp(found[:, 1]), found[:, 3]
     _, lead, _, _ = relative_times(shape)

@@ -1,6 +1,11 @@
-"""The ceiling from below: the accuracy of a learner on the output of the estimator.
+"""The ceiling from below and from above, by learners.
 
-It is judged on the signals of the ceiling, so that most of the statistical error cancels in the difference.
+From below: a learner on what the estimator measures of signals. It is judged on the signals of the ceiling, so that
+most of the statistical error cancels in the difference.
+
+From above, where the integration does not cover a scene: a learner on the exact pulses of these impacts, trained on as
+many as it takes to saturate. Noise, filters, clipping and rounding can only lose what the exact pulse tells. Of a pulse
+it receives peak, duration, restitution, impulse and the law of loss, which together determine it.
 """
 
 from __future__ import annotations
@@ -14,19 +19,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
-from cgid.ceiling.bayes import MOST_SIGNALS, Ceiling, ceiling
+from cgid.ceiling.bayes import MOST_SIGNALS, Ceiling, ceiling, check_asked, uncovered
 from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array
+from cgid.measure.pulses import PULSE_FEATURES
+from cgid.measure.table import Feature
+from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, synthesise
+from cgid.scene.draws import BLOCK
+from cgid.scene.impacts import draw
 from cgid.validation import Floats
 
 #: Features whose logarithms are the inputs of the learner.
 _POSITIVE = ("fitted_peak", "fitted_width", "fitted_restitution", "fitted_restitution_deviation")
+#: The other features, for the learner of a scene with pulses of other families.
+_OTHERS = tuple(f.name for f in PULSE_FEATURES if isinstance(f, Feature) and f.name not in _POSITIVE)
 #: Fewest signals to train a learner on.
 FEWEST = 100
 #: Share of the training signals held out to decide between the learners, and units of the network's layers.
 _HELD_BACK = 0.2
 _NEURONS = (32, 32)
+#: Most steps of a network through its training signals, once.
+_STEPS = 400
+#: Seed of the draws from above, unlikely to be chosen for the signals.
+_EXACT_SEED = 0x5EED_0001_C9D1
+#: Draws on which the learner on exact pulses is trained; it ends when four times as many gain less than the second on
+#: draws held back, of this number.
+_EXACT_SIZES, _SATURATED, _HELD_DRAWS = (1 << 14, 1 << 16, 1 << 18), 0.001, 1 << 16
+#: Parameters of a pulse, besides its law, that a learner receives as logarithms or, where they may be missing, as is.
+_PULSE, _OPTIONAL = ("peak_force", "contact_duration", "restitution"), ("second_hit_delay", "second_hit_ratio")
 
 
 @dataclass(frozen=True)
@@ -38,13 +59,16 @@ class Learner:
     n_signals : int
         Training signals.
     kind : str
-        "network" or "quadratic", the better one on a held-out part of the training; "guess" if neither can be trained.
+        "network", "quadratic" or "boosting", the best one on a held-out part of the training; "guess" if none can be
+        trained.
     hits : ndarray of bool, (n_test,)
         Whether it was right. For a signal that cannot be measured the answer is the most frequent label.
     difference, difference_error : float
-        Accuracy of the ceiling's answers minus the learner's, on the same signals, and the standard error.
+        Accuracy of the ceiling's answers (without a ceiling, of the best learner from above) minus this learner's, on
+        the same signals, and the standard error.
     regret, regret_error : float
-        The same with the ceiling's probabilities in place of the truth, which reduces the statistical error.
+        The same with the ceiling's probabilities in place of the truth, which reduces the statistical error; nan
+        without a ceiling.
     """
 
     n_signals: int
@@ -68,20 +92,27 @@ class Learner:
 
 @dataclass(frozen=True)
 class Bracket:
-    """The ceiling and the learners below it.
+    """The ceiling and the learners below it; where the integration does not cover a scene, learners on both sides.
 
     Attributes
     ----------
-    ceiling : Ceiling
+    ceiling : Ceiling, optional
+        None if the integration does not cover the scene.
     learners : tuple of Learner
-        By the number of training signals.
+        From below, by the number of training signals.
     unmeasured : int
         Test signals that cannot be measured.
+    above : tuple of Learner
+        From above, on exact pulses, by the number of draws; the last one is the bound. Empty if there is a ceiling.
+    uncovered : str
+        What the integration needs that the scene does not have; empty if there is a ceiling.
     """
 
-    ceiling: Ceiling
+    ceiling: Ceiling | None
     learners: tuple[Learner, ...]
     unmeasured: int
+    above: tuple[Learner, ...] = ()
+    uncovered: str = ""
 
 
 def sizes_up_to(highest: int) -> tuple[int, ...]:
@@ -108,7 +139,7 @@ def bracket(
     limit: Ceiling | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Bracket:
-    """Return the ceiling of a scene and the accuracy of learners below it.
+    """Return the ceiling of a scene and the accuracy of learners below it, or of learners on both sides of it.
 
     Parameters
     ----------
@@ -129,96 +160,186 @@ def bracket(
     Raises
     ------
     InvalidValue
-        As `ceiling`, or a size is out of range.
+        The scene has no single impacts or a single label, or a size is out of range.
     """
     for size in sizes or (0,):
         sizes_up_to(size)
-    if limit is None:
+    check_asked(scene)
+    validation.whole("n_signals", n_test, 2, MOST_SIGNALS)
+    rule = uncovered(scene)
+    if limit is None and not rule:
         limit = ceiling(scene, n_test, seed, drop_height_known=drop_height_known, progress=progress)
-    test, truth = _measured(scene, n_test, seed, drop_height_known, progress)
-    if not np.array_equal(truth, limit.truth):
+    features = (*_POSITIVE, *_OTHERS) if rule else _POSITIVE
+    test = _measured(scene, features, n_test, seed, drop_height_known, progress)
+    if limit is not None and not np.array_equal(test.labels, limit.truth):
         raise InvalidValue(f"limit must be the ceiling of the {n_test} signals of seed {seed}, it is of others")
-    inputs, labels = _measured(scene, max(sizes), seed + 1 if seed < 2**63 - 1 else 0, drop_height_known, progress)
-    learners = [_learn(inputs[:size], labels[:size], test, limit) for size in sorted(sizes)]
-    return Bracket(limit, tuple(learners), int((~np.isfinite(test).all(axis=1)).sum()))
+    another = seed + 1 if seed < 2**63 - 1 else 0
+    above = () if limit is not None else _above(scene, n_test, seed, drop_height_known)
+    signals = _measured(scene, features, max(sizes), another, drop_height_known, progress)
+    learners = tuple(
+        _judged(size, *_answers(signals.part(slice(size)), test), test.labels, limit, above) for size in sorted(sizes)
+    )
+    return Bracket(limit, learners, int((~test.sound).sum()), above, rule)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The inputs of a learner (n, n_columns), nan where a signal cannot be measured, and the labels (n,).
+
+    Boosting receives all columns, the other learners the first n_core.
+    """
+
+    inputs: Floats
+    labels: NDArray[np.str_]
+    n_core: int
+
+    @property
+    def sound(self) -> NDArray[np.bool_]:
+        return np.asarray(np.isfinite(self.inputs[:, : self.n_core]).all(axis=1))
+
+    def part(self, chosen: slice) -> _Rows:
+        return _Rows(self.inputs[chosen], self.labels[chosen], self.n_core)
+
+    def joined(self, others: _Rows) -> _Rows:
+        inputs, labels = np.concatenate([self.inputs, others.inputs]), np.concatenate([self.labels, others.labels])
+        return _Rows(inputs, labels, self.n_core)
 
 
 def _measured(
-    scene: Scene, n_signals: int, seed: int, drop_height_known: bool, progress: Callable[[int], object] | None
-) -> tuple[Floats, NDArray[np.str_]]:
-    """Return the inputs of the learner, nan where a signal cannot be measured, and the labels."""
+    scene: Scene,
+    features: tuple[str, ...],
+    n_signals: int,
+    seed: int,
+    drop_height_known: bool,
+    progress: Callable[[int], object] | None,
+) -> _Rows:
     rows, labels = [], []
     for batch in synthesise(scene, n_signals, seed):
         values = extract_array(
-            batch.signals, batch.sampling_rate, _POSITIVE, pre_trigger=batch.pre_trigger, invalid="nan"
+            batch.signals, batch.sampling_rate, features, pre_trigger=batch.pre_trigger, invalid="nan"
         )
         with np.errstate(invalid="ignore", divide="ignore"):
-            columns = [np.log(values)]
+            columns = [np.log(values[:, : len(_POSITIVE)])]
         if drop_height_known:
             # 2 ln(velocity), which all scenes have, is the logarithm of the height up to a constant.
             columns.append(2 * np.log(batch.parameters["velocity"])[:, None])
-        rows.append(np.hstack(columns))
+        rows.append(np.hstack([*columns, values[:, len(_POSITIVE) :]]))
         labels.append(batch.labels)
         if progress is not None:
             progress(len(batch))
-    return np.concatenate(rows), np.concatenate(labels)
+    return _Rows(np.concatenate(rows), np.concatenate(labels), len(_POSITIVE) + drop_height_known)
 
 
-def _learn(inputs: Floats, labels: NDArray[np.str_], test: Floats, limit: Ceiling) -> Learner:
+def _exact(scene: Scene, n_draws: int, seed: int, drop_height_known: bool) -> _Rows:
+    """Return what the exact pulses of impacts tell."""
+    rows, labels = [], []
+    for block in range(-(-n_draws // BLOCK)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HertzRangeWarning)
+            drawn = draw(scene, seed, block)
+        values = drawn.parameters
+        mass = values["density"] * values["radius"] ** 3 * values.get("effective_mass", 1.0)
+        impulse = mass * values["velocity"] * (1 + values["restitution"])  # up to a constant
+        columns = [np.log(values[name]) for name in _PULSE]
+        columns += [np.log(impulse), values.get("dissipation", np.zeros(BLOCK))]
+        columns += [np.nan_to_num(values[name]) for name in _OPTIONAL if name in values]
+        if drop_height_known:
+            columns.append(np.log(values["velocity"]))
+        rows.append(np.stack(columns, axis=1))
+        labels.append(drawn.labels)
+    inputs = np.concatenate(rows)[:n_draws]
+    return _Rows(inputs, np.concatenate(labels)[:n_draws], inputs.shape[1])
+
+
+def _above(scene: Scene, n_test: int, seed: int, drop_height_known: bool) -> tuple[Learner, ...]:
+    """Return learners on the exact pulses of the signals of a seed, by size until another gains little."""
+    test = _exact(scene, n_test, seed, drop_height_known)
+    draws = _exact(scene, _HELD_DRAWS + _EXACT_SIZES[-1], _EXACT_SEED, drop_height_known)
+    n_held = len(draws.labels) - _EXACT_SIZES[-1]
+    judged = draws.part(slice(n_held)).joined(test)
+    found: list[tuple[int, str, NDArray[np.str_]]] = []
+    shares: list[float] = []
+    for size in _EXACT_SIZES:
+        kind, answers = _answers(draws.part(slice(n_held, n_held + size)), judged)
+        found.append((size, kind, answers[n_held:]))
+        shares.append(float(np.mean((answers == judged.labels)[:n_held])))
+        if len(shares) > 1 and shares[-1] - shares[-2] < _SATURATED:
+            break
+    last = (_judged(*found[-1], test.labels, None, ()),)
+    return (*(_judged(*one, test.labels, None, last) for one in found[:-1]), *last)
+
+
+def _answers(rows: _Rows, test: _Rows) -> tuple[str, NDArray[np.str_]]:
+    """Return the kind of learner and its answers; the most frequent label for a signal that cannot be measured."""
     from threadpoolctl import threadpool_limits
 
     # Numbers, because in scikit-learn before 1.8 early stopping of a network fails with string labels.
-    names, numbers, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    sound = np.isfinite(inputs).all(axis=1)
-    measured = np.isfinite(test).all(axis=1)
-    answers = np.full(len(test), names[counts.argmax()], dtype=names.dtype)
-    kind = "guess"
-    if len(np.unique(numbers[sound])) > 1 and measured.any():
-        with threadpool_limits(1), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a network need not converge
-            kind, model = _best(inputs[sound], numbers[sound])
-            answers[measured] = names[model.predict(test[measured])]
-    return _judged(len(inputs), kind, answers, limit)
+    names, numbers, counts = np.unique(rows.labels, return_inverse=True, return_counts=True)
+    sound, measured = rows.sound, test.sound
+    answers = np.full(len(test.labels), names[counts.argmax()], dtype=names.dtype)
+    if len(np.unique(numbers[sound])) < 2 or not measured.any():
+        return "guess", answers
+    with threadpool_limits(1), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a network need not converge
+        kind, model = _best(rows.inputs[sound], numbers[sound], rows.n_core)
+        answers[measured] = names[model.predict(test.inputs[measured])]
+    return kind, answers
 
 
-def _best(inputs: Floats, labels: NDArray[np.intp]) -> tuple[str, Any]:
-    """Return the learner that is better on a held-out part, retrained on all signals."""
+def _best(inputs: Floats, labels: NDArray[np.intp], n_core: int) -> tuple[str, Any]:
+    """Return the learner that is best on a held-out part, retrained on all signals."""
     held = max(int(_HELD_BACK * len(inputs)), 1)
     scores = {}
-    for kind in ("quadratic", "network"):
+    for kind in ("quadratic", "network", "boosting"):
         if len(np.unique(labels[held:])) > 1:
-            scores[kind] = (
-                _learner(kind, len(inputs) - held).fit(inputs[held:], labels[held:]).score(inputs[:held], labels[:held])
-            )
+            model = _learner(kind, len(inputs) - held, n_core).fit(inputs[held:], labels[held:])
+            scores[kind] = model.score(inputs[:held], labels[:held])
     kind = max(scores, key=lambda name: scores[name]) if scores else "quadratic"
-    return kind, _learner(kind, len(inputs)).fit(inputs, labels)
+    return kind, _learner(kind, len(inputs), n_core).fit(inputs, labels)
 
 
-def _learner(kind: str, n_signals: int) -> Any:
+def _learner(kind: str, n_signals: int, n_core: int) -> Any:
+    from sklearn.compose import make_column_transformer
+    from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.linear_model import LogisticRegression
     from sklearn.neural_network import MLPClassifier
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
+    if kind == "boosting":
+        return HistGradientBoostingClassifier(
+            learning_rate=0.05, max_iter=400, l2_regularization=1.0, early_stopping=n_signals >= 1000, random_state=0
+        )
+    scaled = make_column_transformer((StandardScaler(), slice(0, n_core)))
     if kind == "quadratic":
-        return make_pipeline(StandardScaler(), PolynomialFeatures(2), LogisticRegression(C=10.0, max_iter=1000))
+        return make_pipeline(scaled, PolynomialFeatures(2), LogisticRegression(C=10.0, max_iter=1000))
     network = MLPClassifier(
         _NEURONS,
         alpha=1e-3,
-        batch_size=min(256, n_signals),
+        batch_size=min(max(256, n_signals // _STEPS), n_signals),
         early_stopping=n_signals >= 1000,
         n_iter_no_change=8,
         max_iter=80,
         random_state=0,
     )
-    return make_pipeline(StandardScaler(), network)
+    return make_pipeline(scaled, network)
 
 
-def _judged(n_signals: int, kind: str, answers: NDArray[np.str_], limit: Ceiling) -> Learner:
-    hits = answers == limit.truth
-    lost = limit.hits.astype(float) - hits
-    given = np.searchsorted(np.array(limit.labels), answers)
-    regret = limit.probabilities.max(axis=1) - limit.probabilities[np.arange(len(answers)), given]
+def _judged(
+    n_signals: int,
+    kind: str,
+    answers: NDArray[np.str_],
+    truth: NDArray[np.str_],
+    limit: Ceiling | None,
+    above: tuple[Learner, ...],
+) -> Learner:
+    hits = answers == truth
+    best = limit.hits if limit is not None else above[-1].hits if above else hits
+    lost = best.astype(float) - hits
+    regret = np.full(len(answers), np.nan)
+    if limit is not None:
+        given = np.searchsorted(np.array(limit.labels), answers)
+        regret = limit.probabilities.max(axis=1) - limit.probabilities[np.arange(len(answers)), given]
     root = np.sqrt(len(answers))
     return Learner(
         n_signals=n_signals,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -197,8 +198,8 @@ def _stream(scene: Any) -> dict[str, Any]:
     }
 
 
-#: Signals at each point of the survey.
-_SURVEYED = 2000
+#: Signals at each point of the survey, and to train the learner that bounds a ceiling from below.
+_SURVEYED, _TRAINED = 2000, 10_000
 _NAMES = {"snr": "SNR [dB]", "sampling_rate": "rate [Hz]", "size_spread": "sizes [1]", "present": "as it is"}
 
 
@@ -234,30 +235,42 @@ def ceiling(
     """Say how well anybody could tell the labels of SCENE apart (a .toml file or the name of a shipped one).
 
     Bayes' rule, which knows the scene, is applied to each of many signals: no classifier can be right more often.
+    Where its integration does not cover the scene (other laws of loss, filters, [randomise]), two learners enclose the
+    answer: one on measured signals from below, one on exact pulses, without a sensor, from above.
     """
     from cgid.ceiling.bayes import ceiling as ceiling_of
-    from cgid.ceiling.bayes import check_covered
+    from cgid.ceiling.bayes import check_asked, check_covered, uncovered
     from cgid.ceiling.learner import bracket, sizes_up_to
     from cgid.ceiling.survey import untrusted
     from cgid.scene import load_scene
 
     loaded = load_scene(scene)
-    check_covered(loaded)
+    check_asked(loaded)
+    covered = not uncovered(loaded)
     sizes = () if learner is None else sizes_up_to(learner)
+    if picture is not None:
+        check_covered(loaded)
     path = None if picture is None else _checked(Path(picture), overwrite)
-    if problem := untrusted(loaded):
+    if covered and (problem := untrusted(loaded)):
         say(f"cgid: warning: do not rely on this ceiling: {problem}", err=True)
-    total = n_signals + (n_signals + max(sizes) if sizes else 0)
+    if not covered:
+        sizes = sizes or (_TRAINED,)
+    total = (n_signals if covered else 0) + (n_signals + max(sizes) if sizes else 0)
     with progress_bar(total, "signals") as progress:
-        limit = ceiling_of(loaded, n_signals, seed, drop_height_known=drop_height, progress=progress)
-        found = None
+        limit, found = None, None
+        if covered:
+            limit = ceiling_of(loaded, n_signals, seed, drop_height_known=drop_height, progress=progress)
         if sizes:
             found = bracket(
                 loaded, sizes, n_signals, seed, drop_height_known=drop_height, limit=limit, progress=progress
             )
     surveyed = None if path is None else _survey(loaded, min(n_signals, _SURVEYED), seed, path, overwrite)
-    content = {"scene": loaded.name, "n_signals": n_signals, "drop_height_known": drop_height, **_figures(limit)}
+    content: dict[str, Any] = {"scene": loaded.name, "n_signals": n_signals, "drop_height_known": drop_height}
+    if limit is not None:
+        content |= _figures(limit)
     if found is not None:
+        if limit is None:
+            content |= {"uncovered": found.uncovered, "above": [_learner(one) for one in found.above]}
         content["learners"] = [_learner(one) for one in found.learners]
         content["unmeasured"] = found.unmeasured
     if surveyed is not None:
@@ -292,9 +305,10 @@ def _figures(limit: Any) -> dict[str, Any]:
 
 
 def _learner(one: Any) -> dict[str, Any]:
-    names = ("n_signals", "kind", "accuracy", "accuracy_error")
-    differences = ("difference", "difference_error", "regret", "regret_error")
-    return {name: getattr(one, name) for name in (*names, *differences)}
+    names = ["n_signals", "kind", "accuracy", "accuracy_error", "difference", "difference_error"]
+    if one.regret == one.regret:  # without a ceiling there is none
+        names += ["regret", "regret_error"]
+    return {name: getattr(one, name) for name in names}
 
 
 def _survey(scene: Any, n_signals: int, seed: int, path: Path, overwrite: bool) -> dict[str, Any]:
@@ -315,17 +329,14 @@ def _survey(scene: Any, n_signals: int, seed: int, path: Path, overwrite: bool) 
 def _say(content: dict[str, Any]) -> None:
     known = "known" if content["drop_height_known"] else "not known"
     say(f"{content['scene']}: {counted(content['n_signals'], 'signal')}, drop height {known}")
-    say(f"highest accuracy possible {content['accuracy']:.4f} +- {content['accuracy_error']:.4f}")
-    say(f"right answers of Bayes' rule {content['right_answers']:.4f}")
-    say(f"Brier score {content['brier_score']:.4f} +- {content['brier_error']:.4f}")
-    say("area under ROC " + ", ".join(f"{label} {area:.4f}" for label, area in content["roc_area"].items()))
-    if "learners" in content:
-        say("trained on  learner    accuracy            below the ceiling   by its probabilities")
-    for one in content.get("learners", ()):
-        accuracy, below, regret = (
-            f"{one[name]:.4f} +- {one[f'{name}_error']:.4f}" for name in ("accuracy", "difference", "regret")
-        )
-        say(f"{one['n_signals']:>10}  {one['kind']:<9}  {accuracy}    {below}    {regret}")
+    if "above" in content:
+        _say_enclosed(content)
+    else:
+        say(f"highest accuracy possible {content['accuracy']:.4f} +- {content['accuracy_error']:.4f}")
+        say(f"right answers of Bayes' rule {content['right_answers']:.4f}")
+        say(f"Brier score {content['brier_score']:.4f} +- {content['brier_error']:.4f}")
+        say("area under ROC " + ", ".join(f"{label} {area:.4f}" for label, area in content["roc_area"].items()))
+        _say_learners(content.get("learners", ()))
     if content.get("unmeasured"):
         say(
             f"cgid: warning: {counted(content['unmeasured'], 'signal')} could not be measured, the label was guessed",
@@ -333,6 +344,33 @@ def _say(content: dict[str, Any]) -> None:
         )
     if "survey" in content:
         _say_survey(content["survey"])
+
+
+def _say_learners(learners: Sequence[dict[str, Any]]) -> None:
+    if learners:
+        say("trained on  learner    accuracy            below the ceiling   by its probabilities")
+    for one in learners:
+        accuracy, below, regret = (
+            f"{one[name]:.4f} +- {one[f'{name}_error']:.4f}" for name in ("accuracy", "difference", "regret")
+        )
+        say(f"{one['n_signals']:>10}  {one['kind']:<9}  {accuracy}    {below}    {regret}")
+
+
+def _say_enclosed(content: dict[str, Any]) -> None:
+    below, above = (f"{one['accuracy']:.4f} +- {one['accuracy_error']:.4f}" for one in _ends(content))
+    say(f"highest accuracy possible between {below} and {above}")
+    say(f"not integrated: that needs {content['uncovered']}")
+    say("          trained on  learner    accuracy            below the highest")
+    for side in ("learners", "above"):
+        head = "measured" if side == "learners" else "exact"
+        for one in content[side]:
+            accuracy, lost = (f"{one[name]:.4f} +- {one[f'{name}_error']:.4f}" for name in ("accuracy", "difference"))
+            say(f"{head:<8}  {one['n_signals']:>10}  {one['kind']:<9}  {accuracy}    {lost}")
+
+
+def _ends(content: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the learner from below and the one from above that had the most to learn from."""
+    return content["learners"][-1], content["above"][-1]
 
 
 def _say_survey(survey: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Protocol
 
@@ -49,6 +49,8 @@ _RINGING = 1.0
 _REACH = 6.5
 #: Evaluations of the fit at each node of a profile, and rows of profiles computed at once.
 _ITERATIONS, _PROFILED_ROWS = 5, 256
+#: Nodes along each of peak and duration at a node of a profile, and the widest distribution there.
+_HERMITE, _WIDEST = 3, 0.5
 #: Cells of a prior's histograms, and the standard deviation of the smoothing in cells.
 _CELLS, _SMOOTHING = 240, 1.2
 #: Lowest density over the largest: draws cannot prove that something is impossible.
@@ -217,35 +219,52 @@ class Profile:
     ----------
     log_weight : ln of the likelihood integrated over peak, duration and onset, times the node's width in s, plus a
         constant for each row
-    log_peak, log_duration : most likely values at the node; duration in samples
+    log_peak, log_duration : mean values at the node; duration in samples
+    peak_deviation, duration_deviation, cross : their standard deviations a and b, and c, at the node: with independent
+        standard normal numbers x and y they are Gaussian as `log_peak + a x`, `log_duration + c x + b y`
     """
 
     shape: Floats
     log_weight: Floats
     log_peak: Floats
     log_duration: Floats
+    peak_deviation: Floats
+    duration_deviation: Floats
+    cross: Floats
 
 
 class Near(Protocol):
     """Pulses near the most likely ones, each (n,): a `PulseFit`, for example; times in samples of the frame."""
 
     @property
-    def peak(self) -> Floats: ...
+    def peak(self) -> Floats:
+        """Peak above the baseline."""
+
     @property
-    def width(self) -> Floats: ...
+    def width(self) -> Floats:
+        """Impulse over peak."""
+
     @property
-    def onset(self) -> Floats: ...
+    def onset(self) -> Floats:
+        """Time of touch."""
+
     @property
-    def shape(self) -> Floats: ...
+    def shape(self) -> Floats:
+        """Shape s = ln e."""
 
 
 class Residual(Protocol):
     """Samples and a curve to fit to them, as `cgid.measure.fit.Problem`."""
 
     @property
-    def free(self) -> list[int]: ...
-    def tied(self, parameters: Floats) -> Floats: ...
-    def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]: ...
+    def free(self) -> list[int]:
+        """Columns of the parameters that are fitted."""
+
+    def tied(self, parameters: Floats) -> Floats:
+        """Return the parameters, with those that follow from others."""
+
+    def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]:
+        """Return samples minus curve (n, n_points), and the slopes of the curve (n, n_free, n_points)."""
 
 
 #: From rows of the frames and their pulses at the lowest shape to parts of these rows, each with its whitened residual.
@@ -285,7 +304,7 @@ def profile(
     is then the white noise in which the shape would be as uncertain.
     """
     shapes = _grid(fit, noise, lowest, highest, n_nodes)
-    out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(3)))
+    out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(6)))
     for first in range(0, len(samples), _PROFILED_ROWS):
         block = slice(first, first + _PROFILED_ROWS)
         guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
@@ -306,7 +325,7 @@ def profile(
     widths = np.gradient(shapes, axis=1) if n_nodes > 1 else np.ones_like(shapes)
     with np.errstate(divide="ignore"):
         log_weight = out.log_weight + np.log(np.maximum(widths, 0.0))
-    return Profile(shapes, log_weight, out.log_peak, out.log_duration)
+    return replace(out, log_weight=log_weight)
 
 
 def _fill(
@@ -320,8 +339,8 @@ def _fill(
 ) -> None:
     for node in range(out.shape.shape[1]):
         found = _at(problem, guess, out.shape[rows, node], sigma, hold, onset_between)
-        for held, value in zip((out.log_weight, out.log_peak, out.log_duration), found, strict=True):
-            held[rows, node] = value
+        for part, value in zip(fields(Profile)[1:], found, strict=True):
+            getattr(out, part.name)[rows, node] = value
 
 
 def _grid(fit: Near, noise: Floats, lowest: float, highest: float, n_nodes: int) -> Floats:
@@ -347,8 +366,8 @@ def _at(
     sigma: Floats,
     hold: Floats | None,
     onset_between: tuple[float, float] | None,
-) -> tuple[Floats, Floats, Floats]:
-    """Return the log of the integrated likelihood, ln peak and ln duration at given shapes.
+) -> tuple[Floats, ...]:
+    """Return the attributes of a profile at given shapes, after the shape.
 
     The baseline is as uncertain as a mean of `hold` points, (n,); for None it is 0.
     """
@@ -376,19 +395,41 @@ def _at(
             parameters[:, 4] += step[:, -1]
         parameters = problem.tied(parameters)
     duration, lead, _, _ = relative_times(shape)
-    log_peak = np.log(parameters[:, 0])
+    peak, log_width = parameters[:, 0], parameters[:, 1]
+    information = information / sigma[:, None, None] ** 2
     # In terms of ln(peak), ln(duration) and the place, which at a given shape moves with the onset.
-    sign, determinant = np.linalg.slogdet(information / sigma[:, None, None] ** 2)
-    log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * log_peak)
+    sign, determinant = np.linalg.slogdet(information)
+    log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * np.log(peak))
+    units = (np.broadcast_to(unit, gradient.shape) for unit in np.eye(gradient.shape[1])[:2])
+    covariance = np.stack([solve_scaled(information, unit, 1e-12)[:, :2] for unit in units], axis=1)
     if onset_between is not None:
-        log_likelihood += _log_inside(parameters, lead, information / sigma[:, None, None] ** 2, onset_between)
+        inside, shift, fewer = _inside(parameters, lead, information, onset_between)
+        log_likelihood += inside
+        covariance = covariance - fewer[:, :2, None] * fewer[:, None, :2]
+        log_width = log_width + np.clip(shift[:, 1], -0.4, 0.4)
+        peak = np.maximum(peak + shift[:, 0], 0.2 * peak)
     # The fit has missed the pulse where the samples do not determine all parameters.
     log_likelihood = np.where((sign > 0) & np.isfinite(log_likelihood), log_likelihood, -np.inf)
-    return log_likelihood, log_peak, parameters[:, 1] + np.log(duration)
+    peak_deviation = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-300))
+    cross = covariance[:, 0, 1] / peak_deviation
+    duration_deviation = np.sqrt(np.maximum(covariance[:, 1, 1] - cross**2, 0.0))
+    return (
+        log_likelihood,
+        np.log(peak),
+        log_width + np.log(duration),
+        *(np.minimum(part, _WIDEST) for part in (peak_deviation / peak, duration_deviation)),
+        np.clip(cross, -_WIDEST, _WIDEST),
+    )
 
 
-def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]) -> Floats:
-    """Return the log probability of touch between two times, for a Gaussian likelihood."""
+def _inside(
+    parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]
+) -> tuple[Floats, Floats, Floats]:
+    """Return what is known by touch lying between two times, for a Gaussian likelihood.
+
+    That is the log of its probability, how far it moves the means of the parameters, (n, n_free), and the vector
+    (n, n_free) whose products it takes from their covariance.
+    """
     width = np.exp(parameters[:, 1])
     onset = parameters[:, 2] - lead * width
     # Slope of touch in (peak, ln width, place, ...): it moves with the width and the place.
@@ -397,7 +438,13 @@ def _log_inside(parameters: Floats, lead: Floats, information: Floats, between: 
     spread = solve_scaled(information, slope, 1e-12)
     deviation = np.sqrt(np.maximum(np.sum(slope * spread, axis=1), 1e-300))
     low, high = ((bound - onset) / deviation for bound in between)
-    return np.asarray(np.log(np.maximum(0.5 * (_erf(high / np.sqrt(2)) - _erf(low / np.sqrt(2))), 1e-300)))
+    share = np.maximum(0.5 * (_erf(high / np.sqrt(2)) - _erf(low / np.sqrt(2))), 1e-300)
+    # Mean and variance of a normal number between two others; clipped where the share is lost to rounding.
+    at_low, at_high = (np.exp(-0.5 * bound**2) / np.sqrt(2 * np.pi) / share for bound in (low, high))
+    mean = np.clip(at_low - at_high, low, high)
+    variance = np.clip(1 + low * at_low - high * at_high - mean**2, 0.0, 1.0)
+    along = spread / deviation[:, None]
+    return np.log(share), along * mean[:, None], along * np.sqrt(1 - variance)[:, None]
 
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
@@ -486,9 +533,20 @@ class Prior:
         return np.asarray(joint - _log_sum(joint)[:, None])
 
     def _joint(self, along: Profile, log_peak_offset: Floats | float, log_time_offset: Floats | float) -> Floats:
-        return along.log_weight + self.log_density(
-            along.log_peak + log_peak_offset, along.log_duration + log_time_offset, along.shape
-        )
+        """Return ln of likelihood times prior, whose mean over peak and duration is by Gauss-Hermite quadrature."""
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_HERMITE)
+        log_peak, log_duration = along.log_peak + log_peak_offset, along.log_duration + log_time_offset
+        density = np.zeros(along.shape.shape)
+        for x, outer in zip(nodes, weights / weights.sum(), strict=True):
+            for y, inner in zip(nodes, weights / weights.sum(), strict=True):
+                at = self.log_density(
+                    log_peak + along.peak_deviation * x,
+                    log_duration + along.cross * x + along.duration_deviation * y,
+                    along.shape,
+                )
+                density += outer * inner * np.exp(at)
+        with np.errstate(divide="ignore"):
+            return np.asarray(along.log_weight + np.log(density))
 
 
 def _log_sum(terms: Floats) -> Floats:

@@ -101,13 +101,6 @@ class Coloured:
         """
         return _density(self.of, self.quantity, self.sampling_rate, length, n_samples)
 
-    def autocovariance(self, n_samples: int) -> Floats:
-        """Return the covariance of two samples of a frame that are 0, 1, ... samples apart, (n_samples,)."""
-        length = 1 << (2 * n_samples - 1).bit_length()
-        power = _density(self.of, self.quantity, self.sampling_rate, length, n_samples) * (self.sampling_rate / 2)
-        power[-1] *= 2.0
-        return np.asarray(np.fft.irfft(power, n=length)[:n_samples])
-
     def in_recording(self, seed: int, recording: int, chunk: int) -> Floats:
         """Return the noise of one chunk of a recording, (`CHUNK`,)."""
         return _segment(self, seed, recording, chunk)[CHUNK:] + _segment(self, seed, recording, chunk + 1)[:CHUNK]
