@@ -23,8 +23,8 @@ from cgid.measure.template import (
     LOWEST_SHAPE,
     covariance_of,
     free_parameters,
-    pulse_and_slopes,
     relative_times,
+    slopes_and_pulse,
     solve_scaled,
 )
 from cgid.validation import Floats
@@ -43,8 +43,9 @@ _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 #: Largest steps of ln(width), of the place over the width, and of s.
 _LARGEST_STEPS = (0.4, 0.5, 0.7)
 _ITERATIONS = 8
-#: A fit ends when the next step would reduce the squared residual by less than this share of the noise variance.
-_TOLERANCE = 8e-3
+#: A step is the last, and not evaluated, when it promises to reduce the squared residual by less than this share of the
+#: noise variance: what it leaves is of higher order.
+_TOLERANCE = 0.03
 #: Rows fitted at once: their arrays must fit in the processor's cache.
 _ROWS = 2048
 #: Least damping after a failed step: less would not change the step.
@@ -418,34 +419,31 @@ class Problem:
 
     def residual(self, parameters: Floats, rows: Rows) -> tuple[Floats, Floats]:
         """Return samples minus curve (n, n_samples), and the slopes of the curve (n, n_free, n_samples)."""
-        times = self.window.times[rows]
-        model, slopes = pulse_and_slopes(parameters, times, self.onset is not None, self.fit_baseline)
-        if self.mixing is not None:
-            model, slopes = model @ self.mixing, slopes @ self.mixing
-        if self.blur:
-            model, slopes = _blurred(model, self.blur), _blurred(slopes, self.blur)
-        residual = self.window.values[rows] - model - parameters[:, 4:]
-        return self._weighted(residual, slopes, rows)
+        both = self.slopes_and_residual(parameters, rows)
+        return both[:, -1], both[:, :-1]
 
-    def _weighted(self, residual: Floats, slopes: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Ignore points outside the frame, and clipped samples below the curve."""
+    def slopes_and_residual(self, parameters: Floats, rows: Rows) -> Floats:
+        """Return the slopes of the curve and, last, samples minus curve, (n, n_free + 1, n_samples)."""
+        times = self.window.times[rows]
+        curves = slopes_and_pulse(parameters, times, self.onset is not None, self.fit_baseline)
+        if self.mixing is not None:
+            curves = curves @ self.mixing
+        if self.blur:
+            curves[..., 1:-1] += self.blur * np.diff(curves, n=2)
+        residual = curves[:, -1]
+        np.subtract(self.window.values[rows], residual, out=residual)
+        if self.fit_baseline:
+            residual -= parameters[:, 4:]
+        # Points outside the frame count nothing, nor do clipped samples below the curve.
         ignored = rows_of(self.window.outside, rows)
         if self.window.clipped is not None:
             above = self.window.clipped[rows] & (residual < 0)
             ignored = above if ignored is None else ignored | above
         if ignored is not None:
-            residual = np.where(ignored, 0.0, residual)
-            slopes = np.where(ignored[:, None], 0.0, slopes)
+            curves[np.broadcast_to(ignored[:, None], curves.shape)] = 0.0
         if self.colour is not None:
-            chosen = np.arange(len(self.window.rows))[rows]
-            residual, slopes = self.colour.whitened(residual, chosen), self.colour.whitened(slopes, chosen)
-        return residual, slopes
-
-
-def _blurred(curves: Floats, share: float) -> Floats:
-    out = curves.copy()
-    out[..., 1:-1] += share * (curves[..., 2:] - 2 * curves[..., 1:-1] + curves[..., :-2])
-    return out
+            curves = self.colour.whitened(curves, np.arange(len(self.window.rows))[rows])
+        return curves
 
 
 @dataclass(frozen=True, eq=False)
@@ -469,21 +467,21 @@ def _search(
     row = np.arange(len(problem.window.rows))[rows]
     parameters = problem.tied(guess, row)
     n, free, variance, column = len(parameters), problem.free, sigma**2, problem.free.index(3)
-    cost, information, gradient = normal_equations(*problem.residual(parameters, row))
+    cost, information, gradient = _equations(problem.slopes_and_residual(parameters, row))
     damping, active, converged = np.full(n, first_damping), np.arange(n), np.zeros(n, bool)
     for _ in range(iterations):
         held = _held(parameters[active], information[active], gradient[active], column)
         step, promise = _step(*held, damping[active])
+        tried = _moved(problem, parameters[active], step, row[active])
         done = promise < _TOLERANCE * variance[active]
-        converged[active[done]] = True
-        active, step, promise = active[~done], step[~done], promise[~done]
-        if not active.size:
-            break
-        tried = parameters[active]
-        tried[:, free] += _bounded(step, free, np.exp(tried[:, 1]))
-        tried[:, 3] = np.clip(tried[:, 3], LOWEST_SHAPE, HIGHEST_SHAPE)
-        tried = problem.tied(tried, row[active])
-        new = normal_equations(*problem.residual(tried, row[active]))
+        if done.any():
+            last = active[done]
+            converged[last], parameters[last] = True, tried[done]
+            cost[last] -= np.maximum(promise[done], 0.0)
+            active, tried, promise = active[~done], tried[~done], promise[~done]
+            if not active.size:
+                break
+        new = _equations(problem.slopes_and_residual(tried, row[active]))
         gained = cost[active] - new[0]
         better = gained >= 0
         taken = active[better]
@@ -499,11 +497,23 @@ def _search(
     return Optimum(parameters, cost, information, converged)
 
 
+def _moved(problem: Problem, parameters: Floats, step: Floats, rows: NDArray[np.intp]) -> Floats:
+    """Return parameters (n, 5) after a step in the free ones, within bounds."""
+    moved = parameters.copy()
+    moved[:, problem.free] += _bounded(step, problem.free, np.exp(parameters[:, 1]))
+    moved[:, 3] = np.minimum(np.maximum(moved[:, 3], LOWEST_SHAPE), HIGHEST_SHAPE)
+    return problem.tied(moved, rows)
+
+
 def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, Floats]:
     """Return squared residual (n,), information (n, n_free, n_free) and gradient (n, n_free)."""
-    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
-    gradient = np.matmul(slopes, residual[..., None])[..., 0]
-    return np.sum(residual**2, axis=1), information, gradient
+    return _equations(np.concatenate([slopes, residual[:, None]], axis=1))
+
+
+def _equations(curves: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return `normal_equations` of slopes and, last, the residual, (n, n_free + 1, n_samples)."""
+    products = np.matmul(curves, np.swapaxes(curves, 1, 2))
+    return products[:, -1, -1], products[:, :-1, :-1], products[:, :-1, -1]
 
 
 def _held(parameters: Floats, information: Floats, gradient: Floats, column: int) -> tuple[Floats, Floats]:
@@ -727,8 +737,7 @@ def _exact(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp])
     flat = problem.tied(_at_shapes(found, unit).reshape(-1, 5), each)
     kept = [k for k, column in enumerate(problem.free) if column != 3]
     columns = [problem.free[k] for k in kept]
-    residual, slopes = problem.residual(flat, each)
-    cost, information, gradient = normal_equations(residual, slopes[:, kept])
+    cost, information, gradient = _equations(problem.slopes_and_residual(flat, each)[:, [*kept, -1]])
     step = solve_scaled(information, gradient, 1e-9)
     cost = cost - np.sum(step * gradient, axis=1)
     flat[:, columns] += _bounded(step, columns, np.exp(flat[:, 1]))
