@@ -31,8 +31,8 @@ _SHAPES, _PLACES = 128, 256
 _BEYOND = 3
 #: Least distance from touch and separation at which slopes are evaluated.
 _EDGE = 1e-12
-#: Cells of the contact in the table of `slopes_and_pulse`, and points that it works on at once.
-_CELLS, _BLOCK = 1024, 16384
+#: Cells of the contact in the table of `slopes_and_pulse`.
+_CELLS = 1024
 
 
 @cache
@@ -188,12 +188,11 @@ def slopes_and_pulse(
     scale = sign * _CELLS / (width * duration)
     shift = (lead / duration) * sign * _CELLS + np.where(turned, _CELLS, 0.0) - place * scale
     steep = peak * scale * width
+    # z, the time from the place over the width, and the share at x = 0; with a known onset, the time from there.
     first_z, first_share = turned * duration - (0.0 if onset_known else lead), turned * 1.0
     moved = 0.0 if onset_known else lead_slope
-    rows = np.stack(
+    quick = np.stack(
         [
-            scale,
-            shift,
             offset,
             0.5 * offset,
             -steep * first_z,
@@ -203,55 +202,48 @@ def slopes_and_pulse(
             steep * (moved - first_share * duration_slope),
             -steep * (sign / _CELLS) * duration_slope,
         ]
-    )[:, :, None]
-    rows, quick = (rows, rows.astype(np.float32))
+    )
+    ds, half, z0, z1, to_place, in_s, s0, s1 = quick.astype(np.float32)[:, :, None]
     n, n_points = times.shape
     out = np.empty((n, len(free_parameters(onset_known, fit_baseline)) + 1, n_points))
-    first = (node * (_CELLS + 1))[:, None]
-    height = peak[:, None]
-    # Blocks stay in the processor's cache.
-    step = max(_BLOCK // n_points, 1)
-    for block in (slice(begin, begin + step) for begin in range(0, n, step)):
-        x = times[block] * rows[0, block]
-        x += rows[1, block]
-        np.minimum(np.maximum(x, 0.0, out=x), _CELLS, out=x)
-        column = np.rint(x)
-        dx = (x - column).astype(np.float32)
-        index = column.astype(np.intp)
-        index += first[block]
-        g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in _quick_table())
-        x = x.astype(np.float32)
-        _, _, ds, half, z0, z1, to_place, in_s, s0, s1 = quick[:, block]
-        g_uu *= dx
-        slope = g_su * ds
-        slope += g_u
-        # g + ds (g_s + ds g_ss / 2) + dx (g_u + ds g_su + dx g_uu / 2)
-        g_ss *= half
-        g_s += g_ss
-        g += g_s * ds
-        g_s += g_ss
-        g_su *= dx
-        g_s += g_su
-        g_uu *= np.float32(0.5)
-        slope += g_uu
-        g += dx * slope
-        slope += g_uu
-        own = out[block]
-        own[:, 0] = g
-        np.multiply(g, height[block], out=own[:, -1])
-        z1 = z1 * x
-        z1 += z0
-        z1 *= slope
-        own[:, 1] = z1
-        if not onset_known:
-            np.multiply(slope, to_place, out=own[:, 2])
-        x *= s1
-        x += s0
-        x *= slope
-        g_s *= in_s
-        np.add(x, g_s, out=own[:, 2 if onset_known else 3])
-        if fit_baseline:
-            own[:, -2] = 1.0
+    x = times * scale[:, None]
+    x += shift[:, None]
+    np.minimum(np.maximum(x, 0.0, out=x), _CELLS, out=x)
+    column = np.rint(x)
+    dx = (x - column).astype(np.float32)
+    index = column.astype(np.intp)
+    index += (node * (_CELLS + 1))[:, None]
+    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in _quick_table())
+    x = x.astype(np.float32)
+    g_uu *= dx
+    slope = g_su * ds
+    slope += g_u
+    # g + ds (g_s + ds g_ss / 2) + dx (g_u + ds g_su + dx g_uu / 2)
+    g_ss *= half
+    g_s += g_ss
+    g += g_s * ds
+    g_s += g_ss
+    g_su *= dx
+    g_s += g_su
+    g_uu *= np.float32(0.5)
+    slope += g_uu
+    g += dx * slope
+    slope += g_uu
+    out[:, 0] = g
+    np.multiply(g, peak[:, None], out=out[:, -1])
+    z1 = z1 * x
+    z1 += z0
+    z1 *= slope
+    out[:, 1] = z1
+    if not onset_known:
+        np.multiply(slope, to_place, out=out[:, 2])
+    x *= s1
+    x += s0
+    x *= slope
+    g_s *= in_s
+    np.add(x, g_s, out=out[:, 2 if onset_known else 3])
+    if fit_baseline:
+        out[:, -2] = 1.0
     return out
 
 
