@@ -4,9 +4,9 @@ Where noise is not white, least squares is not the most likely pulse, and deviat
 longer pulse. Samples minus what the ones before predict are white again, and so the pulse is fitted to these.
 
 A hundred samples do not tell many coefficients. The candidates are therefore noise with a power density of f^-a on
-white noise, with two numbers to be found, and, for any other colour, an autoregression of low order. Schwarz's criterion (1978, Ann. Stat.
-6, 461) decides. Noise whose first autocorrelations are small (Box & Pierce 1970, J. Am. Stat. Assoc. 65, 1509) counts
-as white.
+white noise, with two numbers to be found, and, for any other colour, an autoregression of low order. Schwarz's
+criterion (1978, Ann. Stat. 6, 461) decides. Noise whose first autocorrelations are small (Box & Pierce 1970, J. Am.
+Stat. Assoc. 65, 1509) counts as white.
 """
 
 from __future__ import annotations

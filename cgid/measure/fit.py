@@ -1,74 +1,33 @@
-"""The damped-Hertz pulse fitted to samples: windows, start values and maximum likelihood, batched over signals.
+"""The damped-Hertz pulse fitted to samples by maximum likelihood, batched over signals.
 
-Under white noise the most likely pulse is the least-squares pulse. A coarse fit to few points of each pulse comes
-first, then a fit to all samples around it. Levenberg-Marquardt damping bounds each signal's steps; converged signals
-leave the batch.
+Under white noise the most likely pulse is the least-squares pulse; noise of another colour is made white first. A
+search of all shapes (`cgid.measure.search`) comes before the fit to all samples (`cgid.measure.optimum`), and where the
+likelihood is no parabola, deviations follow from all of it (`cgid.measure.profile`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.colour import ORDER, Colour, colour_of
-from cgid.measure.filters import mixing_matrix
-from cgid.measure.search import BIN, NODES, Found, around, search
-from cgid.measure.template import (
-    HIGHEST_SHAPE,
-    LOWEST_SHAPE,
-    covariance_of,
-    free_parameters,
-    pulse_and_slopes,
-    relative_times,
-    solve_scaled,
-)
+from cgid.measure.colour import ORDER, colour_of
+from cgid.measure.excerpts import Rows, rows_of, strongest_run, windows
+from cgid.measure.optimum import Optimum, Problem, Problems, normal_equations, search_nearby
+from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
+from cgid.measure.search import Found, around, refined, search
+from cgid.measure.template import relative_times
 from cgid.validation import Floats
 
-#: Margin of the final window around the contact found by the coarse fit, and its largest extent after the peak, in
-#: widths: less than 0.2 % of the peak is left there at any restitution.
-_MARGIN, _FURTHEST = 0.35, 4.5
-#: Window lengths are powers of this number.
-_STEP = 1.5
-#: Longer windows are averaged over equal runs of samples: a few hundred points suffice for a smooth curve.
-_LONGEST = 240
-#: Runs of `strongest_run`: growth factor, shortest [samples], longest over the frame.
-_GROWTH, _SHORTEST, _LONGEST_SHARE = 1.4, 3, 0.5
-#: Best run of a pulse over its width (impulse over peak), and mean of that run over the peak.
-_RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
-#: Largest steps of ln(width), of the place over the width, and of s.
-_LARGEST_STEPS = (0.4, 0.5, 0.7)
-_ITERATIONS = 8
-#: A fit ends when the next step would reduce the squared residual by less than this share of the noise variance.
-_TOLERANCE = 8e-3
-#: Rows fitted at once: their arrays must fit in the processor's cache.
+#: Rows fitted at once.
 _ROWS = 2048
-#: Least damping after a failed step: less would not change the step.
-_FELT = 0.6
-#: Share of the promised gain from which a step was good.
-_KEPT = 0.7
-#: A search ends at this damping.
-_STUCK = 1e4
 #: Extent of the samples that the search looks at, over what the pulse of the start would need.
 _REACH = 2.0
-#: Shapes at which the likelihood is profiled (every other one of the search), and the highest fitted shape for it.
-_EVERY = slice(0, 20, 2)
-PROFILED = NODES[_EVERY]
 #: Samples of the unit of the search from which its bins tell as much as the samples.
 _WELL_BINNED = 12.0
-#: Distance of a shape that a second search begins from.
-_ANOTHER = 0.3
+#: Highest fitted shape for which the likelihood is profiled.
 _HIGHEST_PROFILED = 0.3
-#: A standard deviation of s up to which the likelihood is a parabola, if it has no second maximum.
-_PARABOLIC = 0.1
-#: Points and weights of the quadrature of a Gaussian by three points.
-_HERMITE = np.array([[-np.sqrt(3), 0.0, np.sqrt(3)], [1 / 6, 2 / 3, 1 / 6]])
-#: Mean and standard deviation of the restitution of any material that falls on steel.
-WIDE_RESTITUTION = (0.5, 0.25)
 #: Smallest noise over the peak: the accuracy of the template.
 _NOISE_FLOOR = 1e-5
 #: Deviations of this share of the peak count as noise in the misfit.
@@ -78,12 +37,17 @@ STRAY = 0.03
 #: A deviation of this many standard deviations outside the window counts as a misfit of 1.
 _OUTLIER = 5.5
 
-Rows = NDArray[np.intp] | slice
-
-
-def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
-    """Return some rows of an array, or None for None."""
-    return None if values is None else values[rows]
+__all__ = [
+    "MODEL_ERROR",
+    "Problem",
+    "PulseFit",
+    "Start",
+    "fit_pulses",
+    "normal_equations",
+    "rows_of",
+    "strongest_run",
+    "windows",
+]
 
 
 # -- start and result of a fit ------------------------------------------------------------------------
@@ -172,139 +136,6 @@ class PulseFit:
         return np.exp(self.shape)
 
 
-# -- the samples of a fit -----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """The samples of some rows that a fit uses.
-
-    Attributes
-    ----------
-    rows : rows of the frames, (n,)
-    values, times : (n, n_points); times in samples of the frame
-    averaged : samples per point, (n,)
-    outside, clipped : points outside the frame and at the sensor's limit, (n, n_points); None if there are none
-    elsewhere : largest magnitude of the samples outside the window, (n,)
-    run : samples per point if equal for all rows by design, else 1
-    reach : last column of the window, in the frame or beyond it, (n,)
-    """
-
-    rows: NDArray[np.intp]
-    values: Floats
-    times: Floats
-    averaged: Floats
-    outside: NDArray[np.bool_] | None
-    clipped: NDArray[np.bool_] | None
-    elsewhere: Floats
-    run: int
-    reach: NDArray[np.intp]
-
-    def part(self, rows: Rows) -> Window:
-        """Return some of its rows."""
-        arrays = {f.name: rows_of(getattr(self, f.name), rows) for f in fields(self) if f.name != "run"}
-        return Window(run=self.run, **arrays)
-
-
-def windows(
-    samples: NDArray[np.floating],
-    guess: Floats,
-    offset: Floats | float,
-    clip_level: Floats | float,
-    unit: Floats | float = 1.0,
-    averaged: bool = True,
-    before: int = 0,
-) -> Iterator[Window]:
-    """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length.
-
-    Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples. Each window begins `before`
-    points earlier than the pulse needs.
-    """
-    offset, clip_level, unit = (np.broadcast_to(value, len(samples)) for value in (offset, clip_level, unit))
-    width = np.exp(guess[:, 1])
-    duration, lead, _, _ = relative_times(guess[:, 3])
-    first = np.floor(guess[:, 2] - (lead + _MARGIN) * width).astype(np.intp) - 2
-    lengths = np.minimum(duration + 2 * _MARGIN, lead + _MARGIN + _FURTHEST) * width
-    # Lengths come in steps, so that a row's window does not depend on the other rows.
-    step = np.ceil(np.log(np.maximum(lengths, 1.0)) / np.log(_STEP)).astype(np.intp)
-    for chosen in np.unique(step):
-        rows = np.flatnonzero(step == chosen)
-        length = int(np.ceil(_STEP**chosen)) + 4
-        run = max(-(-length // _LONGEST), 1) if averaged else 1
-        length = -(-length // run) * run + before * run
-        yield _window(
-            samples, rows, first[rows] - before * run, length, run, offset[rows], clip_level[rows], unit[rows]
-        )
-
-
-def _window(
-    samples: NDArray[np.floating],
-    rows: NDArray[np.intp],
-    first: NDArray[np.intp],
-    length: int,
-    run: int,
-    offset: Floats,
-    clip_level: Floats,
-    unit: Floats,
-) -> Window:
-    columns = first[:, None] + np.arange(length)
-    beyond = (columns < 0) | (columns >= samples.shape[1])
-    values = samples[rows[:, None], np.clip(columns, 0, samples.shape[1] - 1)] - offset[:, None]
-    clipped = ~beyond & (values >= clip_level[:, None])
-    # Each run of samples becomes one point.
-    shape = (len(rows), length // run, run)
-    return Window(
-        rows=rows,
-        values=(values / unit[:, None]).reshape(shape).mean(axis=2),
-        times=columns.astype(np.float64).reshape(shape).mean(axis=2),
-        averaged=np.full(len(rows), float(run)),
-        outside=beyond.reshape(shape).any(axis=2) if beyond.any() else None,
-        clipped=clipped.reshape(shape).any(axis=2) if clipped.any() else None,
-        elsewhere=_largest_elsewhere(samples, rows, first, length, offset) / unit,
-        run=run,
-        reach=first + length - 1,
-    )
-
-
-def _largest_elsewhere(
-    samples: NDArray[np.floating], rows: NDArray[np.intp], first: NDArray[np.intp], length: int, offset: Floats
-) -> Floats:
-    n_samples = samples.shape[1]
-    begin, end = np.clip(first, 0, n_samples), np.clip(first + length, 0, n_samples)
-    # The parts of a row before and after the window, and what lies between, as runs of all samples one after another.
-    edges = np.stack([np.zeros_like(begin), begin, end, np.full_like(begin, n_samples)], axis=1)
-    flat = np.minimum((edges + (rows * n_samples)[:, None]).ravel(), samples.size - 1)
-    highest, lowest = (
-        reduce.reduceat(samples.ravel(), flat).reshape(-1, 4)[:, :3:2] for reduce in (np.maximum, np.minimum)
-    )
-    some = np.stack([begin > 0, end < n_samples], axis=1)
-    away = np.maximum(highest - offset[:, None], offset[:, None] - lowest)
-    return np.where(some, away, 0.0).max(axis=1)
-
-
-def strongest_run(samples: NDArray[np.floating], offset: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return peak, width [samples] and place [samples] of the pulse that stands out most, each (n,).
-
-    It is where the mean over a run of samples is most significant. A box is within 6 % of the matched filter for these
-    pulses, and running sums make boxes of all lengths cheap. `offset` (n,) is subtracted first.
-    """
-    n, n_samples = samples.shape
-    total = np.zeros((n, n_samples + 1))
-    np.cumsum(samples - offset[:, None], axis=1, dtype=np.float64, out=total[:, 1:])
-    best = np.full(n, -np.inf)
-    run, place = np.ones(n), np.zeros(n)
-    rows = np.arange(n)
-    length = _SHORTEST
-    while length <= max(_LONGEST_SHARE * n_samples, _SHORTEST):
-        strength = (total[:, length:] - total[:, :-length]) / np.sqrt(length)
-        top = np.argmax(strength, axis=1)
-        better = strength[rows, top] > best
-        best = np.where(better, strength[rows, top], best)
-        run, place = np.where(better, length, run), np.where(better, top + 0.5 * (length - 1), place)
-        length = max(int(length * _GROWTH), length + 1)
-    return best / np.sqrt(run) / _MEAN_OVER_PEAK, run / _RUN_OVER_WIDTH, place
-
-
 # -- the fit ------------------------------------------------------------------------------------------
 
 
@@ -364,26 +195,30 @@ def _fit_block(
     unit = start.peak
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        parts_found = around(samples, start.place, start.width, offset, clip_level, _REACH)
-        found = Found.joined(
-            [(rows, search(own, start.place[rows], start.width[rows], fit_baseline)) for rows, own in parts_found]
-        )
-        guess = found.start()
-        guess[:, [0, 4]] /= unit[:, None]
-        parts = []
+        guess, parts_found = np.empty((len(samples), 5)), []
+        for rows, own_samples in around(samples, start.place, start.width, offset, clip_level, _REACH):
+            own_found = search(own_samples, start.place[rows], start.width[rows], fit_baseline)
+            parts_found.append((rows, own_found))
+            guess[rows] = refined(own_samples, own_found.start())
+        found = Found.joined(parts_found)
+        rough = found.start()
+        parts, sigma = [], noise_over_peak.copy()
         for rows, coloured in _by_colour(samples, n_quiet, MODEL_ERROR * unit):
+            if coloured:  # the refined one is for white noise
+                guess[rows] = rough[rows]
             levels = (offset[rows], clip_level[rows], unit[rows])
-            for window in windows(samples[rows], guess[rows], *levels, response is None, ORDER * coloured):
+            own_samples = samples if rows.size == len(samples) else samples[rows]
+            for window in windows(own_samples, rough[rows], *levels, response is None, ORDER * coloured):
                 own = rows[window.rows]
                 problem = Problem(window, fit_baseline, rows_of(onset, own), response)
-                sigma = noise_over_peak[own]
                 if coloured and n_quiet is not None:
                     problem.colour = colour_of(samples[own], n_quiet[own], MODEL_ERROR * unit[own], window.run)
-                    sigma = problem.colour.innovation / unit[own] * np.sqrt(window.run)
-                best = _search(problem, guess[own], sigma / np.sqrt(window.averaged), _ITERATIONS, 1e-6)
-                parts.append((own, _report(problem, best, sigma, noise_over_peak[own], unit[own], found.rows(own))))
-    rows = np.concatenate([rows for rows, _ in parts])
-    return PulseFit.joined([part for _, part in parts]).rows(np.argsort(rows, kind="stable"))
+                    sigma[own] = problem.colour.innovation / unit[own] * np.sqrt(window.run)
+                parts.append((own, problem))
+        guess[:, [0, 4]] /= unit[:, None]
+        problems = Problems(parts, onset)
+        best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(len(samples)))
+        return _report(problems, best, sigma, noise_over_peak, unit, found)
 
 
 def _by_colour(
@@ -396,167 +231,34 @@ def _by_colour(
     return [(part, flag) for part, flag in ((white, False), (coloured, True)) if part.size]
 
 
-class Problem:
-    """A window of samples and the curve to fit to it; the onset [samples] and the sensor's response may be unknown."""
-
-    def __init__(self, window: Window, fit_baseline: bool, onset: Floats | None, response: Floats | None) -> None:
-        self.window, self.onset, self.fit_baseline = window, onset, fit_baseline
-        self.free = free_parameters(onset is not None, fit_baseline)
-        #: The mean over a run of samples is the curve at its middle plus this share of its second difference.
-        self.blur = (1 - window.run**-2) / 24 if window.run > 1 else 0.0
-        self.colour: Colour | None = None
-        self.mixing = None
-        if response is not None:
-            self.mixing = mixing_matrix(response, window.values.shape[1])
-
-    def tied(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
-        """Return the parameters, with the place that follows from a known onset."""
-        if self.onset is not None:
-            _, lead, _, _ = relative_times(parameters[:, 3])
-            parameters[:, 2] = self.onset[rows] + lead * np.exp(parameters[:, 1])
-        return parameters
-
-    def residual(self, parameters: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Return samples minus curve (n, n_samples), and the slopes of the curve (n, n_free, n_samples)."""
-        times = self.window.times[rows]
-        model, slopes = pulse_and_slopes(parameters, times, self.onset is not None, self.fit_baseline)
-        if self.mixing is not None:
-            model, slopes = model @ self.mixing, slopes @ self.mixing
-        if self.blur:
-            model, slopes = _blurred(model, self.blur), _blurred(slopes, self.blur)
-        residual = self.window.values[rows] - model - parameters[:, 4:]
-        return self._weighted(residual, slopes, rows)
-
-    def _weighted(self, residual: Floats, slopes: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Ignore points outside the frame, and clipped samples below the curve."""
-        ignored = rows_of(self.window.outside, rows)
-        if self.window.clipped is not None:
-            above = self.window.clipped[rows] & (residual < 0)
-            ignored = above if ignored is None else ignored | above
-        if ignored is not None:
-            residual = np.where(ignored, 0.0, residual)
-            slopes = np.where(ignored[:, None], 0.0, slopes)
-        if self.colour is not None:
-            chosen = np.arange(len(self.window.rows))[rows]
-            residual, slopes = self.colour.whitened(residual, chosen), self.colour.whitened(slopes, chosen)
-        return residual, slopes
-
-
-def _blurred(curves: Floats, share: float) -> Floats:
-    out = curves.copy()
-    out[..., 1:-1] += share * (curves[..., 2:] - 2 * curves[..., 1:-1] + curves[..., :-2])
-    return out
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """Parameters (n, 5), squared residual, information (times the variance of the noise) and convergence of rows."""
-
-    parameters: Floats
-    cost: Floats
-    information: Floats
-    converged: NDArray[np.bool_]
-
-    def rows(self, chosen: Rows) -> Optimum:
-        """Return some of the rows."""
-        return Optimum(*(getattr(self, one.name)[chosen] for one in fields(self)))
-
-
-def _search(
-    problem: Problem, guess: Floats, sigma: Floats, iterations: int, first_damping: float, rows: Rows = slice(None)
-) -> Optimum:
-    """Return the optimum nearest to a guess, for all rows of a problem or some."""
-    row = np.arange(len(problem.window.rows))[rows]
-    parameters = problem.tied(np.where(np.isfinite(guess), guess, 0.0), row)
-    n, free, variance, column = len(parameters), problem.free, sigma**2, problem.free.index(3)
-    cost, information, gradient = normal_equations(*problem.residual(parameters, row))
-    damping, active, converged = np.full(n, first_damping), np.arange(n), np.zeros(n, bool)
-    for _ in range(iterations):
-        held = _held(parameters[active], information[active], gradient[active], column)
-        step, promise = _step(*held, damping[active])
-        done = promise < _TOLERANCE * variance[active]
-        converged[active[done]] = True
-        active, step, promise = active[~done], step[~done], promise[~done]
-        if not active.size:
-            break
-        tried = parameters[active]
-        tried[:, free] += _bounded(step, free, np.exp(tried[:, 1]))
-        tried[:, 3] = np.clip(tried[:, 3], LOWEST_SHAPE, HIGHEST_SHAPE)
-        # Where nothing was seen a step may be nan: no step, then.
-        tried = np.where(np.isfinite(tried), tried, parameters[active])
-        tried = problem.tied(tried, row[active])
-        new = normal_equations(*problem.residual(tried, row[active]))
-        gained = cost[active] - new[0]
-        better = gained >= 0
-        taken = active[better]
-        parameters[taken] = tried[better]
-        cost[taken], information[taken], gradient[taken] = (a[better] for a in new)
-        # A step that gains much less than promised has overshot; the next would come back.
-        raised = np.maximum(np.where(better, 2.0, 10.0) * damping[active], _FELT)
-        damping[active] = np.where(gained > _KEPT * promise, 0.1 * damping[active], raised)
-        # Where even a tiny step goes uphill, the minimum is at a kink (a sample at touch).
-        stuck = damping[active] > _STUCK
-        converged[active[stuck]] = True
-        active = active[~stuck]
-    return Optimum(parameters, cost, information, converged)
-
-
-def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return squared residual (n,), information (n, n_free, n_free) and gradient (n, n_free)."""
-    information = np.matmul(slopes, np.swapaxes(slopes, 1, 2))
-    gradient = np.matmul(slopes, residual[..., None])[..., 0]
-    return np.sum(residual**2, axis=1), information, gradient
-
-
-def _held(parameters: Floats, information: Floats, gradient: Floats, column: int) -> tuple[Floats, Floats]:
-    """Return information and gradient in which a shape at its bound stays where it would leave the bounds."""
-    shape, pull = parameters[:, 3], gradient[:, column]
-    out = ((shape <= LOWEST_SHAPE) & (pull < 0)) | ((shape >= HIGHEST_SHAPE) & (pull > 0))
-    information[out, column, :] = information[out, :, column] = 0.0
-    information[out, column, column] = 1.0
-    gradient[out, column] = 0.0
-    return information, gradient
-
-
-def _step(information: Floats, gradient: Floats, damping: Floats) -> tuple[Floats, Floats]:
-    """Return the damped step, and the reduction of the squared residual that a linear model predicts."""
-    step = solve_scaled(information, gradient, (damping + 1e-10)[:, None, None])
-    return step, np.sum(step * gradient, axis=1)
-
-
-def _bounded(step: Floats, free: list[int], width: Floats) -> Floats:
-    for column, parameter in enumerate(free):
-        if 1 <= parameter <= 3:
-            largest = _LARGEST_STEPS[parameter - 1] * (width if parameter == 2 else 1.0)
-            step[:, column] = np.clip(step[:, column], -largest, largest)
-    return step
-
-
-def _report(problem: Problem, best: Optimum, sigma: Floats, noise: Floats, unit: Floats, found: Found) -> PulseFit:
+def _report(problems: Problems, best: Optimum, sigma: Floats, noise: Floats, unit: Floats, found: Found) -> PulseFit:
     """Return the fitted pulses; `sigma`, `noise` and the parameters are in units of the start's peak."""
-    window = problem.window
-    variance = sigma**2 / window.averaged
-    believed = variance + _model_variance(best.parameters[:, 0], window.averaged)
-    covariance = _parabolic(problem, best, believed)
-    restitution = _gaussian_restitution(best.parameters[:, 3], covariance[:, 3, 3])
+    variance = sigma**2 / problems.averaged
+    # A better recorder cannot know more than the model of the pulse is worth.
+    believed = variance + (MODEL_ERROR * best.parameters[:, 0]) ** 2 / problems.averaged
+    covariance = parabolic(problems, best, believed)
     shape = best.parameters[:, 3]
-    doubt = (covariance[:, 3, 3] > _PARABOLIC**2) | found.in_doubt(shape, believed * window.averaged * unit**2)
-    well = (found.unit >= _WELL_BINNED) & (problem.colour is None)
-    for profiled, some in ((_binned, well), (_exact, ~well)):
-        rows = np.flatnonzero(doubt & some & (shape < _HIGHEST_PROFILED))
+    restitution = gaussian_restitution(shape, covariance[:, 3, 3])
+    doubt = (covariance[:, 3, 3] > PARABOLIC**2) | found.in_doubt(shape, believed * problems.averaged * unit**2)
+    doubt &= shape < _HIGHEST_PROFILED
+    well = (found.unit >= _WELL_BINNED) & ~problems.coloured
+    for profiled, some in ((binned, well), (exact, ~well)):
+        rows = np.flatnonzero(doubt & some)
         if rows.size:
-            profile = profiled(problem, found.rows(rows), unit[rows], rows)
-            tops = _improve(problem, best, profile, believed, rows)
-            covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows], problem)
+            profile = profiled(problems, found.rows(rows), unit[rows], rows)
+            tops = _improve(problems, best, profile, believed, rows)
+            covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows], problems)
     peak, log_width, place, shape, baseline = best.parameters.T
     width = np.exp(log_width)
     duration, lead, _, _ = relative_times(shape)
     covariance[:, 4] *= unit[:, None]
     covariance[:, :, 4] *= unit[:, None]
-    clipped = np.zeros(len(peak), np.intp) if window.clipped is None else window.clipped.sum(axis=1)
-    counted = window.values.shape[1] - (0 if window.outside is None else window.outside.sum(axis=1))
-    freedom = np.maximum(counted - clipped - len(problem.free), 1)
-    stray = (window.elsewhere / _OUTLIER) ** 2 / (noise**2 + (MODEL_ERROR * peak) ** 2)
+    elsewhere, reach, clipped, counted = (
+        problems.gathered([getattr(problem.window, name) for _, problem in problems.parts])
+        for name in ("elsewhere", "reach", "n_clipped", "n_counted")
+    )
+    freedom = np.maximum(counted - clipped - len(problems.free), 1)
+    strange = (elsewhere / _OUTLIER) ** 2
     return PulseFit(
         peak=peak * unit,
         duration=width * duration,
@@ -568,195 +270,29 @@ def _report(problem: Problem, best: Optimum, sigma: Floats, noise: Floats, unit:
         restitution_deviation=restitution[0],
         expected_restitution=restitution[1],
         expected_deviation=restitution[2],
-        misfit=np.maximum(best.cost / freedom / believed, stray),
-        stray=(window.elsewhere / _OUTLIER) ** 2 / (noise**2 + (STRAY * peak) ** 2),
+        misfit=np.maximum(best.cost / freedom / believed, strange / (noise**2 + (MODEL_ERROR * peak) ** 2)),
+        stray=strange / (noise**2 + (STRAY * peak) ** 2),
         clipped=clipped,
         evidence=peak**2 * np.maximum(best.information[:, 0, 0], 0.0) / variance,
         converged=best.converged,
-        reach=window.reach,
+        reach=reach,
     )
 
 
-# -- where the likelihood is no parabola --------------------------------------------------------------
-
-
-def _gaussian_restitution(shape: Floats, variance: Floats) -> Floats:
-    """Return deviation, expected value and its deviation of the restitution for a Gaussian likelihood, (3, n)."""
-    restitution = np.exp(shape)
-    deviation = restitution * np.sqrt(variance)
-    mean, wide = WIDE_RESTITUTION
-    certainty = np.maximum(deviation, 1e-12) ** -2.0
-    total = certainty + wide**-2
-    return np.stack([deviation, (certainty * restitution + mean * wide**-2) / total, total**-0.5])
-
-
-@cache
-def _interpolation() -> tuple[Floats, Floats]:
-    """Return a fine grid of shapes, and the matrix from values at `PROFILED` to a cubic spline there."""
-    fine = np.linspace(PROFILED[0], PROFILED[-1], 8 * (PROFILED.size - 1) + 1)
-    n, step = PROFILED.size, PROFILED[1] - PROFILED[0]
-    # Second derivatives of a natural spline from its values.
-    bend = np.zeros((n, n))
-    inner = np.arange(1, n - 1)
-    system = np.eye(n - 2) * 4 + np.eye(n - 2, k=1) + np.eye(n - 2, k=-1)
-    differences = np.zeros((n - 2, n))
-    differences[inner - 1, inner - 1], differences[inner - 1, inner], differences[inner - 1, inner + 1] = 1, -2, 1
-    bend[1:-1] = np.linalg.solve(system, 6 * differences / step**2)
-    cell = np.minimum(((fine - PROFILED[0]) / step).astype(np.intp), n - 2)
-    far = (fine - PROFILED[cell]) / step
-    near, eye = 1 - far, np.eye(n)
-    matrix = near[:, None] * eye[cell] + far[:, None] * eye[cell + 1]
-    matrix += (step**2 / 6) * ((near**3 - near)[:, None] * bend[cell] + (far**3 - far)[:, None] * bend[cell + 1])
-    return fine, matrix
-
-
-def _model_variance(peak: Floats, averaged: Floats) -> Floats:
-    """Return the variance that the model of the pulse is worth: a better recorder cannot know more."""
-    return (MODEL_ERROR * peak) ** 2 / averaged
-
-
-def _parabolic(problem: Problem, best: Optimum, variance: Floats) -> Floats:
-    """Return the covariance of a parabolic likelihood for noise of this variance, (n,)."""
-    known = problem.onset is not None
-    covariance = covariance_of(best.information, best.parameters, known, problem.fit_baseline)
-    return covariance * variance[:, None, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Profiled:
-    """The best parameters (n, n_shapes, 5) at each of `PROFILED`, and their squared residuals (n, n_shapes).
-
-    The costs of the search, `found`, times `scale` (n,) are squared residuals, too. Where the bins tell as much as the
-    samples, they are these (`binned`).
-    """
-
-    parameters: Floats
-    cost: Floats
-    found: Found
-    scale: Floats
-    binned: bool
-
-    def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return parameters (n, 5) of another likely shape than the best, and which rows have one."""
-        # Whichever valley the first search did not end in.
-        away = [np.abs(self.found.shape_of(k) - best.parameters[:, 3]) for k in (0, 1)]
-        guess = np.where((away[1] < away[0])[:, None], self.found.start(), self.found.start(second=True))
-        guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.found.peak[:, 0])[:, None]
-        likely = self.found.has_second(BIN * self.found.unit * variance / self.scale)
-        if self.binned:
-            return guess, likely
-        far = np.where(np.abs(PROFILED - best.parameters[:, 3:4]) > _ANOTHER, self.cost, np.inf)
-        rows, node = np.arange(len(far)), np.argmin(far, axis=1)
-        lower = far[rows, node] < best.cost + np.where(likely, -1, 16) * variance
-        return np.where(lower[:, None], self.parameters[rows, node], guess), likely | lower
-
-    def moments(self, tops: list[Optimum], variance: Floats, problem: Problem) -> tuple[Floats, Floats]:
-        """Return covariances about the best parameters, and restitutions as `_gaussian_restitution`.
-
-        `tops` holds the best parameters, perhaps also those of a second top of the likelihood; `variance` is that of
-        the noise. A top narrower than the grid counts by its own parabola, as three points of Gauss and Hermite.
-        """
-        fine, spline = _interpolation()
-        best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
-        squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]
-        away = [np.matmul(spline, _away(self.parameters, PROFILED, best))]
-        for top in tops:
-            shape = top.parameters[:, 3:4]
-            covariance = _parabolic(problem, top, variance)
-            deviation = np.sqrt(covariance[:, 3, 3:4])
-            narrow = deviation < _PARABOLIC
-            squares[0] = np.where(narrow & (np.abs(fine - shape) < 3 * deviation), np.inf, squares[0])
-            width = np.maximum(deviation, 1e-9) * np.sqrt(2 * np.pi) / (fine[1] - fine[0])
-            squares.append(
-                np.where(narrow, top.cost[:, None] / variance[:, None] - 2 * np.log(width * _HERMITE[1]), np.inf)
-            )
-            steps = deviation * _HERMITE[0]
-            shapes.append(shape + steps)
-            slopes = covariance[:, None, :, 3] / covariance[:, None, 3:4, 3]
-            away.append(_away(top.parameters[:, None], shape, best) + steps[:, :, None] * slopes)
-        s, square, moved = (np.concatenate(parts, axis=1) for parts in (shapes, squares, away))
-        weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
-        weight /= weight.sum(axis=1, keepdims=True)
-        if problem.onset is not None:
-            moved[:, :, 2] = 0.0
-        spread = np.matmul(np.swapaxes(moved, 1, 2), weight[:, :, None] * moved)
-        covariance = _parabolic(problem, tops[0], variance)
-        column = covariance[:, :, 3]
-        given_shape = covariance - column[:, :, None] * column[:, None] / covariance[:, 3, 3][:, None, None]
-        e, mean, wide = np.exp(s), *WIDE_RESTITUTION
-        deviation = np.sqrt(np.sum(weight * (e - np.exp(best[:, 3:4])) ** 2, axis=1))
-        # The prior is a density of e, the grid one of ln e.
-        weight = weight * (e * np.exp(-0.5 * ((e - mean) / wide) ** 2))
-        weight /= weight.sum(axis=1, keepdims=True)
-        expected = np.sum(weight * e, axis=1)
-        rest = np.sqrt(np.sum(weight * (e - expected[:, None]) ** 2, axis=1))
-        return given_shape + spread, np.stack([deviation, expected, rest])
-
-
-def _away(parameters: Floats, shape: Floats, best: Floats) -> Floats:
-    """Return how far parameters (n, k, 5) at some shapes are from the best (n, 5), as they are reported."""
-    away = _reported(parameters, shape) - _reported(best[:, None], best[:, 3:4])
-    return np.where(np.isfinite(away), away, 0.0)
-
-
-def _reported(parameters: Floats, shape: Floats) -> Floats:
-    """Return (ln peak, ln duration, onset, shape, baseline) of parameters (n, k, 5) at shapes of (n, k) or (k,)."""
-    duration, lead, _, _ = (a.reshape(shape.shape) for a in relative_times(shape.ravel()))
-    shape = np.broadcast_to(shape, parameters.shape[:2])
-    log_peak = np.log(np.maximum(parameters[:, :, 0], 1e-300))
-    onset = parameters[:, :, 2] - lead * np.exp(parameters[:, :, 1])
-    return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape, parameters[:, :, 4]], axis=2)
-
-
-def _binned(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
-    """Return what is best at each shape by the search, whose bins hold several samples each."""
-    scale = found.unit * BIN / problem.window.averaged[rows] / unit**2
-    return Profiled(_at_shapes(found, unit), found.cost[:, _EVERY] * scale[:, None], found, scale, True)
-
-
-def _at_shapes(found: Found, unit: Floats) -> Floats:
-    """Return the parameters found by the search at each of `PROFILED`, (n, n_shapes, 5)."""
-    peak, width, place, baseline = (a[:, _EVERY] for a in (found.peak, found.width, found.place, found.baseline))
-    shape = np.broadcast_to(PROFILED, peak.shape)
-    return np.stack([peak / unit[:, None], np.log(width), place, shape, baseline / unit[:, None]], axis=2)
-
-
-def _exact(problem: Problem, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
-    """Return what is best at each shape, by one step of Gauss and Newton from the results of the search."""
-    n, n_shapes = len(rows), PROFILED.size
-    scale = found.unit * BIN / problem.window.averaged[rows] / unit**2
-    each = np.repeat(rows, n_shapes)
-    flat = problem.tied(_at_shapes(found, unit).reshape(-1, 5), each)
-    kept = [k for k, column in enumerate(problem.free) if column != 3]
-    columns = [problem.free[k] for k in kept]
-    residual, slopes = problem.residual(flat, each)
-    cost, information, gradient = normal_equations(residual, slopes[:, kept])
-    step = solve_scaled(information, gradient, 1e-9)
-    cost = cost - np.sum(step * gradient, axis=1)
-    flat[:, columns] += _bounded(step, columns, np.exp(flat[:, 1]))
-    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), found, scale, False)
-
-
 def _improve(
-    problem: Problem, best: Optimum, profile: Profiled, variance: Floats, rows: NDArray[np.intp]
+    problems: Problems, best: Optimum, profile: Profiled, variance: Floats, rows: NDArray[np.intp]
 ) -> list[Optimum]:
     """Search again from the second likely shape of some rows; keep the better in place, return both, of these rows."""
     tops = [best.rows(rows)]
     guess, likely = profile.second(tops[0], variance[rows])
-    if likely.any():
-        again = _search(problem, guess[likely], np.sqrt(variance[rows[likely]]), _ITERATIONS, 1e-6, rows[likely])
-        better = again.cost < tops[0].cost[likely]
+    again = np.flatnonzero(likely)
+    if again.size:
+        found = search_nearby(problems, guess[again], np.sqrt(variance[rows[again]]), rows[again])
         tops.append(tops[0].rows(slice(None)))
-        for one in fields(Optimum):
-            first, second, new = (getattr(held, one.name) for held in (*tops, again))
-            swapped = np.flatnonzero(likely)[better]
-            second = second.copy()
-            second[likely] = new
-            second[swapped] = first[swapped]
-            first = first.copy()
-            first[swapped] = new[better]
-            getattr(best, one.name)[rows] = first
-            tops = [replace(top, **{one.name: value}) for top, value in zip(tops, (first, second), strict=True)]
+        better = found.cost < tops[0].cost[again]
+        tops[1].put(again[~better], found.rows(~better))
+        tops[0].put(again[better], found.rows(better))
+        best.put(rows[again[better]], found.rows(better))
     if profile.binned:
         tops = [replace(top, cost=profile.found.depth_near(top.parameters[:, 3]) * profile.scale) for top in tops]
     return tops

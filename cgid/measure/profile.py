@@ -1,0 +1,178 @@
+"""The likelihood of a pulse's shape where it is no parabola: deviations and expectations by a sum over shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.measure.optimum import Optimum, Problems, bounded
+from cgid.measure.search import BIN, NODES, Found
+from cgid.measure.template import covariance_of, relative_times, solve_scaled
+from cgid.validation import Floats
+
+#: Shapes at which the likelihood is profiled (every other one of the search).
+_EVERY = slice(0, 20, 2)
+PROFILED = NODES[_EVERY]
+#: Distance of a shape that a second search begins from.
+_ANOTHER = 0.3
+#: A standard deviation of s up to which the likelihood is a parabola, if it has no second maximum.
+PARABOLIC = 0.1
+#: Points and weights of the quadrature of a Gaussian by three points.
+_HERMITE = np.array([[-np.sqrt(3), 0.0, np.sqrt(3)], [1 / 6, 2 / 3, 1 / 6]])
+#: Mean and standard deviation of the restitution of any material that falls on steel.
+WIDE_RESTITUTION = (0.5, 0.25)
+
+
+def gaussian_restitution(shape: Floats, variance: Floats) -> Floats:
+    """Return deviation, expected value and its deviation of the restitution for a Gaussian likelihood, (3, n)."""
+    restitution = np.exp(shape)
+    deviation = restitution * np.sqrt(variance)
+    mean, wide = WIDE_RESTITUTION
+    certainty = np.maximum(deviation, 1e-12) ** -2.0
+    total = certainty + wide**-2
+    return np.stack([deviation, (certainty * restitution + mean * wide**-2) / total, total**-0.5])
+
+
+@cache
+def _interpolation() -> tuple[Floats, Floats]:
+    """Return a fine grid of shapes, and the matrix from values at `PROFILED` to a cubic spline there."""
+    fine = np.linspace(PROFILED[0], PROFILED[-1], 8 * (PROFILED.size - 1) + 1)
+    n, step = PROFILED.size, PROFILED[1] - PROFILED[0]
+    # Second derivatives of a natural spline from its values.
+    bend = np.zeros((n, n))
+    inner = np.arange(1, n - 1)
+    system = np.eye(n - 2) * 4 + np.eye(n - 2, k=1) + np.eye(n - 2, k=-1)
+    differences = np.zeros((n - 2, n))
+    differences[inner - 1, inner - 1], differences[inner - 1, inner], differences[inner - 1, inner + 1] = 1, -2, 1
+    bend[1:-1] = np.linalg.solve(system, 6 * differences / step**2)
+    cell = np.minimum(((fine - PROFILED[0]) / step).astype(np.intp), n - 2)
+    far = (fine - PROFILED[cell]) / step
+    near, eye = 1 - far, np.eye(n)
+    matrix = near[:, None] * eye[cell] + far[:, None] * eye[cell + 1]
+    matrix += (step**2 / 6) * ((near**3 - near)[:, None] * bend[cell] + (far**3 - far)[:, None] * bend[cell + 1])
+    return fine, matrix
+
+
+def parabolic(problems: Problems, best: Optimum, variance: Floats) -> Floats:
+    """Return the covariance of a parabolic likelihood for noise of this variance, (n,)."""
+    known = problems.onset is not None
+    covariance = covariance_of(best.information, best.parameters, known, problems.fit_baseline)
+    return covariance * variance[:, None, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Profiled:
+    """The best parameters (n, n_shapes, 5) at each of `PROFILED`, and their squared residuals (n, n_shapes).
+
+    The costs of the search, `found`, times `scale` (n,) are squared residuals, too. Where the bins tell as much as the
+    samples, they are these (`binned`).
+    """
+
+    parameters: Floats
+    cost: Floats
+    found: Found
+    scale: Floats
+    binned: bool
+
+    def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return parameters (n, 5) of another likely shape than the best, and which rows have one."""
+        # Whichever valley the first search did not end in.
+        away = [np.abs(self.found.shape_of(k) - best.parameters[:, 3]) for k in (0, 1)]
+        guess = np.where((away[1] < away[0])[:, None], self.found.start(), self.found.start(second=True))
+        guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.found.peak[:, 0])[:, None]
+        likely = self.found.has_second(BIN * self.found.unit * variance / self.scale)
+        if self.binned:
+            return guess, likely
+        far = np.where(np.abs(PROFILED - best.parameters[:, 3:4]) > _ANOTHER, self.cost, np.inf)
+        rows, node = np.arange(len(far)), np.argmin(far, axis=1)
+        lower = far[rows, node] < best.cost + np.where(likely, -1, 16) * variance
+        return np.where(lower[:, None], self.parameters[rows, node], guess), likely | lower
+
+    def moments(self, tops: list[Optimum], variance: Floats, problems: Problems) -> tuple[Floats, Floats]:
+        """Return covariances about the best parameters, and restitutions as `gaussian_restitution`.
+
+        `tops` holds the best parameters, perhaps also those of a second top of the likelihood; `variance` is that of
+        the noise. A top narrower than the grid counts by its own parabola, as three points of Gauss and Hermite.
+        """
+        fine, spline = _interpolation()
+        best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
+        squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]
+        away = [np.matmul(spline, _away(self.parameters, PROFILED, best))]
+        for top in tops:
+            shape = top.parameters[:, 3:4]
+            covariance = parabolic(problems, top, variance)
+            deviation = np.sqrt(covariance[:, 3, 3:4])
+            narrow = deviation < PARABOLIC
+            squares[0] = np.where(narrow & (np.abs(fine - shape) < 3 * deviation), np.inf, squares[0])
+            width = np.maximum(deviation, 1e-9) * np.sqrt(2 * np.pi) / (fine[1] - fine[0])
+            squares.append(
+                np.where(narrow, top.cost[:, None] / variance[:, None] - 2 * np.log(width * _HERMITE[1]), np.inf)
+            )
+            steps = deviation * _HERMITE[0]
+            shapes.append(shape + steps)
+            slopes = covariance[:, None, :, 3] / covariance[:, None, 3:4, 3]
+            away.append(_away(top.parameters[:, None], shape, best) + steps[:, :, None] * slopes)
+        s, square, moved = (np.concatenate(parts, axis=1) for parts in (shapes, squares, away))
+        weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
+        weight /= weight.sum(axis=1, keepdims=True)
+        if problems.onset is not None:
+            moved[:, :, 2] = 0.0
+        spread = np.matmul(np.swapaxes(moved, 1, 2), weight[:, :, None] * moved)
+        covariance = parabolic(problems, tops[0], variance)
+        column = covariance[:, :, 3]
+        given_shape = covariance - column[:, :, None] * column[:, None] / covariance[:, 3, 3][:, None, None]
+        e, mean, wide = np.exp(s), *WIDE_RESTITUTION
+        deviation = np.sqrt(np.sum(weight * (e - np.exp(best[:, 3:4])) ** 2, axis=1))
+        # The prior is a density of e, the grid one of ln e.
+        weight = weight * (e * np.exp(-0.5 * ((e - mean) / wide) ** 2))
+        weight /= weight.sum(axis=1, keepdims=True)
+        expected = np.sum(weight * e, axis=1)
+        rest = np.sqrt(np.sum(weight * (e - expected[:, None]) ** 2, axis=1))
+        return given_shape + spread, np.stack([deviation, expected, rest])
+
+
+def _away(parameters: Floats, shape: Floats, best: Floats) -> Floats:
+    """Return how far parameters (n, k, 5) at some shapes are from the best (n, 5), as they are reported."""
+    away = _reported(parameters, shape) - _reported(best[:, None], best[:, 3:4])
+    return np.where(np.isfinite(away), away, 0.0)
+
+
+def _reported(parameters: Floats, shape: Floats) -> Floats:
+    """Return (ln peak, ln duration, onset, shape, baseline) of parameters (n, k, 5) at shapes of (n, k) or (k,)."""
+    duration, lead, _, _ = (a.reshape(shape.shape) for a in relative_times(shape.ravel()))
+    shape = np.broadcast_to(shape, parameters.shape[:2])
+    log_peak = np.log(np.maximum(parameters[:, :, 0], 1e-300))
+    onset = parameters[:, :, 2] - lead * np.exp(parameters[:, :, 1])
+    return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape, parameters[:, :, 4]], axis=2)
+
+
+def binned(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
+    """Return what is best at each shape by the search, whose bins hold several samples each."""
+    scale = found.unit * BIN / problems.averaged[rows] / unit**2
+    return Profiled(_at_shapes(found, unit), found.cost[:, _EVERY] * scale[:, None], found, scale, True)
+
+
+def _at_shapes(found: Found, unit: Floats) -> Floats:
+    """Return the parameters found by the search at each of `PROFILED`, (n, n_shapes, 5)."""
+    peak, width, place, baseline = (a[:, _EVERY] for a in (found.peak, found.width, found.place, found.baseline))
+    shape = np.broadcast_to(PROFILED, peak.shape)
+    return np.stack([peak / unit[:, None], np.log(width), place, shape, baseline / unit[:, None]], axis=2)
+
+
+def exact(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
+    """Return what is best at each shape, by one step of Gauss and Newton from the results of the search."""
+    n, n_shapes = len(rows), PROFILED.size
+    scale = found.unit * BIN / problems.averaged[rows] / unit**2
+    each = np.repeat(rows, n_shapes)
+    flat = problems.tied(_at_shapes(found, unit).reshape(-1, 5), each)
+    kept = [k for k, column in enumerate(problems.free) if column != 3]
+    columns = [problems.free[k] for k in kept]
+    products = problems.equations(flat, each)
+    information, gradient, cost = products[:, kept][:, :, kept], products[:, kept, -1], products[:, -1, -1]
+    step = solve_scaled(information, gradient, 1e-9)
+    cost = cost - np.sum(step * gradient, axis=1)
+    flat[:, columns] += bounded(step, columns, np.exp(flat[:, 1]))
+    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), found, scale, False)
