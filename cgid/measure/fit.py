@@ -16,7 +16,7 @@ from cgid.measure.colour import ORDER, colour_of
 from cgid.measure.excerpts import Rows, rows_of, strongest_run, windows
 from cgid.measure.optimum import Optimum, Problem, Problems, normal_equations, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
-from cgid.measure.search import Found, around, search
+from cgid.measure.search import Found, around, refined, search
 from cgid.measure.template import relative_times
 from cgid.validation import Floats
 
@@ -195,23 +195,27 @@ def _fit_block(
     unit = start.peak
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        parts_found = around(samples, start.place, start.width, offset, clip_level, _REACH)
-        found = Found.joined(
-            [(rows, search(own, start.place[rows], start.width[rows], fit_baseline)) for rows, own in parts_found]
-        )
-        guess = found.start()
-        guess[:, [0, 4]] /= unit[:, None]
+        guess, parts_found = np.empty((len(samples), 5)), []
+        for rows, own_samples in around(samples, start.place, start.width, offset, clip_level, _REACH):
+            own_found = search(own_samples, start.place[rows], start.width[rows], fit_baseline)
+            parts_found.append((rows, own_found))
+            guess[rows] = refined(own_samples, own_found.start())
+        found = Found.joined(parts_found)
+        rough = found.start()
         parts, sigma = [], noise_over_peak.copy()
         for rows, coloured in _by_colour(samples, n_quiet, MODEL_ERROR * unit):
+            if coloured:  # the refined one is for white noise
+                guess[rows] = rough[rows]
             levels = (offset[rows], clip_level[rows], unit[rows])
             own_samples = samples if rows.size == len(samples) else samples[rows]
-            for window in windows(own_samples, guess[rows], *levels, response is None, ORDER * coloured):
+            for window in windows(own_samples, rough[rows], *levels, response is None, ORDER * coloured):
                 own = rows[window.rows]
                 problem = Problem(window, fit_baseline, rows_of(onset, own), response)
                 if coloured and n_quiet is not None:
                     problem.colour = colour_of(samples[own], n_quiet[own], MODEL_ERROR * unit[own], window.run)
                     sigma[own] = problem.colour.innovation / unit[own] * np.sqrt(window.run)
                 parts.append((own, problem))
+        guess[:, [0, 4]] /= unit[:, None]
         problems = Problems(parts, onset)
         best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(len(samples)))
         return _report(problems, best, sigma, noise_over_peak, unit, found)
