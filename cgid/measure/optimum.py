@@ -29,8 +29,8 @@ from cgid.validation import Floats
 _LARGEST_STEPS = (0.4, 0.5, 0.7)
 _ITERATIONS = 8
 #: A step is the last, and not evaluated, when it promises to reduce the squared residual by less than this share of the
-#: noise variance: what it leaves is of higher order.
-_TOLERANCE = 0.03
+#: noise variance, undamped (what it leaves is of higher order) and damped.
+_LAST, _LAST_DAMPED = 0.03, 0.008
 #: First damping, and the least after a failed step: less would not change the step.
 _FIRST_DAMPING, _FELT = 1e-6, 0.6
 #: Share of the promised gain from which a step was good.
@@ -166,7 +166,7 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
     for _ in range(_ITERATIONS):
         step, promise = _step(products[active], parameters[active, 3], damping[active], column)
         tried = _moved(problems, parameters[active], step, rows[active])
-        done = promise < _TOLERANCE * variance[active]
+        done = promise < np.where(damping[active] < _FELT, _LAST, _LAST_DAMPED) * variance[active]
         if done.any():
             last = active[done]
             converged[last], parameters[last] = True, tried[done]

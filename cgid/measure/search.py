@@ -40,6 +40,8 @@ N_SHAPES = 4
 SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 #: Power of 2 of the fewest samples around a pulse.
 _SHORTEST = 5
+#: Cells of the shapes of `refined`, and its largest step in any parameter.
+_FINE, _LARGEST_REFINEMENT = 200, 0.3
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
 #: A shape is quite another beyond this distance, and surely not the true one if its cost is this many noise variances
@@ -125,20 +127,31 @@ class Samples:
 
     def bins(self, place: Floats, width: Floats, rows: NDArray[np.intp]) -> Bins:
         """Return the bins around origins `place` [samples of the frame] of unit `width` [samples]."""
-        at = (place - self.first[rows])[:, None] + width[:, None] * EDGES
-        beyond = (at < 0) | (at > self.n_samples - 1)
-        at = np.clip(at, 0.0, self.n_samples - 1)
-        column = np.minimum(at.astype(np.intp), self.n_samples - 2)
+        last = self.n_samples - 1
+        at = width[:, None] * EDGES
+        at += (place - self.first[rows])[:, None]
+        inside = None
+        if not (at[:, 0].min() >= 0 and at[:, -1].max() < last):
+            beyond = ~((at >= 0) & (at <= last))
+            inside = ~(beyond[:, :-1] | beyond[:, 1:])
+            at = np.clip(np.nan_to_num(at), 0.0, last)
+        column = np.minimum(at.astype(np.intp), last - 1)
         share = at - column
         # The integral of the line through the samples, from their running sums.
-        flat, index = self.total.ravel(), column + (rows * (self.n_samples + 1))[:, None]
-        before, middle, behind = flat[index], flat[index + 1], flat[index + 2]
-        one, next_one = middle - before, behind - middle
-        sums = before + 0.5 * one + share * (one + 0.5 * share * (next_one - one))
-        values = np.diff(sums, axis=1) / (width * BIN)[:, None] - self.offset[rows, None]
-        inside = None
-        if beyond.any():
-            inside = ~(beyond[:, :-1] | beyond[:, 1:])
+        column += (rows * (self.n_samples + 1))[:, None]
+        flat = self.total.ravel()
+        sums, middle, behind = flat.take(column), flat.take(column + 1), flat.take(column + 2)
+        behind -= middle
+        middle -= sums  # the two samples on either side
+        behind -= middle
+        sums += 0.5 * middle
+        behind *= 0.5 * share
+        behind += middle
+        behind *= share
+        sums += behind
+        values = np.diff(sums, axis=1)
+        values /= (width * BIN)[:, None]
+        values -= self.offset[rows, None]
         if self.clips:
             # A bin near the limit contains clipped samples.
             free = values < 0.97 * self.clip_level[rows, None]
@@ -294,6 +307,42 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
     )
 
 
+@cache
+def _fine_bank() -> tuple[Floats, ...]:
+    """Return shapes, pulses, tangents as `tangents`, pseudo-inverses of these, and second derivatives of the pulses."""
+    shapes = np.linspace(NODES[0], NODES[-1], _FINE + 1)
+    values, moved, changes = tangents_at(shapes)
+    bends = -np.gradient(moved, BIN, axis=1)
+    # The bins of the bank are means over four points.
+    return shapes, values + (BIN / 4) ** 2 / 24 * bends, changes, np.linalg.pinv(changes), bends
+
+
+def refined(samples: Samples, start: Floats) -> Floats:
+    """Return parameters (n, 5) as `Found.start` after a step to the least-squares pulse in the bins, shape included.
+
+    Rows with samples that do not count are left alone.
+    """
+    shapes, pulses, _, inverses, bends = _fine_bank()
+    peak, log_width, place, shape, baseline = start.T
+    own_place, own_width = bank().conditions(shape)
+    unit = np.exp(log_width) / own_width
+    bins = samples.bins(place - own_place * unit, unit, np.arange(len(peak)))
+    node = np.rint(np.nan_to_num((shape - shapes[0]) / (shapes[1] - shapes[0]))).astype(np.intp)
+    left = (bins.values - baseline[:, None]) / peak[:, None] - pulses[node]
+    # The line through the samples is above a curve that is bent upwards.
+    left -= bends[node] * (1 / (12 * unit**2))[:, None]
+    step = np.matmul(inverses[node], left[:, :, None])[:, :, 0]
+    moved = shapes[node] + step[:, 3]
+    good = (np.abs(step[:, :3]).max(axis=1) < _LARGEST_REFINEMENT) & (np.abs(moved - shape) < _LARGEST_REFINEMENT)
+    good &= (moved > NODES[0]) & (moved < NODES[-1])
+    if bins.inside is not None:
+        good &= bins.inside.all(axis=1)
+    new_place, new_width = bank().conditions(moved)
+    origin, new_unit = place + unit * (step[:, 1] - own_place), unit * np.exp(step[:, 2])
+    found = (peak * (1 + step[:, 0]), np.log(new_unit * new_width), origin + new_place * new_unit, moved, baseline)
+    return np.where(good[:, None], np.stack(found, axis=1), start)
+
+
 def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
     """Return the least-squares solutions for all shapes, (n, n_nodes, n_free), and their squared residuals."""
     n, (n_nodes, n_bins, n_free) = len(bins.values), held.basis.shape
@@ -343,6 +392,20 @@ def _between_nodes(shape: Floats) -> Floats:
     )
     pulses = bank().basis[:, :, 0]
     return np.asarray(sum(share[:, None] * pulses[middle + k] for share, k in zip(shares, (-1, 0, 1), strict=True)))
+
+
+def tangents_at(shapes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return pulses, their slopes in place (n, n_bins), and how changes of peak, place, width and shape change them.
+
+    The last is (n, n_bins, 4), place and width those of the common coordinates.
+    """
+    held, step = bank(), 1e-3
+    value, in_place, in_width = _averaged(*(place_width := held.conditions(shapes)), shapes)
+    near = [np.clip(shapes + k, NODES[0], NODES[-1]) for k in (-step, step)]
+    before, after = (_averaged(*held.conditions(one), one)[0] for one in near)
+    in_shape = (after - before) / (near[1] - near[0])[:, None]
+    columns = (value, in_place, in_width + place_width[0][:, None] * in_place, in_shape)
+    return value, in_place, np.stack(columns, axis=2)
 
 
 @cache
