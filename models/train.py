@@ -5,10 +5,10 @@
     python models/train.py --acceleration         # for the vibration of a tail beam: default-acceleration.npz
     python models/train.py -o mine.npz -n 20000   # elsewhere, smaller
 
-It trains on impacts of the shipped scenes `rock` (five laws of loss, spheres and lumps) and `reference`, both on the rig
-of `reference` and on many others (`RIGS`: rates, noises and their colours, hum, bits, filters, clipping), which are
-synthesised on the fly and never touch the disk. Impacts of `anything` on the same rigs are strangers: from them it learns
-where its rocks end. It is judged, and its prediction sets are calibrated, on impacts of `reference` that did not train.
+It trains on impacts of the shipped scenes `rock` (five laws of loss, spheres and lumps) and `reference`, both on the
+rig of `reference` and on many others (`RIGS`: rates, noises and their colours, hum, bits, filters, clipping), which are
+synthesised on the fly and never touch the disk. Impacts of `anything` on the same rigs are strangers: from them it
+learns where its rocks end. It is judged, and its prediction sets are calibrated, on impacts of `reference` that did not train.
 The card also compares the families (`models/selection.py`), and says how the model performs on other scenes
 (`models/domain_shift.py`).
 
@@ -36,7 +36,7 @@ from cgid.scene import Scene, load_scene, parse_scene, synthesise
 
 HERE = Path(__file__).parent
 ACCELERATION_SCENES = ("tail_beam",)
-#: From the recorder of a vibration monitor to that of a laboratory; from a good sensor to one that hardly sees the blow.
+#: From the recorder of a vibration monitor to that of a laboratory, from a good sensor to one that hardly sees a blow.
 #: All shares are assumed: half of the noise is white, half without hum, one in five pulses is clipped.
 RIGS = {
     "sampling_rate": {"distribution": "log-uniform", "lowest": "25 kHz", "highest": "1 MHz"},
@@ -60,8 +60,8 @@ RIGS = {
 }
 #: Samples of a frame on all rigs, of which before touch: 4.1 ms at 1 MHz, where the longest contact lasts 2.1 ms.
 RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
-#: How often a lump is drawn for each sphere of the same law.
-LUMPS = 0.3
+#: How often a lump is drawn for each sphere of the same law, and crushing by strength for each by equal restitution.
+LUMPS, STRENGTHS = 0.3, 0.7
 
 
 def on_rigs(scene: Scene) -> Scene:
@@ -73,10 +73,12 @@ def on_rigs(scene: Scene) -> Scene:
 
 
 def shipped_scene(name: str) -> Scene:
-    """Return a shipped scene, with `LUMPS` as the weight of its lumps."""
+    """Return a shipped scene, with `LUMPS` and `STRENGTHS` as the weights of its lumps and strengths."""
     content = json.loads(load_scene(shipped.scene_path(name)).text)
     for population in content["populations"]:
-        population["weight"] = LUMPS if "curvature" in population else population["weight"]
+        population["weight"] *= (LUMPS if "curvature" in population else 1) * (
+            STRENGTHS if "strength" in population else 1
+        )
     return parse_scene(content)
 
 

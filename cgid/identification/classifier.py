@@ -128,11 +128,11 @@ def _linear(_: ImpactClassifier) -> Any:
 def _network(settings: ImpactClassifier) -> Any:
     # In the same time, L-BFGS on all impacts is better and more stable than Adam on batches.
     return _Perceptron(
-        (32, 32),
+        (settings.n_units, settings.n_units),
         activation="tanh",
         solver="lbfgs",
         alpha=1.0,
-        max_iter=200,
+        max_iter=settings.n_iterations,
         random_state=settings.random_state,
     )
 
@@ -163,6 +163,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Columns that never get a logarithm; the others do if all their training values are above 0.
     n_trees : int
         Boosting rounds.
+    n_units, n_iterations : int
+        Units of each layer of a network, and iterations of its training.
     calibration_folds : int
         Folds of the temperature scaling of probabilities (Guo et al. 2017); 0 for no calibration.
     class_weight : dict or "balanced", optional
@@ -197,6 +199,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         *,
         linear: tuple[int, ...] = (),
         n_trees: int = 200,
+        n_units: int = 32,
+        n_iterations: int = 200,
         calibration_folds: int = 3,
         class_weight: Mapping[Any, float] | str | None = None,
         rejects: bool = True,
@@ -205,6 +209,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.family = family
         self.linear = linear
         self.n_trees = n_trees
+        self.n_units = n_units
+        self.n_iterations = n_iterations
         self.calibration_folds = calibration_folds
         self.class_weight = class_weight
         self.rejects = rejects

@@ -57,6 +57,8 @@ from cgid.workers import ALONE, Workers
 TEST_SHARE = 0.25
 #: Share of the specimens that only calibrate the prediction sets.
 CALIBRATION_SHARE = 0.1
+#: Impacts from which a network is larger and trains longer.
+MANY = 100_000
 #: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted.
 LEAST_LIMITS = {"overload": 0.05}
 #: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
@@ -351,8 +353,14 @@ def _held_out(
     training, calibration, test = parts["train"], parts["calibration"], parts["test"]
     inputs = np.ascontiguousarray(rows.inputs(names))
     with threadpool_limits(1):
+        size = (48, 400) if training.sum() >= MANY else (32, 200)
         classifier = ImpactClassifier(
-            family=family, linear=linear_columns(names), class_weight=class_weights, random_state=seed
+            family=family,
+            linear=linear_columns(names),
+            n_units=size[0],
+            n_iterations=size[1],
+            class_weight=class_weights,
+            random_state=seed,
         )
         classifier.fit(inputs[training], labels[training], specimen[training], crew=crew)
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)

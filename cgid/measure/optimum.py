@@ -159,7 +159,7 @@ class Optimum:
 
 def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArray[np.intp]) -> Optimum:
     """Return the optimum nearest to a guess, (n, 5), for some rows (n,); `sigma` (n,) is the noise of a point."""
-    parameters = problems.tied(guess, rows)
+    parameters = problems.tied(np.where(np.isfinite(guess), guess, 0.0), rows)
     n, variance, column = len(parameters), sigma**2, problems.free.index(3)
     products = problems.equations(parameters, rows)
     damping, active, converged = np.full(n, _FIRST_DAMPING), np.arange(n), np.zeros(n, bool)
@@ -220,6 +220,8 @@ def _moved(problems: Problems, parameters: Floats, step: Floats, rows: NDArray[n
     moved = parameters.copy()
     moved[:, problems.free] += bounded(step, problems.free, np.exp(parameters[:, 1]))
     moved[:, 3] = np.minimum(np.maximum(moved[:, 3], LOWEST_SHAPE), HIGHEST_SHAPE)
+    # Where nothing was seen a step may be nan: no step, then.
+    moved = np.where(np.isfinite(moved), moved, parameters)
     return problems.tied(moved, rows)
 
 

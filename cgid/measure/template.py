@@ -137,7 +137,8 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
 def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
     """Return the nearest node of s (of -s above 0) and the distance from it."""
     place = (-np.abs(shape) - LOWEST_SHAPE) * (_SHAPES / -LOWEST_SHAPE)
-    node = np.minimum(np.maximum(np.rint(place), 0), _SHAPES).astype(np.intp)
+    # Of nan, which a fit of no pulse may try, fmax and fmin make a node.
+    node = np.fmin(np.fmax(np.rint(place), 0), _SHAPES).astype(np.intp)
     return node, (place - node) * (-LOWEST_SHAPE / _SHAPES)
 
 
