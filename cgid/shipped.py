@@ -31,6 +31,7 @@ SCENES = (
     "plate",
     "caving",
     "rock",
+    "anything",
 )
 
 
