@@ -88,11 +88,11 @@ def force_scenes(n: int) -> list[tuple[Scene, int]]:
     return [(reference, 3 * n // 10), (rock, 6 * n // 10), (on_rigs(reference), 4 * n // 10), (on_rigs(rock), n)]
 
 
-def strangers(n: int, seed: int, known: tuple[str, ...]) -> Rows:
+def strangers(n: int, seed: int) -> Rows:
     """Return rows of anything, on the rig of `reference` and on many others."""
     anything = shipped_scene("anything")
     scenes = chain(synthesise(anything, n // 2, seed), synthesise(on_rigs(anything), n // 2, seed + 1))
-    return measure(scenes, (*DEFAULT_FEATURES, *DEFAULT_GUARDS), known=known)
+    return measure(scenes, (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
 
 
 def sections(model: Model) -> list[Section]:
@@ -136,7 +136,7 @@ def main() -> None:
         few = chain.from_iterable(synthesise(scene, round(share * n), seed) for scene, n, seed in seeded)
         told["selection"] = select(measure(few, known=known), n_folds=3, seed=arguments.seed)
     batches = chain.from_iterable(synthesise(scene, n, seed) for scene, n, seed in seeded)
-    others = None if arguments.acceleration else strangers(arguments.signals, arguments.seed + 100, known)
+    others = None if arguments.acceleration else strangers(arguments.signals, arguments.seed + 100)
     training = train(
         batches,
         known=known,
