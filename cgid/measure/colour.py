@@ -65,14 +65,17 @@ def colour_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run
     """
     n = len(samples)
     colour = Colour(np.zeros((n, ORDER)), np.zeros(n))
-    stop = np.minimum(n_quiet.astype(np.intp), samples.shape[1])
+    n_samples = samples.shape[1]
+    stop = np.minimum(n_quiet.astype(np.intp), n_samples)
     # Rows with the same number of samples go together, so that a row does not depend on its neighbours.
     for length in np.unique(np.minimum(stop // run, MOST)):
         if length < FEWEST:
             continue
         rows = np.flatnonzero(np.minimum(stop // run, MOST) == length)
-        columns = stop[rows, None] - length * run + np.arange(length * run)
-        seen = samples[rows[:, None], columns].astype(np.float64).reshape(rows.size, length, run).mean(axis=2)
+        first = rows * n_samples + stop[rows] - length * run
+        seen = samples.ravel().take(first[:, None] + np.arange(length * run)).astype(np.float64)
+        if run > 1:
+            seen = seen.reshape(rows.size, length, run).mean(axis=2)
         seen -= seen.mean(axis=1, keepdims=True)
         white = floor[rows] ** 2 / run + 1e-300
         power = np.mean(seen**2, axis=1) + white

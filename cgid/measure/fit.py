@@ -207,9 +207,8 @@ def _fit_block(
             if coloured:  # the refined one is for white noise
                 guess[rows] = rough[rows]
             levels = (offset[rows], clip_level[rows], unit[rows])
-            own_samples = samples if rows.size == len(samples) else samples[rows]
-            for window in windows(own_samples, rough[rows], *levels, response is None, ORDER * coloured):
-                own = rows[window.rows]
+            for window in windows(samples, rough[rows], *levels, response is None, ORDER * coloured, rows):
+                own = window.rows
                 problem = Problem(window, fit_baseline, rows_of(onset, own), response)
                 if coloured and n_quiet is not None:
                     problem.colour = colour_of(samples[own], n_quiet[own], MODEL_ERROR * unit[own], window.run)

@@ -121,7 +121,8 @@ class Samples:
     ) -> None:
         n, self.n_samples = samples.shape
         self.total = np.zeros((n, self.n_samples + 1))
-        np.cumsum(samples, axis=1, dtype=np.float64, out=self.total[:, 1:])
+        self.total[:, 1:] = samples
+        np.cumsum(self.total, axis=1, out=self.total)
         self.offset, self.clip_level, self.first = offset, clip_level, first
         self.clips = bool(np.isfinite(clip_level).any())
 
@@ -175,7 +176,7 @@ def around(
         if chosen == n_samples:
             part = samples if rows.size == len(samples) else samples[rows]
         else:
-            part = samples[rows[:, None], first[rows, None] + np.arange(chosen)]
+            part = samples.ravel().take((rows * n_samples + first[rows])[:, None] + np.arange(chosen))
         yield rows, Samples(part, offset[rows], clip_level[rows], first[rows])
 
 
