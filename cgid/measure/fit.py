@@ -195,25 +195,26 @@ def _fit_block(
     unit = start.peak
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        guess, parts_found = np.empty((len(samples), 5)), []
-        for rows, own_samples in around(samples, start.place, start.width, offset, clip_level, _REACH):
-            own_found = search(own_samples, start.place[rows], start.width[rows], fit_baseline)
-            parts_found.append((rows, own_found))
-            guess[rows] = refined(own_samples, own_found.start())
-        found = Found.joined(parts_found)
-        rough = found.start()
+        rough, guess, found_of = np.empty((len(samples), 5)), np.empty((len(samples), 5)), []
+        for rows, own in around(samples, start.place, start.width, offset, clip_level, _REACH):
+            own_found = search(own, start.place[rows], start.width[rows], fit_baseline)
+            found_of.append((rows, own_found))
+            rough[rows] = own_found.start()
+            guess[rows] = refined(own, rough[rows])
+        found = Found.joined(found_of)
         parts, sigma = [], noise_over_peak.copy()
         for rows, coloured in _by_colour(samples, n_quiet, MODEL_ERROR * unit):
             if coloured:  # the refined one is for white noise
                 guess[rows] = rough[rows]
             levels = (offset[rows], clip_level[rows], unit[rows])
             for window in windows(samples, rough[rows], *levels, response is None, ORDER * coloured, rows):
-                own = window.rows
-                problem = Problem(window, fit_baseline, rows_of(onset, own), response)
+                own_rows = window.rows
+                problem = Problem(window, fit_baseline, rows_of(onset, own_rows), response)
                 if coloured and n_quiet is not None:
-                    problem.colour = colour_of(samples[own], n_quiet[own], MODEL_ERROR * unit[own], window.run)
-                    sigma[own] = problem.colour.innovation / unit[own] * np.sqrt(window.run)
-                parts.append((own, problem))
+                    floor = MODEL_ERROR * unit[own_rows]
+                    problem.colour = colour_of(samples[own_rows], n_quiet[own_rows], floor, window.run)
+                    sigma[own_rows] = problem.colour.innovation / unit[own_rows] * np.sqrt(window.run)
+                parts.append((own_rows, problem))
         guess[:, [0, 4]] /= unit[:, None]
         problems = Problems(parts, onset)
         best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(len(samples)))

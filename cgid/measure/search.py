@@ -67,6 +67,11 @@ class Bank:
     products: Floats
     inverse: Floats
 
+    @cached_property
+    def flat(self) -> Floats:
+        """The basis as (n_bins, n_nodes n_free)."""
+        return np.moveaxis(self.basis, 0, 1).reshape(N_BINS, -1)
+
     def conditions(self, shape: Floats) -> tuple[Floats, Floats]:
         """Return place and width in common coordinates at any shapes."""
         return np.interp(shape, NODES, self.place), np.interp(shape, NODES, self.width)
@@ -200,6 +205,8 @@ class Found:
     @classmethod
     def joined(cls, parts: list[tuple[NDArray[np.intp], Found]]) -> Found:
         """Return the result of all rows from those of some."""
+        if len(parts) == 1:
+            return parts[0][1]
         order = np.argsort(np.concatenate([rows for rows, _ in parts]), kind="stable")
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for _, part in parts])[order] for f in fields(cls)})
 
@@ -236,12 +243,16 @@ class Found:
         rows, node, shape = np.arange(len(self.cost)), self._valleys[0][int(second)], self.shape_of(int(second))
         middle = np.clip(node, 1, NODES.size - 2)
         share = (shape - NODES[node]) / (NODES[1] - NODES[0])  # 0 where the neighbours are not alike
-        found = np.stack([self.peak, np.log(self.width), self.place, self.baseline])
-        before, at, after = found[:, rows, middle - 1], found[:, rows, node], found[:, rows, middle + 1]
+        before, at, after = (
+            np.array([part[rows, k] for part in (self.peak, self.width, self.place, self.baseline)])
+            for k in (middle - 1, node, middle + 1)
+        )
+        for part in (before, at, after):
+            np.log(part[1], out=part[1])
         peak, log_width, place, baseline = at + np.where(
             share == 0, 0.0, 0.5 * share * (after - before) + 0.5 * share**2 * (after - 2 * at + before)
         )
-        return np.stack([peak, log_width, place, shape, baseline], axis=1)
+        return np.array([peak, log_width, place, shape, baseline]).T
 
     @cached_property
     def _parabolas(self) -> tuple[Floats, Floats]:
@@ -284,9 +295,9 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
         best[active] = np.argmin(found[1], axis=1)
         if repetition == _PASSES - 1:
             break
-        peak, step_place, step_width = np.moveaxis(solution[active, best[active], :3], -1, 0)
-        peak = np.where(peak > 0, peak, np.inf)
-        steps = np.clip(np.stack([step_place, step_width]) / peak, -_LARGEST_STEP, _LARGEST_STEP)
+        solved = solution[active, best[active]].T
+        steps = solved[1:3] / np.where(solved[0] > 0, solved[0], np.inf)
+        steps = np.minimum(np.maximum(steps, -_LARGEST_STEP), _LARGEST_STEP)
         moving = np.abs(steps).max(axis=0) > _SETTLED
         active, steps = active[moving], steps[:, moving]
         if not active.size:
@@ -341,15 +352,14 @@ def refined(samples: Samples, start: Floats) -> Floats:
     new_place, new_width = bank().conditions(moved)
     origin, new_unit = place + unit * (step[:, 1] - own_place), unit * np.exp(step[:, 2])
     found = (peak * (1 + step[:, 0]), np.log(new_unit * new_width), origin + new_place * new_unit, moved, baseline)
-    return np.where(good[:, None], np.stack(found, axis=1), start)
+    return np.where(good[:, None], np.array(found).T, start)
 
 
 def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
     """Return the least-squares solutions for all shapes, (n, n_nodes, n_free), and their squared residuals."""
-    n, (n_nodes, n_bins, n_free) = len(bins.values), held.basis.shape
-    flat = np.moveaxis(held.basis, 0, 1).reshape(n_bins, -1)
+    n, (n_nodes, _, n_free) = len(bins.values), held.basis.shape
     # Row by row: the result of one must not depend on how many there are.
-    right = np.matmul(bins.values[:, None], flat).reshape(n, n_nodes, n_free)
+    right = np.matmul(bins.values[:, None], held.flat).reshape(n, n_nodes, n_free)
     if bins.inside is None:
         solution = np.einsum("kij,nkj->nki", held.inverse, right)
     else:
