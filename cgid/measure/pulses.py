@@ -293,6 +293,7 @@ class PulseBatch(Frames):
         rows, flat = np.arange(len(place)), np.ones(len(place), bool)
         for step in range(1, _FLAT_TOP):
             flat &= self.samples[rows, np.minimum(place + step, self.samples.shape[1] - 1)] == highest
+        flat &= highest > self.offset
         return np.where(flat, highest - self.offset, np.inf) if flat.any() else None
 
     @cached_property
