@@ -99,7 +99,7 @@ def _coloured(seen: Floats, white: Floats) -> tuple[Floats, Floats]:
     gram = lagged @ np.swapaxes(lagged, 1, 2) / count
     gram[:, np.arange(ORDER + 1), np.arange(ORDER + 1)] += white[:, None]
     known = _power_laws()
-    left = np.einsum("mi,nij,mj->nm", known, gram, known, optimize=True)
+    left = np.einsum("nmj,mj->nm", np.matmul(known, gram), known)
     best = np.argmin(left, axis=1)
     coefficients, left = -known[best, 1:], left[np.arange(n), best]
     criterion = count * np.log(left / gram[:, 0, 0]) + np.log(count)
