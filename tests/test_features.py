@@ -166,7 +166,7 @@ def test_cutoff_of_a_half_sine_is_that_of_its_closed_form_spectrum():
 
 def scalable():
     # Without noise, how sure a fit is says only how fine its template is.
-    unsure = ("misfit", "fitted_restitution_deviation", "shrunken_restitution_deviation")
+    unsure = ("misfit", "fitted_restitution_deviation", "shrunken_restitution_deviation", "fitted_peak_deviation")
     return [name for name in FEATURES if not name.startswith("band") and name not in unsure]
 
 
@@ -191,8 +191,9 @@ def test_a_longer_pulse_at_the_same_rate_moves_each_feature_as_its_unit_says(nam
     power = POWERS[FEATURES[name].unit][1]
     short, long = (family_pulse(0.6, duration, MEGAHERTZ, 4000, 500) for duration in (5e-4, 1.5e-3))
     once, more = (extract_array(samples, MEGAHERTZ, [name])[0, 0] for samples in (short, long))
-    # The grid of the spectrum is finer for one than for the other.
-    assert more == pytest.approx(once * 3.0**power, rel=0.005 if name in SPECTRAL else 1e-3)
+    # The grid of the spectrum is finer for one than for the other, and so are the bins of what the fit leaves.
+    rough = name in SPECTRAL or name == "unexplained" or name.startswith("pulse_shape")
+    assert more == pytest.approx(once * 3.0**power, rel=0.005 if rough else 1e-3)
 
 
 def test_a_pulse_twice_as_slow_has_its_energy_one_octave_lower():

@@ -65,14 +65,17 @@ def colour_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run
     """
     n = len(samples)
     colour = Colour(np.zeros((n, ORDER)), np.zeros(n))
-    stop = np.minimum(n_quiet.astype(np.intp), samples.shape[1])
+    n_samples = samples.shape[1]
+    stop = np.minimum(n_quiet.astype(np.intp), n_samples)
     # Rows with the same number of samples go together, so that a row does not depend on its neighbours.
     for length in np.unique(np.minimum(stop // run, MOST)):
         if length < FEWEST:
             continue
         rows = np.flatnonzero(np.minimum(stop // run, MOST) == length)
-        columns = stop[rows, None] - length * run + np.arange(length * run)
-        seen = samples[rows[:, None], columns].astype(np.float64).reshape(rows.size, length, run).mean(axis=2)
+        first = rows * n_samples + stop[rows] - length * run
+        seen = samples.ravel().take(first[:, None] + np.arange(length * run)).astype(np.float64)
+        if run > 1:
+            seen = seen.reshape(rows.size, length, run).mean(axis=2)
         seen -= seen.mean(axis=1, keepdims=True)
         white = floor[rows] ** 2 / run + 1e-300
         power = np.mean(seen**2, axis=1) + white
@@ -96,7 +99,7 @@ def _coloured(seen: Floats, white: Floats) -> tuple[Floats, Floats]:
     gram = lagged @ np.swapaxes(lagged, 1, 2) / count
     gram[:, np.arange(ORDER + 1), np.arange(ORDER + 1)] += white[:, None]
     known = _power_laws()
-    left = np.einsum("mi,nij,mj->nm", known, gram, known, optimize=True)
+    left = np.einsum("nmj,mj->nm", np.matmul(known, gram), known)
     best = np.argmin(left, axis=1)
     coefficients, left = -known[best, 1:], left[np.arange(n), best]
     criterion = count * np.log(left / gram[:, 0, 0]) + np.log(count)

@@ -77,13 +77,14 @@ def windows(
     unit: Floats | float = 1.0,
     averaged: bool = True,
     before: int = 0,
+    among: NDArray[np.intp] | None = None,
 ) -> Iterator[Window]:
     """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length.
 
-    Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples. Each window begins `before`
-    points earlier than the pulse needs.
+    The pulses are those of all rows of samples, or of the rows `among`. Values are divided by `unit`; `offset` and
+    `clip_level` are in the unit of the samples. Each window begins `before` points earlier than the pulse needs.
     """
-    offset, clip_level, unit = (np.broadcast_to(value, len(samples)) for value in (offset, clip_level, unit))
+    offset, clip_level, unit = (np.broadcast_to(value, len(guess)) for value in (offset, clip_level, unit))
     width = np.exp(guess[:, 1])
     duration, lead, _, _ = relative_times(guess[:, 3])
     first = np.floor(guess[:, 2] - (lead + _MARGIN) * width).astype(np.intp) - 2
@@ -95,9 +96,9 @@ def windows(
         length = int(np.ceil(_STEP**chosen)) + 4
         run = max(-(-length // _LONGEST), 1) if averaged else 1
         length = -(-length // run) * run + before * run
-        yield _window(
-            samples, rows, first[rows] - before * run, length, run, offset[rows], clip_level[rows], unit[rows]
-        )
+        levels = (offset[rows], clip_level[rows], unit[rows])
+        own = rows if among is None else among[rows]
+        yield _window(samples, own, first[rows] - before * run, length, run, *levels)
 
 
 def _window(

@@ -32,7 +32,7 @@ _SAMPLES, _ROWS = 1 << 21, 1024
 #: Most samples of windows measured at once: their overlapping frames fit in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
 #: How far windows extend after touch, in contact durations and in samples: for quantities read off the samples (the
-#: run above 10 %, once more after its end), and for the fit (its coarse window has at least 48 samples).
+#: run above 10 %, once more after its end), and for the fit (its bins and windows).
 _READ, _FITTED = (2.0, 6), (2.25, 54)
 #: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]

@@ -16,7 +16,7 @@ from cgid.measure.colour import ORDER, colour_of
 from cgid.measure.excerpts import Rows, rows_of, strongest_run, windows
 from cgid.measure.optimum import Optimum, Problem, Problems, normal_equations, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
-from cgid.measure.search import Found, around, refined, search
+from cgid.measure.search import Found, around, last_bin, refined, search
 from cgid.measure.template import relative_times
 from cgid.validation import Floats
 
@@ -34,6 +34,8 @@ _NOISE_FLOOR = 1e-5
 MODEL_ERROR = 1e-3
 #: Samples outside the pulse of this share of the peak are nothing strange: hum, the ringing of a filter.
 STRAY = 0.03
+#: Column of the frame that stands for any beyond it.
+_FAR = 1e9
 #: A deviation of this many standard deviations outside the window counts as a misfit of 1.
 _OUTLIER = 5.5
 
@@ -84,7 +86,7 @@ class PulseFit:
     stray : the largest sample outside the pulse, squared, over what noise and `STRAY` of the peak allow
     clipped : number of samples at the sensor's limit
     evidence : sum of squares that the pulse explains, over the variance of the noise
-    reach : last sample used by the fit; only the misfit depends on the whole frame
+    reach : last sample used by the fit and by what it leaves; only the misfit depends on the whole frame
     """
 
     peak: Floats
@@ -195,30 +197,32 @@ def _fit_block(
     unit = start.peak
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        guess, parts_found = np.empty((len(samples), 5)), []
-        for rows, own_samples in around(samples, start.place, start.width, offset, clip_level, _REACH):
-            own_found = search(own_samples, start.place[rows], start.width[rows], fit_baseline)
-            parts_found.append((rows, own_found))
-            guess[rows] = refined(own_samples, own_found.start())
-        found = Found.joined(parts_found)
-        rough = found.start()
+        rough, guess, found_of = np.empty((len(samples), 5)), np.empty((len(samples), 5)), []
+        reach = np.zeros(len(samples))
+        for rows, own in around(samples, start.place, start.width, offset, clip_level, _REACH):
+            own_found = search(own, start.place[rows], start.width[rows], fit_baseline)
+            found_of.append((rows, own_found))
+            rough[rows] = own_found.start()
+            guess[rows] = refined(own, rough[rows])
+            reach[rows] = own.reach
+        found = Found.joined(found_of)
         parts, sigma = [], noise_over_peak.copy()
         for rows, coloured in _by_colour(samples, n_quiet, MODEL_ERROR * unit):
             if coloured:  # the refined one is for white noise
                 guess[rows] = rough[rows]
             levels = (offset[rows], clip_level[rows], unit[rows])
-            own_samples = samples if rows.size == len(samples) else samples[rows]
-            for window in windows(own_samples, rough[rows], *levels, response is None, ORDER * coloured):
-                own = rows[window.rows]
-                problem = Problem(window, fit_baseline, rows_of(onset, own), response)
+            for window in windows(samples, rough[rows], *levels, response is None, ORDER * coloured, rows):
+                own_rows = window.rows
+                problem = Problem(window, fit_baseline, rows_of(onset, own_rows), response)
                 if coloured and n_quiet is not None:
-                    problem.colour = colour_of(samples[own], n_quiet[own], MODEL_ERROR * unit[own], window.run)
-                    sigma[own] = problem.colour.innovation / unit[own] * np.sqrt(window.run)
-                parts.append((own, problem))
+                    floor = MODEL_ERROR * unit[own_rows]
+                    problem.colour = colour_of(samples[own_rows], n_quiet[own_rows], floor, window.run)
+                    sigma[own_rows] = problem.colour.innovation / unit[own_rows] * np.sqrt(window.run)
+                parts.append((own_rows, problem))
         guess[:, [0, 4]] /= unit[:, None]
         problems = Problems(parts, onset)
         best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(len(samples)))
-        return _report(problems, best, sigma, noise_over_peak, unit, found)
+        return _report(problems, best, sigma, noise_over_peak, unit, found, reach)
 
 
 def _by_colour(
@@ -231,7 +235,9 @@ def _by_colour(
     return [(part, flag) for part, flag in ((white, False), (coloured, True)) if part.size]
 
 
-def _report(problems: Problems, best: Optimum, sigma: Floats, noise: Floats, unit: Floats, found: Found) -> PulseFit:
+def _report(
+    problems: Problems, best: Optimum, sigma: Floats, noise: Floats, unit: Floats, found: Found, reach: Floats
+) -> PulseFit:
     """Return the fitted pulses; `sigma`, `noise` and the parameters are in units of the start's peak."""
     variance = sigma**2 / problems.averaged
     # A better recorder cannot know more than the model of the pulse is worth.
@@ -253,10 +259,11 @@ def _report(problems: Problems, best: Optimum, sigma: Floats, noise: Floats, uni
     duration, lead, _, _ = relative_times(shape)
     covariance[:, 4] *= unit[:, None]
     covariance[:, :, 4] *= unit[:, None]
-    elsewhere, reach, clipped, counted = (
+    elsewhere, end, clipped, counted = (
         problems.gathered([getattr(problem.window, name) for _, problem in problems.parts])
         for name in ("elsewhere", "reach", "n_clipped", "n_counted")
     )
+    reach = np.maximum(np.maximum(end, reach), last_bin(place, width, shape))
     freedom = np.maximum(counted - clipped - len(problems.free), 1)
     strange = (elsewhere / _OUTLIER) ** 2
     return PulseFit(
@@ -275,7 +282,7 @@ def _report(problems: Problems, best: Optimum, sigma: Floats, noise: Floats, uni
         clipped=clipped,
         evidence=peak**2 * np.maximum(best.information[:, 0, 0], 0.0) / variance,
         converged=best.converged,
-        reach=reach,
+        reach=np.minimum(np.nan_to_num(np.ceil(reach), nan=_FAR), _FAR).astype(np.intp),
     )
 
 

@@ -123,7 +123,7 @@ class Problems:
         out = np.empty((len(rows), len(self.free) + 1, len(self.free) + 1))
         part, place = self._part[rows], self._place[rows]
         for k, (_, problem) in enumerate(self.parts):
-            own = np.flatnonzero(part == k)
+            own = np.flatnonzero(part == k) if len(self.parts) > 1 else np.arange(len(rows))
             step = max(_BLOCK // problem.window.values.shape[1], 1)
             for some in (own[first : first + step] for first in range(0, own.size, step)):
                 curves = problem.slopes_and_residual(parameters[some], place[some])

@@ -111,16 +111,32 @@ class PulseBatch(Frames):
     @cached_property
     def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """First and last sample of the run around the peak above 10 % of the peak."""
+        return self._run_above(0.1)
+
+    def _run_above(self, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the first and last sample of the run around the peak above a share of it."""
         n_rows, n_samples = self.samples.shape
         # At most the largest sample: where nothing rises above the baseline, that sample is the run.
-        level = np.minimum(0.1 * self.peak + self.offset, self._highest[1]).astype(self.samples.dtype)
+        level = np.minimum(share * self.peak + self.offset, self._highest[1]).astype(self.samples.dtype)
         # Only a few samples are high: their flat indices form runs, separated by gaps and the ends of rows.
         high = np.flatnonzero(self.samples >= level[:, None])
-        breaks = np.flatnonzero((np.diff(high) > 1) | (high[1:] % n_samples == 0)) + 1
+        breaks = np.flatnonzero((high[1:] - high[:-1] > 1) | (high[1:] % n_samples == 0)) + 1
         starts, stops = high[np.append(0, breaks)], high[np.append(breaks - 1, high.size - 1)]
         first_of_row = np.arange(n_rows) * n_samples
         run = np.searchsorted(starts, first_of_row + self._highest[0], side="right") - 1
         return starts[run] - first_of_row, stops[run] - first_of_row
+
+    def _half_width(self) -> Floats:
+        """Return the width at half the peak [samples], linear between samples."""
+        rows, last = np.arange(len(self.samples)), self.samples.shape[1] - 1
+        level = 0.5 * self.peak + self.offset
+        width = np.zeros(len(rows))
+        for sign, inner in zip((-1, 1), self._run_above(0.5), strict=True):
+            outer = np.minimum(np.maximum(inner + sign, 0), last)
+            high, low = (self.samples[rows, column].astype(np.float64) for column in (inner, outer))
+            share = np.maximum(high - level, 0.0) / np.where(high > low, high - low, 1.0)
+            width += sign * inner + np.minimum(share, 1.0)
+        return width
 
     @cached_property
     def window_reach(self) -> NDArray[np.intp]:
@@ -262,15 +278,9 @@ class PulseBatch(Frames):
     @cached_property
     def fit_start(self) -> Start:
         """Start of the fit: the largest sample, or the strongest run of samples for a faint peak."""
-        faint = np.flatnonzero(self.peak < FAINT * self.noise)
+        faint = np.flatnonzero(~(self.peak >= FAINT * self.noise))
         peak, place = self.peak.copy(), self._highest[0].astype(np.float64)
-        width = np.empty(len(peak))
-        clear = np.flatnonzero(self.peak >= FAINT * self.noise)
-        if clear.size == len(peak):
-            width = _WIDTH_OVER_HALF_WIDTH * self.width(0.5) * self.sampling_rate
-        elif clear.size:
-            own = PulseBatch(self.samples[clear], self.sampling_rate, self.pre_trigger, self.remove_baseline)
-            width[clear] = _WIDTH_OVER_HALF_WIDTH * own.width(0.5) * self.sampling_rate
+        width = _WIDTH_OVER_HALF_WIDTH * self._half_width()
         if faint.size:
             peak[faint], width[faint], place[faint] = strongest_run(self.samples[faint], self.offset[faint])
         tiny = 1e-12 + 1e-9 * np.abs(self._highest[1])
@@ -283,6 +293,7 @@ class PulseBatch(Frames):
         rows, flat = np.arange(len(place)), np.ones(len(place), bool)
         for step in range(1, _FLAT_TOP):
             flat &= self.samples[rows, np.minimum(place + step, self.samples.shape[1] - 1)] == highest
+        flat &= highest > self.offset
         return np.where(flat, highest - self.offset, np.inf) if flat.any() else None
 
     @cached_property
@@ -416,7 +427,7 @@ _IEEE = "IEEE Std 181-2011 (transition durations, reference levels)"
 _PEETERS = "Peeters 2004, CUIDADO report (spectral shape), on the power spectrum of the contact up to 4/T"
 
 _spectral = partial(Feature, source=_PEETERS, spectral=True)
-_fitted = partial(Feature, source="cgid.measure.fit: least squares with Firth's penalty (1993)", fitted=True)
+_fitted = partial(Feature, source="cgid.measure.fit: maximum likelihood", fitted=True)
 
 PULSE_FEATURES = (
     Feature("peak_force", "U", "largest sample, baseline removed", _YANG, lambda p: p.peak),

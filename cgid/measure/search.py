@@ -67,6 +67,11 @@ class Bank:
     products: Floats
     inverse: Floats
 
+    @cached_property
+    def flat(self) -> Floats:
+        """The basis as (n_bins, n_nodes n_free)."""
+        return np.moveaxis(self.basis, 0, 1).reshape(N_BINS, -1)
+
     def conditions(self, shape: Floats) -> tuple[Floats, Floats]:
         """Return place and width in common coordinates at any shapes."""
         return np.interp(shape, NODES, self.place), np.interp(shape, NODES, self.width)
@@ -112,30 +117,48 @@ class Bins:
     values: Floats
     inside: NDArray[np.bool_] | None
 
+    @property
+    def partial(self) -> NDArray[np.intp]:
+        """Rows with bins that do not count."""
+        return np.empty(0, np.intp) if self.inside is None else np.flatnonzero(~self.inside.all(axis=1))
+
 
 class Samples:
-    """Running sums of the samples around some pulses, from which bins anywhere follow; `first` (n,) is their column."""
+    """Running sums of the samples around some pulses, from which bins anywhere follow.
+
+    `first` and `last` (n,) are the columns of the frame that the first and the last of them are, `last` by default that
+    of the last column of `samples`. `reach` (n,) is the last column that bins have touched, in the frame or beyond it.
+    """
 
     def __init__(
-        self, samples: NDArray[np.floating], offset: Floats, clip_level: Floats, first: NDArray[np.intp]
+        self,
+        samples: NDArray[np.floating],
+        offset: Floats,
+        clip_level: Floats,
+        first: NDArray[np.intp],
+        last: NDArray[np.intp] | None = None,
     ) -> None:
         n, self.n_samples = samples.shape
         self.total = np.zeros((n, self.n_samples + 1))
-        np.cumsum(samples, axis=1, dtype=np.float64, out=self.total[:, 1:])
+        self.total[:, 1:] = samples
+        np.cumsum(self.total, axis=1, out=self.total)
         self.offset, self.clip_level, self.first = offset, clip_level, first
+        self.last = np.full(n, self.n_samples - 1.0) if last is None else (last - first).astype(np.float64)
         self.clips = bool(np.isfinite(clip_level).any())
+        self.reach = np.zeros(n)
 
     def bins(self, place: Floats, width: Floats, rows: NDArray[np.intp]) -> Bins:
         """Return the bins around origins `place` [samples of the frame] of unit `width` [samples]."""
-        last = self.n_samples - 1
+        last = self.last[rows]
         at = width[:, None] * EDGES
         at += (place - self.first[rows])[:, None]
+        self.reach[rows] = np.maximum(self.reach[rows], at[:, -1] + self.first[rows])
         inside = None
-        if not (at[:, 0].min() >= 0 and at[:, -1].max() < last):
-            beyond = ~((at >= 0) & (at <= last))
-            inside = ~(beyond[:, :-1] | beyond[:, 1:])
-            at = np.clip(np.nan_to_num(at), 0.0, last)
-        column = np.minimum(at.astype(np.intp), last - 1)
+        if not (at[:, 0].min() >= 0 and (at[:, -1] < last).all()):
+            within = (at >= 0) & (at <= last[:, None])
+            inside = within[:, :-1] & within[:, 1:]
+            at = np.clip(np.nan_to_num(at), 0.0, last[:, None])
+        column = np.minimum(at.astype(np.intp), self.n_samples - 2)
         share = at - column
         # The integral of the line through the samples, from their running sums.
         column += (rows * (self.n_samples + 1))[:, None]
@@ -164,19 +187,28 @@ def around(
 ) -> Iterator[tuple[NDArray[np.intp], Samples]]:
     """Yield rows of pulses of similar width, and their samples within `reach` times the extent of the bins."""
     n_samples = samples.shape[1]
-    # Lengths come in steps, so that what a row shows does not depend on the other rows.
+    # Lengths come in steps, and what lies beyond the frame is the last sample, so that what a row shows depends neither
+    # on the other rows nor on samples further away.
     wanted = np.maximum(reach * (_LAST - _FIRST) * width, 2.0**_SHORTEST)
-    step = np.minimum(np.ceil(np.log2(wanted)), 62).astype(np.intp)
-    length = np.minimum(1 << step, n_samples)
+    length = 1 << np.minimum(np.ceil(np.log2(wanted)), 40).astype(np.intp)
     middle = place + 0.5 * (_FIRST + _LAST) * width
-    first = np.clip(np.floor(middle - 0.5 * length), 0, n_samples - length).astype(np.intp)
+    first = np.minimum(np.maximum(np.floor(middle - 0.5 * length), 0), n_samples - 2).astype(np.intp)
+    whole = length >= 2 * n_samples
+    length[whole], first[whole] = n_samples, 0
     for chosen in np.unique(length):
         rows = np.flatnonzero(length == chosen)
-        if chosen == n_samples:
-            part = samples if rows.size == len(samples) else samples[rows]
-        else:
-            part = samples[rows[:, None], first[rows, None] + np.arange(chosen)]
-        yield rows, Samples(part, offset[rows], clip_level[rows], first[rows])
+        columns = first[rows, None] + np.arange(chosen)
+        if columns[:, -1].max() >= n_samples:
+            np.minimum(columns, n_samples - 1, out=columns)
+        columns += (rows * n_samples)[:, None]
+        last = np.minimum(first[rows] + chosen, n_samples) - 1
+        yield rows, Samples(samples.ravel().take(columns), offset[rows], clip_level[rows], first[rows], last)
+
+
+def last_bin(place: Floats, width: Floats, shape: Floats) -> Floats:
+    """Return where the bins around pulses end [samples], from place and width of these [samples] and shape."""
+    own_place, own_width = bank().conditions(shape)
+    return place + (_LAST - own_place) * width / own_width
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +231,8 @@ class Found:
     @classmethod
     def joined(cls, parts: list[tuple[NDArray[np.intp], Found]]) -> Found:
         """Return the result of all rows from those of some."""
+        if len(parts) == 1:
+            return parts[0][1]
         order = np.argsort(np.concatenate([rows for rows, _ in parts]), kind="stable")
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for _, part in parts])[order] for f in fields(cls)})
 
@@ -235,12 +269,16 @@ class Found:
         rows, node, shape = np.arange(len(self.cost)), self._valleys[0][int(second)], self.shape_of(int(second))
         middle = np.clip(node, 1, NODES.size - 2)
         share = (shape - NODES[node]) / (NODES[1] - NODES[0])  # 0 where the neighbours are not alike
-        found = np.stack([self.peak, np.log(self.width), self.place, self.baseline])
-        before, at, after = found[:, rows, middle - 1], found[:, rows, node], found[:, rows, middle + 1]
+        before, at, after = (
+            np.array([part[rows, k] for part in (self.peak, self.width, self.place, self.baseline)])
+            for k in (middle - 1, node, middle + 1)
+        )
+        for part in (before, at, after):
+            np.log(part[1], out=part[1])
         peak, log_width, place, baseline = at + np.where(
             share == 0, 0.0, 0.5 * share * (after - before) + 0.5 * share**2 * (after - 2 * at + before)
         )
-        return np.stack([peak, log_width, place, shape, baseline], axis=1)
+        return np.array([peak, log_width, place, shape, baseline]).T
 
     @cached_property
     def _parabolas(self) -> tuple[Floats, Floats]:
@@ -283,9 +321,9 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
         best[active] = np.argmin(found[1], axis=1)
         if repetition == _PASSES - 1:
             break
-        peak, step_place, step_width = np.moveaxis(solution[active, best[active], :3], -1, 0)
-        peak = np.where(peak > 0, peak, np.inf)
-        steps = np.clip(np.stack([step_place, step_width]) / peak, -_LARGEST_STEP, _LARGEST_STEP)
+        solved = solution[active, best[active]].T
+        steps = solved[1:3] / np.where(solved[0] > 0, solved[0], np.inf)
+        steps = np.minimum(np.maximum(steps, -_LARGEST_STEP), _LARGEST_STEP)
         moving = np.abs(steps).max(axis=0) > _SETTLED
         active, steps = active[moving], steps[:, moving]
         if not active.size:
@@ -335,29 +373,25 @@ def refined(samples: Samples, start: Floats) -> Floats:
     moved = shapes[node] + step[:, 3]
     good = (np.abs(step[:, :3]).max(axis=1) < _LARGEST_REFINEMENT) & (np.abs(moved - shape) < _LARGEST_REFINEMENT)
     good &= (moved > NODES[0]) & (moved < NODES[-1])
-    if bins.inside is not None:
-        good &= bins.inside.all(axis=1)
+    good[bins.partial] = False
     new_place, new_width = bank().conditions(moved)
     origin, new_unit = place + unit * (step[:, 1] - own_place), unit * np.exp(step[:, 2])
     found = (peak * (1 + step[:, 0]), np.log(new_unit * new_width), origin + new_place * new_unit, moved, baseline)
-    return np.where(good[:, None], np.stack(found, axis=1), start)
+    return np.where(good[:, None], np.array(found).T, start)
 
 
 def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
     """Return the least-squares solutions for all shapes, (n, n_nodes, n_free), and their squared residuals."""
-    n, (n_nodes, n_bins, n_free) = len(bins.values), held.basis.shape
-    flat = np.moveaxis(held.basis, 0, 1).reshape(n_bins, -1)
+    n, (n_nodes, _, n_free) = len(bins.values), held.basis.shape
     # Row by row: the result of one must not depend on how many there are.
-    right = np.matmul(bins.values[:, None], flat).reshape(n, n_nodes, n_free)
-    if bins.inside is None:
-        solution = np.einsum("kij,nkj->nki", held.inverse, right)
-    else:
-        information = np.matmul(bins.inside[:, None].astype(np.float64), held.products).reshape(
-            n, n_nodes, n_free, n_free
-        )
+    right = np.matmul(bins.values[:, None], held.flat).reshape(n, n_nodes, n_free)
+    solution = np.einsum("kij,nkj->nki", held.inverse, right)
+    if (partial := bins.partial).size and bins.inside is not None:
+        inside = bins.inside[partial][:, None].astype(np.float64)
+        information = np.matmul(inside, held.products).reshape(-1, n_nodes, n_free, n_free)
         ridge = 1e-6 * np.einsum("nkii->nki", information) + 1e-9
         information[..., np.arange(n_free), np.arange(n_free)] += ridge
-        solution = np.linalg.solve(information, right[..., None])[..., 0]
+        solution[partial] = np.linalg.solve(information, right[partial][..., None])[..., 0]
     explained = np.einsum("nki,nki->nk", solution, right)
     cost = np.sum(bins.values**2, axis=1)[:, None] - explained
     return solution, np.where(solution[:, :, 0] > 0, cost, np.inf)
@@ -366,10 +400,8 @@ def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
 # -- what the family leaves --------------------------------------------------------------------------
 
 
-def residual_bins(
-    samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats
-) -> tuple[Floats, NDArray[np.bool_] | None, Floats]:
-    """Return samples minus fitted pulse, over its peak, in the bins around it (n, n_bins), which count, and the unit.
+def residual_bins(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats) -> tuple[Bins, Floats]:
+    """Return samples minus fitted pulse, over its peak, in the bins around it, and the unit.
 
     Times in samples; `unit` (n,) is that of the bins' coordinates.
     """
@@ -378,7 +410,7 @@ def residual_bins(
     origin = onset + relative_times(shape)[1] * width - own_place * unit
     bins = samples.bins(origin, unit, np.arange(len(peak)))
     left = bins.values / peak[:, None] - _between_nodes(shape)
-    return (left if bins.inside is None else np.where(bins.inside, left, 0.0)), bins.inside, unit
+    return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit
 
 
 def _between_nodes(shape: Floats) -> Floats:
@@ -444,23 +476,24 @@ class Remainder:
 
 def remainder(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats) -> Remainder:
     """Return the components of what fitted pulses leave of samples; noise (n,) is its standard deviation."""
-    left, inside, unit = residual_bins(samples, peak, width, onset, shape)
+    bins, unit = residual_bins(samples, peak, width, onset, shape)
+    left, partial = bins.values, bins.partial
     node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
     designs, inverses, bases, spreads = _components()
     per_bin = (noise / peak) ** 2 / np.maximum(BIN * unit, 1.0)
     count = np.full(len(left), float(N_BINS))
-    if inside is None:
-        found = np.einsum("nkb,nb->nk", inverses[node], left)
-        explained = np.sum(np.einsum("nbk,nb->nk", bases[node], left) ** 2, axis=1)
-    else:
-        design = designs[node] * inside[:, :, None]
-        information = np.swapaxes(design, 1, 2) @ design
-        right = np.einsum("nbk,nb->nk", design, left)
+    found = np.einsum("nkb,nb->nk", inverses[node], left)
+    explained = np.sum(np.einsum("nbk,nb->nk", bases[node], left) ** 2, axis=1)
+    if partial.size and bins.inside is not None:
+        inside = bins.inside[partial]
+        design = designs[node[partial]] * inside[:, :, None]
+        information = np.matmul(np.swapaxes(design, 1, 2), design)
+        right = np.einsum("nbk,nb->nk", design, left[partial])
         # Bins that are missing leave some of it open; it is then nothing.
         prior = np.concatenate([np.full(4, 1e-9), 1e-4 / spreads**2])
         all_found = np.linalg.solve(information + np.diag(prior), right[..., None])[..., 0]
-        found, explained = all_found[:, 4:], np.sum(all_found * right, axis=1)
-        count = inside.sum(axis=1).astype(np.float64)
+        found[partial], explained[partial] = all_found[:, 4:], np.sum(all_found * right, axis=1)
+        count[partial] = inside.sum(axis=1)
     rest = np.maximum(np.sum(left**2, axis=1) - explained, 0.0)
     certain = spreads**2 / (spreads**2 + per_bin[:, None])
     free = np.maximum(count - 4 - N_SHAPES, 1.0)

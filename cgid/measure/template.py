@@ -192,19 +192,17 @@ def slopes_and_pulse(
     # z, the time from the place over the width, and the share at x = 0; with a known onset, the time from there.
     first_z, first_share = turned * duration - (0.0 if onset_known else lead), turned * 1.0
     moved = 0.0 if onset_known else lead_slope
-    quick = np.stack(
-        [
-            offset,
-            0.5 * offset,
-            -steep * first_z,
-            -steep * (sign * duration / _CELLS),
-            -steep / width,
-            peak * sign,
-            steep * (moved - first_share * duration_slope),
-            -steep * (sign / _CELLS) * duration_slope,
-        ]
-    )
-    ds, half, z0, z1, to_place, in_s, s0, s1 = quick.astype(np.float32)[:, :, None]
+    of_rows = [
+        offset,
+        0.5 * offset,
+        -steep * first_z,
+        -steep * (sign * duration / _CELLS),
+        -steep / width,
+        peak * sign,
+        steep * (moved - first_share * duration_slope),
+        -steep * (sign / _CELLS) * duration_slope,
+    ]
+    ds, half, z0, z1, to_place, in_s, s0, s1 = np.array(of_rows, np.float32)[:, :, None]
     n, n_points = times.shape
     out = np.empty((n, len(free_parameters(onset_known, fit_baseline)) + 1, n_points))
     x = times * scale[:, None]

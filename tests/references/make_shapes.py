@@ -47,7 +47,7 @@ def main() -> None:
     start = Start(np.ones(n), frames.sum(axis=1), frames.argmax(axis=1).astype(float))
     fit = fit_pulses(frames, start, np.full(n, 1e-3))
     samples = Samples(frames, np.zeros(n), np.full(n, np.inf), np.zeros(n, np.intp))
-    left, _, _ = residual_bins(samples, fit.peak, fit.width, fit.onset, fit.shape)
+    left = residual_bins(samples, fit.peak, fit.width, fit.onset, fit.shape)[0].values
     bases = np.linalg.qr(tangents())[0][np.argmin(np.abs(NODES - fit.shape[:, None]), axis=1)]
     left -= np.einsum("nbk,nck,nc->nb", bases, bases, left)
     _, sizes, components = np.linalg.svd(left, full_matrices=False)
