@@ -39,7 +39,7 @@ ACCELERATION_SCENES = ("tail_beam",)
 #: From the recorder of a vibration monitor to that of a laboratory, from a good sensor to one that hardly sees a blow.
 #: All shares are assumed: half of the noise is white, half without hum, one in five pulses is clipped.
 RIGS = {
-    "sampling_rate": {"distribution": "log-uniform", "lowest": "25 kHz", "highest": "1 MHz"},
+    "sampling_rate": {"distribution": "log-uniform", "lowest": "24.5 kHz", "highest": "1.02 MHz"},
     "relative_noise": {"distribution": "log-uniform", "lowest": 1e-4, "highest": 0.3},
     "noise_exponent": {
         "distribution": "mixed",

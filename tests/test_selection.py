@@ -145,8 +145,8 @@ def test_impossible_numbers_of_folds_are_refused(n_folds: int, measured: Rows) -
 def test_domain_shift_is_a_section_of_the_card(reference_scene: Scene) -> None:
     model = train(synthesise(reference_scene, 300), features=FEATURES).model
     assert "## Domain shift" not in write_card(model, "m.npz")
-    shift = [{"name": "strangers", "accuracy": 0.61, "n": 1000, "flagged_share": 0.25}]
-    assert domain_shift_table(shift)[-1] == "| strangers | 1000 | 0.6100 | 25.00% |"
+    shift = [{"name": "strangers", "accuracy": 0.61, "calibration_error": 0.03, "n": 1000, "flagged_share": 0.25}]
+    assert domain_shift_table(shift)[-1] == "| strangers | 1000 | 0.6100 | 0.0300 | 25.00% |"
     assert domain_shift_table(shift)[-1] in write_card(
         model, "m.npz", further=[("Domain shift", domain_shift_table(shift))]
     )
