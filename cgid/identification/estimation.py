@@ -161,7 +161,7 @@ def estimate(
         Samples before touch, whose mean is the baseline and whose standard deviation is the noise; by default all up to
         the foot of the pulse.
     noise : float or array_like, (n_signals,), optional
-        Standard deviation of the noise, if known and white; by default its level and its colour are those of the samples
+        Standard deviation of the noise, if known and white; by default its level and colour are those of the samples
         before touch.
     fit_baseline : bool
         Whether to fit a constant together with the pulse (after the removal).

@@ -257,12 +257,13 @@ class Found:
     def shape_of(self, valley: int) -> Floats:
         """Return the shape of the lowest (0) or second valley, (n,)."""
         rows, node = np.arange(len(self.cost)), self._valleys[0][valley]
-        return NODES[node] + self._parabolas[0][rows, node]
+        return np.asarray(NODES[node] + self._parabolas[0][rows, node])
 
     def depth_near(self, shape: Floats) -> Floats:
         """Return the cost of the valley nearer to a shape, (n,)."""
         away = np.abs(np.stack([self.shape_of(0), self.shape_of(1)]) - shape)
-        return np.where((away[1] < away[0]) & np.isfinite(self._valleys[1][1]), *self._valleys[1][::-1])
+        lowest, second = self._valleys[1]
+        return np.asarray(np.where((away[1] < away[0]) & np.isfinite(second), second, lowest))
 
     def start(self, second: bool = False) -> Floats:
         """Return parameters (peak, ln width, place, shape, baseline) near the best ones, or the second best, (n, 5)."""
@@ -346,13 +347,14 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
 
 
 @cache
-def _fine_bank() -> tuple[Floats, ...]:
-    """Return shapes, pulses, tangents as `tangents`, pseudo-inverses of these, and second derivatives of the pulses."""
+def _fine_bank() -> tuple[Floats, Floats, Floats, Floats]:
+    """Return shapes, their pulses in the bins, pseudo-inverses of `tangents_at`, and second derivatives."""
     shapes = np.linspace(NODES[0], NODES[-1], _FINE + 1)
     values, moved, changes = tangents_at(shapes)
-    bends = -np.gradient(moved, BIN, axis=1)
+    bends = np.asarray(-np.gradient(moved, BIN, axis=1), np.float64)
     # The bins of the bank are means over four points.
-    return shapes, values + (BIN / 4) ** 2 / 24 * bends, changes, np.linalg.pinv(changes), bends
+    pulses = values + (BIN / 4) ** 2 / 24 * bends
+    return np.asarray(shapes, np.float64), pulses, np.asarray(np.linalg.pinv(changes)), bends
 
 
 def refined(samples: Samples, start: Floats) -> Floats:
@@ -360,7 +362,7 @@ def refined(samples: Samples, start: Floats) -> Floats:
 
     Rows with samples that do not count are left alone.
     """
-    shapes, pulses, _, inverses, bends = _fine_bank()
+    shapes, pulses, inverses, bends = _fine_bank()
     peak, log_width, place, shape, baseline = start.T
     own_place, own_width = bank().conditions(shape)
     unit = np.exp(log_width) / own_width
@@ -443,12 +445,7 @@ def tangents_at(shapes: Floats) -> tuple[Floats, Floats, Floats]:
 @cache
 def tangents() -> Floats:
     """Return how small changes of peak, place, width and shape change the pulses of the nodes, (n_nodes, n_bins, 4)."""
-    held, step = bank(), 1e-3
-    moved = [
-        _averaged(*held.conditions(np.clip(NODES + k, NODES[0], NODES[-1])), np.clip(NODES + k, NODES[0], NODES[-1]))[0]
-        for k in (-step, step)
-    ]
-    return np.concatenate([held.basis, ((moved[1] - moved[0]) / step)[:, :, None]], axis=2)
+    return tangents_at(NODES)[2]
 
 
 @cache
