@@ -8,7 +8,7 @@ from cgid.identification.estimation import cramer_rao_bound, estimate
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.features import extract_array, extract_truncated
 from cgid.measure.fit import MODEL_ERROR
-from cgid.measure.search import N_SHAPES, SHAPES_PATH
+from cgid.measure.remainder import N_SHAPES, SHAPES_PATH
 from cgid.measure.template import curve, pulse_and_slopes, relative_times
 from tests import few, naive
 from tests.references import make_shapes
