@@ -273,11 +273,11 @@ def test_integers_are_measured_as_numbers():
     assert np.array_equal(extract_array(samples, MEGAHERTZ), extract_array(samples.astype(float), MEGAHERTZ))
 
 
-def test_single_precision_costs_one_part_in_a_hundred_thousand():
+def test_single_precision_costs_one_part_in_fifty_thousand():
     batch = mixed_batch(50)
     double, single = extract_array(batch, 1e5), extract_array(batch.astype(np.float32), 1e5)
     scale = np.maximum(np.abs(double).max(axis=0), 1e-300)
-    assert np.abs(single - double).max(axis=0) / scale == pytest.approx(np.zeros(len(FEATURES)), abs=1e-5)
+    assert np.abs(single - double).max(axis=0) / scale == pytest.approx(np.zeros(len(FEATURES)), abs=2e-5)
 
 
 def test_input_is_not_changed():

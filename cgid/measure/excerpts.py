@@ -24,7 +24,7 @@ _GROWTH, _SHORTEST, _LONGEST_SHARE = 1.4, 3, 0.5
 #: Best run of a pulse over its width (impulse over peak), and mean of that run over the peak.
 _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 
-Rows = NDArray[np.intp] | slice
+Rows = NDArray[np.intp] | NDArray[np.bool_] | slice
 
 
 def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
@@ -128,7 +128,7 @@ def _window(
     if run > 1:
         shape = (n, length // run, run)
         values = values.reshape(shape).mean(axis=2)
-        beyond, clipped = (None if flags is None else flags.reshape(shape).any(axis=2) for flags in (beyond, clipped))
+        beyond, clipped = (None if flags is None else _any(flags.reshape(shape)) for flags in (beyond, clipped))
     values /= unit[:, None]
     return Window(
         rows=rows,
@@ -141,6 +141,10 @@ def _window(
         run=run,
         reach=first + length - 1,
     )
+
+
+def _any(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return np.asarray(flags.any(axis=2))
 
 
 def _largest_elsewhere(

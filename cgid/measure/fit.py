@@ -289,17 +289,20 @@ def _report(
 def _improve(
     problems: Problems, best: Optimum, profile: Profiled, variance: Floats, rows: NDArray[np.intp]
 ) -> list[Optimum]:
-    """Search again from the second likely shape of some rows; keep the better in place, return both, of these rows."""
-    tops = [best.rows(rows)]
+    """Search again from the second likely shape of some rows; keep the better in place, return both, of these rows.
+
+    The cost of the second is infinite where there is none.
+    """
+    tops = [best.rows(rows), best.rows(rows)]
     guess, likely = profile.second(tops[0], variance[rows])
     again = np.flatnonzero(likely)
     if again.size:
         found = search_nearby(problems, guess[again], np.sqrt(variance[rows[again]]), rows[again])
-        tops.append(tops[0].rows(slice(None)))
         better = found.cost < tops[0].cost[again]
         tops[1].put(again[~better], found.rows(~better))
         tops[0].put(again[better], found.rows(better))
         best.put(rows[again[better]], found.rows(better))
     if profile.binned:
         tops = [replace(top, cost=profile.found.depth_near(top.parameters[:, 3]) * profile.scale) for top in tops]
+    tops[1].cost[~likely] = np.inf
     return tops

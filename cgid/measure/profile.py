@@ -94,8 +94,9 @@ class Profiled:
     def moments(self, tops: list[Optimum], variance: Floats, problems: Problems) -> tuple[Floats, Floats]:
         """Return covariances about the best parameters, and restitutions as `gaussian_restitution`.
 
-        `tops` holds the best parameters, perhaps also those of a second top of the likelihood; `variance` is that of
-        the noise. A top narrower than the grid counts by its own parabola, as three points of Gauss and Hermite.
+        `tops` holds the best parameters and those of a second top of the likelihood, of infinite cost if there is none;
+        `variance` is that of the noise. A top narrower than the grid counts by its own parabola, as three points of
+        Gauss and Hermite.
         """
         fine, spline = _interpolation()
         best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, strongest_run
 from cgid.measure.frames import Frames, constant_signal
-from cgid.measure.search import N_SHAPES, Remainder, around, remainder
+from cgid.measure.remainder import N_SHAPES, Remainder, remainder
+from cgid.measure.search import around
 from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature
 from cgid.validation import Floats
@@ -522,7 +523,7 @@ PULSE_FEATURES = (
         "1",
         "principal component * of how pulses of other laws of loss differ from the fitted one, over its peak, 0 where "
         "noise hides it",
-        "cgid.measure.search: components of Thornton's, Walton's and Kuwabara's pulses",
+        "cgid.measure.remainder: components of Thornton's, Walton's and Kuwabara's pulses",
         lambda p, n: p.remainder.components[:, n],
         [str(n + 1) for n in range(N_SHAPES)],
         fitted=True,

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +32,6 @@ EDGES = _FIRST + BIN * np.arange(N_BINS + 1)
 MIDDLES = EDGES[:-1] + 0.5 * BIN
 #: Repetitions of the search, and its largest steps in place (over the width) and ln(width).
 _PASSES, _LARGEST_STEP = 4, 0.4
-#: Root mean square of what the components leave of pulses of other laws, over the peak.
-SHAPE_ERROR = 0.01
-#: Components that say how a pulse differs from the family, see `tests/references/make_shapes.py`.
-N_SHAPES = 4
-SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 #: Power of 2 of the fewest samples around a pulse.
 _SHORTEST = 5
 #: Cells of the shapes of `refined`, and its largest step in any parameter.
@@ -257,12 +251,13 @@ class Found:
     def shape_of(self, valley: int) -> Floats:
         """Return the shape of the lowest (0) or second valley, (n,)."""
         rows, node = np.arange(len(self.cost)), self._valleys[0][valley]
-        return NODES[node] + self._parabolas[0][rows, node]
+        return np.asarray(NODES[node] + self._parabolas[0][rows, node])
 
     def depth_near(self, shape: Floats) -> Floats:
         """Return the cost of the valley nearer to a shape, (n,)."""
         away = np.abs(np.stack([self.shape_of(0), self.shape_of(1)]) - shape)
-        return np.where((away[1] < away[0]) & np.isfinite(self._valleys[1][1]), *self._valleys[1][::-1])
+        lowest, second = self._valleys[1]
+        return np.asarray(np.where((away[1] < away[0]) & np.isfinite(second), second, lowest))
 
     def start(self, second: bool = False) -> Floats:
         """Return parameters (peak, ln width, place, shape, baseline) near the best ones, or the second best, (n, 5)."""
@@ -345,14 +340,29 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
     )
 
 
+def tangents_at(shapes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return pulses, their slopes in place (n, n_bins), and how changes of peak, place, width and shape change them.
+
+    The last is (n, n_bins, 4), place and width those of the common coordinates.
+    """
+    held, step = bank(), 1e-3
+    value, in_place, in_width = _averaged(*(place_width := held.conditions(shapes)), shapes)
+    near = [np.clip(shapes + k, NODES[0], NODES[-1]) for k in (-step, step)]
+    before, after = (_averaged(*held.conditions(one), one)[0] for one in near)
+    in_shape = (after - before) / (near[1] - near[0])[:, None]
+    columns = (value, in_place, in_width + place_width[0][:, None] * in_place, in_shape)
+    return value, in_place, np.stack(columns, axis=2)
+
+
 @cache
-def _fine_bank() -> tuple[Floats, ...]:
-    """Return shapes, pulses, tangents as `tangents`, pseudo-inverses of these, and second derivatives of the pulses."""
+def _fine_bank() -> tuple[Floats, Floats, Floats, Floats]:
+    """Return shapes, their pulses in the bins, pseudo-inverses of `tangents_at`, and second derivatives."""
     shapes = np.linspace(NODES[0], NODES[-1], _FINE + 1)
     values, moved, changes = tangents_at(shapes)
-    bends = -np.gradient(moved, BIN, axis=1)
+    bends = np.asarray(-np.gradient(moved, BIN, axis=1), np.float64)
     # The bins of the bank are means over four points.
-    return shapes, values + (BIN / 4) ** 2 / 24 * bends, changes, np.linalg.pinv(changes), bends
+    pulses = values + (BIN / 4) ** 2 / 24 * bends
+    return np.asarray(shapes, np.float64), pulses, np.asarray(np.linalg.pinv(changes)), bends
 
 
 def refined(samples: Samples, start: Floats) -> Floats:
@@ -360,7 +370,7 @@ def refined(samples: Samples, start: Floats) -> Floats:
 
     Rows with samples that do not count are left alone.
     """
-    shapes, pulses, _, inverses, bends = _fine_bank()
+    shapes, pulses, inverses, bends = _fine_bank()
     peak, log_width, place, shape, baseline = start.T
     own_place, own_width = bank().conditions(shape)
     unit = np.exp(log_width) / own_width
@@ -395,106 +405,3 @@ def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
     explained = np.einsum("nki,nki->nk", solution, right)
     cost = np.sum(bins.values**2, axis=1)[:, None] - explained
     return solution, np.where(solution[:, :, 0] > 0, cost, np.inf)
-
-
-# -- what the family leaves --------------------------------------------------------------------------
-
-
-def residual_bins(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats) -> tuple[Bins, Floats]:
-    """Return samples minus fitted pulse, over its peak, in the bins around it, and the unit.
-
-    Times in samples; `unit` (n,) is that of the bins' coordinates.
-    """
-    own_place, own_width = bank().conditions(shape)
-    unit = width / own_width
-    origin = onset + relative_times(shape)[1] * width - own_place * unit
-    bins = samples.bins(origin, unit, np.arange(len(peak)))
-    left = bins.values / peak[:, None] - _between_nodes(shape)
-    return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit
-
-
-def _between_nodes(shape: Floats) -> Floats:
-    """Return pulses of any shapes averaged over the bins, (n, n_bins): a parabola through three nodes of the bank."""
-    middle = np.clip(np.argmin(np.abs(NODES - shape[:, None]), axis=1), 1, NODES.size - 2)
-    before, at, after = NODES[middle - 1], NODES[middle], NODES[middle + 1]
-    shares = (
-        (shape - at) * (shape - after) / ((before - at) * (before - after)),
-        (shape - before) * (shape - after) / ((at - before) * (at - after)),
-        (shape - before) * (shape - at) / ((after - before) * (after - at)),
-    )
-    pulses = bank().basis[:, :, 0]
-    return np.asarray(sum(share[:, None] * pulses[middle + k] for share, k in zip(shares, (-1, 0, 1), strict=True)))
-
-
-def tangents_at(shapes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return pulses, their slopes in place (n, n_bins), and how changes of peak, place, width and shape change them.
-
-    The last is (n, n_bins, 4), place and width those of the common coordinates.
-    """
-    held, step = bank(), 1e-3
-    value, in_place, in_width = _averaged(*(place_width := held.conditions(shapes)), shapes)
-    near = [np.clip(shapes + k, NODES[0], NODES[-1]) for k in (-step, step)]
-    before, after = (_averaged(*held.conditions(one), one)[0] for one in near)
-    in_shape = (after - before) / (near[1] - near[0])[:, None]
-    columns = (value, in_place, in_width + place_width[0][:, None] * in_place, in_shape)
-    return value, in_place, np.stack(columns, axis=2)
-
-
-@cache
-def tangents() -> Floats:
-    """Return how small changes of peak, place, width and shape change the pulses of the nodes, (n_nodes, n_bins, 4)."""
-    held, step = bank(), 1e-3
-    moved = [
-        _averaged(*held.conditions(np.clip(NODES + k, NODES[0], NODES[-1])), np.clip(NODES + k, NODES[0], NODES[-1]))[0]
-        for k in (-step, step)
-    ]
-    return np.concatenate([held.basis, ((moved[1] - moved[0]) / step)[:, :, None]], axis=2)
-
-
-@cache
-def _components() -> tuple[Floats, Floats, Floats, Floats]:
-    """Return designs (tangents, components), their pseudo-inverses' last rows, orthonormal bases, and the spreads."""
-    with np.load(SHAPES_PATH, allow_pickle=False) as stored:
-        components, spreads = stored["components"], stored["spreads"]
-    design = np.concatenate([tangents(), np.broadcast_to(components.T, (NODES.size, *components.T.shape))], axis=2)
-    return design, np.linalg.pinv(design)[:, 4:], np.linalg.qr(design)[0], spreads
-
-
-@dataclass(frozen=True, eq=False)
-class Remainder:
-    """What a fitted damped-Hertz pulse leaves of the samples.
-
-    Attributes
-    ----------
-    components : over the peak, (n, N_SHAPES), drawn towards 0 where the noise hides them
-    unexplained : mean square of the rest over what the noise and `SHAPE_ERROR` would leave, (n,)
-    """
-
-    components: Floats
-    unexplained: Floats
-
-
-def remainder(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats) -> Remainder:
-    """Return the components of what fitted pulses leave of samples; noise (n,) is its standard deviation."""
-    bins, unit = residual_bins(samples, peak, width, onset, shape)
-    left, partial = bins.values, bins.partial
-    node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
-    designs, inverses, bases, spreads = _components()
-    per_bin = (noise / peak) ** 2 / np.maximum(BIN * unit, 1.0)
-    count = np.full(len(left), float(N_BINS))
-    found = np.einsum("nkb,nb->nk", inverses[node], left)
-    explained = np.sum(np.einsum("nbk,nb->nk", bases[node], left) ** 2, axis=1)
-    if partial.size and bins.inside is not None:
-        inside = bins.inside[partial]
-        design = designs[node[partial]] * inside[:, :, None]
-        information = np.matmul(np.swapaxes(design, 1, 2), design)
-        right = np.einsum("nbk,nb->nk", design, left[partial])
-        # Bins that are missing leave some of it open; it is then nothing.
-        prior = np.concatenate([np.full(4, 1e-9), 1e-4 / spreads**2])
-        all_found = np.linalg.solve(information + np.diag(prior), right[..., None])[..., 0]
-        found[partial], explained[partial] = all_found[:, 4:], np.sum(all_found * right, axis=1)
-        count[partial] = inside.sum(axis=1)
-    rest = np.maximum(np.sum(left**2, axis=1) - explained, 0.0)
-    certain = spreads**2 / (spreads**2 + per_bin[:, None])
-    free = np.maximum(count - 4 - N_SHAPES, 1.0)
-    return Remainder(found * certain, rest / (free * (per_bin + SHAPE_ERROR**2)))

@@ -10,7 +10,8 @@ parameters would explain, has few principal components (Jolliffe 2002, Principal
 import numpy as np
 
 from cgid.measure.fit import Start, fit_pulses
-from cgid.measure.search import N_SHAPES, NODES, SHAPES_PATH, Samples, residual_bins, tangents
+from cgid.measure.remainder import N_SHAPES, SHAPES_PATH, residual_bins, tangents
+from cgid.measure.search import NODES, Samples
 from cgid.physics import HalfSpace, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 

@@ -1,0 +1,104 @@
+"""What a fitted damped-Hertz pulse leaves of the samples: components of other laws of loss, and the rest.
+
+The components are the principal ones of how pulses of other laws differ from the family, in the bins of
+`cgid.measure.search`; `tests/references/make_shapes.py` makes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from cgid.measure.search import BIN, N_BINS, NODES, Bins, Samples, bank, tangents_at
+from cgid.measure.template import relative_times
+from cgid.validation import Floats
+
+#: Root mean square of what the components leave of pulses of other laws, over the peak.
+SHAPE_ERROR = 0.01
+#: Components that say how a pulse differs from the family, see `tests/references/make_shapes.py`.
+N_SHAPES = 4
+SHAPES_PATH = Path(__file__).with_name("shapes.npz")
+
+
+def residual_bins(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats) -> tuple[Bins, Floats]:
+    """Return samples minus fitted pulse, over its peak, in the bins around it, and the unit.
+
+    Times in samples; `unit` (n,) is that of the bins' coordinates.
+    """
+    own_place, own_width = bank().conditions(shape)
+    unit = width / own_width
+    origin = onset + relative_times(shape)[1] * width - own_place * unit
+    bins = samples.bins(origin, unit, np.arange(len(peak)))
+    left = bins.values / peak[:, None] - _between_nodes(shape)
+    return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit
+
+
+def _between_nodes(shape: Floats) -> Floats:
+    """Return pulses of any shapes averaged over the bins, (n, n_bins): a parabola through three nodes of the bank."""
+    middle = np.clip(np.argmin(np.abs(NODES - shape[:, None]), axis=1), 1, NODES.size - 2)
+    before, at, after = NODES[middle - 1], NODES[middle], NODES[middle + 1]
+    shares = (
+        (shape - at) * (shape - after) / ((before - at) * (before - after)),
+        (shape - before) * (shape - after) / ((at - before) * (at - after)),
+        (shape - before) * (shape - at) / ((after - before) * (after - at)),
+    )
+    pulses = bank().basis[:, :, 0]
+    return np.asarray(sum(share[:, None] * pulses[middle + k] for share, k in zip(shares, (-1, 0, 1), strict=True)))
+
+
+@cache
+def tangents() -> Floats:
+    """Return how small changes of peak, place, width and shape change the pulses of the nodes, (n_nodes, n_bins, 4)."""
+    return tangents_at(NODES)[2]
+
+
+@cache
+def _components() -> tuple[Floats, Floats, Floats, Floats]:
+    """Return designs (tangents, components), their pseudo-inverses' last rows, orthonormal bases, and the spreads."""
+    with np.load(SHAPES_PATH, allow_pickle=False) as stored:
+        components, spreads = stored["components"], stored["spreads"]
+    design = np.concatenate([tangents(), np.broadcast_to(components.T, (NODES.size, *components.T.shape))], axis=2)
+    return design, np.linalg.pinv(design)[:, 4:], np.linalg.qr(design)[0], spreads
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What a fitted damped-Hertz pulse leaves of the samples.
+
+    Attributes
+    ----------
+    components : over the peak, (n, N_SHAPES), drawn towards 0 where the noise hides them
+    unexplained : mean square of the rest over what the noise and `SHAPE_ERROR` would leave, (n,)
+    """
+
+    components: Floats
+    unexplained: Floats
+
+
+def remainder(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats) -> Remainder:
+    """Return the components of what fitted pulses leave of samples; noise (n,) is its standard deviation."""
+    bins, unit = residual_bins(samples, peak, width, onset, shape)
+    left, partial = bins.values, bins.partial
+    node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
+    designs, inverses, bases, spreads = _components()
+    per_bin = (noise / peak) ** 2 / np.maximum(BIN * unit, 1.0)
+    count = np.full(len(left), float(N_BINS))
+    found = np.einsum("nkb,nb->nk", inverses[node], left)
+    explained = np.sum(np.einsum("nbk,nb->nk", bases[node], left) ** 2, axis=1)
+    if partial.size and bins.inside is not None:
+        inside = bins.inside[partial]
+        design = designs[node[partial]] * inside[:, :, None]
+        information = np.matmul(np.swapaxes(design, 1, 2), design)
+        right = np.einsum("nbk,nb->nk", design, left[partial])
+        # Bins that are missing leave some of it open; it is then nothing.
+        prior = np.concatenate([np.full(4, 1e-9), 1e-4 / spreads**2])
+        all_found = np.linalg.solve(information + np.diag(prior), right[..., None])[..., 0]
+        found[partial], explained[partial] = all_found[:, 4:], np.sum(all_found * right, axis=1)
+        count[partial] = inside.sum(axis=1)
+    rest = np.maximum(np.sum(left**2, axis=1) - explained, 0.0)
+    certain = spreads**2 / (spreads**2 + per_bin[:, None])
+    free = np.maximum(count - 4 - N_SHAPES, 1.0)
+    return Remainder(found * certain, rest / (free * (per_bin + SHAPE_ERROR**2)))
