@@ -37,7 +37,7 @@ from cgid.scene import Scene, load_scene, parse_scene, synthesise
 HERE = Path(__file__).parent
 ACCELERATION_SCENES = ("tail_beam",)
 #: From the recorder of a vibration monitor to that of a laboratory, from a good sensor to one that hardly sees a blow.
-#: All shares are assumed: half of the noise is white, half without hum, one in five pulses is clipped.
+#: All shares are assumed: half of the noise is white, half without hum, one in three pulses is clipped.
 RIGS = {
     "sampling_rate": {"distribution": "log-uniform", "lowest": "24.5 kHz", "highest": "1.02 MHz"},
     "relative_noise": {"distribution": "log-uniform", "lowest": 1e-4, "highest": 0.3},
@@ -50,7 +50,7 @@ RIGS = {
     "relative_range": {
         "distribution": "choice",
         "values": [0.5, 0.6, 0.7, 0.8, 0.9, 1.2],
-        "weights": [1, 1, 1, 1, 1, 20],
+        "weights": [1, 1, 1, 1, 1, 11],
     },
     "bits": {"distribution": "uniform", "lowest": 10, "highest": 24},
     "anti_alias_frequency": {
