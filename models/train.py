@@ -8,8 +8,8 @@
 It trains on impacts of the shipped scenes `rock` (five laws of loss, spheres and lumps) and `reference`, both on the
 rig of `reference` and on many others (`RIGS`: rates, noises and their colours, hum, bits, filters, clipping), which are
 synthesised on the fly and never touch the disk. Impacts of `anything` on the same rigs are strangers: from them it
-learns where its rocks end. It is judged, and its prediction sets are calibrated, on impacts of `reference` that did not train.
-The card also compares the families (`models/selection.py`), and says how the model performs on other scenes
+learns where its rocks end. It is judged, and its prediction sets are calibrated, on impacts of `reference` that did not
+train. The card also compares the families (`models/selection.py`), and says how the model performs on other scenes
 (`models/domain_shift.py`).
 
 The model of acceleration trains on `tail_beam` alone. Its card compares it with a model of force on the same impacts

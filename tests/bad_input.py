@@ -296,7 +296,6 @@ _STREAMS = {
 _COLOURS = {
     "blacker": "relative_noise = 0.01\nnoise_exponent = 3",
     "levelless": "noise_exponent = 1",
-    "pink": "relative_noise = 0.01\nnoise_exponent = 1",
     "two_colours": (
         "relative_noise = 0.01\nnoise_exponent = 1\n"
         "noise_spectrum = { frequencies = [50, 100e3], density = [1.0, 1.0] }"
@@ -809,7 +808,6 @@ CASES = (
     Case("hum of two amplitudes", ("check", "two_amplitudes.toml"), 65, ("background.hum.0", "not both")),
     Case("hum relative to no impact", ("check", "relative_hum.toml"), 65, ("hum.1.relative_amplitude", "give amp")),
     Case("range relative to no impact", ("check", "relative_range.toml"), 65, ("sensor.relative_range", "give range")),
-    Case("ceiling of pink noise", ("ceiling", "pink.toml"), 65, ("reference", "white noise", "noise_exponent")),
     Case("beam steeper than a wall", ("check", "steep.toml"), 65, ("stream.inclination", "'95 deg'")),
     Case("noise relative to no impact", ("check", "relative.toml"), 65, ("sensor.relative_noise", "absolute_noise")),
     Case(

@@ -492,7 +492,7 @@ def test_a_beginning_is_certain_only_where_nothing_behind_it_matters(names: tupl
     (batch,) = synthesise(scene_of(population={"second_hit": SECOND}), 128)
     whole = extract_array(batch.signals, 200e3, names, pre_trigger=128, invalid="nan")
     shares = []
-    for length in range(140, 360, 20):
+    for length in range(140, 460, 20):
         behind = batch.signals[:, length:].max(axis=1)  # the least that is true of it
         cut = np.ascontiguousarray(batch.signals[:, :length])
         found, certain = extract_truncated(cut, 200e3, names, 128, behind)
