@@ -31,11 +31,10 @@ from cgid.workers import ALONE, Workers
 #: Guards of a model of pulses: how badly a signal fits the shape of a pulse. They show novelty, not the material.
 DEFAULT_GUARDS = ("unexplained",)
 #: Features of a model of pulses: the fitted pulse, and the uncertainty of its shape.
+FEW_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
+#: These, and what tells laws of loss apart: the uncertainty of the peak, and the shape of what the fit leaves.
 DEFAULT_FEATURES = (
-    "fitted_peak",
-    "fitted_width",
-    "shrunken_restitution",
-    "shrunken_restitution_deviation",
+    *FEW_FEATURES,
     "fitted_peak_deviation",
     *(f"pulse_shape_{n}" for n in (1, 2, 3, 4)),
 )

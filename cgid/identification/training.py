@@ -37,6 +37,8 @@ from cgid.identification.grouped import (
 from cgid.identification.metrics import evaluate, evaluate_recordings, evaluate_sets
 from cgid.identification.model import Model
 from cgid.identification.rows import (
+    DEFAULT_FEATURES,
+    FEW_FEATURES,
     Rows,
     chosen_for,
     default_guards,
@@ -48,6 +50,7 @@ from cgid.identification.rows import (
     shift,
 )
 from cgid.measure.features import choose
+from cgid.measure.pulses import MOST_UNEXPLAINED
 from cgid.signals import Batch
 from cgid.units import quantity_of
 from cgid.validation import Floats
@@ -57,12 +60,14 @@ from cgid.workers import ALONE, Workers
 TEST_SHARE = 0.25
 #: Share of the specimens that only calibrate the prediction sets.
 CALIBRATION_SHARE = 0.1
+#: Impacts from which a model of pulses takes the features that tell laws of loss apart: fewer do not teach their use.
+MANY_FEATURES = 5_000
 #: Impacts from which a network is larger and trains longer.
 MANY = 100_000
 #: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted.
 LEAST_LIMITS = {"overload": 0.05}
 #: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
-MOST_LIMITS = {"unexplained": 4.5}
+MOST_LIMITS = {"unexplained": MOST_UNEXPLAINED}
 #: Fewest calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 FEWEST_CALIBRATION_SPECIMENS = 20
 
@@ -207,12 +212,16 @@ def _measured(
     crew: Workers,
 ) -> tuple[Rows, tuple[str, ...], tuple[str, ...]]:
     """Return the rows of batches, and the names of their features and of their guards."""
+    is_default = features is None
     batches, names = chosen_for(batches, features)
     guards = default_guards(names) if guards is None else tuple(guards)
     guards = choose(guards) if guards else ()
     names = tuple(name for name in names if name not in guards)
     with threadpool_limits(1):
-        return measure(batches, names + guards, progress, known=known, crew=crew), names, guards
+        rows = measure(batches, names + guards, progress, known=known, crew=crew)
+    if is_default and names == DEFAULT_FEATURES and len(rows.labels) < MANY_FEATURES:
+        names = FEW_FEATURES
+    return rows, names, guards
 
 
 def _shuffled(rows: Rows, seed: int) -> Rows:

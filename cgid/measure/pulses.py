@@ -36,6 +36,8 @@ FAINT = 12.0
 _WIDTH_OVER_HALF_WIDTH = 1.08
 #: Equal samples in a row at the top that indicate a sensor at its limit.
 _FLAT_TOP = 3
+#: A remainder that is no single impact, and a fitted peak over the level where it is clipped, minus 1, that is a guess.
+MOST_UNEXPLAINED, MOST_OVERLOAD = 4.5, 1.2
 #: Smallest sum of squares that a pulse must explain, over the variance of the noise: chance explains less.
 EVIDENCE = 40.0
 #: Upper end of the spectra times the contact duration: above it a clean pulse has almost no energy (a low-pass there
@@ -318,7 +320,9 @@ class PulseBatch(Frames):
             pulse = (fit.peak[own], fit.width[own], fit.onset[own], fit.shape[own])
             found = remainder(samples, *pulse, noise[own])
             components[own], unexplained[own] = found.components, found.unexplained
-        return Remainder(components, np.maximum(unexplained, fit.stray))
+        # Steep, so that what is clipped less stays as it is.
+        guessed = MOST_UNEXPLAINED * np.minimum((self.overload / MOST_OVERLOAD) ** 8, 100.0)
+        return Remainder(components, np.maximum(np.maximum(unexplained, fit.stray), guessed))
 
     def fit_problems(self) -> dict[int, str]:
         """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
@@ -531,8 +535,8 @@ PULSE_FEATURES = (
     _fitted(
         "unexplained",
         "1",
-        "mean square of what no known pulse explains, over what noise and 1 % of the peak would leave, or a stray "
-        "sample outside the pulse",
+        "mean square of what no known pulse explains, over what noise and 1 % of the peak would leave; more for a "
+        "stray sample outside the pulse, or a peak of more than twice the level where it is clipped",
         measure=lambda p: p.remainder.unexplained,
         positive=True,
         whole_frame=True,
