@@ -252,7 +252,7 @@ def test_elastic_impacts_are_of_the_family(solved):
     assert read_off(pulses).restitution[0] == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_model_knows_them_though_no_training_saw_their_law(solved, reference_scene):
+def test_the_model_knows_them_though_no_training_saw_them(solved, reference_scene):
     model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
     measured = measure(solved.signals(reference_scene, seed=5), model.measured)
     inputs, guards = np.split(measured.features, [len(model.features)], axis=1)
