@@ -31,7 +31,7 @@ from cgid.scene.impacts import draw
 from cgid.validation import Floats
 
 #: Features whose logarithms are the inputs of the learner.
-_POSITIVE = ("fitted_peak", "fitted_width", "fitted_restitution", "fitted_restitution_deviation")
+_POSITIVE = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
 #: The other features, for the learner of a scene with pulses of other families.
 _OTHERS = tuple(f.name for f in PULSE_FEATURES if isinstance(f, Feature) and f.name not in _POSITIVE)
 #: Fewest signals to train a learner on.
