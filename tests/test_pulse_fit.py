@@ -8,7 +8,8 @@ from cgid.identification.estimation import cramer_rao_bound, estimate
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.features import extract_array, extract_truncated
 from cgid.measure.fit import MODEL_ERROR
-from cgid.measure.remainder import N_SHAPES, SHAPES_PATH
+from cgid.measure.remainder import N_SHAPES
+from cgid.measure.search import NODES, SHAPES_PATH, tangents_at
 from cgid.measure.template import curve, pulse_and_slopes, relative_times
 from tests import few, naive
 from tests.references import make_shapes
@@ -215,6 +216,14 @@ def test_components_tell_other_laws_from_the_family():
     own, _ = frames_of(0.5, make_shapes.SAMPLES, 0.003, n=50, seed=50)
     of_family = extract_array(own, 1e5, REMAINDER, pre_trigger=BEFORE - 4)[:, :-1]
     assert np.mean(sizes > 3 * np.sqrt(np.sum(of_family**2, axis=1)).max()) > 0.7
+
+
+def test_bank_is_what_its_maker_makes():
+    place, width = make_shapes.coordinates()
+    with np.load(SHAPES_PATH) as stored:
+        assert stored["place"] == pytest.approx(place, abs=1e-12)
+        assert stored["width"] == pytest.approx(width, rel=1e-12)
+        assert stored["tangents"] == pytest.approx(tangents_at(NODES, place, width), abs=1e-9)
 
 
 @pytest.mark.long

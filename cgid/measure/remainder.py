@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
-from cgid.measure.search import BIN, N_BINS, NODES, Bins, Samples, bank, tangents_at
+from cgid.measure.search import BIN, N_BINS, NODES, SHAPES_PATH, Bins, Samples, bank
 from cgid.measure.template import relative_times
 from cgid.validation import Floats
 
@@ -20,7 +19,6 @@ from cgid.validation import Floats
 SHAPE_ERROR = 0.01
 #: Components that say how a pulse differs from the family, see `tests/references/make_shapes.py`.
 N_SHAPES = 4
-SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 
 
 def residual_bins(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats) -> tuple[Bins, Floats]:
@@ -50,17 +48,11 @@ def _between_nodes(shape: Floats) -> Floats:
 
 
 @cache
-def tangents() -> Floats:
-    """Return how small changes of peak, place, width and shape change the pulses of the nodes, (n_nodes, n_bins, 4)."""
-    return tangents_at(NODES)[2]
-
-
-@cache
 def _components() -> tuple[Floats, Floats, Floats, Floats]:
     """Return designs (tangents, components), their pseudo-inverses' last rows, orthonormal bases, and the spreads."""
     with np.load(SHAPES_PATH, allow_pickle=False) as stored:
         components, spreads = stored["components"], stored["spreads"]
-    design = np.concatenate([tangents(), np.broadcast_to(components.T, (NODES.size, *components.T.shape))], axis=2)
+    design = np.concatenate([bank().tangents, np.broadcast_to(components.T, (NODES.size, *components.T.shape))], axis=2)
     return design, np.linalg.pinv(design)[:, 4:], np.linalg.qr(design)[0], spreads
 
 

@@ -1,9 +1,9 @@
 """The global search for a pulse: all shapes at once, each with its own peak, width and place.
 
-A bank holds the damped-Hertz pulse at `N_NODES` shapes in common coordinates, chosen so that the pulses overlap as well
-as they can, with their slopes in place and width. The samples around a pulse become bins in the same coordinates. The
-least-squares solutions for all shapes are then one product of matrices, so that every shape is a start of the search,
-at the cost of one. A few repetitions with the bins moved to the best solution find the global optimum.
+A bank holds the damped-Hertz pulse of each shape of `NODES` in common coordinates, chosen so that the pulses overlap as
+well as they can, with their slopes in place and width. The samples around a pulse become bins in the same coordinates.
+The least-squares solutions for all shapes are then one product of matrices, so that every shape is a start of the
+search, at the cost of one. A few repetitions with the bins moved to the best solution find the global optimum.
 
 What remains is the likelihood of every shape (`Found.cost`), from which honest deviations follow where a parabola would
 not do: a dull pulse of restitution .15 in 3 % noise may also be one of .45.
@@ -14,13 +14,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, curve, relative_times
+from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, RowsOnDemand, curve, relative_times
 from cgid.validation import Floats
 
+#: The bank, and the components of `cgid.measure.remainder`; `tests/references/make_shapes.py` makes both.
+SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 #: Shapes of the bank: most of them where materials are, some mirrored.
 NODES = np.concatenate([np.linspace(LOWEST_SHAPE, 0.8, 20), [1.2, 1.8, HIGHEST_SHAPE]])
 #: Inner nodes with evenly spaced neighbours.
@@ -34,8 +37,8 @@ MIDDLES = EDGES[:-1] + 0.5 * BIN
 _PASSES, _LARGEST_STEP = 4, 0.4
 #: Power of 2 of the fewest samples around a pulse.
 _SHORTEST = 5
-#: Cells of the shapes of `refined`, and its largest step in any parameter.
-_FINE, _LARGEST_REFINEMENT = 200, 0.3
+#: Shapes of `refined`, the step of their slopes, and its largest step in any parameter.
+_FINE_SHAPES, _SHAPE_STEP, _LARGEST_REFINEMENT = np.linspace(NODES[0], NODES[-1], 201), 1e-3, 0.3
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
 #: A shape is quite another beyond this distance, and surely not the true one if its cost is this many noise variances
@@ -53,6 +56,7 @@ class Bank:
     basis : pulse, slopes in place and ln(width), perhaps a constant, averaged over bins, (n_nodes, n_bins, n_free)
     products : of the columns of the basis, (n_bins, n_nodes n_free n_free)
     inverse : of the information of all bins, (n_nodes, n_free, n_free)
+    tangents : how changes of peak, place, width and shape change the pulses, (n_nodes, n_bins, 4)
     """
 
     place: Floats
@@ -60,6 +64,7 @@ class Bank:
     basis: Floats
     products: Floats
     inverse: Floats
+    tangents: Floats
 
     @cached_property
     def flat(self) -> Floats:
@@ -71,7 +76,7 @@ class Bank:
         return np.interp(shape, NODES, self.place), np.interp(shape, NODES, self.width)
 
 
-def _averaged(place: Floats, width: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
+def averaged(place: Floats, width: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     """Return pulses averaged over the bins, and their slopes in place and ln(width), each (n, n_bins)."""
     duration, lead, _, _ = (a[:, None] for a in relative_times(shape))
     points = np.add.outer(MIDDLES, BIN * (np.arange(4) - 1.5) / 4).ravel()
@@ -85,23 +90,15 @@ def _averaged(place: Floats, width: Floats, shape: Floats) -> tuple[Floats, Floa
 
 @cache
 def bank(with_baseline: bool = False) -> Bank:
-    """Return the bank; the pulses overlap best with the elastic one."""
-    n = NODES.size
-    reference = _averaged(np.zeros(1), np.ones(1), np.zeros(1))[0][0]
-    place, width = np.zeros(n), np.ones(n)
-    for _ in range(8):
-        parts = np.stack(_averaged(place, width, NODES), axis=2)
-        step = np.linalg.solve(np.swapaxes(parts, 1, 2) @ parts, np.swapaxes(parts, 1, 2) @ reference[None, :, None])
-        place = place + step[:, 1, 0] / step[:, 0, 0] * 0.7
-        width = width * np.exp(np.clip(step[:, 2, 0] / step[:, 0, 0] * 0.7, -0.3, 0.3))
-    value, in_place, in_width = _averaged(place, width, NODES)
-    # Slopes in place and ln(width) of the common coordinates, whose origin is not the peak.
-    in_width = in_width + place[:, None] * in_place
-    columns = [value, in_place, in_width, *([np.ones_like(value)] if with_baseline else [])]
-    basis = np.stack(columns, axis=2)
+    """Return the bank from its file: making it takes longer than the fit of a few pulses."""
+    with np.load(SHAPES_PATH, allow_pickle=False) as stored:
+        place, width, tangents = stored["place"], stored["width"], stored["tangents"]
+    basis = tangents[:, :, :3]
+    if with_baseline:
+        basis = np.concatenate([basis, np.ones((NODES.size, N_BINS, 1))], axis=2)
     products = np.einsum("kbi,kbj->bkij", basis, basis).reshape(N_BINS, -1)
-    inverse = np.linalg.inv(products.sum(axis=0).reshape(n, len(columns), len(columns)))
-    return Bank(place, width, basis, products, inverse)
+    inverse = np.linalg.inv(products.sum(axis=0).reshape(NODES.size, *basis.shape[2:] * 2))
+    return Bank(place, width, basis, products, inverse, tangents)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,29 +337,32 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
     )
 
 
-def tangents_at(shapes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return pulses, their slopes in place (n, n_bins), and how changes of peak, place, width and shape change them.
+def tangents_at(shapes: Floats, place: Floats, width: Floats) -> Floats:
+    """Return how changes of peak, place, width and shape change pulses, (n, n_bins, 4), the pulses themselves first.
 
-    The last is (n, n_bins, 4), place and width those of the common coordinates.
+    Place and width (n_nodes,) are those of the bank, and changes of them are of the common coordinates.
     """
-    held, step = bank(), 1e-3
-    value, in_place, in_width = _averaged(*(place_width := held.conditions(shapes)), shapes)
-    near = [np.clip(shapes + k, NODES[0], NODES[-1]) for k in (-step, step)]
-    before, after = (_averaged(*held.conditions(one), one)[0] for one in near)
+    own_place, own_width = np.interp(shapes, NODES, place), np.interp(shapes, NODES, width)
+    value, in_place, in_width = averaged(own_place, own_width, shapes)
+    near = [np.clip(shapes + k, NODES[0], NODES[-1]) for k in (-_SHAPE_STEP, _SHAPE_STEP)]
+    before, after = (averaged(np.interp(one, NODES, place), np.interp(one, NODES, width), one)[0] for one in near)
     in_shape = (after - before) / (near[1] - near[0])[:, None]
-    columns = (value, in_place, in_width + place_width[0][:, None] * in_place, in_shape)
-    return value, in_place, np.stack(columns, axis=2)
+    # The origin of the common coordinates is not the peak.
+    return np.stack([value, in_place, in_width + own_place[:, None] * in_place, in_shape], axis=2)
 
 
 @cache
-def _fine_bank() -> tuple[Floats, Floats, Floats, Floats]:
-    """Return shapes, their pulses in the bins, pseudo-inverses of `tangents_at`, and second derivatives."""
-    shapes = np.linspace(NODES[0], NODES[-1], _FINE + 1)
-    values, moved, changes = tangents_at(shapes)
-    bends = np.asarray(-np.gradient(moved, BIN, axis=1), np.float64)
+def _fine_bank() -> RowsOnDemand:
+    """Return pulses of `_FINE_SHAPES` in the bins, pseudo-inverses of their tangents, and second derivatives."""
+    return RowsOnDemand(_fine, _FINE_SHAPES.size, (N_BINS,), (4, N_BINS), (N_BINS,), kind=np.float64)
+
+
+def _fine(rows: NDArray[np.intp]) -> tuple[Floats, ...]:
+    tangents = tangents_at(_FINE_SHAPES[rows], bank().place, bank().width)
+    bends = -np.gradient(tangents[:, :, 1], BIN, axis=1)
     # The bins of the bank are means over four points.
-    pulses = values + (BIN / 4) ** 2 / 24 * bends
-    return np.asarray(shapes, np.float64), pulses, np.asarray(np.linalg.pinv(changes)), bends
+    pulses = tangents[:, :, 0] + (BIN / 4) ** 2 / 24 * bends
+    return pulses, np.asarray(np.linalg.pinv(tangents)), bends
 
 
 def refined(samples: Samples, start: Floats) -> Floats:
@@ -370,17 +370,17 @@ def refined(samples: Samples, start: Floats) -> Floats:
 
     Rows with samples that do not count are left alone.
     """
-    shapes, pulses, inverses, bends = _fine_bank()
     peak, log_width, place, shape, baseline = start.T
     own_place, own_width = bank().conditions(shape)
     unit = np.exp(log_width) / own_width
     bins = samples.bins(place - own_place * unit, unit, np.arange(len(peak)))
-    node = np.rint(np.nan_to_num((shape - shapes[0]) / (shapes[1] - shapes[0]))).astype(np.intp)
+    node = np.rint(np.nan_to_num((shape - _FINE_SHAPES[0]) / (_FINE_SHAPES[1] - _FINE_SHAPES[0]))).astype(np.intp)
+    pulses, inverses, bends = _fine_bank()(node)
     left = (bins.values - baseline[:, None]) / peak[:, None] - pulses[node]
     # The line through the samples is above a curve that is bent upwards.
     left -= bends[node] * (1 / (12 * unit**2))[:, None]
     step = np.matmul(inverses[node], left[:, :, None])[:, :, 0]
-    moved = shapes[node] + step[:, 3]
+    moved = _FINE_SHAPES[node] + step[:, 3]
     good = (np.abs(step[:, :3]).max(axis=1) < _LARGEST_REFINEMENT) & (np.abs(moved - shape) < _LARGEST_REFINEMENT)
     good &= (moved > NODES[0]) & (moved < NODES[-1])
     good[bins.partial] = False

@@ -15,7 +15,9 @@ correlated with s. The reported parameters are `PARAMETERS`.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,49 +29,93 @@ from cgid.validation import Floats
 LOWEST_SHAPE, HIGHEST_SHAPE = float(np.log(family.LOWEST_RESTITUTION)), -float(np.log(family.LOWEST_RESTITUTION))
 #: Steps of the grid from the lowest shape to 0, and from touch to separation.
 _SHAPES, _PLACES = 128, 256
-#: Nodes beyond s = 0, enough for central differences there.
-_BEYOND = 3
+_SPACING = -LOWEST_SHAPE / _SHAPES
+_NODES: Floats = LOWEST_SHAPE + _SPACING * np.arange(_SHAPES + 1, dtype=np.float64)
+#: Nodes to either side that central differences need, also beyond s = 0.
+_BEYOND = 2
 #: Least distance from touch and separation at which slopes are evaluated.
 _EDGE = 1e-12
 #: Cells of the contact in the table of `slopes_and_pulse`.
 _CELLS = 1024
 
 
-@cache
-def _table() -> tuple[tuple[Floats, ...], Floats]:
-    """Return the curve and the times at the nodes, with derivatives.
+class RowsOnDemand:
+    """Arrays of one row for each shape, made when first asked for: a pulse or two need few of them.
 
-    The curve is g, g_w, g_ww, g_s, g_sw, g_ss, each flat over the nodes of s and w. The times (n_shapes, 2, 3) are
-    contact duration and time from touch to peak, over the width (impulse over peak), with two derivatives in s.
+    `make` returns the arrays from the numbers of some rows; their shapes have no axis for the rows.
     """
-    step = -LOWEST_SHAPE / _SHAPES
-    shapes = LOWEST_SHAPE + step * np.arange(_SHAPES + 1)
-    w = np.arange(_PLACES + 1) / _PLACES
-    u = np.sin(np.pi / 4 + np.arcsin((2 * w - 1) / np.sqrt(2))) ** 2  # w is (1 + sin - cos) / 2 of that angle
+
+    def __init__(
+        self, make: Callable[[NDArray[np.intp]], Iterable[Floats]], n_rows: int, *shapes: tuple[int, ...], kind: Any
+    ) -> None:
+        self._make, self._made = make, np.zeros(n_rows, bool)
+        self._held = tuple(np.empty((n_rows, *shape), kind) for shape in shapes)
+
+    def __call__(self, rows: NDArray[np.intp]) -> tuple[NDArray[Any], ...]:
+        """Return the arrays, of which at least these rows are made."""
+        if not self._made[rows].all():
+            missing = np.flatnonzero(np.bincount(rows, minlength=len(self._made)).astype(bool) & ~self._made)
+            for held, part in zip(self._held, self._make(missing), strict=True):
+                held[missing] = part
+            self._made[missing] = True
+        return self._held
+
+
+def _dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return restitution, contact time, time of the peak and peak of the dimensionless pulse, each (n,)."""
     restitution = np.minimum(np.exp(shapes), family.HIGHEST_RESTITUTION)
     contact, peak_time, _ = family.times(restitution)
-    peak = family.force(peak_time[:, None], restitution)
-    curve = family.force(u * contact[:, None], restitution) / peak
+    return restitution, contact, peak_time, family.force(peak_time[:, None], restitution)[:, 0]
+
+
+@cache
+def _times() -> Floats:
+    """Return contact duration and time from touch to peak at the nodes of s, (n_shapes, 2, 3).
+
+    Over the width (impulse over peak), with two derivatives in s.
+    """
+    restitution, contact, peak_time, peak = _dimensionless(_NODES)
     # The impulse of m x'' from 1 to -e is 1 + e.
-    times = np.stack([contact, peak_time], axis=1) * (peak / (1 + restitution[:, None]))
+    times = np.stack([contact, peak_time], axis=1) * (peak / (1 + restitution))[:, None]
     # Beyond s = 0: the same, reversed.
-    turned = slice(-2, -2 - _BEYOND, -1)
-    curve = np.concatenate([curve, curve[turned, ::-1]])
-    beyond = times[turned]
+    beyond = times[-2 : -2 - _BEYOND : -1]
     times = np.concatenate([times, np.stack([beyond[:, 0], beyond[:, 0] - beyond[:, 1]], axis=1)])
-    spacing_w = 1 / _PLACES
-    in_w, in_s = _slope(curve, 1) / spacing_w, _slope(curve, 0) / step
-    derivatives = (
-        curve,
-        in_w,
-        _bend(curve, 1) / spacing_w**2,
+    return np.stack([times, _slope(times, 0) / _SPACING, _bend(times, 0) / _SPACING**2], axis=-1)[: _NODES.size]
+
+
+@cache
+def _table() -> RowsOnDemand:
+    """Return g, g_w, g_ww, g_s, g_sw and g_ss at the nodes of s and w."""
+    return RowsOnDemand(_derivatives, _NODES.size, *((_PLACES + 1,),) * 6, kind=np.float64)
+
+
+def _derivatives(rows: NDArray[np.intp]) -> tuple[Floats, ...]:
+    first = np.maximum(rows - _BEYOND, 0)
+    around = first[:, None] + np.arange(2 * _BEYOND + 1)
+    # Beyond s = 0: the same, reversed.
+    beyond = around >= _NODES.size
+    around[beyond] = 2 * (_NODES.size - 1) - around[beyond]
+    wanted = np.flatnonzero(np.bincount(around.ravel()))
+    curves = _curves(wanted)[np.searchsorted(wanted, around)]
+    curves[beyond] = curves[beyond][:, ::-1]
+    own = np.arange(rows.size), rows - first
+    in_s = _slope(curves, 1)[own] / _SPACING
+    return (
+        curves[own],
+        _slope(curves[own], 1) * _PLACES,
+        _bend(curves[own], 1) * _PLACES**2,
         in_s,
-        _slope(in_s, 1) / spacing_w,
-        _bend(curve, 0) / step**2,
+        _slope(in_s, 1) * _PLACES,
+        _bend(curves, 1)[own] / _SPACING**2,
     )
-    held = tuple(np.ascontiguousarray(part[: _SHAPES + 1].ravel()) for part in derivatives)
-    time_derivatives = np.stack([times, _slope(times, 0) / step, _bend(times, 0) / step**2], axis=-1)[: _SHAPES + 1]
-    return held, time_derivatives
+
+
+def _curves(rows: NDArray[np.intp]) -> Floats:
+    """Return pulses over their peaks at some nodes of s and all of w."""
+    w = np.arange(_PLACES + 1) / _PLACES
+    u = np.sin(np.pi / 4 + np.arcsin((2 * w - 1) / np.sqrt(2))) ** 2  # w is (1 + sin - cos) / 2 of that angle
+    restitution, contact, _, peak = _dimensionless(_NODES[rows])
+    return family.force(u * contact[:, None], restitution) / peak[:, None]
 
 
 def _slope(values: Floats, axis: int) -> Floats:
@@ -93,7 +139,7 @@ def _bend(values: Floats, axis: int) -> Floats:
 def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s."""
     node, offset = _nearest(shape)
-    held = _table()[1][node]
+    held = _times()[node]
     at = held[:, :, 0] + offset[:, None] * (held[:, :, 1] + 0.5 * offset[:, None] * held[:, :, 2])
     slopes = held[:, :, 1] + offset[:, None] * held[:, :, 2]
     duration, peak_time, duration_slope, peak_slope = at[:, 0], at[:, 1], slopes[:, 0], slopes[:, 1]
@@ -122,7 +168,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     column = np.rint(place)
     dw = (place - column) * (1 / _PLACES)
     index = column.astype(np.intp) + (node * (_PLACES + 1))[:, None]
-    g, g_w, g_ww, g_s, g_sw, g_ss = (np.take(held, index) for held in _table()[0])
+    g, g_w, g_ww, g_s, g_sw, g_ss = (held.take(index) for held in _table()(node))
     ds = offset[:, None]
     in_shape = (g_s + ds * g_ss + dw * g_sw) * inside
     g_w += ds * g_sw
@@ -154,25 +200,34 @@ def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
 
 
 @cache
-def _quick_table() -> tuple[NDArray[np.float32], ...]:
-    """Return g, g_u, g_uu, g_s, g_su, g_ss at even shares u, each flat over the nodes of s and u; u counts cells.
+def _quick_table() -> RowsOnDemand:
+    """Return g, g_u, g_uu, g_s, g_su, g_ss at the nodes of s and at even shares u; u counts cells.
 
     Touch and separation are zero with all slopes, and so is what lies beyond.
     """
-    shapes = LOWEST_SHAPE * (1 - np.arange(_SHAPES + 1) / _SHAPES)
-    u = np.broadcast_to(np.arange(_CELLS + 1) / _CELLS, (shapes.size, _CELLS + 1))
-    value, in_share, in_shape = curve(u, shapes)
-    in_share = in_share / _CELLS
-    bend = np.gradient(in_shape, shapes[1] - shapes[0], axis=0, edge_order=2)
+    return RowsOnDemand(_quick_derivatives, _NODES.size, *((_CELLS + 1,),) * 6, kind=np.float32)
+
+
+def _quick_derivatives(rows: NDArray[np.intp]) -> tuple[Floats, ...]:
+    # Of a shape and its neighbours, or at the ends the next two.
+    first = np.minimum(np.maximum(rows - 1, 0), _NODES.size - 3)
+    around = first[:, None] + np.arange(3)
+    wanted = np.flatnonzero(np.bincount(around.ravel()))
+    shapes = LOWEST_SHAPE * (1 - wanted / _SHAPES)
+    value, in_share, in_shape = curve(
+        np.broadcast_to(np.arange(_CELLS + 1) / _CELLS, (wanted.size, _CELLS + 1)), shapes
+    )
+    places, own = np.searchsorted(wanted, around), np.searchsorted(wanted, rows)
+    bend = np.gradient(in_shape[places], _SPACING, axis=1, edge_order=2)[np.arange(rows.size), rows - first]
+    value, in_share, in_shape = value[own], in_share[own] / _CELLS, in_shape[own]
     curvature, twist = np.gradient(in_share, axis=1), np.gradient(in_shape, axis=1)
     # Near the ends the curve is as u^(3/2).
     curvature[:, 1], curvature[:, -2] = 0.5 * in_share[:, 1], -0.5 * in_share[:, -2]
-    half, _, _ = curve(np.broadcast_to(np.array([0.5, _CELLS - 0.5]) / _CELLS, (shapes.size, 2)), shapes)
+    half, _, _ = curve(np.broadcast_to(np.array([0.5, _CELLS - 0.5]) / _CELLS, (rows.size, 2)), shapes[own])
     for part in (value, in_share, in_shape, twist, bend):
         part[:, [0, -1]] = 0.0
     curvature[:, [0, -1]] = 8 * half
-    parts = (value, in_share, curvature, in_shape, twist, bend)
-    return tuple(part.astype(np.float32).ravel() for part in parts)
+    return value, in_share, curvature, in_shape, twist, bend
 
 
 def slopes_and_pulse(
@@ -217,7 +272,7 @@ def slopes_and_pulse(
     dx = (x - column).astype(np.float32)
     index = column.astype(np.intp)
     index += (node * (_CELLS + 1))[:, None]
-    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in _quick_table())
+    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in _quick_table()(node))
     x = x.astype(np.float32)
     g_uu *= dx
     slope = g_su * ds

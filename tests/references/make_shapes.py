@@ -1,6 +1,8 @@
-"""Make cgid/measure/shapes.npz: how pulses of other laws of loss differ from the damped-Hertz pulse fitted to them.
+"""Make cgid/measure/shapes.npz: the bank of damped-Hertz pulses, and how pulses of other laws of loss differ from it.
 
     python tests/references/make_shapes.py
+
+The pulses of the bank lie in common coordinates, in which they overlap best with the elastic one.
 
 Pulses of Thornton, Walton and Braun, and Kuwabara and Kono of restitution .1 to .97 are fitted by the damped-Hertz
 family without noise. What is left, in the coordinates of `cgid.measure.search` and without what a change of the fitted
@@ -10,8 +12,8 @@ parameters would explain, has few principal components (Jolliffe 2002, Principal
 import numpy as np
 
 from cgid.measure.fit import Start, fit_pulses
-from cgid.measure.remainder import N_SHAPES, SHAPES_PATH, residual_bins, tangents
-from cgid.measure.search import NODES, Samples
+from cgid.measure.remainder import N_SHAPES, residual_bins
+from cgid.measure.search import NODES, SHAPES_PATH, Samples, averaged, bank, tangents_at
 from cgid.physics import HalfSpace, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 
@@ -41,15 +43,30 @@ def pulses() -> np.ndarray:
     return np.concatenate(frames)
 
 
+def coordinates() -> tuple[np.ndarray, np.ndarray]:
+    """Return place and width of the pulses of the bank, each (n_nodes,): they overlap best with the elastic one."""
+    reference = averaged(np.zeros(1), np.ones(1), np.zeros(1))[0][0]
+    place, width = np.zeros(NODES.size), np.ones(NODES.size)
+    for _ in range(8):
+        parts = np.stack(averaged(place, width, NODES), axis=2)
+        step = np.linalg.solve(np.swapaxes(parts, 1, 2) @ parts, np.swapaxes(parts, 1, 2) @ reference[None, :, None])
+        place = place + step[:, 1, 0] / step[:, 0, 0] * 0.7
+        width = width * np.exp(np.clip(step[:, 2, 0] / step[:, 0, 0] * 0.7, -0.3, 0.3))
+    return place, width
+
+
 def main() -> None:
-    """Fit, take what is left, write its principal components."""
+    """Make the bank, fit with it, take what is left, write its principal components."""
+    place, width = coordinates()
+    of_bank = {"place": place, "width": width, "tangents": tangents_at(NODES, place, width)}
+    np.savez(SHAPES_PATH, **of_bank)
     frames = pulses()
     n = len(frames)
     start = Start(np.ones(n), frames.sum(axis=1), frames.argmax(axis=1).astype(float))
     fit = fit_pulses(frames, start, np.full(n, 1e-3))
     samples = Samples(frames, np.zeros(n), np.full(n, np.inf), np.zeros(n, np.intp))
     left = residual_bins(samples, fit.peak, fit.width, fit.onset, fit.shape)[0].values
-    bases = np.linalg.qr(tangents())[0][np.argmin(np.abs(NODES - fit.shape[:, None]), axis=1)]
+    bases = np.linalg.qr(bank().tangents)[0][np.argmin(np.abs(NODES - fit.shape[:, None]), axis=1)]
     left -= np.einsum("nbk,nck,nc->nb", bases, bases, left)
     _, sizes, components = np.linalg.svd(left, full_matrices=False)
     spreads = sizes[:N_SHAPES] / np.sqrt(n)
@@ -57,7 +74,7 @@ def main() -> None:
     rest = left - (left @ components[:N_SHAPES].T) @ components[:N_SHAPES]
     print("left without, with them:", *(f"{np.sqrt(np.mean(part**2)):.4f}" for part in (left, rest)))
     signs = np.sign(components[:N_SHAPES, :].sum(axis=1, keepdims=True))
-    np.savez(SHAPES_PATH, components=signs * components[:N_SHAPES], spreads=spreads)
+    np.savez(SHAPES_PATH, **of_bank, components=signs * components[:N_SHAPES], spreads=spreads)
 
 
 if __name__ == "__main__":
