@@ -195,7 +195,7 @@ class PulseOnsets:
             chunk = slice(first, first + _CHUNK_WINDOWS)
             numbers = before + np.arange(first, min(chunk.stop, shape[1]))[:, None]
             near = np.clip(numbers + around, 0, stop - 1)
-            baseline[:, chunk] = np.median(medians[:, near], axis=2)
+            baseline[:, chunk] = _median(medians[:, near])
             latest = np.clip(np.maximum(numbers, _RISING_WINDOWS - 1) - np.arange(_RISING_WINDOWS), 0, stop - 1)
             typical = _typical(noises[:, max(stop - _NOISE_WINDOWS, 0) : stop])[:, None]
             noise[:, chunk] = np.maximum(typical, noises[:, latest].min(axis=2))
@@ -318,8 +318,8 @@ class PulseOnsets:
 def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
     """Return both for windows (..., n_samples), from every `step`-th sample."""
     looked = windows[..., ::step]
-    median = np.median(looked, axis=-1)
-    noise = 1.4826 * np.median(np.abs(looked - median[..., None]), axis=-1)
+    median = _median(looked)
+    noise = 1.4826 * _median(np.abs(looked - median[..., None]))
     for place in np.argwhere(noise == 0):
         where = tuple(place)
         below = median[where] - windows[where]
@@ -328,15 +328,22 @@ def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
     return median, noise
 
 
+def _median(values: Floats) -> Floats:
+    """Return the median along the last axis, of finite values; `np.median` would import `numpy.ma` for a few."""
+    below, above = (values.shape[-1] - 1) // 2, values.shape[-1] // 2
+    ordered = np.partition(values, (below, above), axis=-1)
+    return np.asarray(0.5 * (ordered[..., below] + ordered[..., above]))
+
+
 def _typical(noises: Floats) -> Floats:
     """Return the median noise (n_channels,) over windows (n_channels, n).
 
     If most windows of a channel have no noise, only the others count.
     """
-    found = np.median(noises, axis=1)
+    found = _median(noises)
     for channel in np.flatnonzero(found == 0):
         some = noises[channel][noises[channel] > 0]
-        found[channel] = np.median(some) if some.size else 0.0
+        found[channel] = _median(some) if some.size else 0.0
     return np.asarray(found)
 
 

@@ -68,7 +68,7 @@ def colour_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run
     n_samples = samples.shape[1]
     stop = np.minimum(n_quiet.astype(np.intp), n_samples)
     # Rows with the same number of samples go together, so that a row does not depend on its neighbours.
-    for length in np.unique(np.minimum(stop // run, MOST)):
+    for length in sorted(set(np.minimum(stop // run, MOST).tolist())):
         if length < FEWEST:
             continue
         rows = np.flatnonzero(np.minimum(stop // run, MOST) == length)

@@ -91,7 +91,7 @@ def windows(
     lengths = np.minimum(duration + 2 * _MARGIN, lead + _MARGIN + _FURTHEST) * width
     # Lengths come in steps, so that a row's window does not depend on the other rows.
     step = np.ceil(np.log(np.maximum(lengths, 1.0)) / np.log(_STEP)).astype(np.intp)
-    for chosen in np.unique(step):
+    for chosen in sorted(set(step.tolist())):
         rows = np.flatnonzero(step == chosen)
         length = int(np.ceil(_STEP**chosen)) + 4
         run = max(-(-length // _LONGEST), 1) if averaged else 1

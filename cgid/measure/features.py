@@ -255,7 +255,7 @@ def _sound(
     """Return the problems by row, the rows without a problem, and the batches of these rows."""
     batches = make(frames)
     found = _problems(batches, names)
-    sound = np.setdiff1d(np.arange(len(frames)), list(found))
+    sound = np.delete(np.arange(len(frames)), np.fromiter(found, np.intp))
     return found, sound, make(frames[sound]) if found else batches
 
 

@@ -231,7 +231,7 @@ def _by_colour(
     """Return the rows with white noise, and those with coloured noise and True; without the empty ones."""
     rows = np.arange(len(samples))
     coloured = np.empty(0, np.intp) if n_quiet is None else colour_of(samples, n_quiet, floor).rows
-    white = rows if not coloured.size else np.setdiff1d(rows, coloured)
+    white = np.delete(rows, coloured)
     return [(part, flag) for part, flag in ((white, False), (coloured, True)) if part.size]
 
 

@@ -186,7 +186,7 @@ def around(
     first = np.minimum(np.maximum(np.floor(middle - 0.5 * length), 0), n_samples - 2).astype(np.intp)
     whole = length >= 2 * n_samples
     length[whole], first[whole] = n_samples, 0
-    for chosen in np.unique(length):
+    for chosen in sorted(set(length.tolist())):
         rows = np.flatnonzero(length == chosen)
         columns = first[rows, None] + np.arange(chosen)
         if columns[:, -1].max() >= n_samples:
