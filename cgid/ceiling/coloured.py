@@ -22,8 +22,8 @@ import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
 from cgid.measure.filters import mixing_matrix
-from cgid.measure.fit import normal_equations
 from cgid.measure.likelihood import Profile, profile
+from cgid.measure.optimum import normal_equations
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.measure.colour import ORDER, colour_of
-from cgid.measure.excerpts import Rows, rows_of, strongest_run, windows
-from cgid.measure.optimum import Optimum, Problem, Problems, normal_equations, search_nearby
+from cgid.measure.excerpts import Rows, rows_of, windows
+from cgid.measure.optimum import Optimum, Problem, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
 from cgid.measure.search import Found, around, last_bin, refined, search
 from cgid.measure.template import relative_times
@@ -38,18 +38,6 @@ STRAY = 0.03
 _FAR = 1e9
 #: A deviation of this many standard deviations outside the window counts as a misfit of 1.
 _OUTLIER = 5.5
-
-__all__ = [
-    "MODEL_ERROR",
-    "Problem",
-    "PulseFit",
-    "Start",
-    "fit_pulses",
-    "normal_equations",
-    "rows_of",
-    "strongest_run",
-    "windows",
-]
 
 
 # -- start and result of a fit ------------------------------------------------------------------------

@@ -24,8 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import family, validation
 from cgid.errors import InvalidValue
+from cgid.measure.excerpts import rows_of, windows
 from cgid.measure.filters import low_pass_response, mixing_matrix
-from cgid.measure.fit import Problem, normal_equations, rows_of, windows
+from cgid.measure.optimum import Problem, normal_equations
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -254,7 +255,7 @@ class Near(Protocol):
 
 
 class Residual(Protocol):
-    """Samples and a curve to fit to them, as `cgid.measure.fit.Problem`."""
+    """Samples and a curve to fit to them, as `cgid.measure.optimum.Problem`."""
 
     @property
     def free(self) -> list[int]:

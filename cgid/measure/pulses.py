@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, strongest_run
+from cgid.measure.excerpts import strongest_run
+from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses
 from cgid.measure.frames import Frames, constant_signal
 from cgid.measure.remainder import N_SHAPES, Remainder, remainder
 from cgid.measure.search import around
