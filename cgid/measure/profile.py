@@ -102,9 +102,9 @@ class Profiled:
         best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
         squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]
         away = [np.matmul(spline, _away(self.parameters, PROFILED, best))]
-        for top in tops:
+        covariances = [parabolic(problems, top, variance) for top in tops]
+        for top, covariance in zip(tops, covariances, strict=True):
             shape = top.parameters[:, 3:4]
-            covariance = parabolic(problems, top, variance)
             deviation = np.sqrt(covariance[:, 3, 3:4])
             narrow = deviation < PARABOLIC
             squares[0] = np.where(narrow & (np.abs(fine - shape) < 3 * deviation), np.inf, squares[0])
@@ -122,9 +122,8 @@ class Profiled:
         if problems.onset is not None:
             moved[:, :, 2] = 0.0
         spread = np.matmul(np.swapaxes(moved, 1, 2), weight[:, :, None] * moved)
-        covariance = parabolic(problems, tops[0], variance)
-        column = covariance[:, :, 3]
-        given_shape = covariance - column[:, :, None] * column[:, None] / covariance[:, 3, 3][:, None, None]
+        column = covariances[0][:, :, 3]
+        given_shape = covariances[0] - column[:, :, None] * column[:, None] / column[:, 3][:, None, None]
         e, mean, wide = np.exp(s), *WIDE_RESTITUTION
         deviation = np.sqrt(np.sum(weight * (e - np.exp(best[:, 3:4])) ** 2, axis=1))
         # The prior is a density of e, the grid one of ln e.
@@ -152,8 +151,13 @@ def _reported(parameters: Floats, shape: Floats) -> Floats:
 
 def binned(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
     """Return what is best at each shape by the search, whose bins hold several samples each."""
-    scale = found.unit * BIN / problems.averaged[rows] / unit**2
+    scale = _scale(problems, found, unit, rows)
     return Profiled(_at_shapes(found, unit), found.cost[:, _EVERY] * scale[:, None], found, scale, True)
+
+
+def _scale(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Floats:
+    """Return what makes costs of the search squared residuals of the windows of some rows, (n,)."""
+    return np.asarray(found.unit * BIN / problems.averaged[rows] / unit**2)
 
 
 def _at_shapes(found: Found, unit: Floats) -> Floats:
@@ -165,8 +169,7 @@ def _at_shapes(found: Found, unit: Floats) -> Floats:
 
 def exact(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
     """Return what is best at each shape, by one step of Gauss and Newton from the results of the search."""
-    n, n_shapes = len(rows), PROFILED.size
-    scale = found.unit * BIN / problems.averaged[rows] / unit**2
+    n, n_shapes, scale = len(rows), PROFILED.size, _scale(problems, found, unit, rows)
     each = np.repeat(rows, n_shapes)
     flat = problems.tied(_at_shapes(found, unit).reshape(-1, 5), each)
     kept = [k for k, column in enumerate(problems.free) if column != 3]
