@@ -47,6 +47,10 @@ class Colour:
         """Rows whose noise is not white."""
         return np.flatnonzero(self.coefficients.any(axis=1))
 
+    def of(self, chosen: NDArray[np.intp]) -> Colour:
+        """Return that of some rows."""
+        return Colour(self.coefficients[chosen], self.innovation[chosen])
+
     def whitened(self, curves: Floats, rows: NDArray[np.intp]) -> Floats:
         """Return curves (n, ..., n_samples) of some rows minus their prediction; the first `ORDER` samples are 0."""
         coefficients = self.coefficients[rows].reshape(len(rows), *(1,) * (curves.ndim - 2), ORDER)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.colour import ORDER, colour_of
+from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.excerpts import Rows, rows_of, windows
 from cgid.measure.optimum import Optimum, Problem, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
@@ -116,10 +116,6 @@ class PulseFit:
             spread[f.name][places] = held
         return PulseFit(**spread)
 
-    def rows(self, chosen: Rows) -> PulseFit:
-        """Return some of the rows."""
-        return PulseFit(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
-
     @property
     def restitution(self) -> Floats:
         """Restitution exp(s), above 1 for a pulse that rises more slowly than it falls."""
@@ -195,16 +191,19 @@ def _fit_block(
             reach[rows] = own.reach
         found = Found.joined(found_of)
         parts, sigma = [], noise_over_peak.copy()
-        for rows, coloured in _by_colour(samples, n_quiet, MODEL_ERROR * unit):
+        colour = None if n_quiet is None else colour_of(samples, n_quiet, MODEL_ERROR * unit)
+        for rows, coloured in _by_colour(len(samples), colour):
             if coloured:  # the refined one is for white noise
                 guess[rows] = rough[rows]
             levels = (offset[rows], clip_level[rows], unit[rows])
             for window in windows(samples, rough[rows], *levels, response is None, ORDER * coloured, rows):
                 own_rows = window.rows
                 problem = Problem(window, fit_baseline, rows_of(onset, own_rows), response)
-                if coloured and n_quiet is not None:
-                    floor = MODEL_ERROR * unit[own_rows]
-                    problem.colour = colour_of(samples[own_rows], n_quiet[own_rows], floor, window.run)
+                if coloured and colour is not None and n_quiet is not None:
+                    problem.colour = colour.of(own_rows)
+                    if window.run > 1:
+                        floor = MODEL_ERROR * unit[own_rows]
+                        problem.colour = colour_of(samples[own_rows], n_quiet[own_rows], floor, window.run)
                     sigma[own_rows] = problem.colour.innovation / unit[own_rows] * np.sqrt(window.run)
                 parts.append((own_rows, problem))
         guess[:, [0, 4]] /= unit[:, None]
@@ -213,13 +212,10 @@ def _fit_block(
         return _report(problems, best, sigma, noise_over_peak, unit, found, reach)
 
 
-def _by_colour(
-    samples: NDArray[np.floating], n_quiet: Floats | None, floor: Floats
-) -> list[tuple[NDArray[np.intp], bool]]:
+def _by_colour(n: int, colour: Colour | None) -> list[tuple[NDArray[np.intp], bool]]:
     """Return the rows with white noise, and those with coloured noise and True; without the empty ones."""
-    rows = np.arange(len(samples))
-    coloured = np.empty(0, np.intp) if n_quiet is None else colour_of(samples, n_quiet, floor).rows
-    white = np.delete(rows, coloured)
+    coloured = np.empty(0, np.intp) if colour is None else colour.rows
+    white = np.delete(np.arange(n), coloured)
     return [(part, flag) for part, flag in ((white, False), (coloured, True)) if part.size]
 
 
