@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from cgid.errors import BadData
 from cgid.validation import Floats
 
+Arrays = Mapping[str, NDArray[Any]]
+
 
 @dataclass(frozen=True)
 class Standardiser:
@@ -30,6 +32,21 @@ class Standardiser:
     floor: Floats
     mean: Floats
     scale: Floats
+
+    #: Names of its arrays, one value per feature, after the prefix of whose they are.
+    NAMES: ClassVar[tuple[str, ...]] = ("logarithmic", "floor", "mean", "scale")
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, prefix: str) -> Standardiser:
+        """Return that of the arrays of a model; raises `BadData` unless scale and floor are above 0."""
+        found = cls(*(arrays[prefix + name] for name in cls.NAMES))
+        if not (found.scale > 0).all() or not (found.floor > 0).all():
+            raise BadData(f"arrays {prefix}scale and {prefix}floor must be above 0")
+        return found
+
+    def arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a model."""
+        return {prefix + name: getattr(self, name) for name in self.NAMES}
 
     @classmethod
     def fit(cls, features: Floats, linear: Sequence[int] = ()) -> Standardiser:
@@ -118,7 +135,6 @@ class Neighbourhood:
         return np.asarray(np.argmax((offsets * (white @ self.whitening))[nearest, rows], axis=1))
 
 
-Arrays = Mapping[str, NDArray[Any]]
 #: Most trees, and nodes on a path from root to leaf: each row passes through all trees.
 _MOST_TREES, _LONGEST_WAY = 1 << 15, 256
 
@@ -379,22 +395,19 @@ class Contrast:
         own = {name.removeprefix(cls.PREFIX): a for name, a in arrays.items() if name.startswith(cls.PREFIX)}
         if not own:
             return None
-        shapes = dict.fromkeys(("logarithmic", "floor", "mean", "scale"), (n_features,)) | {"limit": (1,)}
+        shapes = dict.fromkeys(Standardiser.NAMES, (n_features,)) | {"limit": (1,)}
         for name, shape in shapes.items():
             if name not in own or own[name].shape != shape:
                 raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}")
-        standardiser = Standardiser(*(own.pop(name) for name in ("logarithmic", "floor", "mean", "scale")))
-        if not (standardiser.scale > 0).all() or not (standardiser.floor > 0).all():
-            raise BadData("arrays contrast.scale and contrast.floor must be above 0")
-        limit = float(own.pop("limit")[0])
-        return cls(standardiser, Network(own, n_features, 2), limit)
+        standardiser = Standardiser.from_arrays(arrays, cls.PREFIX)
+        network = Network({name: a for name, a in own.items() if name in Network.AXES}, n_features, 2)
+        return cls(standardiser, network, float(own["limit"][0]))
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays of a model."""
-        own = {name: getattr(self.standardiser, name) for name in ("logarithmic", "floor", "mean", "scale")}
-        own |= {**self.network.arrays, "limit": np.array([self.limit])}
-        return {self.PREFIX + name: array for name, array in own.items()}
+        own = {**self.network.arrays, "limit": np.array([self.limit])}
+        return self.standardiser.arrays(self.PREFIX) | {self.PREFIX + name: array for name, array in own.items()}
 
     def scores(self, features: Floats) -> Floats:
         """Return ln of the odds that rows are strangers, up to a constant."""

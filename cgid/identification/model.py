@@ -180,7 +180,7 @@ class Model:
 
     @cached_property
     def _standardiser(self) -> Standardiser:
-        return Standardiser(**{name: self.arrays[f"standardiser.{name}"] for name in STANDARDISER})
+        return Standardiser.from_arrays(self.arrays, STANDARDISER)
 
     @cached_property
     def _neighbourhood(self) -> Neighbourhood:
@@ -396,7 +396,7 @@ class Model:
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
         own = BY_NAME[classifier.family].export(classifier.estimator_)
-        arrays: dict[str, NDArray[Any]] = {f"standardiser.{name}": getattr(standardiser, name) for name in STANDARDISER}
+        arrays: dict[str, NDArray[Any]] = standardiser.arrays(STANDARDISER)
         arrays |= {"neighbourhood.centres": neighbourhood.centres, "neighbourhood.whitening": neighbourhood.whitening}
         arrays |= {f"family.{name}": array for name, array in own.items()}
         if conformal is not None:

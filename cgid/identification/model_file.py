@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.identification.families import BY_NAME, Contrast, Network
+from cgid.identification.families import BY_NAME, Contrast, Network, Standardiser
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.features import require_known
@@ -240,8 +240,8 @@ def _is(value: Any, kind: type) -> bool:
 # -- the model --------------------------------------------------------------------------------------------
 
 MOST_CHANNELS = 64
-#: Arrays of the standardiser, one value per input.
-STANDARDISER = ("logarithmic", "floor", "mean", "scale")
+#: Prefix of the arrays of the standardiser.
+STANDARDISER = "standardiser."
 MOST_LABELS, _MOST_SENSORS = 1000, 1000
 #: Most characters of a label or sensor name.
 _LONGEST_WORD = 100
@@ -330,7 +330,7 @@ def _check_arrays(model: Model) -> None:
     """Raise unless the arrays are those of the model's family and all values are finite."""
     arrays, n, n_classes = model.arrays, len(model.inputs), len(model.labels)
     shapes: dict[str, tuple[tuple[int, ...], ...]] = {
-        **{f"standardiser.{name}": ((n,),) for name in STANDARDISER},
+        **dict.fromkeys((STANDARDISER + name for name in Standardiser.NAMES), ((n,),)),
         "neighbourhood.centres": ((n_classes, n),),
         "neighbourhood.whitening": ((n_classes, n, n), (1, n, n)),  # one per class, or one for all
     }
@@ -339,10 +339,10 @@ def _check_arrays(model: Model) -> None:
             raise BadData(f"array {name} must have shape {possible[0]}")
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
-    own = {f"family.{name}" for name in BY_NAME[model.family].AXES}
-    contrast = {Contrast.PREFIX + name for name in (*STANDARDISER, *Network.AXES, "limit")}
+    known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
+    known |= {f"family.{name}" for name in BY_NAME[model.family].AXES}
+    known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, "limit")}
     for name, array in arrays.items():
-        known = own | shapes.keys() | contrast | {"conformal.scores", "conformal.labels", "reference.spectra"}
         if name not in known:
             raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")
         kinds = "b" if name.endswith(".logarithmic") else "fi"
@@ -350,8 +350,7 @@ def _check_arrays(model: Model) -> None:
         # Without np.abs, which would copy a large array. False for nan.
         if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
-    if not (arrays["standardiser.scale"] > 0).all() or not (arrays["standardiser.floor"] > 0).all():
-        raise BadData("arrays standardiser.scale and standardiser.floor must be above 0")
+    Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
 
 
 def _check_windows(model: Model) -> None:
