@@ -227,20 +227,19 @@ def test_long_contacts_lose_nothing_to_runs(monkeypatch):
 
 
 def test_white_noise_is_the_same_with_and_without_whitening():
-    """A range above all samples changes nothing but the way: least squares with the onset of a fit."""
+    """A range above all samples changes nothing but the way: the samples are fitted without whitening."""
     plain = rocks(*PAIR, sensor={"relative_noise": 0.05})
     ranged = rocks(*PAIR, sensor={"relative_noise": 0.05, "range": 1e6})
     one, other = ceiling(plain, 512, seed=44), ceiling(ranged, 512, seed=44)
     assert one.accuracy == pytest.approx(other.accuracy, abs=1e-3)
-    # Now and then the fit ends at the other top of the likelihood.
-    assert np.sqrt(np.mean((one.probabilities - other.probabilities) ** 2)) < 0.015
+    assert np.sqrt(np.mean((one.probabilities - other.probabilities) ** 2)) < 0.01
 
 
 def test_offset_and_drift_are_known():
     plain = {"relative_noise": 0.05}
     moved = {**plain, "offset": 300.0, "drift": 1e6}
     one, other = (ceiling(rocks(*PAIR, sensor=sensor), 128, seed=52).probabilities for sensor in (plain, moved))
-    assert one == pytest.approx(other, abs=3e-3)
+    assert one == pytest.approx(other, abs=2e-3)
 
 
 def test_lumps_change_the_prior_alone():

@@ -22,7 +22,6 @@ from cgid.ceiling.coloured import Frames, Noise, noise_of, profile_in, true_para
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Prior, Profile, profile
-from cgid.measure.pulses import PulseBatch
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
@@ -362,13 +361,12 @@ def _profiles(scene: Scene, batch: Batch, noise: Noise, knowledge: list[_Knowled
 
 def _along(scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int) -> Profile:
     onset, onset_between, response = _touch(scene, len(batch))
-    values, rate = batch.parameters, batch.sampling_rate
-    sensor, peak = scene.sensor, values["peak_force"]
-    shift = (sensor.offset or 0.0) + (sensor.drift or 0.0) / rate * np.arange(batch.signals.shape[1])
+    sensor, peak = scene.sensor, batch.parameters["peak_force"]
+    shift = (sensor.offset or 0.0) + (sensor.drift or 0.0) / batch.sampling_rate * np.arange(batch.signals.shape[1])
     frames = Frames(batch.signals - shift, peak, noise, float(scene.sampling.pre_trigger), onset, response)
-    # The search for the most likely pulse begins at the true one; where it ends does not depend on that.
-    near = true_parameters(peak, values["contact_duration"] * rate, values["onset"] * rate, values["restitution"])
-    return profile_in(frames, near, lowest=lowest, highest=highest, n_nodes=n_nodes, onset_between=onset_between)
+    return profile_in(
+        frames, _true(batch), lowest=lowest, highest=highest, n_nodes=n_nodes, onset_between=onset_between
+    )
 
 
 def _along_clipped(scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int) -> Profile:
@@ -376,7 +374,7 @@ def _along_clipped(scene: Scene, batch: Batch, noise: Noise, lowest: float, high
     assert scene.sensor.range is not None
     return profile(
         batch.signals,
-        PulseBatch(batch.signals, batch.sampling_rate, batch.pre_trigger, remove_baseline=False).fit,
+        _true(batch),
         noise.level(batch.parameters["peak_force"]),
         lowest=lowest,
         highest=highest,
@@ -386,6 +384,13 @@ def _along_clipped(scene: Scene, batch: Batch, noise: Noise, lowest: float, high
         clip_level=np.full(len(batch), 0.999 * scene.sensor.range),
         response=response,
     )
+
+
+def _true(batch: Batch) -> Floats:
+    """Return the true pulses, (n, 5), near which the most likely ones are."""
+    values, rate = batch.parameters, batch.sampling_rate
+    duration, onset = values["contact_duration"] * rate, values["onset"] * rate
+    return true_parameters(values["peak_force"], duration, onset, values["restitution"])
 
 
 def _touch(scene: Scene, n: int) -> tuple[Floats | None, tuple[float, float] | None, Floats | None]:

@@ -21,9 +21,10 @@ import numpy as np
 import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
+from cgid.measure.excerpts import by_length
 from cgid.measure.filters import mixing_matrix
 from cgid.measure.likelihood import Profile, profile
-from cgid.measure.optimum import normal_equations
+from cgid.measure.optimum import LARGEST_STEPS, bounded, normal_equations, tied
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -43,12 +44,10 @@ from cgid.validation import Floats
 _FLOOR = 1e-5
 #: Most points of a window, and of a frame: longer ones are averaged over equal runs, and frames cut around the window.
 _LONGEST, _MOST_POINTS = 320, 4096
-#: Lengths of windows are powers of this number.
-_STEP = 1.5
 #: The peaks that set the ratio of two noises are rounded to such steps of their logarithm.
 _LEVEL_STEP = 0.05
-#: Evaluations of the search for the most likely pulse, and its largest steps of ln(width), place over width, and s.
-_ITERATIONS, _LARGEST_STEPS = 8, {1: 0.4, 2: 0.5, 3: 0.7}
+#: Evaluations of the search for the most likely pulse.
+_ITERATIONS = 10
 #: Room that a window leaves for the most likely pulses of other shapes to be longer.
 _ROOM = 1.15
 
@@ -201,10 +200,7 @@ class Whitened:
 
     def tied(self, parameters: Floats) -> Floats:
         """Return the parameters, with the place that follows from a known onset."""
-        if self.onset is not None:
-            _, lead, _, _ = relative_times(parameters[:, 3])
-            parameters[:, 2] = self.onset + lead * np.exp(parameters[:, 1])
-        return parameters
+        return tied(parameters, self.onset)
 
     def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]:
         """Return whitened samples minus curve (n, n_points), and the slopes of the curve (n, n_free, n_points)."""
@@ -264,10 +260,8 @@ class Frames:
         width = np.exp(longest[:, 1])
         stop = longest[:, 2] + (duration * _ROOM - lead) * width + 2
         wanted = np.maximum(stop - self.first + (0 if self.response is None else len(self.response)), 8.0)
-        step = np.ceil(np.log(wanted) / np.log(_STEP)).astype(np.intp)
-        for chosen in np.unique(step):
-            rows = np.flatnonzero(step == chosen)
-            yield rows, self._part(np.arange(block.start, block.start + len(longest))[rows], int(_STEP**chosen) + 1)
+        for rows, length in by_length(wanted):
+            yield rows, self._part(block.start + rows, length)
 
     def _part(self, rows: NDArray[np.intp], length: int) -> Whitened:
         n_samples = self.samples.shape[1]
@@ -301,14 +295,6 @@ class Frames:
         return np.asarray(np.eye(points) + share * bend)
 
 
-@dataclass(frozen=True, eq=False)
-class _Pulses:
-    peak: Floats
-    width: Floats
-    onset: Floats
-    shape: Floats
-
-
 def profile_in(
     frames: Frames,
     near: Floats,
@@ -336,13 +322,11 @@ def profile_in(
         back = np.argsort(order)
         return Profile(**{part.name: getattr(ordered, part.name)[back] for part in fields(Profile)})
     found, deviation = _most_likely(frames, near, lowest, highest)
-    peak, width, shape = found[:, 0], np.exp(found[:, 1]), found[:, 3]
-    _, lead, _, _ = relative_times(shape)
     # White noise with this deviation of the shape.
-    noise = deviation * np.exp(-shape_deviation(shape)[0]) * peak * np.sqrt(width)
+    noise = deviation * np.exp(0.5 * found[:, 1] - shape_deviation(found[:, 3])[0]) * found[:, 0]
     return profile(
         frames.samples,
-        _Pulses(peak, width, found[:, 2] - lead * width, shape),
+        found,
         noise,
         lowest=lowest,
         highest=highest,
@@ -356,7 +340,7 @@ def _most_likely(frames: Frames, near: Floats, lowest: float, highest: float) ->
     """Return the most likely parameters, (n, 5), and the standard deviation of the shape, (n,)."""
     found, deviation = near.copy(), np.empty(len(near))
     longest = near.copy()
-    longest[:, 3] = np.maximum(longest[:, 3] - _LARGEST_STEPS[3], LOWEST_SHAPE)
+    longest[:, 3] = np.maximum(longest[:, 3] - LARGEST_STEPS[2], LOWEST_SHAPE)
     for first in range(0, len(near), 256):
         block = slice(first, first + 256)
         for part, points in frames.whitened(block, longest[block]):
@@ -383,9 +367,7 @@ def _search(points: Whitened, near: Floats, lowest: float, highest: float) -> tu
         step = solve_scaled(information, pull, (damping + 1e-10)[:, None, None])
         parameters = best.copy()
         parameters[:, 0] = np.maximum(parameters[:, 0] + step[:, 0], 0.2 * parameters[:, 0])
-        for place, column in enumerate(points.free[1:], start=1):
-            largest = _LARGEST_STEPS[column] * (np.exp(best[:, 1]) if column == 2 else 1.0)
-            parameters[:, column] += np.clip(step[:, place], -largest, largest)
+        parameters[:, points.free[1:]] += bounded(step, points.free, np.exp(best[:, 1]))[:, 1:]
         parameters[:, 3] = np.clip(parameters[:, 3], low, high)
         parameters = points.tied(parameters)
     unit = np.zeros(pull.shape)

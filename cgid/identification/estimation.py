@@ -19,6 +19,7 @@ from cgid.measure.fit import PulseFit, fit_pulses
 from cgid.measure.frames import LARGEST, frames_of
 from cgid.measure.likelihood import Bound, Prior, cramer_rao_bound, profile
 from cgid.measure.pulses import PulseBatch, without_impact
+from cgid.measure.template import parameters_of
 from cgid.validation import Floats, require_rate
 
 __all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "estimate", "posterior"]
@@ -296,7 +297,7 @@ def posterior(
         )
         along = profile(
             pulses.samples,
-            fit,
+            parameters_of(fit.peak, fit.width, fit.onset, fit.shape),
             level,
             lowest=lowest,
             highest=highest,

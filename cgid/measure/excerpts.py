@@ -89,16 +89,21 @@ def windows(
     duration, lead, _, _ = relative_times(guess[:, 3])
     first = np.floor(guess[:, 2] - (lead + _MARGIN) * width).astype(np.intp) - 2
     lengths = np.minimum(duration + 2 * _MARGIN, lead + _MARGIN + _FURTHEST) * width
-    # Lengths come in steps, so that a row's window does not depend on the other rows.
-    step = np.ceil(np.log(np.maximum(lengths, 1.0)) / np.log(_STEP)).astype(np.intp)
-    for chosen in sorted(set(step.tolist())):
-        rows = np.flatnonzero(step == chosen)
-        length = int(np.ceil(_STEP**chosen)) + 4
+    for rows, length in by_length(lengths):
+        length += 4
         run = max(-(-length // _LONGEST), 1) if averaged else 1
         length = -(-length // run) * run + before * run
         levels = (offset[rows], clip_level[rows], unit[rows])
         own = rows if among is None else among[rows]
         yield _window(samples, own, first[rows] - before * run, length, run, *levels)
+
+
+def by_length(wanted: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:
+    """Yield rows of similar lengths (n,), and a length that is enough for all of them."""
+    # Lengths come in steps, so that a row's window does not depend on the other rows.
+    step = np.ceil(np.log(np.maximum(wanted, 1.0)) / np.log(_STEP)).astype(np.intp)
+    for chosen in sorted(set(step.tolist())):
+        yield np.flatnonzero(step == chosen), int(np.ceil(_STEP**chosen))
 
 
 def _window(

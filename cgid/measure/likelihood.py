@@ -26,7 +26,7 @@ from cgid import family, validation
 from cgid.errors import InvalidValue
 from cgid.measure.excerpts import rows_of, windows
 from cgid.measure.filters import low_pass_response, mixing_matrix
-from cgid.measure.optimum import Problem, normal_equations
+from cgid.measure.optimum import Problem, bounded, normal_equations
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -234,26 +234,6 @@ class Profile:
     cross: Floats
 
 
-class Near(Protocol):
-    """Pulses near the most likely ones, each (n,): a `PulseFit`, for example; times in samples of the frame."""
-
-    @property
-    def peak(self) -> Floats:
-        """Peak above the baseline."""
-
-    @property
-    def width(self) -> Floats:
-        """Impulse over peak."""
-
-    @property
-    def onset(self) -> Floats:
-        """Time of touch."""
-
-    @property
-    def shape(self) -> Floats:
-        """Shape s = ln e."""
-
-
 class Residual(Protocol):
     """Samples and a curve to fit to them, as `cgid.measure.optimum.Problem`."""
 
@@ -282,7 +262,7 @@ def _stabilised() -> tuple[Floats, Floats]:
 
 def profile(
     samples: NDArray[np.floating],
-    fit: Near,
+    near: Floats,
     noise: Floats,
     *,
     lowest: float = LOWEST_SHAPE,
@@ -296,19 +276,20 @@ def profile(
     response: Floats | None = None,
     whitened: Whitened | None = None,
 ) -> Profile:
-    """Return the likelihood along the shape of fitted pulses in samples (n, n_samples).
+    """Return the likelihood along the shape of pulses in samples (n, n_samples).
 
-    The prior is zero outside `lowest` and `highest`. With `n_quiet` (n,), the offset is only known as the mean of this
-    many samples; otherwise it is exact. Touch is equally likely within `onset_between` [samples] and impossible
-    outside; for None it may be anywhere. `noise` (n,) is above 0; `offset`, `onset`, `clip_level` and `response` are as
-    in `fit_pulses`. `whitened` takes the place of the samples and of these four where the noise is not white; `noise`
-    is then the white noise in which the shape would be as uncertain.
+    `near` (n, 5) holds pulses near the most likely ones: (peak, ln width, place, s, baseline). The prior is zero
+    outside `lowest` and `highest`. With `n_quiet` (n,), the offset is only known as the mean of this many samples;
+    otherwise it is exact. Touch is equally likely within `onset_between` [samples] and impossible outside; for None it
+    may be anywhere. `noise` (n,) is above 0; `offset`, `onset`, `clip_level` and `response` are as in `fit_pulses`.
+    `whitened` takes the place of the samples and of these four where the noise is not white; `noise` is then the white
+    noise in which the shape would be as uncertain.
     """
-    shapes = _grid(fit, noise, lowest, highest, n_nodes)
+    shapes = _grid(near, noise, lowest, highest, n_nodes)
     out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(6)))
     for first in range(0, len(samples), _PROFILED_ROWS):
         block = slice(first, first + _PROFILED_ROWS)
-        guess = parameters_of(fit.peak[block], fit.width[block], fit.onset[block], fit.shape[block])
+        guess = near[block]
         # As long as the pulse of the lowest shape: a window without its tail could not rule out that shape.
         longest = guess.copy()
         longest[:, 3] = shapes[block, 0]
@@ -344,11 +325,11 @@ def _fill(
             getattr(out, part.name)[rows, node] = value
 
 
-def _grid(fit: Near, noise: Floats, lowest: float, highest: float, n_nodes: int) -> Floats:
-    """Return nodes around the fitted shape and within the bounds, evenly spaced in the stabilised coordinate."""
+def _grid(near: Floats, noise: Floats, lowest: float, highest: float, n_nodes: int) -> Floats:
+    """Return nodes around the shapes of pulses, within the bounds, evenly spaced in the stabilised coordinate."""
     shapes, coordinate = _stabilised()
-    middle = np.interp(fit.shape, shapes, coordinate)
-    reach = _REACH * noise / np.abs(fit.peak) / np.sqrt(fit.width)
+    middle = np.interp(near[:, 3], shapes, coordinate)
+    reach = _REACH * noise / np.abs(near[:, 0]) / np.exp(0.5 * near[:, 1])
     low, high = (np.interp(bound, shapes, coordinate) for bound in (lowest, highest))
     start = np.clip(middle - reach, low, high)
     stop = np.clip(middle + reach, low, high)
@@ -388,12 +369,7 @@ def _at(
             break
         step = solve_scaled(information, gradient, 1e-6)
         parameters[:, 0] = np.maximum(parameters[:, 0] + step[:, 0], 0.2 * parameters[:, 0])
-        width = np.exp(parameters[:, 1])
-        parameters[:, 1] += np.clip(step[:, 1], -0.4, 0.4)
-        if 2 in columns:
-            parameters[:, 2] += np.clip(step[:, 2], -0.5 * width, 0.5 * width)
-        if hold is not None:
-            parameters[:, 4] += step[:, -1]
+        parameters[:, columns[1:]] += bounded(step, columns, np.exp(parameters[:, 1]))[:, 1:]
         parameters = problem.tied(parameters)
     duration, lead, _, _ = relative_times(shape)
     peak, log_width = parameters[:, 0], parameters[:, 1]

@@ -26,7 +26,7 @@ from cgid.measure.template import (
 from cgid.validation import Floats
 
 #: Largest steps of ln(width), of the place over the width, and of s.
-_LARGEST_STEPS = (0.4, 0.5, 0.7)
+LARGEST_STEPS = (0.4, 0.5, 0.7)
 _ITERATIONS = 8
 #: A step is the last, and not evaluated, when it promises to reduce the squared residual by less than this share of the
 #: noise variance, undamped (what it leaves is of higher order) and damped.
@@ -56,7 +56,7 @@ class Problem:
 
     def tied(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
         """Return the parameters, with the place that follows from a known onset."""
-        return _tied(parameters, rows_of(self.onset, rows))
+        return tied(parameters, rows_of(self.onset, rows))
 
     def residual(self, parameters: Floats, rows: Rows) -> tuple[Floats, Floats]:
         """Return samples minus curve (n, n_samples), and the slopes of the curve (n, n_free, n_samples)."""
@@ -116,7 +116,7 @@ class Problems:
 
     def tied(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
         """Return the parameters, with the place that follows from a known onset."""
-        return _tied(parameters, rows_of(self.onset, rows))
+        return tied(parameters, rows_of(self.onset, rows))
 
     def equations(self, parameters: Floats, rows: NDArray[np.intp]) -> Floats:
         """Return the products (n, n_free + 1, n_free + 1) of slopes and, last, the residual at parameters (n, 5)."""
@@ -131,7 +131,8 @@ class Problems:
         return out
 
 
-def _tied(parameters: Floats, onset: Floats | None) -> Floats:
+def tied(parameters: Floats, onset: Floats | None) -> Floats:
+    """Return the parameters (n, 5), with the place that follows from a known onset, (n,), in place."""
     if onset is not None:
         _, lead, _, _ = relative_times(parameters[:, 3])
         parameters[:, 2] = onset + lead * np.exp(parameters[:, 1])
@@ -226,10 +227,10 @@ def _moved(problems: Problems, parameters: Floats, step: Floats, rows: NDArray[n
 
 
 def bounded(step: Floats, free: list[int], width: Floats) -> Floats:
-    """Return steps (n, n_free) in free parameters, none larger than `_LARGEST_STEPS`; width (n,) [samples]."""
+    """Return steps (n, n_free) in free parameters, none larger than `LARGEST_STEPS`; width (n,) [samples]."""
     step = step.copy()
     for column, parameter in enumerate(free):
         if 1 <= parameter <= 3:
-            largest = _LARGEST_STEPS[parameter - 1] * (width if parameter == 2 else 1.0)
+            largest = LARGEST_STEPS[parameter - 1] * (width if parameter == 2 else 1.0)
             step[:, column] = np.minimum(np.maximum(step[:, column], -largest), largest)
     return step
