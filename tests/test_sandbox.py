@@ -79,16 +79,39 @@ def test_files_are_read_side_by_side_and_a_reader_is_kept(path):
     assert len(readers()) == 1 and {process.pid for process in readers()} < before
 
 
-def test_no_room_for_a_thread_is_no_room_and_the_next_file_is_read(path, monkeypatch):
+def no_thread(*_):
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("start", [no_thread, lambda *_: 0], ids=["refused", "dead before its first step"])
+def test_no_room_for_a_thread_is_no_room_for_a_reader_alone(path, monkeypatch, start):
+    """What a reader has begun it ends without another thread; the next file is read."""
+    sandbox._end_all()
     asked = parts(path)
-    next(asked)
+    found, before = [next(asked)["x"]], readers()
     with monkeypatch.context() as short:
-        short.setattr(threading.Timer, "start", lambda _: (_ for _ in ()).throw(RuntimeError("can't start new thread")))
-        with pytest.raises(MemoryError, match="no room for one more thread"):
-            next(asked)
+        short.setattr(sandbox._thread, "start_new_thread", start)
+        short.setattr(sandbox, "_BEGINS", 0.0)
         with pytest.raises(MemoryError, match="no room for one more thread"):
             next(parts(path))
+        found += [part["x"] for part in asked]
+        assert readers() == before
+        assert sandbox.format_said(path) == "numbers"  # by the reader that is free again
+    np.testing.assert_array_equal(np.concatenate(found), NUMBERS)
     np.testing.assert_array_equal(np.concatenate([part["x"] for part in parts(path)]), NUMBERS)
+
+
+def test_a_reader_that_is_late_is_ended_and_the_next_is_not(path, monkeypatch):
+    sandbox._end_all()
+    assert sandbox.format_said(path) == "numbers"
+    (process,) = readers()
+    os.kill(process.pid, signal.SIGSTOP)
+    with monkeypatch.context() as short:
+        short.setattr(sandbox, "patience_for", lambda _: 0.0)
+        with pytest.raises(BadData, match=r"numbers\.h5: the HDF5 library did not come to an end on this file"):
+            sandbox.call("format_said", path)
+    assert process.returncode == -signal.SIGKILL
+    assert sandbox.format_said(path) == "numbers"
 
 
 def test_threads_do_not_hear_each_other(path):

@@ -12,16 +12,18 @@ gone. Windows has no such limits; there only this process's timeout ends a reade
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import json
 import math
 import os
+import queue
 import re
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -48,6 +50,8 @@ _SECONDS, _BYTES_A_SECOND = 1.0, 32 << 20
 _CLOCK = 60
 #: The reader ends itself this much later [s], so that the requesting process times out first and reports why.
 _LATER = 5.0
+#: Longest wait for a thread to begin [s]; one without memory for its first step never does.
+_BEGINS = 10.0
 #: Memory in addition to the baseline and the allowance of a reply [bytes].
 _SPARE = 128 << 20
 #: The errors that a reply may name.
@@ -112,6 +116,46 @@ def is_hdf5(path: Path) -> bool:
 # ---- reading processes -----------------------------------------------------------------------------------------------
 
 
+class _Watchdog:
+    """A thread that calls `bite` when a reply is late.
+
+    Each reader has one from its creation, because without memory no thread can start when a reply is wanted, and
+    `threading.Thread.start` then may wait for ever. Raises `MemoryError` if it cannot start.
+    """
+
+    def __init__(self, bite: Callable[[], None]) -> None:
+        self._bite, self._ended = bite, False
+        self._orders: queue.SimpleQueue[float | None] = queue.SimpleQueue()
+        try:
+            _thread.start_new_thread(self._watch, (begun := queue.SimpleQueue[None](),))
+            begun.get(timeout=_BEGINS)
+        except (RuntimeError, queue.Empty):
+            raise MemoryError("no room for one more thread") from None
+
+    def _watch(self, begun: queue.SimpleQueue[None]) -> None:
+        begun.put(None)
+        patience = None
+        while not self._ended:
+            try:
+                patience = self._orders.get(timeout=patience)
+            except queue.Empty:
+                patience = None
+                self._bite()
+
+    def wait(self, patience: float) -> None:
+        """Bite after this time [s] unless told to rest."""
+        self._orders.put(patience)
+
+    def rest(self) -> None:
+        """Do not bite until told to wait again."""
+        self._orders.put(None)
+
+    def end(self) -> None:
+        """End the thread."""
+        self._ended = True
+        self._orders.put(None)
+
+
 class _Child:
     """A reading process."""
 
@@ -123,16 +167,21 @@ class _Child:
         environment["HDF5_PLUGIN_PRELOAD"] = "::"
         self.in_step, self._late = False, False
         self._source, self._patience = "", 0.0
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "cgid.store._reader"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=environment,
-            # Only this process receives Ctrl-C; Windows ignores the first, the others have no second.
-            start_new_session=True,
-            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
-        )
+        self._watchdog = _Watchdog(self._lose_patience)
+        try:
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "cgid.store._reader"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                env=environment,
+                # Only this process receives Ctrl-C; Windows ignores the first, the others have no second.
+                start_new_session=True,
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+            )
+        except BaseException:
+            self._watchdog.end()
+            raise
         sides: Any = (self.process.stdin, self.process.stdout, self.process.stderr)
         self._input, self._output, self._errors = sides
         _alive.add(self)
@@ -171,12 +220,7 @@ class _Child:
                 f"{self._source}: must be read on by the process that began to, this one was forked from it meanwhile; "
                 "begin anew here"
             )
-        patience = threading.Timer(self._patience, self._lose_patience)
-        patience.daemon = True
-        try:
-            patience.start()
-        except RuntimeError:  # raised by Python without memory for the stack of a thread
-            raise MemoryError("no room for one more thread") from None
+        self._watchdog.wait(self._patience)
         try:
             reply, arrays = receive(self._output, largest)
         except (OSError, ValueError, BrokenWire) as error:
@@ -185,7 +229,7 @@ class _Child:
                 "copy it again, or leave it out"
             ) from None
         finally:
-            patience.cancel()
+            self._watchdog.rest()
         self.in_step = bool(reply.get("last"))
         if "error" in reply:
             kind = _TOLD.get(str(reply["error"]), BadData)
@@ -218,6 +262,7 @@ class _Child:
         for side in (self._output, self._errors):
             with suppress(OSError):
                 side.close()
+        self._watchdog.end()
 
     def disown(self) -> None:
         """Forget a process of the parent from which this process was forked.
