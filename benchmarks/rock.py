@@ -11,7 +11,8 @@ Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code w
    calibration and "forced" take the most probable label in spite of it, and guess where a pulse cannot be measured. The
    calibration error is over ten bins of p(coal); "by chance" is what a perfectly calibrated model would get.
 3. A law left out of the training, and the model judged on it, for each law. It trains on scenes (`--rows-of`) without
-   the populations of that law; on `own`, the laws of this generator, noise of .01 to 10 %, half with sharp corners.
+   the populations of that law, on `own`, the laws of this generator, noise of .01 to 10 %, half with sharp corners; and
+   learns where its rocks end from a scene of strangers (`--strangers-of`), without that law, too.
 4. Strangers of the shipped scene, and the real shocks where they stand beside the checkout: the share that is flagged.
 5. The fit of one dull impact (`rock_fit.py`), and learners beside the ceilings of their scenes.
 """
@@ -253,13 +254,16 @@ def joined(parts: Sequence[Rows]) -> Rows:
     )
 
 
-def table_of_laws(rows: dict[str, Rows], guards: Sequence[str], n: int, family: str) -> Iterator[Line]:
+def table_of_laws(
+    rows: dict[str, Rows], strangers: dict[str, Rows], guards: Sequence[str], n: int, family: str
+) -> Iterator[Line]:
     """Yield the lines of table 3: what the models say of the law that they do not know, and of it when they do."""
     impacts = {law: record(CASES[law], n, _JUDGED) for law in LAWS}
     for left_out in ("nothing", *rows):
-        kept = joined([own for law, own in rows.items() if law != left_out])
+        kept, others = ([own for law, own in part.items() if law != left_out] for part in (rows, strangers))
         with threadpool_limits(1):
-            trained = train(kept, guards=guards, family=family).model
+            beyond = joined(others) if others else None
+            trained = train(joined(kept), guards=guards, family=family, strangers=beyond).model
         for law in LAWS:
             if left_out in ("nothing", _KINDS[law]):
                 all_of_them = answered(trained, impacts[law], CASES[law].trigger)
@@ -395,6 +399,7 @@ def main() -> None:
     parser.add_argument("--features", nargs="+", help="of learners and of table 3; default: those of the model")
     default = "rock" if "rock" in shipped.SCENES else OWN
     parser.add_argument("--rows-of", nargs="+", default=[default], metavar="SCENE", help="on which table 3 trains")
+    parser.add_argument("--strangers-of", nargs="*", default=["anything"], metavar="SCENE", help="none: no strangers")
     parser.add_argument("--rows", type=int, default=10_000, help="of each law and scene in table 3")
     parser.add_argument("--family", help="of the models in table 3; default: that of the model")
     parser.add_argument("--draws", type=int, default=300, help="of each dull impact")
@@ -412,9 +417,10 @@ def main() -> None:
         )
     if 3 in own.shows:
         guards = [name for name in model.guards if name not in features]
-        laws = table_of_laws(
-            rows_of(own.rows_of, own.rows, (*features, *guards)), guards, own.signals, own.family or model.family
+        rows, strangers = (
+            rows_of(scenes, own.rows, (*features, *guards)) for scenes in (own.rows_of, own.strangers_of)
         )
+        laws = table_of_laws(rows, strangers, guards, own.signals, own.family or model.family)
         lines += printed("3. A law left out of the training", laws)
     if 4 in own.shows:
         lines += printed("4. Strangers: share flagged", table_of_strangers(model, own.signals))
