@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cgid.measure.search import BIN, N_BINS, NODES, SHAPES_PATH, Bins, Samples, bank
 from cgid.measure.template import relative_times
@@ -21,22 +22,25 @@ SHAPE_ERROR = 0.01
 N_SHAPES = 4
 
 
-def residual_bins(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats) -> tuple[Bins, Floats]:
-    """Return samples minus fitted pulse, over its peak, in the bins around it, and the unit.
+def residual_bins(
+    samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats
+) -> tuple[Bins, Floats, NDArray[np.intp]]:
+    """Return samples minus fitted pulse, over its peak, in the bins around it, the unit and the nearest of `NODES`.
 
     Times in samples; `unit` (n,) is that of the bins' coordinates.
     """
+    node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
     own_place, own_width = bank().conditions(shape)
     unit = width / own_width
     origin = onset + relative_times(shape)[1] * width - own_place * unit
     bins = samples.bins(origin, unit, np.arange(len(peak)))
-    left = bins.values / peak[:, None] - _between_nodes(shape)
-    return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit
+    left = bins.values / peak[:, None] - _between_nodes(shape, node)
+    return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit, node
 
 
-def _between_nodes(shape: Floats) -> Floats:
+def _between_nodes(shape: Floats, nearest: NDArray[np.intp]) -> Floats:
     """Return pulses of any shapes averaged over the bins, (n, n_bins): a parabola through three nodes of the bank."""
-    middle = np.clip(np.argmin(np.abs(NODES - shape[:, None]), axis=1), 1, NODES.size - 2)
+    middle = np.clip(nearest, 1, NODES.size - 2)
     before, at, after = NODES[middle - 1], NODES[middle], NODES[middle + 1]
     shares = (
         (shape - at) * (shape - after) / ((before - at) * (before - after)),
@@ -72,9 +76,8 @@ class Remainder:
 
 def remainder(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats) -> Remainder:
     """Return the components of what fitted pulses leave of samples; noise (n,) is its standard deviation."""
-    bins, unit = residual_bins(samples, peak, width, onset, shape)
+    bins, unit, node = residual_bins(samples, peak, width, onset, shape)
     left, partial = bins.values, bins.partial
-    node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
     designs, inverses, bases, spreads = _components()
     per_bin = (noise / peak) ** 2 / np.maximum(BIN * unit, 1.0)
     count = np.full(len(left), float(N_BINS))

@@ -65,9 +65,9 @@ def main() -> None:
     start = Start(np.ones(n), frames.sum(axis=1), frames.argmax(axis=1).astype(float))
     fit = fit_pulses(frames, start, np.full(n, 1e-3))
     samples = Samples(frames, np.zeros(n), np.full(n, np.inf), np.zeros(n, np.intp))
-    left = residual_bins(samples, fit.peak, fit.width, fit.onset, fit.shape)[0].values
-    bases = np.linalg.qr(bank().tangents)[0][np.argmin(np.abs(NODES - fit.shape[:, None]), axis=1)]
-    left -= np.einsum("nbk,nck,nc->nb", bases, bases, left)
+    bins, _, node = residual_bins(samples, fit.peak, fit.width, fit.onset, fit.shape)
+    bases = np.linalg.qr(bank().tangents)[0][node]
+    left = bins.values - np.einsum("nbk,nck,nc->nb", bases, bases, bins.values)
     _, sizes, components = np.linalg.svd(left, full_matrices=False)
     spreads = sizes[:N_SHAPES] / np.sqrt(n)
     print("root mean square of the components over the peak:", spreads.round(4))
