@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.excerpts import Rows, rows_of, windows
+from cgid.measure.frames import constant_signal
 from cgid.measure.optimum import Optimum, Problem, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
 from cgid.measure.search import Found, around, last_bin, refined, search
@@ -38,6 +39,8 @@ STRAY = 0.03
 _FAR = 1e9
 #: A deviation of this many standard deviations outside the window counts as a misfit of 1.
 _OUTLIER = 5.5
+#: Smallest sum of squares that a pulse must explain, over the variance of the noise: chance explains less.
+EVIDENCE = 40.0
 
 
 # -- start and result of a fit ------------------------------------------------------------------------
@@ -120,6 +123,24 @@ class PulseFit:
     def restitution(self) -> Floats:
         """Restitution exp(s), above 1 for a pulse that rises more slowly than it falls."""
         return np.exp(self.shape)
+
+
+def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
+    """Map each row whose fitted pulse may be chance to the broken rule, its value and the remedy."""
+    found: dict[int, str] = {}
+    for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
+        explained = np.nan_to_num(fit.evidence[row])
+        found[int(row)] = (
+            f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
+            f"{explained:.3g} times; if the pulse points downwards, invert the signal"
+        )
+        if fit.peak[row] < 0:
+            found[int(row)] = (
+                f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
+            )
+        if np.ptp(samples[row]) == 0:
+            found[int(row)] = constant_signal(samples[row, 0])
+    return found
 
 
 # -- the fit ------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.measure.excerpts import strongest_run
-from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses
+from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
 from cgid.measure.frames import Frames, constant_signal
 from cgid.measure.remainder import N_SHAPES, Remainder, remainder
 from cgid.measure.search import around
@@ -39,31 +39,6 @@ _WIDTH_OVER_HALF_WIDTH = 1.08
 _FLAT_TOP = 3
 #: A remainder that is no single impact, and a fitted peak over the level where it is clipped, minus 1, that is a guess.
 MOST_UNEXPLAINED, MOST_OVERLOAD = 4.5, 1.2
-#: Smallest sum of squares that a pulse must explain, over the variance of the noise: chance explains less.
-EVIDENCE = 40.0
-#: Upper end of the spectra times the contact duration: above it a clean pulse has almost no energy (a low-pass there
-#: changes the peak by less than 1 %), but noise has.
-SPECTRUM_LIMIT = 4.0
-#: Least length of a spectrum's transform over that of the contact (zero-padding).
-_ZERO_PADDING = 8
-
-
-def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
-    """Map each row whose fitted pulse may be chance to the broken rule, its value and the remedy."""
-    found: dict[int, str] = {}
-    for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
-        explained = np.nan_to_num(fit.evidence[row])
-        found[int(row)] = (
-            f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
-            f"{explained:.3g} times; if the pulse points downwards, invert the signal"
-        )
-        if fit.peak[row] < 0:
-            found[int(row)] = (
-                f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
-            )
-        if np.ptp(samples[row]) == 0:
-            found[int(row)] = constant_signal(samples[row, 0])
-    return found
 
 
 class PulseBatch(Frames):
@@ -351,28 +326,10 @@ class PulseBatch(Frames):
 
     @cached_property
     def spectrum(self) -> PulseSpectrum:
-        """Spectrum of the contact alone, up to `SPECTRUM_LIMIT / duration`.
-
-        The transform is zero-padded to a power of two of at least `_ZERO_PADDING` times the row's own contact, so a row
-        does not depend on the others.
-        """
+        """Spectrum of the contact alone."""
         touch, separation = self.contact
         count("spectra", len(touch))
-        wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
-        lengths = np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
-        top = np.minimum(SPECTRUM_LIMIT / self.duration, self.sampling_rate / 2)
-        n_bins = np.floor(top * lengths / self.sampling_rate).astype(np.intp) + 1
-        power = np.zeros((len(lengths), int(n_bins.max())))
-        first = np.maximum(np.ceil(touch).astype(np.intp), 0)
-        for length in np.unique(lengths):
-            rows = np.flatnonzero(lengths == length)
-            columns = first[rows, None] + np.arange(int(np.ceil((separation - touch)[rows].max())) + 1)
-            last = self._window[0].shape[1] - 1
-            force = np.where(columns <= last, self._during_contact[rows[:, None], np.minimum(columns, last)], 0.0)
-            kept = int(n_bins[rows].max())
-            power[rows, :kept] = np.abs(np.fft.rfft(force, n=int(length)))[:, :kept] ** 2
-        power[np.arange(power.shape[1]) >= n_bins[:, None]] = 0.0
-        return PulseSpectrum(np.arange(power.shape[1]) * (self.sampling_rate / lengths)[:, None], power, n_bins)
+        return PulseSpectrum.of(self._during_contact, touch, separation, self.sampling_rate)
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 
