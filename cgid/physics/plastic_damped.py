@@ -20,6 +20,7 @@ force of the spring over its largest, and psi = -phi', going back from the turn 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -30,13 +31,14 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import family
 from cgid.counting import count, counting
 from cgid.elementary import exp, expm1, log1p, power
-from cgid.physics.closed_forms import energy_below, exponential_rest, peak_displacement, peak_force, peak_logarithm
+from cgid.physics.closed_forms import energy_below, peak_displacement, peak_force, peak_logarithm
 from cgid.physics.curves import Curves, Quantity, in_threads, kernel, samples_in_contact
 from cgid.validation import Floats
 
 _NEWTON_STEPS = 7  # the start values are within 40 %, and each step squares the error
 _PANELS, _ORDER = 8, 14  # of a linear branch: errors below 1e-11 of the peak from a viscous restitution of .1 on
 _ELASTIC_PANELS = 5
+_REST = tuple(1 / math.factorial(n) for n in range(18, 1, -1))  # series of `_rest`, highest power first
 _MOST_AT_ONCE = 1 << 18  # samples
 # Gauss's five points on (0, 1) and their weights.
 _INNER, _OUTER = (np.sqrt(5 - sign * 2 * np.sqrt(10 / 7)) / 6 for sign in (1, -1))
@@ -307,9 +309,14 @@ def _turn(of: DampedPlasticCurves) -> _Turn:
 
 def _rest(x: Floats) -> Floats:
     """Return `(exp(x) - 1 - x) / x^2`."""
-    far = np.abs(x) > 1e-30
-    safe = np.where(far, x, 1.0)
-    return np.where(far, exponential_rest(safe) / (safe * safe), 0.5)
+    near = np.abs(x) < 0.5
+    small, series = np.where(near, x, 0.0), np.zeros(x.shape)
+    for coefficient in _REST:
+        series = series * small + coefficient
+    if near.all():
+        return series
+    large = np.where(near, 1.0, x)
+    return np.where(near, series, (expm1(large) - large) / (large * large))
 
 
 def _speed(momentum: Floats, damping: Floats) -> Floats:
@@ -328,7 +335,7 @@ def _momentum(energy: Floats, damping: Floats) -> Floats:
     level = 0.5 * x * x
     y = np.where(x > 0, log1p(np.abs(x) + level), x - level / 3)
     for _ in range(_NEWTON_STEPS):
-        y = y - (exponential_rest(y) - level) / expm1(y)
+        y = y - (y * y * _rest(y) - level) / expm1(y)
     return root * (y / x)
 
 
@@ -366,7 +373,7 @@ class _Quarter:
 
     coefficient : B, (n,)
     times : of the expansions, from the turn, (n, `_PANELS` + 1)
-    series : of phi in the time from there, (n, `_PANELS` + 1, `_ORDER` + 1)
+    series : of phi in the time from there, (`_ORDER` + 1, n, `_PANELS` + 1)
     edges : where the motion is expanded, as the root of the fall of m from where phi = 0, (n, `_PANELS` + 1)
     speed : psi where phi = 0, (n,)
     """
@@ -415,31 +422,32 @@ class _Quarter:
                 product = product + phi[i] * psi[n - i]
             psi.append((phi[n] + coefficient * product) / (n + 1))
             phi.append(-psi[n] / (n + 1))
-        return np.stack(phi, axis=2)
+        return np.stack(phi)
 
     def time_to(self, momentum: Floats) -> Floats:
         """Return the time from the turn at which m is this, within the motion."""
         root = np.sqrt(np.maximum(self.edges[:, 0] * self.edges[:, 0] - momentum, 0.0))
         panel = np.sum(self.edges[:, 1:-1] > root[:, None], axis=1)
         row = np.arange(root.size)
-        return self.times[row, panel] + self._between(self.edges[row, panel][:, None], root[:, None])[:, 0]
+        rest = self._between(self.edges[row, panel][:, None], root[:, None])[:, 0]
+        return np.asarray(self.times[row, panel] + rest)
 
     def at(self, row: NDArray[np.intp], back: Floats, high: Floats, deep: Floats, force: bool) -> Floats:
         """Return force or displacement of the spring at times before the turn, where they are `high` and `deep`.
 
         row says whose the times are.
         """
-        middles = 0.5 * (self.times[:, 1:] + self.times[:, :-1])
+        middles = 0.5 * (self.times[:, 1:] + self.times[:, :-1]).T
         nearest = np.zeros(row.shape, np.intp)
-        for panel in range(_PANELS):
-            nearest += back > middles[row, panel]
+        for middle in np.ascontiguousarray(middles):
+            nearest += back > middle.take(row)
         place = row * (_PANELS + 1) + nearest
         since = back - self.times.ravel()[place]
-        series = self.series.reshape(-1, _ORDER + 1)[place]
-        phi, rate = series[:, _ORDER], np.zeros(row.shape)
+        phi, rate = self.series[_ORDER].take(place), np.zeros(row.shape)
         for order in range(_ORDER - 1, -1, -1):
-            rate = rate * since + phi
-            phi = phi * since + series[:, order]
+            if force:
+                rate = rate * since + phi
+            phi = phi * since + self.series[order].take(place)
         shape = high[row] * phi * (1 - self.coefficient[row] * rate) if force else deep[row] * phi
         return np.asarray(shape)
 
