@@ -364,7 +364,7 @@ class WaltonBraun:
         is the slope of equal depth: `4/5 K delta_max^(1/2)`, at which a contact without loss is as deep as by the
         chosen stiffness theory at the same speed.
     viscous_restitution : array_like, in [0.05, 1], optional
-        As for `Thornton`: what a viscous loss alone would leave a Hertzian contact.
+        As for `Thornton`.
 
     Raises
     ------

@@ -293,7 +293,7 @@ class ImpactSection(Section):
     dissipation : str
         How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), as a
         bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). The last three need a half space or
-        a rigid wall, and no gravity.
+        a rigid wall, and no gravity. Rocks that crush, or are bilinear, may also have a `viscous_restitution`.
     law : str
         For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is asked
         for; the published factors deliver another one.
