@@ -7,9 +7,9 @@ The population is that of the shipped scene "peers": 2048 samples at 200 kHz, fl
 with the same pulses on the same grid; the error is the largest force error over the peak of a pulse, against
 quadrature (1e-13) of the first 500. Peers receive mass, stiffness, damping and velocity (`benchmarks/peers.py`), cgid
 mass, stiffness, restitution and velocity; "from materials" also builds the impacts from radius, moduli and density.
-Times are the least of several runs and depend on the machine: compare ratios. "Thornton" and "Walton-Braun" are these
-rocks with the same restitution by other laws, "viscous" is such a rock that also damps as if it alone left .7 of the
-speed; their error is against DOP853 (rtol 1e-13) of the first 20.
+Times are processor times, the least of several runs, and depend on the machine: compare ratios. "Thornton" and
+"Walton-Braun" are these rocks with the same restitution by other laws; "and viscous" has a viscous restitution of .7
+besides. Their error is against DOP853 (rtol 1e-13) of the first 20.
 """
 
 from __future__ import annotations
@@ -151,13 +151,13 @@ def integrated_frames(law: Thornton | WaltonBraun) -> np.ndarray:
 
 
 def least_time(run: Callable[[], Any], repeats: int) -> float:
-    """Return the least time of several runs [s]; the first, which compiles, does not count."""
+    """Return the least processor time of several runs [s]; the first, which compiles, does not count."""
     run()
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         result = run()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
         del result
     return min(times)
 
