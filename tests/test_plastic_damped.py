@@ -14,13 +14,14 @@ from cgid.errors import BadData, InvalidValue
 from cgid.physics import HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
 from cgid.physics.materials import Material
 from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene.distributions import LIMITS
 from cgid.scene.plan import plan
 from cgid.scene.schema import varied
 from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
 from tests import naive
 from tests.plan_scenes import POPULATION, scene_of, uniform
-from tests.test_plastic import coal, thornton_contact
+from tests.test_plastic import ELASTIC_PRESSURE, coal, thornton_contact
 
 pytestmark = pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
 
@@ -140,6 +141,30 @@ def test_impulse_and_both_losses_by_quadrature(law):
     assert whole == pytest.approx(float(impact.dissipated_energy), abs=1e-9 * energy)
     assert viscous + crushing == pytest.approx(float(impact.dissipated_energy), abs=1e-9 * energy)
     assert viscous > 0 and crushing > -1e-12 * energy
+
+
+def test_impulse_of_a_thousand_random_impacts():
+    """Yield anywhere from touch to turn, damping from none to .05, by quadrature of the evaluated force."""
+    random, n = np.random.default_rng(5), 1000
+    viscous = np.concatenate([random.uniform(0.05, 1, n // 2), 1 - 10.0 ** random.uniform(-16, -1, n // 2)])
+    pressure = ELASTIC_PRESSURE * np.sqrt(random.permutation(np.linspace(1e-4, 1.05, n)))  # even in the yield depth
+    for law in (
+        Thornton(yield_pressure=pressure, viscous_restitution=viscous),
+        WaltonBraun(restitution=random.uniform(0.05, 1, n), viscous_restitution=viscous),
+    ):
+        curves, total = coal(law).curves, np.zeros(n)
+        ends = (np.zeros(n), *curves._ends)
+        nodes, weights = np.polynomial.legendre.leggauss(40)
+        for part in range(3):
+            start, length = ends[part], ends[part + 1] - ends[part]
+            for low, high in ((0, 0.05), (0.05, 0.2), (0.2, 0.5), (0.5, 1)):
+                s = low + (high - low) * (nodes + 1) / 2
+                share, rate = {0: (s**2, 2 * s), 1: (s, 1 + 0 * s), 2: (1 - (1 - s) ** 2, 2 * (1 - s))}[part]
+                times = start[:, None] + length[:, None] * share
+                force = curves.evaluate(times, np.ones(n), np.ones(n), "force", "float64", 1)
+                assert (force >= 0).all()
+                total += (force * rate * weights).sum(axis=1) * (high - low) / 2 * length
+        assert total == pytest.approx(1 + curves.restitution, rel=2e-11)
 
 
 def test_both_losses_together_leave_less_than_either():
@@ -330,6 +355,20 @@ def test_only_some_populations_may_damp_as_they_crush():
     assert batch.parameters["restitution"] == pytest.approx(impact.restitution, rel=1e-13)
     frames = impact.force_frames(200e3, 2048, batch.parameters["onset"])
     assert np.abs(batch.signals - frames).max() < 1e-10 * frames.max()
+
+
+@pytest.mark.parametrize("velocity", LIMITS["speed"])
+@pytest.mark.parametrize("modulus", LIMITS["modulus"])
+@pytest.mark.parametrize("pressure", LIMITS["modulus"])
+@pytest.mark.parametrize("viscous", [0.05, 1.0])
+def test_the_widest_scenes_allowed_give_finite_signals(viscous, pressure, modulus, velocity):
+    rocks = {"youngs_modulus": modulus, "velocity": velocity, "density": 1e-3, "viscous_restitution": viscous}
+    frame = {"sampling_rate": 1e5, "samples": 64, "pre_trigger": 8}
+    scene = scene_of({"dissipation": "thornton"}, {**CRUSHED, **rocks, "yield_pressure": pressure}, {}, sampling=frame)
+    with np.errstate(all="raise", under="ignore"):
+        (batch,) = synthesise(scene, 2, dtype="float64")
+    assert np.isfinite(batch.signals).all() and (batch.signals >= 0).all()
+    assert ((batch.parameters["restitution"] > 0) & (batch.parameters["restitution"] <= viscous)).all()
 
 
 def test_rocks_keep_their_viscous_loss_in_a_stream():

@@ -37,7 +37,7 @@ from cgid.validation import Floats
 
 _NEWTON_STEPS = 7  # the start values are within 40 %, and each step squares the error
 _PANELS, _ORDER = 8, 14  # of a linear branch: errors below 1e-11 of the peak from a viscous restitution of .1 on
-_ELASTIC_PANELS = 5
+_ELASTIC_PANELS = 6
 _REST = tuple(1 / math.factorial(n) for n in range(18, 1, -1))  # series of `_rest`, highest power first
 _MOST_AT_ONCE = 1 << 18  # samples
 # Gauss's five points on (0, 1) and their weights.
@@ -136,7 +136,7 @@ class DampedPlasticCurves(Curves):
         turn of a contact that does not yield is smooth in m.
         """
         turn, damping = self._turn, self.damping[:, None]
-        early = (turn.fallen < turn.momentum)[:, None]
+        early = (turn.fallen < 0.45 * turn.momentum)[:, None]
         top = (turn.fallen + turn.momentum)[:, None]
         scale = np.where(early, 5 * power(turn.fallen, 0.4)[:, None], turn.momentum[:, None])
         total = np.zeros(self.plastic.shape)
@@ -291,16 +291,17 @@ def _turn(of: DampedPlasticCurves) -> _Turn:
     work = np.where(yields, (0.5 if of.linear else 0.4) * force * way, energy)
     restitution = np.where(yields, _speed(_momentum(work, -damping), -damping), viscous)
     speed = np.where(yields, _speed(_momentum(work, damping), damping), 1.0)
-    length = np.where(yields, power(speed * speed * (way * np.sqrt(way)) / force, 0.4), 1.0)
+    hertzian = yields & (not of.linear)
+    length = np.where(hertzian, power(speed * speed * (np.where(hertzian, way * np.sqrt(way), 0.0) / force), 0.4), 1.0)
     fallen, momentum = _until(taken, rest, damping, _momentum(energy, damping))
     coefficient = damping * across
-    hertzian = np.divide(peak_logarithm(damping), damping, out=np.zeros(damping.shape), where=damping > 0)
+    peak_before = np.divide(peak_logarithm(damping), damping, out=np.zeros(damping.shape), where=damping > 0)
     peak, height = _spring_peak(coefficient)
     return _Turn(
         restitution=restitution, force=force, displacement=displacement, swing=swing, rate=rate,
         coefficient=coefficient, spent=0.5 * (offset / swing) * (offset / swing), share=rest / (across * across),
         fallen=fallen, momentum=momentum,
-        peaks_early=np.zeros(viscous.shape, bool) if of.linear else hertzian >= momentum, peak_momentum=peak,
+        peaks_early=np.zeros(viscous.shape, bool) if of.linear else peak_before >= momentum, peak_momentum=peak,
         largest_force=force * height, left=np.where(yields, displacement - way, 0.0),
         second=np.clip(np.where(yields, restitution / speed, viscous), family.LOWEST_RESTITUTION, 1.0),
         speed=speed, length=length, unit=length / speed,
