@@ -9,7 +9,8 @@ Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code w
 2. The model on each case, beside a learner that trains on that case alone: boosting, network or logistic regression on
    the features of the model, the best on a fifth that is held out. Accuracy counts *unknown* as wrong; recall,
    calibration and "forced" take the most probable label in spite of it, and guess where a pulse cannot be measured. The
-   calibration error is over ten bins of p(coal); "by chance" is what a perfectly calibrated model would get.
+   calibration error is over ten bins of p(coal); "by chance" is what a perfectly calibrated model would get. The
+   pulses of "thornton and viscous", rock that crushes and damps, are the package's.
 3. A law left out of the training, and the model judged on it, for each law. It trains on scenes (`--rows-of`) without
    the populations of that law, on `own`, the laws of this generator, noise of .01 to 10 %, half with sharp corners; and
    learns where its rocks end from a scene of strangers (`--strangers-of`), without that law, too.
@@ -63,6 +64,8 @@ _FAMILIES = ("boosting", "network", "logistic")
 _NOISES = (0.0001, 0.001, 0.01, 0.03, 0.1)
 #: Law of a case, as scenes name it.
 _KINDS = {law: law.removesuffix(" by strength") for law in LAWS}
+#: A case of table 2 whose pulses are the package's.
+BOTH = "thornton and viscous"
 #: Cases that only table 5 is about.
 _LATER = ("dull", "peers", "peers, pink 2 %")
 
@@ -109,11 +112,11 @@ class Answered(NamedTuple):
         }
 
 
-def answered(model: Model, impacts: Impacts, trigger: int) -> Answered:
+def answered(model: Model, signals: NDArray[Any], labels: NDArray[np.str_], trigger: int) -> Answered:
     """Return the answers of a model for impacts."""
-    answers = identify_frames(impacts.signals, RATE, model, pre_trigger=trigger)
+    answers = identify_frames(signals, RATE, model, pre_trigger=trigger)
     coal = np.array([answer.probabilities.get("coal", 0.5) for answer in answers])
-    return Answered(coal, np.array([answer.label == UNKNOWN for answer in answers]), impacts.labels)
+    return Answered(coal, np.array([answer.label == UNKNOWN for answer in answers]), labels)
 
 
 def blocks(case: Case, n: int, seed: int) -> Iterator[Impacts]:
@@ -168,14 +171,46 @@ def table_of_cases(
 ) -> Iterator[Line]:
     """Yield the lines of table 2."""
     for name in names:
+        if name == BOTH:
+            yield line_of_both_losses(model, n, n_learner, features)
+            continue
         case = CASES[name]
         impacts = record(case, n, _JUDGED)
-        line = {"case": name, **answered(model, impacts, case.trigger).figures()}
+        line = {"case": name, **answered(model, impacts.signals, impacts.labels, case.trigger).figures()}
         if n_learner:
             family, classifier = learned(features_of(case, n_learner, _LEARNED, features))
             own = extract_array(impacts.signals, RATE, features, pre_trigger=case.trigger, invalid="nan")
             line |= {"learner": accuracy(classifier, Table(own, impacts.labels)), "family": family}
         yield line
+
+
+def with_both_losses() -> Scene:
+    """Return the spheres of `rock` that yield at given pressures, with viscous restitutions of .5 to .95 (assumed)."""
+    rock = load_scene(shipped.scene_path("rock"))
+    crushing = {one.label: one for one in reversed(rock.populations) if one.yield_pressure is not None}
+    viscous = {"distribution": "uniform", "lowest": 0.5, "highest": 0.95}
+    return varied(rock.model_copy(update={"populations": tuple(crushing.values())}), viscous_restitution=viscous)
+
+
+def signals_of(scene: Scene, n: int, seed: int) -> tuple[NDArray[Any], NDArray[np.str_]]:
+    """Return signals and labels of a scene."""
+    batches = list(synthesise(scene, n, seed))
+    return np.concatenate([one.signals for one in batches]), np.concatenate([one.labels for one in batches])
+
+
+def line_of_both_losses(model: Model, n: int, n_learner: int, features: Sequence[str]) -> Line:
+    """Return the line of table 2 of rocks that crush and damp."""
+    scene = with_both_losses()
+    trigger = scene.sampling.pre_trigger
+    signals, labels = signals_of(scene, n, _JUDGED)
+    line = {"case": BOTH, **answered(model, signals, labels, trigger).figures()}
+    if n_learner:
+        training, truth = signals_of(scene, n_learner, _LEARNED)
+        x = extract_array(training, RATE, features, pre_trigger=trigger, invalid="nan")
+        family, classifier = learned(Table(x, truth))
+        own = extract_array(signals, RATE, features, pre_trigger=trigger, invalid="nan")
+        line |= {"learner": accuracy(classifier, Table(own, labels)), "family": family}
+    return line
 
 
 # -- a law left out ---------------------------------------------------------------------------------------
@@ -266,7 +301,8 @@ def table_of_laws(
             trained = train(joined(kept), guards=guards, family=family, strangers=beyond).model
         for law in LAWS:
             if left_out in ("nothing", _KINDS[law]):
-                all_of_them = answered(trained, impacts[law], CASES[law].trigger)
+                own = impacts[law]
+                all_of_them = answered(trained, own.signals, own.labels, CASES[law].trigger)
                 told = all_of_them.of(~all_of_them.unknown)
                 error, chance = told.calibration_error()
                 yield {
@@ -392,7 +428,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", type=Path, default=shipped.path_of("models", shipped.DEFAULT_MODEL))
     parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4, 5), default=(2, 3, 4, 5))
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=[name for name in CASES if name not in _LATER])
+    parser.add_argument(
+        "--cases", nargs="+", choices=[*CASES, BOTH], default=[*(name for name in CASES if name not in _LATER), BOTH]
+    )
     parser.add_argument("--signals", type=int, default=4096, help="to judge a line on")
     parser.add_argument("--learner-signals", type=int, default=20_000, help="that a learner trains on")
     parser.add_argument("--no-learner", action="store_true")

@@ -276,11 +276,18 @@ def walton_braun_contact(restitution: float, stiffness: float) -> tuple[Callable
 
 
 def two_path_impact(
-    mass: float, velocity: float, unit: float, loading: Callable, unloading: Callable, corner: float
+    mass: float,
+    velocity: float,
+    unit: float,
+    loading: Callable,
+    unloading: Callable,
+    corner: float,
+    damping: float = 0.0,
 ) -> tuple[Callable[[np.ndarray], np.ndarray], float, float]:
     """Return the force over time of a contact that loads on one path and unloads on another, by DOP853.
 
     Also where it ends (the force falls to 1e-13 of its peak) and the rebound speed. unit is a time to scale the steps.
+    With damping [s/m] the force of either path is multiplied by `1 + damping delta'`.
     """
     settings = {"method": "DOP853", "rtol": 1e-13, "atol": [1e-14 * velocity * unit, 1e-14 * velocity]}
     parts, state, start = [], (0.0, velocity), 0.0
@@ -290,7 +297,7 @@ def two_path_impact(
         for event in events:
             event.terminal, event.direction = True, -1
         found = solve_ivp(
-            lambda _, y: (y[1], -force(y[0]) / mass), (start, 20 * unit), state,
+            lambda _, y: (y[1], -force(y[0]) * (1 + damping * y[1]) / mass), (start, 20 * unit), state,
             events=events, dense_output=True, max_step=unit / 50, **settings,
         )  # fmt: skip
         parts.append((start, found.t[-1], found.sol, force))
@@ -310,7 +317,7 @@ def two_path_impact(
         for begin, end, solution, law in parts:
             inside = (times >= begin) & (times < end)
             if inside.any():
-                out[inside] = [law(delta) for delta in solution(times[inside])[0]]
+                out[inside] = [law(delta) * (1 + damping * speed) for delta, speed in solution(times[inside]).T]
         return out
 
     return force, start, -state[1]

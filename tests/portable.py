@@ -71,6 +71,7 @@ def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
     spectrum = {"frequencies": [50, 2e3, "100 kHz"], "density": density[:3]}
     plate = {**STEEL, "thickness": "20 mm"}
     odd = {"sampling_rate": 200e3, "samples": 1025, "pre_trigger": 128}
+    both = {"viscous_restitution": uniform(0.05, 1.0)}
     bounded = {"lowest": "5 mm", "highest": "90 mm"}
     scenes = {case.name: case.scene for case in CASES}
     scenes |= {name: load_scene(DATASETS / f"{name}.toml") for name in ("peers", "randomised", "strangers")}
@@ -97,6 +98,10 @@ def of_varied(names: Collection[str] = ()) -> dict[str, dict[str, str]]:
         "thornton": scene_of({"dissipation": "thornton"}, {"restitution": None, "yield_pressure": CRUSHING}),
         "walton-braun": scene_of({"dissipation": "walton-braun"}),
         "kuwabara-kono": scene_of({"dissipation": "kuwabara-kono"}),
+        "thornton and viscous": scene_of(
+            {"dissipation": "thornton"}, {"restitution": None, "yield_pressure": CRUSHING, **both}
+        ),
+        "walton-braun and viscous": scene_of({"dissipation": "walton-braun"}, both),
         "strength": scene_of({"dissipation": "thornton"}, {"restitution": None, "strength": CRUSHING}),
         "lumps": scene_of(population={"curvature": uniform(0.1, 2.0), "effective_mass": uniform(0.4, 1.0)}),
         "weight": scene_of({"gravity": 9.81, "gravity_tolerance": 1e-7}),

@@ -26,6 +26,8 @@ OLDEST = {"NPY_DISABLE_CPU_FEATURES": _ALL_NEWER, "NUMBA_CPU_NAME": "generic", "
 SOME = [
     "thornton",
     "walton-braun",
+    "thornton and viscous",
+    "walton-braun and viscous",
     "lognormal radius",
     "rosin-rammler radius",
     "haversine tap",

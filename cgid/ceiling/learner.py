@@ -5,7 +5,7 @@ most of the statistical error cancels in the difference.
 
 From above, where the integration does not cover a scene: a learner on the exact pulses of these impacts, trained on as
 many as it takes to saturate. Noise, filters, clipping and rounding can only lose what the exact pulse tells. Of a pulse
-it receives peak, duration, restitution, impulse and the law of loss, which together determine it.
+it receives peak, duration, restitution, impulse, the law of loss and its viscous part, which together determine it.
 """
 
 from __future__ import annotations
@@ -47,7 +47,10 @@ _EXACT_SEED = 0x5EED_0001_C9D1
 #: draws held back, of this number.
 _EXACT_SIZES, _SATURATED, _HELD_DRAWS = (1 << 14, 1 << 16, 1 << 18), 0.001, 1 << 16
 #: Parameters of a pulse, besides its law, that a learner receives as logarithms or, where they may be missing, as is.
-_PULSE, _OPTIONAL = ("peak_force", "contact_duration", "restitution"), ("second_hit_delay", "second_hit_ratio")
+_PULSE, _OPTIONAL = (
+    ("peak_force", "contact_duration", "restitution"),
+    ("second_hit_delay", "second_hit_ratio"),
+)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from cgid.physics.bodies import Sphere, Target, ThinPlate
 from cgid.physics.curves import Curves, Quantity
 from cgid.physics.laws import Dissipation, Plastic, Thornton, Viscoelastic, WaltonBraun, contact_stiffness
 from cgid.physics.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
+from cgid.physics.plastic_damped import damped_thornton_curves, damped_walton_braun_curves
 from cgid.validation import Floats
 
 #: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
@@ -260,10 +261,8 @@ class Impact:
     @cached_property
     def curves(self) -> Curves:
         """The dimensionless curves, one row per impact in C order."""
-        if isinstance(self.dissipation, Thornton):
-            return thornton_curves(np.ravel(self._plastic_scale))
-        if isinstance(self.dissipation, WaltonBraun):
-            return walton_braun_curves(self._given["restitution"].ravel(), np.ravel(self._plastic_scale))
+        if isinstance(self.dissipation, Plastic):
+            return self._plastic_curves()
         restitution = self._given["restitution"]
         zeta = self._given["dissipative_constant"] / self.time_scale + self._given["zeta"]
         # The contact grows with the damping, about as e^-0.6 T0. A weight is neglected only where the pulse then comes
@@ -271,6 +270,15 @@ class Impact:
         plain = (zeta == 0) & (self.inelasticity == 0)
         weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * power(restitution, 0.6)), 0.0, self._weight)
         return Curves(restitution.ravel(), zeta.ravel(), np.ravel(self.inelasticity), weight.ravel())
+
+    def _plastic_curves(self) -> Curves:
+        viscous, scale = self._given.get("viscous_restitution"), np.ravel(self._plastic_scale)
+        if isinstance(self.dissipation, Thornton):
+            return thornton_curves(scale) if viscous is None else damped_thornton_curves(scale, viscous.ravel())
+        restitution = self._given["restitution"].ravel()
+        if viscous is None:
+            return walton_braun_curves(restitution, scale)
+        return damped_walton_braun_curves(restitution, scale, viscous.ravel())
 
     def _shaped(self, values: Floats) -> Floats:
         return np.asarray(values.reshape(self.reduced_mass.shape))

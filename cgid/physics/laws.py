@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.typing import ArrayLike
 
-from cgid import validation
+from cgid import family, validation
 from cgid.counting import count
 from cgid.elementary import exp, power
 from cgid.errors import InvalidValue
@@ -299,11 +299,15 @@ class Thornton:
     ----------
     yield_pressure : array_like, above 0 [Pa]
         Largest contact pressure p_y; about 1.6 times the uniaxial compressive strength.
+    viscous_restitution : array_like, in [0.05, 1], optional
+        Rebound speed over impact speed that a viscous loss alone would leave each impact at its own speed. The force
+        on every branch is then multiplied by Hunt and Crossley's `1 + chi delta'`; see `HuntCrossley`. Left out, the
+        sphere only crushes.
 
     Raises
     ------
     InvalidValue
-        The yield pressure is not above 0.
+        The yield pressure is not above 0, or the viscous restitution lies outside [0.05, 1].
 
     Notes
     -----
@@ -321,17 +325,27 @@ class Thornton:
     ... )
     >>> round(float(impact.restitution), 3), round(float(impact.peak_force))
     (0.522, 1078)
+
+    The same sphere, of a material that by itself would leave .7 of the speed:
+
+    >>> both = Thornton(yield_pressure=41e6, viscous_restitution=0.7)
+    >>> impact = Impact(
+    ...     sphere=impact.sphere, target=impact.target, velocity=2.0, stiffness="hertz", dissipation=both,
+    ... )
+    >>> round(float(impact.restitution), 3), round(float(impact.peak_force))
+    (0.416, 1025)
     """
 
     yield_pressure: ArrayLike
+    viscous_restitution: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         validation.positive("yield_pressure", self.yield_pressure, "Pa")
-        validation.hold(self, "yield_pressure")
+        _hold_viscous(self, "yield_pressure")
 
     def numbers(self, sphere: Sphere, target: Target) -> dict[str, Floats]:
-        """See `Elastic.numbers`; the yield pressure [Pa]."""
-        return {"yield_pressure": np.asarray(self.yield_pressure, np.float64)}
+        """See `Elastic.numbers`; the yield pressure [Pa], and the viscous restitution if there is one."""
+        return {"yield_pressure": np.asarray(self.yield_pressure, np.float64), **_viscous(self)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,11 +363,14 @@ class WaltonBraun:
         The slope k; codes of the discrete-element method often take `5 R Y` with the yield strength Y. Without it, it
         is the slope of equal depth: `4/5 K delta_max^(1/2)`, at which a contact without loss is as deep as by the
         chosen stiffness theory at the same speed.
+    viscous_restitution : array_like, in [0.05, 1], optional
+        As for `Thornton`.
 
     Raises
     ------
     InvalidValue
-        The restitution lies outside (0, 1], or the stiffness is not above 0.
+        The restitution lies outside (0, 1], the stiffness is not above 0, or the viscous restitution lies outside
+        [0.05, 1].
 
     Notes
     -----
@@ -373,12 +390,13 @@ class WaltonBraun:
 
     restitution: ArrayLike
     loading_stiffness: ArrayLike | None = None
+    viscous_restitution: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         validation.restitution("restitution", self.restitution)
         if self.loading_stiffness is not None:
             validation.positive("loading_stiffness", self.loading_stiffness, "N/m")
-        validation.hold(self, "restitution", "loading_stiffness")
+        _hold_viscous(self, "restitution", "loading_stiffness")
 
     def numbers(self, sphere: Sphere, target: Target) -> dict[str, Floats]:
         """See `Elastic.numbers`; restitution, and the loading stiffness [N/m] or 0 for that of equal depth."""
@@ -386,9 +404,24 @@ class WaltonBraun:
         return {
             "restitution": np.asarray(self.restitution, np.float64),
             "loading_stiffness": np.asarray(stiffness, np.float64),
+            **_viscous(self),
         }
 
 
+def _hold_viscous(law: Thornton | WaltonBraun, *names: str) -> None:
+    """Check the viscous restitution of a law, and hold it with its other numbers."""
+    if law.viscous_restitution is not None:
+        lowest, highest = family.LOWEST_RESTITUTION, family.HIGHEST_RESTITUTION
+        validation.between("viscous_restitution", law.viscous_restitution, lowest, highest)
+    validation.hold(law, *names, "viscous_restitution")
+
+
+def _viscous(law: Thornton | WaltonBraun) -> dict[str, Floats]:
+    if law.viscous_restitution is None:
+        return {}
+    return {"viscous_restitution": np.asarray(law.viscous_restitution, np.float64)}
+
+
 Dissipation = Elastic | HuntCrossley | Viscoelastic | Thornton | WaltonBraun
-#: Laws whose loss does not depend on speed; see `cgid.physics.plastic`.
+#: Laws of a contact that loads and unloads on different paths; see `cgid.physics.plastic` and `plastic_damped`.
 Plastic = Thornton | WaltonBraun

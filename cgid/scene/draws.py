@@ -27,7 +27,7 @@ from cgid.validation import Floats
 #: Samples that share one address.
 BLOCK = 256
 #: Purposes of random numbers; a new purpose gets a new number.
-PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, LUMPS = 1, 2, 3, 4, 5, 6, 7
+PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, LUMPS, VISCOUS = 1, 2, 3, 4, 5, 6, 7, 8
 IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE = 16, 17, 18, 19, 20, 21
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
@@ -42,6 +42,7 @@ _LATER = {
     SECOND_HITS: ("second_hit_delay", "second_hit_ratio"),
     CLIPPING: ("clipped_at",),
     LUMPS: tuple(LUMP),
+    VISCOUS: ("viscous_restitution",),
 }
 #: The columns of settings drawn for a whole block; append new ones.
 _OF_BLOCKS = (
@@ -77,6 +78,7 @@ _MORE_UNITS = {
     **dict.fromkeys(LUMP, "1"),
     "yield_pressure": "Pa",
     "strength": "Pa",
+    "viscous_restitution": "1",
     "second_hit_delay": "s",
     "second_hit_ratio": "1",
     "clipped_at": "1",

@@ -243,12 +243,19 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
     if key is None:
         return Elastic()
     if name == "thornton":
-        return Thornton(yield_pressure=values[key][rows])
+        return Thornton(yield_pressure=values[key][rows], viscous_restitution=_viscous(values, rows))
     if name == "walton-braun":
-        return WaltonBraun(restitution=values[key][rows])
+        return WaltonBraun(restitution=values[key][rows], viscous_restitution=_viscous(values, rows))
     if name == "kuwabara-kono":
         return Viscoelastic(restitution=values[key][rows])
     return HuntCrossley(restitution=values[key][rows], law=scene.impact.law)
+
+
+def _viscous(values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Floats | None:
+    """Return the viscous restitutions of some impacts, None where none has one."""
+    viscous = values["viscous_restitution"][rows] if "viscous_restitution" in values else np.empty(0)
+    has = np.isfinite(viscous)
+    return np.where(has, viscous, 1.0) if has.any() else None
 
 
 # -- the pulses of a block --------------------------------------------------------------------------------

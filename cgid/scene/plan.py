@@ -331,7 +331,10 @@ def _impacts(asked: Plan) -> Decision:
     if scene.plastic:
         names = ", ".join(dict.fromkeys(scene.dissipations))
         rest = "; those of other laws as if alone" * scene.mixes_laws + f", {integrated}" * bool(integrated)
-        return Decision(True, f"{names}: closed forms; pulses of {' and '.join(scene.plastic)} in three branches{rest}")
+        both = any(population.viscous_restitution is not None for population in scene.populations)
+        both_ways = ", times of those with viscous loss by quadrature" * both
+        pulses = f"pulses of {' and '.join(scene.plastic)} in three branches"
+        return Decision(True, f"{names}: closed forms; {pulses}{both_ways}{rest}")
     if integrated:
         return Decision(True, integrated)
     if _damps_beyond(scene):

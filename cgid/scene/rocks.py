@@ -185,7 +185,7 @@ def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
     return np.asarray((x >= 0) & (x <= scene.panel.length) & (y >= 0) & (y <= scene.panel.width))
 
 
-_QUANTITIES = (*FALL, *LUMP, "yield_pressure", "strength", "velocity")
+_QUANTITIES = (*FALL, *LUMP, "yield_pressure", "strength", "viscous_restitution", "velocity")
 #: The state of a rock before an impact.
 COLUMNS = {
     "time": np.float64,  # of touch [s]
@@ -194,7 +194,11 @@ COLUMNS = {
     "population": np.int64,
     "specimen": np.uint64,
     **dict.fromkeys(
-        (*PARTICLE, *LUMP, "restitution", "yield_pressure", "drop_height", "velocity", "dissipation"), np.float64
+        (
+            *(*PARTICLE, *LUMP, "restitution", "yield_pressure", "viscous_restitution"),
+            *("drop_height", "velocity", "dissipation"),
+        ),
+        np.float64,
     ),
     "slip": np.float64,  # speed down the slope [m/s]
     "impact_x": np.float64,  # point of impact on the beam [m]

@@ -147,12 +147,18 @@ class Scene(Section):
             for name in ("restitution", "yield_pressure", "strength"):
                 given = getattr(population, name) is not None
                 if given and name not in (needed, instead):
-                    problems.append(f"{place}.{name}: must be left out when dissipation is {dissipation}")
+                    cure = "; for viscous loss beside crushing give viscous_restitution" * (instead is not None)
+                    problems.append(f"{place}.{name}: must be left out when dissipation is {dissipation}{cure}")
                 if not given and name == needed and not (instead and getattr(population, instead) is not None):
                     other = f", or {instead}" * (instead is not None)
                     problems.append(f"{place}.{name}: is missing, {dissipation} dissipation needs it{other}")
             if population.yield_pressure is not None and population.strength is not None:
                 problems.append(f"{place}.strength: must be left out beside yield_pressure, which it stands for")
+            if population.viscous_restitution is not None and dissipation not in PLASTIC:
+                cure = "leave it out" if needed is None else "give restitution, which is viscous"
+                problems.append(
+                    f"{place}.viscous_restitution: must be left out when dissipation is {dissipation}; {cure}"
+                )
         for dissipation in dict.fromkeys(name for name in self.dissipations if name in ON_SOLID_GROUND):
             cure = "leave it out, or take hunt-crossley"
             for name, wrong in {
@@ -225,7 +231,7 @@ class Scene(Section):
 
     @property
     def plastic(self) -> tuple[str, ...]:
-        """The dissipations among them whose loss does not depend on speed."""
+        """The dissipations among them whose contacts unload on another path."""
         return tuple(name for name in PLASTIC if name in self.dissipations)
 
     @property

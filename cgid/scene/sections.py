@@ -59,7 +59,8 @@ DISSIPATIONS: Mapping[str, str | None] = {
     "walton-braun": "restitution",
     "kuwabara-kono": "restitution",
 }
-#: Those whose loss does not depend on speed: closed forms, but no weight and no target that takes energy.
+#: Those of a contact that unloads on another path, with or without viscous loss. They have no weight, and no target
+#: that takes energy.
 PLASTIC = ("thornton", "walton-braun")
 #: Those that scenes have on a half space or a rigid wall only, and without weight.
 ON_SOLID_GROUND = (*PLASTIC, "kuwabara-kono")
@@ -166,6 +167,9 @@ class Population(_Source):
         Contact pressure at which the rock crushes; for thornton dissipation.
     strength : distribution, optional [Pa]
         Uniaxial compressive strength of the rock, instead of `yield_pressure`, which is 1.6 times as high.
+    viscous_restitution : distribution, optional
+        Rebound speed over impact speed that a viscous loss alone would leave, for rocks that lose energy in both ways:
+        beside `yield_pressure` or `strength` of thornton dissipation, or `restitution` of walton-braun dissipation.
     drop_height : distribution, optional [m]
         How far the rock falls; either this or `velocity`.
     velocity : distribution, optional [m/s]
@@ -182,6 +186,7 @@ class Population(_Source):
         "restitution",
         "yield_pressure",
         "strength",
+        "viscous_restitution",
         "drop_height",
         "velocity",
     )
@@ -202,6 +207,9 @@ class Population(_Source):
     ) = None
     yield_pressure: _Pressure | None = None
     strength: _Pressure | None = None
+    viscous_restitution: (
+        Annotated[Distribution, measured("ratio"), _between(LOWEST_RESTITUTION, HIGHEST_RESTITUTION)] | None
+    ) = None
     drop_height: _Length | None = None
     velocity: Annotated[Distribution, measured("speed"), measured_within("speed")] | None = None
 
@@ -285,7 +293,7 @@ class ImpactSection(Section):
     dissipation : str
         How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), as a
         bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). The last three need a half space or
-        a rigid wall, and no gravity.
+        a rigid wall, and no gravity. Rocks that crush, or are bilinear, may also have a `viscous_restitution`.
     law : str
         For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is asked
         for; the published factors deliver another one.

@@ -70,14 +70,15 @@ def impact_units(scene: Scene) -> dict[str, str]:
     - restitution: as delivered, including losses to the target; velocity: normal to the beam
     - yield_pressure: where a rock's dissipation is thornton; dissipation: where populations differ in it, an index in
       `cgid.scene.sections.DISSIPATIONS`
-    - curvature, effective_mass: where a population has a shape
+    - curvature, effective_mass: where a population has a shape; viscous_restitution: where one has it
     - drop_height: nan except for a first fall from a height
     - next_impact: time to the next touch of any rock, nan for the last; overlapping: 1 if contacts overlap
     - impact_x, impact_y: on a beam of known size
     """
     more = {"yield_pressure": "Pa"} if "thornton" in scene.dissipations else {}
     more |= {"dissipation": "1"} if scene.mixes_laws else {}
-    more |= {name: "1" for name in LUMP for population in scene.populations if name in population.laws}
+    drawn = {name for population in scene.populations for name in population.laws}
+    more |= {name: "1" for name in (*LUMP, "viscous_restitution") if name in drawn}
     place = {} if scene.panel is None else POINT_UNITS
     return {**_UNITS, **more, **place, **_NEIGHBOUR_UNITS}
 

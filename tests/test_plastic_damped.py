@@ -1,0 +1,420 @@
+"""Crushing with viscous loss: pulses against an integrator, balances by quadrature, limits, scenes, bad input."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from cgid.ceiling import ceiling
+from cgid.errors import BadData, InvalidValue
+from cgid.physics import HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
+from cgid.physics.materials import Material
+from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene.distributions import LIMITS
+from cgid.scene.plan import plan
+from cgid.scene.schema import varied
+from cgid.scene.stream import record
+from cgid.scene.synthesis import columns_of
+from tests import naive
+from tests.plan_scenes import POPULATION, scene_of, uniform
+from tests.test_plastic import ELASTIC_PRESSURE, coal, thornton_contact
+
+pytestmark = pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
+
+VISCOUS = (0.999, 0.9, 0.6, 0.3, 0.1)
+#: From a contact that would yield just before its turn, or does not because of the damping, to one that crushes deeply.
+LAWS = {
+    f"{name} {viscous}": replace(law, viscous_restitution=viscous)
+    for viscous in VISCOUS
+    for name, law in {
+        **{f"thornton {pressure:g}": Thornton(yield_pressure=pressure) for pressure in (145e6, 120e6, 60e6, 10e6, 1e6)},
+        **{f"walton-braun {e:g}": WaltonBraun(restitution=e, loading_stiffness=2e6) for e in (1.0, 0.5, 0.1)},
+    }.items()
+}
+RESULTS = (
+    "restitution",
+    "peak_force",
+    "peak_displacement",
+    "contact_duration",
+    "time_of_peak",
+    "compression_time",
+    "end_displacement",
+    "impulse",
+    "dissipated_energy",
+)
+
+
+def damping_of(restitution, velocity=2.0):
+    """Return chi [s/m] of Hunt & Crossley (1975) by their own transcendental equation."""
+
+    def excess(number):
+        return (1 + restitution) * number - np.log((1 + number) / (1 - restitution * number))
+
+    return brentq(excess, 1e-6, (1 - 1e-15) / restitution, xtol=1e-18, rtol=1e-15) / velocity
+
+
+def contact_of(impact):
+    """Return the two paths of the contact without damping, as its authors write them."""
+    law = impact.dissipation
+    if isinstance(law, Thornton):
+        return thornton_contact(impact, float(law.yield_pressure))
+    return naive.walton_braun_contact(float(law.restitution), float(law.loading_stiffness))
+
+
+def branches(impact, n=60):
+    """Yield times [s] at Gauss's points of a smooth variable s on each branch, dt/ds, weights, and the speed [m/s]."""
+    yields, turn, end = (float(times[0] * impact.time_scale) for times in impact.curves._ends)
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    nodes, weights = (nodes + 1) / 2, weights / 2
+    for start, stop, square in ((0.0, yields, "start"), (yields, turn, ""), (turn, end, "end")):
+        length = stop - start
+        if length < 1e-12 * end:
+            continue
+        times, rate = {
+            "start": (lambda s, a=start, d=length: a + d * s**2, lambda s, d=length: 2 * d * s),
+            "": (lambda s, a=start, d=length: a + d * s, lambda s, d=length: d + 0 * s),
+            "end": (lambda s, b=stop, d=length: b - d * (1 - s) ** 2, lambda s, d=length: 2 * d * (1 - s)),
+        }[square]
+        parts = [(0.0, 0.25), (0.25, 0.5), (0.5, 1.0)]  # damping is quick near touch
+        for low, high in parts:
+            s = low + (high - low) * nodes
+            series = np.polynomial.Chebyshev.interpolate(lambda s, t=times: impact.displacement(t(s)), n, [low, high])
+            yield times(s), rate(s), (high - low) * weights, series.deriv()(s) / rate(s)
+
+
+# ---- against an integrator ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_force_peak_restitution_and_times_are_those_of_an_integrator(law):
+    impact = coal(law)
+    chi = damping_of(law.viscous_restitution)
+    scales = (float(impact.reduced_mass), 2.0, float(impact.time_scale))
+    force, end, rebound = naive.two_path_impact(*scales, *contact_of(impact), damping=chi)
+    times = np.linspace(0, 1.02, 3001) * float(impact.contact_duration)
+    exact, peak = force(times), float(impact.peak_force)
+    assert np.abs(impact.force(times) - exact).max() < 1e-9 * peak
+    assert float(impact.rebound_velocity) == pytest.approx(rebound, rel=2e-9)
+    # The integrator leaves where the force falls below 1e-13 of its peak.
+    assert float(impact.contact_duration) == pytest.approx(end, rel=1e-6)
+    top = float(impact.time_of_peak)
+    around = force(top * (1 + np.array([-1e-4, 0.0, 1e-4])))
+    assert around[1] == pytest.approx(peak, rel=1e-9) and exact.max() <= peak * (1 + 1e-9)
+    assert around[1] >= around.max() * (1 - 1e-12)
+    assert float(impact.force(top)) == pytest.approx(peak, rel=1e-11)
+    turn = float(impact.compression_time)
+    assert float(impact.displacement(turn)) == pytest.approx(float(impact.peak_displacement), rel=1e-11)
+    assert 0 < top <= turn < float(impact.contact_duration)
+
+
+def test_the_population_holds_impacts_that_peak_on_either_branch_and_some_that_do_not_yield():
+    turns = [coal(law).curves._turn for law in LAWS.values() if isinstance(law, Thornton)]
+    early = [bool(turn.peaks_early[0]) for turn in turns]
+    yields = [bool(turn.share[0] > 0) for turn in turns]
+    assert 3 < sum(early) < len(early) - 3 and len(yields) - sum(yields) > 3
+    assert any(one and two for one, two in zip(early, yields, strict=True))
+
+
+# ---- balances -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_impulse_and_both_losses_by_quadrature(law):
+    impact, chi = coal(law), damping_of(law.viscous_restitution)
+    energy = 0.5 * float(impact.reduced_mass) * 4
+    impulse = whole = viscous = 0.0
+    for times, rate, weights, speed in branches(impact):
+        force = impact.force(times)
+        impulse += (force * rate * weights).sum()
+        whole += (force * speed * rate * weights).sum()
+        viscous += (force * chi * speed**2 / (1 + chi * speed) * rate * weights).sum()
+    loading, unloading, corner = contact_of(impact)
+    deepest, rest = float(impact.peak_displacement), float(impact.end_displacement)
+    crushing = quad(loading, 0, deepest, points=[corner] if corner < deepest else None, epsabs=0, epsrel=1e-12)[0]
+    crushing -= quad(unloading(deepest), rest, deepest, epsabs=0, epsrel=1e-12)[0]
+    assert impulse == pytest.approx(float(impact.impulse), rel=1e-9)
+    assert float(impact.impulse) == pytest.approx(float((1 + impact.restitution) * impact.reduced_mass * 2), rel=1e-14)
+    assert whole == pytest.approx(float(impact.dissipated_energy), abs=1e-9 * energy)
+    assert viscous + crushing == pytest.approx(float(impact.dissipated_energy), abs=1e-9 * energy)
+    assert viscous > 0 and crushing > -1e-12 * energy
+
+
+def test_impulse_of_a_thousand_random_impacts():
+    """Yield anywhere from touch to turn, damping from none to .05, by quadrature of the evaluated force."""
+    random, n = np.random.default_rng(5), 1000
+    viscous = np.concatenate([random.uniform(0.05, 1, n // 2), 1 - 10.0 ** random.uniform(-16, -1, n // 2)])
+    pressure = ELASTIC_PRESSURE * np.sqrt(random.permutation(np.linspace(1e-4, 1.05, n)))  # even in the yield depth
+    for law in (
+        Thornton(yield_pressure=pressure, viscous_restitution=viscous),
+        WaltonBraun(restitution=random.uniform(0.05, 1, n), viscous_restitution=viscous),
+    ):
+        curves, total = coal(law).curves, np.zeros(n)
+        ends = (np.zeros(n), *curves._ends)
+        nodes, weights = np.polynomial.legendre.leggauss(40)
+        for part in range(3):
+            start, length = ends[part], ends[part + 1] - ends[part]
+            for low, high in ((0, 0.05), (0.05, 0.2), (0.2, 0.5), (0.5, 1)):
+                s = low + (high - low) * (nodes + 1) / 2
+                share, rate = {0: (s**2, 2 * s), 1: (s, 1 + 0 * s), 2: (1 - (1 - s) ** 2, 2 * (1 - s))}[part]
+                times = start[:, None] + length[:, None] * share
+                force = curves.evaluate(times, np.ones(n), np.ones(n), "force", "float64", 1)
+                assert (force >= 0).all()
+                total += (force * rate * weights).sum(axis=1) * (high - low) / 2 * length
+        assert total == pytest.approx(1 + curves.restitution, rel=2e-11)
+
+
+def test_both_losses_together_leave_less_than_either():
+    pressure, viscous = np.geomspace(1e6, 150e6, 40)[:, None], np.linspace(0.05, 0.99, 30)
+    both = coal(Thornton(yield_pressure=pressure, viscous_restitution=viscous)).restitution
+    assert (both <= viscous).all() and (both < viscous).any(axis=0).all()
+    assert (both < coal(Thornton(yield_pressure=pressure)).restitution).all()
+
+
+# ---- limits -------------------------------------------------------------------------------------------------------
+
+
+def agree(one, other, times, error):
+    for name in RESULTS:
+        unit = np.max(np.abs(getattr(other, name)))
+        assert np.abs(getattr(one, name) - getattr(other, name)).max() <= error * max(unit, 1e-300), name
+    for quantity in ("force", "displacement"):
+        exact = getattr(other, quantity)(times)
+        assert np.abs(getattr(one, quantity)(times) - exact).max() <= error * exact.max(), quantity
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Thornton(yield_pressure=np.geomspace(1e4, 200e6, 50)),
+        WaltonBraun(restitution=np.linspace(0.05, 1, 50), loading_stiffness=1e6),
+        WaltonBraun(restitution=np.linspace(0.05, 1, 50)),
+    ],
+    ids=["T", "WB", "WB of equal depth"],
+)
+def test_without_viscous_loss_the_law_is_the_plastic_one(law):
+    alone, times = coal(law), np.linspace(0, 1e-3, 700)
+    agree(coal(replace(law, viscous_restitution=1.0)), alone, times, 1e-11)
+    nearly = coal(replace(law, viscous_restitution=1 - 1e-7))
+    assert nearly.restitution == pytest.approx(alone.restitution, rel=1e-6)
+    assert (nearly.restitution < alone.restitution).all()
+
+
+def test_rocks_that_do_not_yield_are_those_of_hunt_and_crossley():
+    viscous, times = np.linspace(0.05, 1, 50), np.linspace(0, 1e-3, 700)
+    for pressure in (200e6, 1e12):
+        hard = coal(Thornton(yield_pressure=pressure, viscous_restitution=viscous))
+        agree(hard, coal(HuntCrossley(restitution=viscous)), times, 1e-13)
+        assert not hard.end_displacement.any()
+
+
+def test_a_bilinear_contact_of_restitution_1_is_a_damped_linear_spring():
+    """Its depth and restitution in SI units, by the first integral of `m x'' = -k x (1 + chi x')`."""
+    impact = coal(WaltonBraun(restitution=1.0, loading_stiffness=2e6, viscous_restitution=0.5))
+    number = 2 * damping_of(0.5)
+    stored = (number - np.log1p(number)) / number**2  # of m v^2
+    deepest = np.sqrt(2 * stored * float(impact.reduced_mass) * 4 / 2e6)
+    assert float(impact.peak_displacement) == pytest.approx(deepest, rel=1e-13)
+    assert float(impact.restitution) == pytest.approx(0.5, rel=1e-13)  # it stores as much as a Hertzian one
+
+
+# ---- batches ------------------------------------------------------------------------------------------------------
+
+MANY = {
+    "T": Thornton(yield_pressure=np.geomspace(1e6, 2e8, 300), viscous_restitution=np.linspace(0.05, 1, 300)),
+    "WB": WaltonBraun(restitution=np.linspace(0.05, 1, 300), viscous_restitution=np.linspace(1, 0.05, 300)),
+}
+
+
+@pytest.mark.parametrize("law", MANY.values(), ids=MANY)
+def test_an_impact_has_the_same_bits_alone_and_in_a_batch(law):
+    many, times = coal(law), np.linspace(0, 4e-4, 40)
+    frames, forces, depths = many.force_frames(1e5, 64, 1e-5), many.force(times), many.displacement(times)
+    assert np.array_equal(many.force_frames(1e5, 64, 1e-5, threads=2), frames)
+    name = "yield_pressure" if isinstance(law, Thornton) else "restitution"
+    for row in (0, 150, 299):
+        numbers = {key: getattr(law, key)[row] for key in (name, "viscous_restitution")}
+        one = coal(type(law)(**numbers))
+        for result in RESULTS:
+            assert getattr(one, result) == getattr(many, result)[row]
+        assert np.array_equal(one.force_frames(1e5, 64, 1e-5), frames[row])
+        assert np.array_equal(one.force(times), forces[row])
+        assert np.array_equal(one.displacement(times), depths[row])
+
+
+@pytest.mark.parametrize("law", MANY.values(), ids=MANY)
+def test_frames_are_the_force_at_their_samples(law):
+    impact, rate = coal(law), 3e5
+    for onset in (1.37e-5, -1e-4, 3.3e-3):  # whole, begun before the frame, cut off by its end
+        times = np.arange(1024) / rate - onset
+        for dtype, error in (("float64", 1e-13), ("float32", 2e-7)):
+            frames = impact.force_frames(rate, 1024, onset, dtype=dtype)
+            peak = impact.peak_force[:, None]
+            assert (np.abs(frames - impact.force(times)) < error * peak).all() and (frames >= 0).all()
+            assert not frames[times >= impact.contact_duration[:, None]].any() and not frames[:, times <= 0].any()
+
+
+def test_impacts_broadcast_with_times_and_onsets():
+    law = Thornton(yield_pressure=[[4e7], [8e7]], viscous_restitution=0.7)
+    frames = coal(law, velocity=[1.0, 2.0, 3.0]).force_frames(2e5, 128, np.array([1e-4, 1e-4, 2e-4]))
+    alone = coal(replace(law, yield_pressure=8e7), velocity=3.0)
+    assert np.array_equal(frames[1, 2], alone.force_frames(2e5, 128, 2e-4))
+    assert np.array_equal(alone.force_frames(2e5, 128, np.array([1e-4, 2e-4]))[1], frames[1, 2])
+
+
+@pytest.mark.parametrize("viscous", [0.05, 0.5, 1.0])
+@pytest.mark.parametrize("pressure", [1e-30, 1e-3, 1e30])
+def test_extreme_but_representable_yield_pressures_give_finite_pulses(pressure, viscous):
+    with np.errstate(all="raise", under="ignore"):
+        impact = coal(Thornton(yield_pressure=pressure, viscous_restitution=viscous))
+        force = impact.force(np.linspace(0, float(impact.contact_duration), 50))
+        assert np.isfinite(force).all() and force.max() > 0
+        for name in RESULTS:
+            assert np.isfinite(getattr(impact, name))
+
+
+@pytest.mark.parametrize("law", [Thornton(yield_pressure=4e7), WaltonBraun(restitution=0.5)], ids=["T", "WB"])
+@pytest.mark.parametrize("value", [0.0, 0.049, -0.5, 1.01, np.nan, np.inf, "dull", [0.5, 0.0], 1j])
+def test_invalid_viscous_restitutions(law, value):
+    with pytest.raises(InvalidValue, match=r"viscous_restitution must .*, got ") as error:
+        replace(law, viscous_restitution=value)
+    assert "\n" not in str(error.value)
+
+
+# ---- scenes -------------------------------------------------------------------------------------------------------
+
+CRUSHED = {"restitution": None, "yield_pressure": uniform("10 MPa", "200 MPa")}
+BOTH = {"viscous_restitution": uniform(0.4, 0.95)}
+SCENES = {
+    "thornton": scene_of({"dissipation": "thornton"}, {**CRUSHED, **BOTH}, {}),
+    "walton-braun": scene_of({"dissipation": "walton-braun"}, BOTH, {}),
+    "strength": scene_of({"dissipation": "thornton"}, {"restitution": None, "strength": "30 MPa", **BOTH}, {}),
+}
+
+
+def impacts_from(scene, columns, restitution=None):
+    """Return the impacts of a table or of stored parameters."""
+    material = Material(**{name: columns[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
+    viscous = np.where(np.isfinite(columns["viscous_restitution"]), columns["viscous_restitution"], 1.0)
+    law = (
+        WaltonBraun(restitution=columns["asked_restitution"], viscous_restitution=viscous)
+        if (scene.impact.dissipation == "walton-braun")
+        else Thornton(yield_pressure=columns["yield_pressure"], viscous_restitution=viscous)
+    )
+    return Impact(
+        sphere=Sphere(material=material, radius=columns["radius"]),
+        target=scene.body, velocity=columns["velocity"], stiffness="hertz", dissipation=law,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_holds_the_impacts_of_its_parameters(name):
+    scene = SCENES[name]
+    (rows,) = columns_of(plan(scene, "closed-form"), 200)
+    impact = impacts_from(scene, rows.columns)
+    for quantity in ("restitution", "peak_force", "contact_duration", "time_of_peak", "dissipated_energy"):
+        assert rows.columns[quantity] == pytest.approx(getattr(impact, quantity), rel=1e-13)
+    (batch,) = synthesise(scene, 200, dtype="float64")
+    frames = impact.force_frames(200e3, 2048, batch.parameters["onset"])
+    assert np.abs(batch.signals - frames).max() < 1e-10 * frames.max()
+    assert np.array_equal(batch.parameters["viscous_restitution"], rows.columns["viscous_restitution"])
+    assert (batch.parameters["restitution"] <= batch.parameters["viscous_restitution"]).all()
+    assert parse_scene(json.loads(scene.text)) == scene
+    assert "times of those with viscous loss by quadrature" in plan(scene).decisions["impacts"].why
+
+
+def test_a_scene_without_viscous_loss_is_what_it_was():
+    alone = scene_of({"dissipation": "thornton"}, CRUSHED, {})
+    assert "viscous" not in alone.text and "viscous" not in load_scene("rock").text
+    without, with_ = (next(iter(synthesise(scene, 200))).parameters for scene in (alone, SCENES["thornton"]))
+    assert "viscous_restitution" not in without
+    for name in ("density", "radius", "velocity", "onset", "yield_pressure"):
+        assert np.array_equal(without[name], with_[name])
+    assert "quadrature" not in plan(alone).decisions["impacts"].why
+
+
+def test_viscous_loss_is_drawn_apart_from_crushing():
+    batches = list(synthesise(SCENES["thornton"], 2048))
+    pressure, viscous = (
+        np.concatenate([one.parameters[name] for one in batches]) for name in ("yield_pressure", "viscous_restitution")
+    )
+    assert abs(np.corrcoef(pressure, viscous)[0, 1]) < 0.07
+    assert viscous.min() >= 0.4 and viscous.max() <= 0.95 and viscous.mean() == pytest.approx(0.675, abs=0.02)
+
+
+def test_only_some_populations_may_damp_as_they_crush():
+    rock = {key: value for key, value in {**POPULATION, **CRUSHED}.items() if value is not None}
+    scene = scene_of({"dissipation": "thornton"}, None, {}, populations=[{**rock, **BOTH}, {**rock, "label": "gangue"}])
+    (batch,) = synthesise(scene, 256, dtype="float64")
+    has = np.isfinite(batch.parameters["viscous_restitution"])
+    assert np.array_equal(has, batch.labels == "coal")
+    impact = impacts_from(scene, batch.parameters)
+    assert batch.parameters["restitution"] == pytest.approx(impact.restitution, rel=1e-13)
+    frames = impact.force_frames(200e3, 2048, batch.parameters["onset"])
+    assert np.abs(batch.signals - frames).max() < 1e-10 * frames.max()
+
+
+@pytest.mark.parametrize("velocity", LIMITS["speed"])
+@pytest.mark.parametrize("modulus", LIMITS["modulus"])
+@pytest.mark.parametrize("pressure", LIMITS["modulus"])
+@pytest.mark.parametrize("viscous", [0.05, 1.0])
+def test_the_widest_scenes_allowed_give_finite_signals(viscous, pressure, modulus, velocity):
+    rocks = {"youngs_modulus": modulus, "velocity": velocity, "density": 1e-3, "viscous_restitution": viscous}
+    frame = {"sampling_rate": 1e5, "samples": 64, "pre_trigger": 8}
+    scene = scene_of({"dissipation": "thornton"}, {**CRUSHED, **rocks, "yield_pressure": pressure}, {}, sampling=frame)
+    with np.errstate(all="raise", under="ignore"):
+        (batch,) = synthesise(scene, 2, dtype="float64")
+    assert np.isfinite(batch.signals).all() and (batch.signals >= 0).all()
+    assert ((batch.parameters["restitution"] > 0) & (batch.parameters["restitution"] <= viscous)).all()
+
+
+def test_rocks_keep_their_viscous_loss_in_a_stream():
+    scene = scene_of(
+        {"dissipation": "thornton"}, {**CRUSHED, **BOTH}, {}, sampling={"sampling_rate": 100e3},
+        stream={"duration": "5 s", "arrivals": {"rate": "4 Hz"}, "rebounds": {"most": 3, "least_speed": "0.05 m/s"}},
+    )  # fmt: skip
+    _, truth = record(scene, 3)
+    assert (truth["bounce"] == 1).any()
+    for rock in np.unique(truth["rock"]):
+        rows = np.flatnonzero(truth["rock"] == rock)
+        assert np.ptp(truth["viscous_restitution"][rows]) == 0
+        assert truth["velocity"][rows[1:]] == pytest.approx((truth["restitution"] * truth["velocity"])[rows[:-1]])
+
+
+def test_a_scene_of_crushing_rocks_becomes_one_that_also_damps():
+    scene = varied(SCENES["thornton"], viscous_restitution=0.7)
+    assert next(iter(synthesise(scene, 9))).parameters["viscous_restitution"] == pytest.approx(0.7)
+    assert varied(scene, viscous_restitution=None) == scene_of({"dissipation": "thornton"}, CRUSHED, {})
+
+
+@pytest.mark.parametrize(
+    ("impact", "population", "says"),
+    [
+        ("thornton", {**CRUSHED, "viscous_restitution": 0}, "viscous_restitution: must lie between 0.05 and 1"),
+        ("thornton", {**CRUSHED, "viscous_restitution": 1.2}, "viscous_restitution: must lie between 0.05 and 1"),
+        ("thornton", {**CRUSHED, "viscous_restitution": "5 mm"}, "populations.0.viscous_restitution: "),
+        ("thornton", {**CRUSHED, "restitution": 0.5}, "thornton; for viscous loss beside crushing give viscous_restit"),
+        ("thornton", {"restitution": None, **BOTH}, "yield_pressure: is missing, thornton dissipation needs it"),
+        ("hunt-crossley", BOTH, "left out when dissipation is hunt-crossley; give restitution, which is viscous"),
+        ("kuwabara-kono", BOTH, "left out when dissipation is kuwabara-kono; give restitution, which is viscous"),
+        ("elastic", {"restitution": None, **BOTH}, "must be left out when dissipation is elastic; leave it out"),
+    ],
+)
+def test_scenes_that_cannot_be(impact, population, says):
+    with pytest.raises(BadData) as error:
+        scene_of({"dissipation": impact}, population)
+    assert says in str(error.value)
+
+
+def two_labels():
+    rock = {key: value for key, value in {**POPULATION, **CRUSHED, **BOTH}.items() if value is not None}
+    stiff = {**rock, "label": "gangue", "yield_pressure": uniform("100 MPa", "400 MPa")}
+    return scene_of({"dissipation": "thornton"}, None, {"relative_noise": 0.01}, populations=[rock, stiff])
+
+
+def test_the_ceiling_says_that_a_bracket_encloses_it():
+    with pytest.raises(InvalidValue, match=re.escape("cgid.ceiling.bracket, encloses it by learners")):
+        ceiling(two_labels(), 100)
