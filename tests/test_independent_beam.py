@@ -1,0 +1,243 @@
+"""The independent beam of `benchmarks/independent_beam.py` and its finite elements.
+
+It judges the package, so first it is judged itself: by closed forms, a finer mesh, the balance of energy, Newmark's
+method on the full matrices, and the package's own physics, which it shares nothing with.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg, signal, sparse
+from scipy.sparse.linalg import splu
+
+from cgid.physics import HalfSpace, HuntCrossley, ModalImpact, Sphere
+from cgid.physics.materials import STEEL, Material
+from cgid.physics.modes import MeasuredModes
+from cgid.physics.response import LowPass, Resonance, Response
+from cgid.physics.tail_beam import TailBeam
+from cgid.scene import load_scene
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+if str(BENCHMARKS) not in sys.path:
+    sys.path.append(str(BENCHMARKS))
+
+import independent_beam  # noqa: E402
+import independent_modes  # noqa: E402
+from independent_beam import Attached, Contact, Stepped, Variant  # noqa: E402
+from independent_modes import Beam, lowest, model  # noqa: E402
+
+
+def frequencies(beam, highest):
+    return np.sort(np.concatenate([lowest(*model(beam, parity)[:2], highest)[0] for parity in ("even", "odd")]))
+
+
+# --- modes ---
+
+
+def test_a_simply_supported_plate_has_mindlins_frequencies():
+    """`(D k^2 + S - J w^2)(S k^2 - m w^2) = S^2 k^2` for half waves i and j, its lower root."""
+    beam = Beam(edges="simply-supported", ribs="none", length=0.9, width=0.7, thickness=0.06, element=0.2)
+    i, j = np.meshgrid(np.arange(1, 8), np.arange(1, 8))
+    k2 = (np.pi**2 * ((i / beam.length) ** 2 + (j / beam.width) ** 2)).ravel()
+    h, density = beam.thickness, beam.density
+    bending = beam.youngs_modulus * h**3 / (12 * (1 - beam.poisson_ratio**2))
+    shear, mass, rotary = 5 / 6 * beam.shear_modulus * h, density * h, density * h**3 / 12
+    b = -(mass * (bending * k2 + shear) + rotary * shear * k2)
+    omega = np.sqrt((-b - np.sqrt(b**2 - 4 * rotary * mass * bending * shear * k2**2)) / (2 * rotary * mass))
+    exact = np.sort(omega / (2 * np.pi))
+    found = frequencies(beam, 7000.0)
+    assert len(found) == np.searchsorted(exact, 7000.0) > 20
+    np.testing.assert_allclose(found, exact[: len(found)], rtol=3e-4)
+    thin = np.sort(np.sqrt(bending / mass) * k2 / (2 * np.pi))[: len(found)]
+    assert (found / thin)[-1] < 0.9  # shear matters in this plate
+
+
+def test_a_thin_cantilever_has_the_packages_frequencies():
+    beam = Beam(ribs="none", length=0.8, width=0.7, thickness=0.004, element=0.1)
+    thin = TailBeam(material=STEEL, length=0.8, width=0.7, thickness=0.004, edges="cantilever", damping_ratio=0.02)
+    expected = thin.modes(500.0).frequency
+    np.testing.assert_allclose(frequencies(beam, 500.0)[: len(expected)], expected, rtol=3e-3)
+
+
+@pytest.mark.parametrize("ribs", ["beams", "smeared"])
+def test_a_finer_mesh_changes_little(ribs):
+    beam = Beam(ribs=ribs, element=0.25)
+    coarse = frequencies(beam, 1200.0)
+    fine = frequencies(replace(beam, element=0.15), 1210.0)[: len(coarse)]
+    np.testing.assert_allclose(coarse, fine, rtol=4e-3)
+    assert np.median(np.abs(coarse / fine - 1)) < 1e-3
+
+
+def test_the_first_modes_do_not_ask_how_the_ribs_are_made():
+    first = np.array([frequencies(Beam(ribs=ribs, element=0.3), 150.0)[:2] for ribs in ("shells", "beams", "smeared")])
+    np.testing.assert_allclose(first / first[0], 1.0, atol=0.08)
+
+
+def test_its_sizes_are_those_of_the_scene():
+    scene = load_scene("tail_beam")
+    panel, ours = scene.panel, Beam()
+    assert (panel.length, panel.width, panel.thickness) == (ours.length, ours.width, ours.thickness)
+    assert (panel.ribs.number, panel.ribs.depth, panel.ribs.thickness) == (8, ours.depth, ours.rib_thickness)
+    assert panel.material.density == ours.density and panel.material.youngs_modulus == ours.youngs_modulus
+    assert (scene.sampling.sampling_rate, scene.sampling.samples) == (independent_beam.RATE, independent_beam.SAMPLES)
+    assert scene.sensor.noise_level(np.ones(1), independent_beam.RATE)[0] == pytest.approx(independent_beam.NOISE)
+    assert (scene.tail_beam.sensor_point.x, scene.tail_beam.sensor_point.y) == independent_beam.SENSOR
+
+
+# --- impacts ---
+
+
+@pytest.fixture
+def few_modes(monkeypatch):
+    """A band that is solved in a second."""
+    monkeypatch.setattr(independent_beam, "HIGHEST", 3000.0)
+    independent_beam._modes.cache_clear()
+    yield Beam(element=0.3)
+    independent_beam._modes.cache_clear()
+
+
+def test_the_package_strikes_the_same_modes_alike(few_modes):
+    """Its coupled contact by collocation, its response by poles, of the same modes."""
+    n, modes = 6, independent_beam._modes(replace(few_modes, ribs="smeared"))
+    made = independent_beam.generate(n, 1, Variant(ribs="smeared"), noise=0.0, beam=few_modes)
+    rock = independent_beam.rocks(n, np.random.default_rng([1, 0]))
+    shape = modes.shape(rock.x, rock.y)
+    alike = rock.stiffness / (4 / 3 * np.sqrt(rock.radius))
+    impact = ModalImpact(
+        sphere=Sphere(
+            material=Material(
+                density=rock.mass / (4 / 3 * np.pi * rock.radius**3),
+                youngs_modulus=(1 - 0.3**2) / (1 / alike - (1 - 0.3**2) / 210e9),
+                poisson_ratio=0.3,
+            ),
+            radius=rock.radius,
+        ),
+        target=HalfSpace(material=Material(density=7850.0, youngs_modulus=210e9, poisson_ratio=0.3)),
+        velocity=rock.speed,
+        stiffness="hertz",
+        dissipation=HuntCrossley(restitution=rock.restitution),
+        frequency=modes.frequency,
+        damping_ratio=0.02,
+        compliance=shape**2,
+        residual_compliance=independent_beam.residual(2 * np.pi * modes.frequency, shape),
+    )
+    assert made["restitution"] == pytest.approx(impact.restitution, abs=5e-5)
+    for name in ("peak_force", "contact_duration"):
+        assert made[name] == pytest.approx(getattr(impact, name), rel=1e-4)
+    measured = MeasuredModes(
+        frequency=modes.frequency,
+        damping_ratio=np.full(len(modes.frequency), 0.02),
+        modal_mass=np.ones(len(modes.frequency)),
+        shape_impact=shape[0],
+        shape_sensor=modes.shape(*independent_beam.SENSOR)[0],
+    )
+    response = Response(
+        sampling_rate=independent_beam.RATE,
+        quantity="acceleration",
+        modes=measured,
+        filters=(Resonance(frequency=25e3, damping_ratio=0.05), LowPass(frequency=10e3)),
+        tolerance=1e-5,
+    )
+    frames = np.zeros((n, independent_beam.SAMPLES))
+    response.add_to_frames(frames, impact, made["onset"], shape * measured.shape_sensor)
+    off = np.abs(made["acceleration"] - frames).max(axis=1) / np.abs(frames).max(axis=1)
+    assert off.max() < 1e-3
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    """All modes of a coarse beam, dense; both halves side by side, with w at points of the skin."""
+    beam = Beam(ribs="beams", number=2, element=0.8, degree=4)
+    halves = [model(beam, parity) for parity in ("even", "odd")]
+    stiffness = sparse.block_diag([2 * half.stiffness for half in halves]).tocsc()
+    mass = sparse.block_diag([2 * half.mass for half in halves]).tocsc()
+
+    def at(x, y):
+        """Return the unit force at a point: w there, by every unknown."""
+        columns = []
+        for sign, half in zip((1.0, -1.0), halves, strict=True):
+            rows, along = independent_modes.weights_at(half.x, np.array([x]))
+            lines, across = independent_modes.weights_at(half.y, np.array([min(y, beam.width - y)]))
+            out = np.zeros(half.stiffness.shape[0])
+            numbers = half.skin[rows[0]][:, lines[0]]
+            weights = np.outer(along[0], across[0]) * (sign if y > beam.width / 2 else 1.0)
+            np.add.at(out, numbers[numbers >= 0], weights[numbers >= 0])
+            columns.append(out)
+        return np.concatenate(columns)
+
+    values, vectors = linalg.eigh(stiffness.toarray(), mass.toarray())
+    return stiffness, mass, at, np.sqrt(values), vectors
+
+
+def test_energy_is_kept_in_an_elastic_impact_without_damping(coarse):
+    *_, at, omega, vectors = coarse
+    shape = at(1.2, 0.9) @ vectors
+    ready = Stepped(omega[:120], np.zeros(120), np.zeros((0, 120)), np.zeros((0, 3)))
+    off = []
+    for steps in (300, 1200):
+        hit = ready.strike(shape[:120], 0.0, 1.5, 1.2e10, 0.0, 4.0, steps)
+        rest = 0.5 * np.sum(hit.state[1, :120] ** 2 + (omega[:120] * hit.state[0, :120]) ** 2)
+        off.append(rest / (0.5 * 1.5 * 4.0**2) + (hit.velocity / 4.0) ** 2 - 1)
+    assert rest > 0.02 * 0.5 * 1.5 * 4.0**2  # the beam does take energy
+    assert abs(off[0]) < 1e-4
+    assert abs(off[1]) < 1e-5
+    impulse = hit.force.sum() * hit.step
+    assert impulse == pytest.approx(1.5 * (4.0 - hit.velocity), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "attached", [(), (Attached(1.3, 0.3, 6e3), Attached(0.7, 1.1, 3e3)), (Attached(1.25, 0.95, 2.2e4, 60.0, 2e8),)]
+)
+def test_newmarks_method_on_the_full_matrices_agrees(coarse, attached):
+    """A half sine through beam, dampers or a lump, mounting and filter; damping proportional to mass and stiffness."""
+    stiffness, mass, at, omega, vectors = coarse
+    alpha, beta, step, pulse = 8.0, 3e-6, 1 / (independent_beam.RATE * 32), 1.2e-3
+    struck, sensor = at(1.2, 0.9), at(0.5, 0.45)
+    n, lumps = stiffness.shape[0], sum(np.isfinite(one.mass) for one in attached)
+    damping = alpha * mass + beta * stiffness
+    stiffness, mass, damping = (
+        sparse.block_diag([part, sparse.csc_array((lumps, lumps))]).tolil() if lumps else part.tolil()
+        for part in (stiffness, mass, damping)
+    )
+    stiffness, mass, damping = (sparse.csc_array(part) for part in (stiffness, mass, damping))
+    for one in attached:
+        row = np.zeros((1, n + lumps))
+        row[0, :n] = at(one.x, one.y)
+        if np.isfinite(one.mass):
+            row[0, n] = -1.0
+            own = sparse.csc_array(([one.mass], ([n], [n])), shape=mass.shape)
+            mass, stiffness = mass + own, stiffness + one.spring * sparse.csc_array(row.T @ row)
+        damping = damping + one.damper * sparse.csc_array(row.T @ row)
+    force = np.sin(np.pi * np.arange(int(pulse / step) + 1) * step / pulse)
+    force[-1] = 0.0
+    count = 300 * 32
+    acceleration = newmark(mass, damping, stiffness, np.pad(struck, (0, lumps)), force, step, count)
+    slow = acceleration @ np.pad(sensor, (0, lumps))
+    for pole in (*Resonance(frequency=25e3, damping_ratio=0.05).poles, *LowPass(frequency=10e3).poles):
+        section = signal.lti([abs(pole) ** 2], [1.0, -2 * pole.real, abs(pole) ** 2]).to_discrete(step, "foh")
+        slow = signal.lfilter(np.ravel(section.num), np.ravel(section.den), slow)
+    modal = alpha / (2 * omega) + beta * omega / 2
+    held = np.array([at(one.x, one.y) @ vectors for one in attached]).reshape(len(attached), len(omega))
+    s = independent_beam.laplace_points()
+    table = independent_beam.transfer(s, omega, modal, sensor @ vectors, held, attached)
+    spectrum = independent_beam.spectra([Contact(force, step, 0.0, np.empty(0))], np.zeros(1), s)
+    fast = independent_beam.sampled(spectrum * ((struck @ vectors) @ table), s)[0]
+    slow = slow[::32]
+    np.testing.assert_allclose(fast[: len(slow)], slow, atol=3e-3 * np.abs(slow).max())
+
+
+def newmark(mass, damping, stiffness, shape, force, step, count):
+    """Return the accelerations (count, n) by the trapezoidal rule, from rest."""
+    factor = splu(sparse.csc_matrix(mass + step / 2 * damping + step**2 / 4 * stiffness))
+    w, v, a = (np.zeros(len(shape)) for _ in range(3))
+    out = np.zeros((count, len(shape)))
+    for k in range(1, count):
+        drive = force[k] if k < len(force) else 0.0
+        v_half, w_half = v + step / 2 * a, w + step * v + step**2 / 4 * a
+        a = factor.solve(shape * drive - damping @ v_half - stiffness @ w_half)
+        w, v = w_half + step**2 / 4 * a, v_half + step / 2 * a
+        out[k] = a
+    return out
