@@ -25,6 +25,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -493,6 +494,76 @@ def summary(contact: Contact) -> tuple[float, float, float, float]:
 
 # -- command ----------------------------------------------------------------------------------------------
 
+_BANDS = (0.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16_600.0)
+
+
+def beside(variant: Variant) -> None:
+    """Print our modes beside those of the package's beam, in bands."""
+    from cgid.physics.materials import STEEL
+    from cgid.physics.tail_beam import Ribs as SmearedRibs
+    from cgid.physics.tail_beam import TailBeam
+
+    ours = _modes(Beam(ribs=variant.ribs))
+    sizes = ours.beam
+    theirs = TailBeam(
+        material=STEEL,
+        length=sizes.length,
+        width=sizes.width,
+        thickness=sizes.thickness,
+        edges="cantilever",
+        damping_ratio=0.02,
+        ribs=SmearedRibs(number=sizes.number, depth=sizes.depth, thickness=sizes.rib_thickness),
+    ).modes(_BANDS[-1])
+    x, y = (part.ravel() for part in np.meshgrid(np.linspace(0.01, 1.59, 80), np.linspace(0.01, 1.39, 71)))
+    own, other = ours.shape(x, y), theirs.shape(x, y)
+    likeness = (own.T @ other) ** 2 / np.outer((own**2).sum(axis=0), (other**2).sum(axis=0))
+    ratio = ours.frequency[:, None] / theirs.frequency
+    partner = np.where(np.abs(np.log(ratio)) < 0.25, likeness, 0.0).argmax(axis=0)
+    columns = np.arange(len(theirs.frequency))
+    alike = likeness[partner, columns] * (np.abs(np.log(ratio[partner, columns])) < 0.25)
+    frequency, damping = poles(ours, variant, _BANDS[-2])
+    print(
+        "band [Hz]      modes  cgid  alike  frequency off [%]: median  most  mobility  damping [%]: least median most"
+    )
+    for low, high in pairwise(_BANDS):
+        here, there = ((f >= low) & (f < high) for f in (ours.frequency, theirs.frequency))
+        paired = there & (alike > 0.5)
+        off = 100 * (ratio[partner, columns] - 1)[paired]
+        spread = "".join(f"{value:8.1f}" for value in (np.median(off), off[np.abs(off).argmax()])) if off.size else ""
+        give = (own[:, here] ** 2).mean(axis=0).sum() / (other[:, there] ** 2).mean(axis=0).sum() * theirs.modal_mass[0]
+        lost = 100 * damping[(frequency >= low) & (frequency < high)]
+        losses = "".join(f"{value:6.2f}" for value in np.percentile(lost, [0, 50, 100])) if lost.size else ""
+        band, counts = f"{low:.0f} to {high:.0f}", f"{here.sum():5} {there.sum():5} {paired.sum():6}"
+        print(f"{band:14} {counts} {spread:>33} {give:9.2f} {losses:>32}")
+
+
+def poles(modes: Modes, variant: Variant, highest: float) -> tuple[Floats, Floats]:
+    """Return frequencies [Hz] and damping ratios of the beam with what is attached, from its modes up to `highest`.
+
+    These are the eigenvalues of q, q' and of the lumps' position and velocity.
+    """
+    some = modes.frequency < highest
+    omega, n = 2 * np.pi * modes.frequency[some], np.count_nonzero(some)
+    lumps = [one for one in variant.attached if np.isfinite(one.mass)]
+    size = n + len(lumps)
+    stiffness, damping = np.zeros((size, size)), np.zeros((size, size))
+    stiffness[:n, :n] = np.diag(omega**2)
+    damping[:n, :n] = np.diag(2 * damping_ratios(omega / (2 * np.pi), variant.damping) * omega)
+    mass = np.ones(size)
+    for one in variant.attached:
+        row = np.zeros(size)
+        row[:n] = modes.shape(one.x, one.y)[0, some]
+        if one in lumps:
+            row[n + lumps.index(one)], mass[n + lumps.index(one)] = -1.0, one.mass
+        stiffness += one.spring * np.outer(row, row)
+        damping += one.damper * np.outer(row, row)
+    inverse = 1 / mass[:, None]
+    found = np.linalg.eigvals(
+        np.block([[np.zeros((size, size)), np.eye(size)], [-inverse * stiffness, -inverse * damping]])
+    )
+    found = found[found.imag > 0]
+    return np.abs(found) / (2 * np.pi), -found.real / np.abs(found)
+
 
 def main() -> None:
     """Print the modes beside those of cgid, or write impacts to a file."""
@@ -502,11 +573,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--out", type=Path, help="npz file for the impacts")
     given = parser.parse_args()
-    if given.out is not None:
-        start = time.perf_counter()
-        made = generate(given.n, given.seed, given.variant)
-        np.savez(given.out, **made)
-        print(f"{given.out}: {given.n} impacts in {time.perf_counter() - start:.1f} s")
+    if given.out is None:
+        beside(VARIANTS[given.variant])
+        return
+    start = time.perf_counter()
+    made = generate(given.n, given.seed, given.variant)
+    np.savez(given.out, **made)
+    print(f"{given.out}: {given.n} impacts in {time.perf_counter() - start:.1f} s")
 
 
 if __name__ == "__main__":

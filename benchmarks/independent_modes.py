@@ -30,6 +30,8 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 Floats = NDArray[np.float64]
 Ribs = Literal["shells", "beams", "smeared", "none"]
 Edges = Literal["cantilever", "simply-supported"]
+#: A field as a sum: numbers of unknowns, -1 where there is none, and their factor.
+Tie = list[tuple[NDArray[np.intp], float]]
 #: Mindlin's shear factor, and that of a rectangular bar.
 SHEAR = 5 / 6
 #: Fields of a plate or shell: along, across, out of the plane, and the two rotations.
@@ -57,7 +59,7 @@ class Beam:
     density: float = 7850.0
     youngs_modulus: float = 210e9
     poisson_ratio: float = 0.30
-    element: float = 0.12
+    element: float = 0.13
     degree: int = 5
 
     @property
@@ -230,6 +232,15 @@ def smeared_plate(beam: Beam, s: Line, t: Line) -> Part:
 # -- the whole beam ---------------------------------------------------------------------------------------
 
 
+class Rib(NamedTuple):
+    """A rib: its matrices and fields, how they follow from all unknowns, and the unknowns of its own."""
+
+    part: Part
+    fields: tuple[str, ...]
+    terms: list[Tie]
+    own: list[NDArray[np.intp]]
+
+
 class Model(NamedTuple):
     """Matrices of half a beam over its free unknowns, and the unknowns of w in the skin (n_x, n_y), -1 where held."""
 
@@ -250,11 +261,10 @@ def _matrix(blocks: dict[tuple[str, str], sparse.csr_array], fields: tuple[str, 
 
 
 class _Unknowns:
-    """Numbers of the unknowns of each field, given in turn, and which of them are held."""
+    """Numbers of the unknowns of each field, given in turn."""
 
     def __init__(self) -> None:
         self.size = 0
-        self.held: list[NDArray[np.intp]] = []
 
     def field(self, *shape: int) -> NDArray[np.intp]:
         """Return the numbers of a new field."""
@@ -263,7 +273,7 @@ class _Unknowns:
         return numbers
 
 
-def _tied(terms: list[list[tuple[NDArray[np.intp], float]]], size: int) -> sparse.csr_array:
+def _tied(terms: list[Tie], size: int) -> sparse.csr_array:
     """Return the matrix from all unknowns to fields that are sums of (numbers, factor)."""
     rows, columns, values, start = [], [], [], 0
     for field in terms:
@@ -304,7 +314,7 @@ def model(beam: Beam, parity: Literal["even", "odd"]) -> Model:
     held += [skin[name][:, -1] for name in ("vq" if parity == "even" else "uwp") if name in skin]
     free = np.ones(unknowns.size, bool)
     free[np.concatenate(held)] = False
-    number = np.where(free, np.cumsum(free) - 1, -1)
+    number = np.append(np.where(free, np.cumsum(free) - 1, -1), -1)  # the last for what is no unknown, -1
     stiffness, mass = sparse.csr_array((free.sum(),) * 2), sparse.csr_array((free.sum(),) * 2)
     for part, fields, terms in parts:
         tied = _tied([[(number[numbers], factor) for numbers, factor in field] for field in terms], int(free.sum()))
@@ -319,14 +329,14 @@ def _supported(skin: dict[str, NDArray[np.intp]]) -> list[NDArray[np.intp]]:
     return ends + [skin[name][:, 0] for name in "wp"]
 
 
-def _web(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unknowns):
+def _web(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unknowns) -> Rib:
     """Return a rib as a shell that hangs under the skin; its v points down, its w along the skin's v."""
     z = line(np.array([0.0, beam.depth]), beam.element, beam.degree)
     below = {name: unknowns.field(len(x.nodes), len(z.nodes) - 1) for name in _FIELDS}
     turn = unknowns.field(len(x.nodes), 1)  # the web's own rotation about the vertical
     none, half = np.full_like(turn, -1), -beam.thickness / 2
 
-    def hung(name: str, *from_skin: tuple[str, float]) -> list[tuple[NDArray[np.intp], float]]:
+    def hung(name: str, *from_skin: tuple[str, float]) -> Tie:
         empty = np.full_like(below[name], -1)
         ties = [(np.hstack([edge[master][:, None], empty]), factor) for master, factor in from_skin]
         return [(np.hstack([none, below[name]]), 1.0), *ties]
@@ -338,10 +348,10 @@ def _web(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unkn
         [(np.hstack([turn, below["p"]]), 1.0)],
         hung("q", ("q", 1.0)),
     ]
-    return shell(beam, x, z, beam.rib_thickness), _FIELDS, terms, [*below.values(), turn]
+    return Rib(shell(beam, x, z, beam.rib_thickness), _FIELDS, terms, [*below.values(), turn])
 
 
-def _bar(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unknowns):
+def _bar(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unknowns) -> Rib:
     """Return a rib as a bar whose section keeps its shape and follows the skin."""
     turn, down = unknowns.field(len(x.nodes)), -(beam.thickness + beam.depth) / 2
     terms = [
@@ -350,7 +360,7 @@ def _bar(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unkn
         *([(edge[name], 1.0)] for name in "wpq"),
         [(turn, 1.0)],
     ]
-    return bar(beam, x), (*_FIELDS, "r"), terms, [turn]
+    return Rib(bar(beam, x), (*_FIELDS, "r"), terms, [turn])
 
 
 # -- modes ------------------------------------------------------------------------------------------------
@@ -435,7 +445,7 @@ def modes_of(beam: Beam, highest: float) -> Modes:
             found = dict(stored)
     x = line(found["x"], beam.element, beam.degree)
     y = line(found["y"], beam.element, beam.degree)
-    return Modes(beam, found["frequency"], found["skin"], found["parity"], x, y)
+    return Modes(beam, found["frequency"], found["skin"].astype(np.float64), found["parity"], x, y)
 
 
 def _solved(beam: Beam, halves: dict[str, Model], highest: float) -> dict[str, Floats]:
@@ -451,7 +461,7 @@ def _solved(beam: Beam, halves: dict[str, Model], highest: float) -> dict[str, F
     order = np.argsort(frequency)
     return {
         "frequency": frequency[order],
-        "skin": np.concatenate(shapes)[order],
+        "skin": np.concatenate(shapes)[order].astype(np.float32),
         "parity": np.concatenate(parities)[order],
         "x": half.x.breaks,
         "y": half.y.breaks,
