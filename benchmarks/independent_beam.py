@@ -74,12 +74,13 @@ class Attached(NamedTuple):
 class Variant:
     """A beam, its losses, and its noise.
 
-    `damping`: "constant", 2 % in every mode; "rayleigh", 2 % at 100 Hz and 5 kHz, .6 % between, 4 % at 10 kHz;
+    `ribs` and `mindlin` are those of `independent_modes.Beam`. `damping`: "constant", 2 % in every mode; "rayleigh", 2 % at 100 Hz and 5 kHz, .6 % between, 4 % at 10 kHz;
     "rising", 1 % plus 2 % times the frequency over 10 kHz. `white` and `pink` are the standard deviations of the noise
     over `NOISE`, `hum` the amplitudes at 50, 100, 150, ... Hz over `NOISE`.
     """
 
     ribs: Ribs = "beams"
+    mindlin: float = 1.0
     damping: Literal["constant", "rayleigh", "rising"] = "constant"
     attached: tuple[Attached, ...] = ()
     white: float = 1.0
@@ -99,8 +100,10 @@ VARIANTS = {
     "machine": Variant(white=0.1, pink=1.0, hum=(1.0, 0.3, 0.5)),
 }
 VARIANTS |= {
-    f"{name}, {ribs}": replace(VARIANTS[name], ribs=ribs) for name in VARIANTS for ribs in ("shells", "smeared")
+    f"{name}, {ribs}": replace(VARIANTS[name], ribs=ribs) for name in VARIANTS for ribs in ("shells", "smeared", "none")
 }
+#: Thin and smeared as the package's own beam, but for a share of shear and rotary inertia.
+VARIANTS |= {f"{share:g} mindlin": Variant(ribs="smeared", mindlin=share) for share in (0.001, 0.01, 0.03, 0.1)}
 
 
 def damping_ratios(frequency: Floats, kind: str) -> Floats:
@@ -112,8 +115,9 @@ def damping_ratios(frequency: Floats, kind: str) -> Floats:
 
 
 @cache
-def _modes(beam: Beam) -> Modes:
-    return modes_of(beam, HIGHEST)
+def modes_for(variant: Variant, beam: Beam | None = None) -> Modes:
+    """Return the modes of a variant, of unit modal mass, with `shape(x, y)`; without what is attached to it."""
+    return modes_of(replace(beam or Beam(), ribs=variant.ribs, mindlin=variant.mindlin), HIGHEST)
 
 
 def residual(omega: Floats, shapes: Floats) -> Floats:
@@ -428,7 +432,7 @@ def generate(
         `velocity` [m/s], `radius` [m], `mass` [kg].
     """
     variant = VARIANTS[variant] if isinstance(variant, str) else variant
-    modes = _modes(replace(beam or Beam(), ribs=variant.ribs))
+    modes = modes_for(variant, beam)
     omega = 2 * np.pi * modes.frequency
     damping = damping_ratios(modes.frequency, variant.damping)
     attached = variant.attached
@@ -503,7 +507,7 @@ def beside(variant: Variant) -> None:
     from cgid.physics.tail_beam import Ribs as SmearedRibs
     from cgid.physics.tail_beam import TailBeam
 
-    ours = _modes(Beam(ribs=variant.ribs))
+    ours = modes_for(variant)
     sizes = ours.beam
     theirs = TailBeam(
         material=STEEL,
@@ -512,7 +516,9 @@ def beside(variant: Variant) -> None:
         thickness=sizes.thickness,
         edges="cantilever",
         damping_ratio=0.02,
-        ribs=SmearedRibs(number=sizes.number, depth=sizes.depth, thickness=sizes.rib_thickness),
+        ribs=None
+        if variant.ribs == "none"
+        else SmearedRibs(number=sizes.number, depth=sizes.depth, thickness=sizes.rib_thickness),
     ).modes(_BANDS[-1])
     x, y = (part.ravel() for part in np.meshgrid(np.linspace(0.01, 1.59, 80), np.linspace(0.01, 1.39, 71)))
     own, other = ours.shape(x, y), theirs.shape(x, y)

@@ -17,7 +17,7 @@ from cgid.physics import HalfSpace, HuntCrossley, ModalImpact, Sphere
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.modes import MeasuredModes
 from cgid.physics.response import LowPass, Resonance, Response
-from cgid.physics.tail_beam import TailBeam
+from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene import load_scene
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -60,6 +60,25 @@ def test_a_thin_cantilever_has_the_packages_frequencies():
     thin = TailBeam(material=STEEL, length=0.8, width=0.7, thickness=0.004, edges="cantilever", damping_ratio=0.02)
     expected = thin.modes(500.0).frequency
     np.testing.assert_allclose(frequencies(beam, 500.0)[: len(expected)], expected, rtol=3e-3)
+
+
+def test_without_shear_and_rotary_inertia_the_smeared_beam_is_the_packages():
+    panel = load_scene("tail_beam").panel
+    expected = panel.modes(2000.0).frequency
+    found = frequencies(Beam(ribs="smeared", mindlin=1e-4, element=0.2), 2100.0)
+    np.testing.assert_allclose(found[: len(expected)], expected, rtol=2e-3)
+
+
+@pytest.mark.parametrize("ribs", ["shells", "beams"])
+def test_low_ribs_are_as_the_packages_smeared_ones(ribs):
+    """Ribs as deep as the skin is thick, and waves of many spacings."""
+    sizes = {"length": 1.6, "width": 1.4, "thickness": 0.012}
+    panel = TailBeam(
+        material=STEEL, edges="cantilever", damping_ratio=0.02, ribs=Ribs(number=8, depth=0.03, thickness=0.01), **sizes
+    )
+    expected = panel.modes(120.0).frequency[:6]
+    beam = Beam(ribs=ribs, depth=0.03, rib_thickness=0.01, element=0.4, **sizes)
+    np.testing.assert_allclose(frequencies(beam, 130.0)[:6], expected, rtol=0.03)
 
 
 @pytest.mark.parametrize("ribs", ["shells", "beams", "smeared"])
@@ -109,14 +128,14 @@ def test_its_sizes_are_those_of_the_scene():
 def few_modes(monkeypatch):
     """A band that is solved in a second."""
     monkeypatch.setattr(independent_beam, "HIGHEST", 3000.0)
-    independent_beam._modes.cache_clear()
+    independent_beam.modes_for.cache_clear()
     yield Beam(element=0.3)
-    independent_beam._modes.cache_clear()
+    independent_beam.modes_for.cache_clear()
 
 
 def test_the_package_strikes_the_same_modes_alike(few_modes):
     """Its coupled contact by collocation, its response by poles, of the same modes."""
-    n, modes = 6, independent_beam._modes(replace(few_modes, ribs="smeared"))
+    n, modes = 6, independent_beam.modes_for(Variant(ribs="smeared"), few_modes)
     made = independent_beam.generate(n, 1, Variant(ribs="smeared"), noise=0.0, beam=few_modes)
     rock = independent_beam.rocks(n, np.random.default_rng([1, 0]))
     shape = modes.shape(rock.x, rock.y)
@@ -297,7 +316,7 @@ def test_several_sensors_and_what_is_attached(few_modes):
     np.testing.assert_array_equal(two[:, 1], alone)
     changed = independent_beam.generate(3, 5, lump, noise=0.0, beam=few_modes)["acceleration"]
     assert np.abs(changed - two[:, 0]).max() > 0.02 * np.abs(two[:, 0]).max()
-    modes = independent_beam._modes(replace(few_modes, ribs="smeared"))
+    modes = independent_beam.modes_for(Variant(ribs="smeared"), few_modes)
     bare, losses = independent_beam.poles(modes, one, 3000.0)
     np.testing.assert_allclose(np.sort(bare), modes.frequency, rtol=1e-9)
     np.testing.assert_allclose(losses, 0.02, rtol=1e-6)
