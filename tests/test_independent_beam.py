@@ -26,7 +26,8 @@ if str(BENCHMARKS) not in sys.path:
 
 import independent_beam  # noqa: E402
 import independent_modes  # noqa: E402
-from independent_beam import Attached, Contact, Stepped, Variant  # noqa: E402
+from independent_beam import Attached, Variant  # noqa: E402
+from independent_contact import Contact, Stepped, residual  # noqa: E402
 from independent_modes import Beam, lowest, model  # noqa: E402
 
 
@@ -156,7 +157,7 @@ def test_the_package_strikes_the_same_modes_alike(few_modes):
         frequency=modes.frequency,
         damping_ratio=0.02,
         compliance=shape**2,
-        residual_compliance=independent_beam.residual(2 * np.pi * modes.frequency, shape),
+        residual_compliance=residual(2 * np.pi * modes.frequency, shape),
     )
     assert made["restitution"] == pytest.approx(impact.restitution, abs=5e-5)
     for name in ("peak_force", "end_of_contact"):
@@ -213,7 +214,7 @@ def coarse():
 def test_energy_is_kept_in_an_elastic_impact_without_damping(coarse):
     *_, at, omega, vectors = coarse
     shape = at(1.2, 0.9) @ vectors
-    ready = Stepped(omega[:120], np.zeros(120), np.zeros((0, 120)), np.zeros((0, 3)))
+    ready = Stepped(omega[:120], np.zeros(120), np.zeros((0, 120)), np.zeros((0, 3)), independent_beam.RATE)
     off = []
     for steps in (300, 1200):
         hit = ready.strike(shape[:120], 0.0, 1.5, 1.2e10, 0.0, 4.0, steps)
