@@ -88,7 +88,7 @@ class Variant:
     hum: tuple[float, ...] = ()
 
 
-_DAMPERS = (Attached(1.35, 0.25, 4e3), Attached(0.6, 1.15, 8e3), Attached(1.1, 0.75, 2e3))
+_DAMPERS = (Attached(1.35, 0.25, 2e4), Attached(0.6, 1.15, 4e4), Attached(1.1, 0.75, 1e4))
 #: A lump of 60 kg, about a twentieth of the beam, that rocks on its bed at 290 Hz with a tenth of critical damping.
 _LUMP = (Attached(1.25, 0.95, 2.2e4, 60.0, 2e8),)
 VARIANTS = {

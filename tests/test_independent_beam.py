@@ -5,6 +5,7 @@ method on the full matrices, and the package's own physics, which it shares noth
 """
 
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -126,8 +127,9 @@ def test_its_sizes_are_those_of_the_scene():
 
 
 @pytest.fixture
-def few_modes(monkeypatch):
+def few_modes(monkeypatch, tmp_path):
     """A band that is solved in a second."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(independent_beam, "HIGHEST", 3000.0)
     independent_beam.modes_for.cache_clear()
     yield Beam(element=0.3)
