@@ -26,7 +26,8 @@ from cgid.errors import BadData
 from cgid.identification.families import BY_NAME, Contrast, Network
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
-from cgid.measure.features import require_known
+from cgid.measure.beam import Beam
+from cgid.measure.features import FEATURES, require_known
 from cgid.measure.spectra import MEL_BANDS
 from cgid.signals import KNOWN
 from cgid.units import quantity_of
@@ -339,7 +340,7 @@ def _check_arrays(model: Model) -> None:
             raise BadData(f"array {name} must have shape {possible[0]}")
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
-    own = {f"family.{name}" for name in BY_NAME[model.family].AXES}
+    own = {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     contrast = {Contrast.PREFIX + name for name in (*STANDARDISER, *Network.AXES, "limit")}
     for name, array in arrays.items():
         known = own | shapes.keys() | contrast | {"conformal.scores", "conformal.labels", "reference.spectra"}
@@ -350,6 +351,8 @@ def _check_arrays(model: Model) -> None:
         # Without np.abs, which would copy a large array. False for nan.
         if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
+    if any(FEATURES[name].beam for name in model.measured) != any(name.startswith("beam.") for name in arrays):
+        raise BadData("a model must have the arrays of a beam if features look through it, and only then")
     if not (arrays["standardiser.scale"] > 0).all() or not (arrays["standardiser.floor"] > 0).all():
         raise BadData("arrays standardiser.scale and standardiser.floor must be above 0")
 

@@ -1,0 +1,376 @@
+"""Through the beam to the force: from the acceleration of a beam to the place of a blow and the force of its contact.
+
+The way from a contact force to an accelerometer is linear once the place is known. A force is a sum of a few principal
+shapes, and each shape rings every mode of the beam; the place only weighs the modes. So for a place the samples are a
+linear Gaussian model in some 16 unknowns, whose evidence has a closed form. It is computed on a grid of places, from
+tables that are made once. From the best one Gauss-Newton steps lead to the place itself, which stays an unknown of the
+model: the uncertainty of the force includes that of the place.
+
+Signals and tables are discrete Fourier transforms, in which coloured noise is a weight for each frequency. A `Beam` is
+plain arrays, so that a model file can hold it; `cgid.scene.through_beam` makes it from a scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.measure.beam import TOUCH, Beam, Singles, filtered, gain, respond
+from cgid.measure.colour import ORDER, Colour
+from cgid.validation import Floats
+
+#: How long the response to a blow is compared [s].
+SPAN_TIME = 25e-3
+#: Distance of the places of the grid [m].
+_GRID = 0.025
+#: Expected strengths of a blow over the noise, by what the samples of a typical place would hold.
+_LEVELS = np.geomspace(2.0, 2e4, 12)
+#: Gauss-Newton steps from the grid to the place, and the longest [m].
+_STEPS, _LONGEST_STEP = 3, 0.012
+#: Prior deviation of the place about the best of the grid [m].
+_PLACE_DEVIATION = 0.1
+#: Rows at a time: their responses fit into the cache of a processor.
+_ROWS = 64
+#: The start is sought with the samples below this frequency [Hz], the modes up to so much above it, so many shapes and
+#: places of a wider grid [m], at every second sample.
+_LOW, _LOW_MODES, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 1.3, 6, 0.05, 2
+_TEMPER = 1.0
+#: Exponents of coloured noise, f^-a, for which there is a grid of its own.
+_COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Inverted:
+    """What samples tell of some blows, each row one blow.
+
+    Attributes
+    ----------
+    x, y : ndarray, (n,) [m]
+        The most probable place.
+    place_deviation : ndarray, (n, 2) [m]
+    start : ndarray, (n,)
+        Sample of the frame at which the table of forces begins: touch lies within `TOUCH` samples of it.
+    coefficients : ndarray, (n, n_shapes)
+        Of the force in principal shapes, each over its deviation and over the noise, with the prior of the shapes.
+    information, vector : ndarray, (n, n_shapes, n_shapes) and (n, n_shapes)
+        The likelihood of coefficients c after the place is projected out: `-c information c / 2 + vector c`.
+    noise : ndarray, (n,)
+        Standard deviation of the noise [unit of the samples].
+    evidence : ndarray, (n,)
+        Logarithm of the evidence over that of noise alone, per sample.
+    misfit : ndarray, (n,)
+        Mean square of what is left, over the noise: 1 where the beam explains the samples.
+    unexplained : ndarray, (n,)
+        Share of the samples' energy that is left beyond the noise, at least 0.
+    """
+
+    x: Floats
+    y: Floats
+    place_deviation: Floats
+    start: NDArray[np.intp]
+    coefficients: Floats
+    information: Floats
+    vector: Floats
+    noise: Floats
+    evidence: Floats
+    misfit: Floats
+    unexplained: Floats
+
+    @classmethod
+    def joined(cls, parts: list[Inverted]) -> Inverted:
+        """Return the rows of all parts."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
+
+
+class Inversion:
+    """The tables of one beam, and the inversion of accelerations through them.
+
+    Parameters
+    ----------
+    beam : Beam
+    """
+
+    def __init__(self, beam: Beam) -> None:
+        self.beam = beam
+        self.n_samples = round(SPAN_TIME * beam.sampling_rate)
+
+    # -- tables ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def forces(self) -> Floats:
+        """Principal shapes behind the filters, each times its deviation, (n_shapes, n_points)."""
+        return filtered(self.beam, self.beam.shapes * self.beam.deviations[:, None])
+
+    @cached_property
+    def responses(self) -> Floats:
+        """Response of each mode to each shape, (n_modes, n_shapes, n_samples), for a participation of 1."""
+        return respond(self.beam, self.forces, self.n_samples)
+
+    @cached_property
+    def bins(self) -> slice:
+        """Frequencies that tell: above 0, up to where the filters leave 1 % or, without them, below half the rate."""
+        frequencies = np.fft.rfftfreq(self.n_samples, 1 / self.beam.sampling_rate)
+        heard = np.abs(gain(self.beam.filters, frequencies)) > 0.01
+        return slice(1, min(int(np.flatnonzero(heard)[-1]) + 1, (self.n_samples + 1) // 2))
+
+    def transformed(self, samples: Floats) -> Singles:
+        """Return orthonormal Fourier coefficients of samples (..., n_samples), real then imaginary parts."""
+        found = np.fft.rfft(samples, axis=-1, norm="ortho")[..., self.bins] * np.sqrt(2)
+        return np.concatenate([found.real, found.imag], axis=-1).astype(np.float32)
+
+    @cached_property
+    def _table(self) -> Singles:
+        """Transformed responses, (n_modes, n_shapes * n_coefficients)."""
+        found = self.transformed(self.responses)
+        return np.ascontiguousarray(found.reshape(len(found), -1))
+
+    @cached_property
+    def _grid(self) -> tuple[Floats, Floats, Singles]:
+        """Places of the grid, x and y (n_places,), and their weights (n_places, n_modes)."""
+        x, y = self._places(_GRID)
+        return x, y, self.beam.weights(x, y)[0]
+
+    def _places(self, apart: float) -> tuple[Floats, Floats]:
+        x_low, x_high, y_low, y_high = self.beam.region
+        along = np.linspace(x_low, x_high, int(np.ceil((x_high - x_low) / apart)) + 1)
+        across = np.linspace(y_low, y_high, int(np.ceil((y_high - y_low) / apart)) + 1)
+        x, y = (side.ravel() for side in np.meshgrid(along, across, indexing="ij"))
+        return x, y
+
+    @cached_property
+    def _colour_tables(self) -> dict[tuple[float, float | None], tuple[Singles, Floats, Singles]]:
+        return {}
+
+    def _coarse(self, exponent: float, limit: float | None = None) -> tuple[Singles, Floats, Singles]:
+        """Return power and rotation of the shapes at each place of the grid, and the weight of each coefficient.
+
+        They diagonalise what the samples tell of the coefficients in noise of power f^-exponent: (n_places, n_shapes,
+        n_shapes) and (n_places, n_shapes).
+        """
+        key = exponent, limit
+        if key not in self._colour_tables:
+            weight = self._law(exponent) * self._heard(limit)
+            _, _, at = self._grid
+            n_shapes, table = (
+                len(self.beam.deviations),
+                self._table * np.tile(np.sqrt(weight), len(self.beam.deviations)),
+            )
+            gram = np.empty((len(at), n_shapes, n_shapes), np.float32)
+            for first in range(0, len(at), _ROWS):
+                part = slice(first, first + _ROWS)
+                response = (at[part] @ table).reshape(-1, n_shapes, weight.size)
+                gram[part] = response @ response.transpose(0, 2, 1)
+            power, rotation = np.linalg.eigh(gram.astype(np.float64))
+            turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
+            self._colour_tables[key] = turned, np.maximum(power, 0.0), weight
+        return self._colour_tables[key]
+
+    def _heard(self, limit: float | None) -> Singles:
+        frequency = np.arange(self.bins.start, self.bins.stop) * self.beam.sampling_rate / self.n_samples
+        return np.tile(frequency <= (np.inf if limit is None else limit), 2).astype(np.float32)
+
+    def _law(self, exponent: float) -> Singles:
+        frequency = np.arange(self.bins.start, self.bins.stop, dtype=np.float64)
+        weight = frequency**exponent
+        return np.tile(weight / weight.mean(), 2).astype(np.float32)
+
+    # -- the inversion --------------------------------------------------------------------------------
+
+    def invert(
+        self,
+        frames: NDArray[np.floating],
+        start: NDArray[np.intp],
+        noise: Floats,
+        *,
+        colour: Colour | None = None,
+        limit: float | None = None,
+    ) -> Inverted:
+        """Return places and forces of blows.
+
+        Parameters
+        ----------
+        frames : ndarray, (n, n_samples)
+            At the sampling rate of the beam, without baseline; zeros where the frame has ended.
+        start : ndarray of int, (n, 2)
+            First and last sample of the frame in which touch may lie.
+        noise : ndarray, (n,)
+            Standard deviation of the noise.
+        colour : Colour, optional
+            Of the noise; white by default.
+        limit : float, optional
+            Frequency up to which the samples tell [Hz].
+
+        Returns
+        -------
+        Inverted
+        """
+        parts = []
+        for first in range(0, len(frames), _ROWS):
+            part = slice(first, first + _ROWS)
+            weight, exponent = self._weights(colour, part, noise[part])
+            if limit is not None:
+                weight = weight * self._heard(limit)
+            parts.append(self._invert(frames[part], start[part], noise[part], weight, exponent, limit))
+        return Inverted.joined(parts)
+
+    def _weights(self, colour: Colour | None, part: slice, noise: Floats) -> tuple[Singles, Floats]:
+        """Return the weight of each coefficient, (n, n_coefficients), and the exponents of the noise, (n,)."""
+        n = len(noise)
+        if colour is None or not colour.coefficients[part].any():
+            return np.ones((n, 2 * (self.bins.stop - self.bins.start)), np.float32), np.zeros(n)
+        frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
+        lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
+        power = (colour.innovation[part] / noise)[:, None] ** 2 / np.abs(1 - colour.coefficients[part] @ lag) ** 2
+        power[~colour.coefficients[part].any(axis=1)] = 1.0
+        slope = -np.polynomial.polynomial.polyfit(np.log(frequency), np.log(power).T, 1)[1]
+        return np.tile(1 / power, 2).astype(np.float32), np.asarray(slope)
+
+    def _invert(
+        self,
+        frames: NDArray[np.floating],
+        start: NDArray[np.intp],
+        noise: Floats,
+        weight: Singles,
+        exponent: Floats,
+        limit: float | None,
+    ) -> Inverted:
+        begun = self._start(frames, start, noise, weight)
+        samples = self.transformed(_cut(frames, begun, self.n_samples) / noise[:, None])
+        _, place, level = self._search(samples, weight, exponent, limit)
+        return Inverted(start=begun, noise=noise, **self._refined(samples, weight, place, level))
+
+    @cached_property
+    def _low(self) -> tuple[NDArray[np.intp], Singles, Singles, Singles, Floats]:
+        """The tables that find the start: coefficients, responses, weights of places, and rotation and power there."""
+        n_bins = self.bins.stop - self.bins.start
+        n_low = min(max(int(_LOW * self.n_samples / self.beam.sampling_rate), 16), n_bins)
+        kept = np.concatenate([np.arange(n_low), n_bins + np.arange(n_low)])
+        frequency = np.abs(self.beam.poles) / (2 * np.pi)
+        modes = np.flatnonzero(frequency <= max(_LOW_MODES * _LOW, frequency.min()))
+        n_shapes = min(_LOW_SHAPES, len(self.beam.deviations))
+        table = self._table.reshape(len(frequency), -1, 2 * n_bins)[modes, :n_shapes][:, :, kept]
+        x, y = self._places(_LOW_GRID)
+        at = self.beam.weights(x, y)[0][:, modes]
+        response = (at @ table.reshape(modes.size, -1)).reshape(len(at), n_shapes, kept.size)
+        power, rotation = np.linalg.eigh((response @ response.transpose(0, 2, 1)).astype(np.float64))
+        turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
+        return kept, np.ascontiguousarray(table), at, turned, np.maximum(power, 0.0)
+
+    def _start(
+        self, frames: NDArray[np.floating], start: NDArray[np.intp], noise: Floats, weight: Singles
+    ) -> NDArray[np.intp]:
+        """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
+        first = start[:, 0] - TOUCH // 2
+        steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
+        if steps.size == 1:
+            return np.asarray(first)
+        kept, table, at, turned, power = self._low
+        samples = self.transformed(_cut(frames, first, self.n_samples) / noise[:, None])[:, kept]
+        half = kept.size // 2
+        spectrum = samples[:, :half] + 1j * samples[:, half:]
+        turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, half + 1)) / self.n_samples)
+        shifted = (spectrum[:, None] * turn).reshape(-1, half)
+        trusted = np.repeat(weight[:, kept], steps.size, axis=0)
+        shifted = np.concatenate([shifted.real, shifted.imag], axis=1).astype(np.float32) * trusted
+        heard = table.reshape(-1, kept.size) @ shifted.T
+        told = np.square(turned @ (at @ heard.reshape(len(table), -1)).reshape(len(at), table.shape[1], -1))
+        best = np.full(len(shifted), -np.inf)
+        for height in _LEVELS / np.sqrt(np.median(power.sum(axis=1))):
+            share = (0.5 / (power + 1 / height**2)).astype(np.float32)
+            cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
+            best = np.maximum(best, ((share[:, None] @ told)[:, 0] - cost[:, None]).max(axis=0))
+        best = best.reshape(len(frames), steps.size)
+        best[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
+        trust = np.exp(_TEMPER * (best - best.max(axis=1, keepdims=True)))
+        return np.asarray(first - 3 + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
+
+    def _search(
+        self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None
+    ) -> tuple[Floats, NDArray[np.intp], Floats]:
+        """Return the evidence of the best place of the grid, its number, and the best level of the force, each (n,)."""
+        n, n_shapes = len(samples), len(self.beam.deviations)
+        nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
+        out = np.full(n, -np.inf), np.zeros(n, np.intp), np.ones(n)
+        _, _, at = self._grid
+        flat = self._table.reshape(-1, samples.shape[1])
+        for number in np.unique(nearest).tolist():
+            rows = np.flatnonzero(nearest == number)
+            turned, power, law = self._coarse(_COLOURS[number], limit)
+            # The law has a mean weight of 1; the level of the noise is that of its middle.
+            told = law > 0
+            scale = np.exp(np.mean(np.log(weight[rows][:, told] / law[told]), axis=1))
+            heard = flat @ (samples[rows] * weight[rows] / np.sqrt(scale)[:, None]).T
+            at_places = (at @ heard.reshape(len(self.beam.poles), -1)).reshape(len(at), n_shapes, rows.size)
+            told = np.square(turned @ at_places)
+            typical = np.sqrt(np.median(power.sum(axis=1)))
+            for height in _LEVELS / typical:
+                share = (0.5 / (power + 1 / height**2)).astype(np.float32)
+                cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
+                evidence = (share[:, None] @ told)[:, 0] - cost[:, None]
+                first = np.argmax(evidence, axis=0)
+                top = evidence[first, np.arange(rows.size)]
+                better = rows[top > out[0][rows]]
+                for array, new in zip(out, (top, first, np.full(rows.size, height)), strict=True):
+                    array[better] = new[np.searchsorted(rows, better)]
+        return out
+
+    def _refined(self, samples: Singles, weight: Singles, place: NDArray[np.intp], level: Floats) -> dict[str, Floats]:
+        """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid."""
+        n, n_shapes = len(samples), len(self.beam.deviations)
+        x_low, x_high, y_low, y_high = self.beam.region
+        x, y = (side[place].copy() for side in self._grid[:2])
+        root = np.sqrt(weight)
+        heard = samples * root
+        prior = np.eye(n_shapes) / level[:, None, None] ** 2
+        prior_place = np.eye(2) / _PLACE_DEVIATION**2
+        for step in range(_STEPS):
+            at = np.concatenate(self.beam.weights(x, y))
+            ways = (at @ self._table).reshape(3, n, n_shapes, -1) * root[:, None]
+            own = ways[0]
+            gram = (own @ own.transpose(0, 2, 1)).astype(np.float64)
+            vector = (own @ heard[:, :, None])[:, :, 0].astype(np.float64)
+            force = np.linalg.solve(gram + prior, vector[:, :, None])[:, :, 0]
+            single = force.astype(np.float32)
+            slopes = np.einsum("wnks,nk->nws", ways[1:], single)
+            cross = (own @ slopes.transpose(0, 2, 1)).astype(np.float64)
+            inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + prior_place
+            left = heard - np.einsum("nks,nk->ns", own, single)
+            pull = (slopes @ left[:, :, None])[:, :, 0].astype(np.float64)
+            # The place after the coefficients are projected out, with their prior.
+            through = np.linalg.solve(gram + prior, cross)
+            curvature = inner - cross.transpose(0, 2, 1) @ through
+            if step < _STEPS - 1:
+                move = np.linalg.solve(curvature, pull[:, :, None])[:, :, 0].clip(-_LONGEST_STEP, _LONGEST_STEP)
+                x, y = (x + move[:, 0]).clip(x_low, x_high), (y + move[:, 1]).clip(y_low, y_high)
+        # The coefficients after the place is projected out, without their prior.
+        back = cross @ np.linalg.inv(inner)
+        push = (slopes @ heard[:, :, None])[:, :, 0].astype(np.float64)
+        _, cost = np.linalg.slogdet(np.eye(n_shapes) + level[:, None, None] ** 2 * gram)
+        gained = 0.5 * np.einsum("nk,nk->n", vector, force) - 0.5 * cost
+        rest, told = np.square(left, dtype=np.float64).sum(axis=1), np.maximum((weight > 0).sum(axis=1), 1)
+        deviation = np.sqrt(np.maximum(np.linalg.inv(curvature)[:, [0, 1], [0, 1]], 0.0))
+        return {
+            "x": x,
+            "y": y,
+            "place_deviation": deviation,
+            "coefficients": force,
+            "information": gram - back @ cross.transpose(0, 2, 1),
+            "vector": vector - np.einsum("nki,ni->nk", back, push),
+            "evidence": gained / self.n_samples,
+            "misfit": rest / told,
+            "unexplained": np.maximum(rest - told, 0)
+            / np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300),
+        }
+
+
+def _cut(frames: NDArray[np.floating], start: NDArray[np.intp], n_samples: int) -> Floats:
+    """Return the samples of each row from its start on, zeros where the frame has ended."""
+    out = np.zeros((len(frames), n_samples))
+    for row, first in enumerate(np.clip(start, 0, frames.shape[1]).tolist()):
+        part = frames[row, first : first + n_samples]
+        out[row, : part.size] = part
+    return out
