@@ -1,4 +1,4 @@
-"""A beam and its sensor as plain arrays: the response of each mode to a contact force, weighed by the place of the blow.
+"""A beam and its sensor as plain arrays: the response of each mode to a contact force, weighed by the place.
 
 `cgid.scene.through_beam` makes it from a scene, a model file holds it, and `cgid.identification.inversion` turns it
 round.

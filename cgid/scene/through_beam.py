@@ -81,7 +81,7 @@ def has_beam(scene: Scene) -> bool:
 
 
 def contact_forces(scene: Scene) -> Floats:
-    """Return forces of the scene's rocks over their peaks, `FINE` points to a sample, touch within the first `TOUCH` samples."""
+    """Return contact forces of the scene's rocks over their peaks, as in `Beam.shapes`."""
     rate, n_points = scene.sampling.sampling_rate, points_of(scene.sampling.sampling_rate)
     found = []
     for block in range(_BLOCKS):
