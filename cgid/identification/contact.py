@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import family
-from cgid.identification.inversion import Inversion, Inverted
+from cgid.identification.inversion import Inversion, Inverted, Ringing
 from cgid.measure.beam import FINE, TOUCH, Beam, gain
-from cgid.measure.colour import colour_of
+from cgid.measure.colour import Colour, colour_of
 from cgid.measure.template import relative_times
 from cgid.measure.vibration import VibrationBatch
 from cgid.validation import Floats
@@ -37,6 +37,8 @@ REACH = 1.2e-3
 #: Recorders within this share have the same sampling rate; of others the band up to this share of the lower rate tells.
 _SAME_RATE, _TOP = 1e-6, 0.41
 _LARGEST_RATIO = 1000
+#: Samples before touch that show ringing: fewest and most.
+_FEWEST_QUIET, _MOST_QUIET = 64, 256
 #: Least noise over the signal.
 _FLOOR = 1e-3
 
@@ -257,6 +259,7 @@ class ThroughBeam:
         self.beam = beam
         self.inversion = Inversion(beam)
         self.fit = ContactFit(self.inversion)
+        self._ringing: dict[int, Ringing] = {}
 
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
         """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
@@ -295,8 +298,39 @@ class ThroughBeam:
         start = np.stack([np.maximum(np.floor(first - REACH * own), np.floor(quiet)), np.ceil(first) + 1], axis=1)
         start[:, 0] = np.minimum(start[:, 0], start[:, 1])
         noise = self._noise(frames, quiet, vibrations, limit)
-        colour = colour_of(frames, quiet, np.zeros(len(frames)), 1) if limit is None else None
-        return self.inversion.invert(frames, start.astype(np.intp), noise, colour=colour, limit=limit)
+        if limit is not None:
+            return self.inversion.invert(frames, start.astype(np.intp), noise, limit=limit)
+        colour = colour_of(frames, quiet, np.zeros(len(frames)), 1)
+        frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
+        return self.inversion.invert(frames, start.astype(np.intp), noise, colour=colour, error=error)
+
+    def _settled(
+        self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: Colour
+    ) -> tuple[Floats, Floats, Floats | None]:
+        """Return frames without what rings from earlier blows, the noise, and the power of the error of that.
+
+        Where there is ringing, `colour` becomes white.
+        """
+        rows = colour.rows[quiet[colour.rows] >= _FEWEST_QUIET]
+        if not rows.size:
+            return frames, noise, None
+        n_quiet = min(int(quiet[rows].min()), _MOST_QUIET) // 32 * 32
+        if n_quiet not in self._ringing:
+            self._ringing[n_quiet] = Ringing(self.inversion, n_quiet)
+        ringing = self._ringing[n_quiet]
+        before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in rows])
+        found, level, own_error, rings = ringing.after(before, colour.innovation[rows])
+        if not rings.any():
+            return frames, noise, None
+        frames, noise = frames.copy(), noise.copy()
+        error = np.zeros((len(frames), own_error.shape[1]))
+        for number in np.flatnonzero(rings).tolist():
+            row = rows[number]
+            part = frames[row, quiet[row] : quiet[row] + ringing.n_samples]
+            part -= found[number, : part.size]
+        colour.coefficients[rows[rings]] = 0.0
+        noise[rows[rings]], error[rows[rings]] = level[rings], own_error[rings]
+        return frames, noise, error
 
     def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:
         """Return the standard deviation of white noise as loud as that before touch in the band up to `limit`."""

@@ -42,6 +42,78 @@ _TEMPER = 1.0
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
+class Ringing:
+    """What the modes of a beam still ring from earlier blows: a Gaussian process, seen before touch.
+
+    The amplitudes are those that a blow anywhere leaves after one of `AGES`; their common strength is the one of the
+    highest evidence.
+
+    Parameters
+    ----------
+    inversion : Inversion
+    n_quiet : int
+        Samples before touch that are looked at.
+    """
+
+    #: Ages of the earlier blow [s], powers of the ringing over that of the noise, and gain of evidence that it takes.
+    AGES, POWERS, CERTAIN = (0.005, 0.02, 0.08), np.geomspace(0.3, 3e6, 15), 12.0
+    #: The tables go on for so many samples longer than the inversion, because the touch is not known yet.
+    LATER = 64
+
+    def __init__(self, inversion: Inversion, n_quiet: int) -> None:
+        beam, self.n_quiet, self.n_samples = inversion.beam, n_quiet, inversion.n_samples + self.LATER
+        time = np.arange(n_quiet + self.n_samples) / beam.sampling_rate
+        frequency = np.abs(beam.poles) / (2 * np.pi)
+        loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(gain(beam.filters, frequency))
+        loud *= np.abs(beam.poles) ** (beam.derivatives - 1)
+        self._tables = []
+        for age in self.AGES:
+            size = loud * np.exp(beam.poles.real * age)
+            kept = size > 1e-4 * size.max()
+            waves = size[kept] * np.exp(np.outer(time, beam.poles[kept]))
+            both = np.concatenate([waves.real, waves.imag], axis=1)
+            both /= np.sqrt(np.mean(np.sum(np.square(both[:n_quiet]), axis=1)))
+            before, after = both[:n_quiet], both[n_quiet:]
+            power, turn = np.linalg.eigh(before @ before.T)
+            onward = after @ (before.T @ turn)
+            spectra = [np.square(inversion.transformed(part.T[:, : inversion.n_samples])) for part in (after, onward)]
+            self._tables.append((np.maximum(power, 0.0), turn, onward, spectra[0].sum(axis=0), spectra[1]))
+
+    def after(self, before: Floats, innovation: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+        """Return what rings on, from samples before touch.
+
+        Parameters
+        ----------
+        before : ndarray, (n, n_quiet)
+        innovation : ndarray, (n,)
+            Standard deviation of what noise of any colour leaves unpredicted: the rival of the ringing.
+
+        Returns
+        -------
+        tuple of ndarray
+            The ringing after these samples (n, n_samples), the standard deviation of the noise (n,), the power of the
+            error of the ringing over that of the noise at each coefficient (n, n_coefficients), and whether there is
+            ringing (n,).
+        """
+        n = len(before)
+        best = -self.n_quiet * np.log(np.maximum(innovation, 1e-150)) + self.CERTAIN
+        found, level, rings = np.zeros((n, self.n_samples)), innovation.copy(), np.zeros(n, bool)
+        error = np.zeros((n, self._tables[0][3].size))
+        for power, turn, onward, whole, spectrum in self._tables:
+            told = before @ turn
+            for ratio in self.POWERS:
+                variance = 1 + ratio * power
+                # The most likely noise for this ratio has a closed form.
+                left = np.mean(np.square(told) / variance, axis=1)
+                evidence = -0.5 * self.n_quiet * np.log(np.maximum(left, 1e-300)) - 0.5 * np.log(variance).sum()
+                better = np.flatnonzero(evidence > best)
+                if better.size:
+                    best[better], rings[better], level[better] = evidence[better], True, np.sqrt(left[better])
+                    found[better] = (told[better] * (ratio / variance)) @ onward.T
+                    error[better] = ratio * np.maximum(whole - (ratio / variance) @ spectrum, 0.0)
+        return found, level, error, rings
+
+
 @dataclass(frozen=True, eq=False)
 class Inverted:
     """What samples tell of some blows, each row one blow.
@@ -186,6 +258,7 @@ class Inversion:
         noise: Floats,
         *,
         colour: Colour | None = None,
+        error: Floats | None = None,
         limit: float | None = None,
     ) -> Inverted:
         """Return places and forces of blows.
@@ -200,6 +273,8 @@ class Inversion:
             Standard deviation of the noise.
         colour : Colour, optional
             Of the noise; white by default.
+        error : ndarray, (n, n_coefficients), optional
+            Power of further errors over that of the noise.
         limit : float, optional
             Frequency up to which the samples tell [Hz].
 
@@ -211,6 +286,8 @@ class Inversion:
         for first in range(0, len(frames), _ROWS):
             part = slice(first, first + _ROWS)
             weight, exponent = self._weights(colour, part, noise[part])
+            if error is not None:
+                weight = weight / (1 + weight * error[part]).astype(np.float32)
             if limit is not None:
                 weight = weight * self._heard(limit)
             parts.append(self._invert(frames[part], start[part], noise[part], weight, exponent, limit))
