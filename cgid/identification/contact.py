@@ -39,6 +39,8 @@ _SAME_RATE, _TOP = 1e-6, 0.41
 _LARGEST_RATIO = 1000
 #: Samples before touch that show ringing: fewest and most.
 _FEWEST_QUIET, _MOST_QUIET = 64, 256
+#: Samples at a limit share their value within this, and are at least so many.
+_SAME, _SHARED = 1e-6, 3
 #: Least noise over the signal.
 _FLOOR = 1e-3
 
@@ -242,6 +244,20 @@ def _cubic(place: Floats) -> tuple[Floats, Floats]:
     return weights, slopes
 
 
+def clipped_samples(frames: Floats) -> NDArray[np.bool_] | None:
+    """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none.
+
+    A limit is a value that three samples share at the top or the bottom, at least half as far out as the other side.
+    """
+    high, low = frames.max(axis=1), frames.min(axis=1)
+    out = np.zeros(frames.shape, bool)
+    for extreme, other in ((high, low), (low, high)):
+        at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
+        limit = (at.sum(axis=1) >= _SHARED) & (np.abs(extreme) >= 0.5 * np.abs(other))
+        out |= at & limit[:, None]
+    return out if out.any() else None
+
+
 # -- from vibrations to features ------------------------------------------------------------------------------
 
 
@@ -301,8 +317,9 @@ class ThroughBeam:
         if limit is not None:
             return self.inversion.invert(frames, start.astype(np.intp), noise, limit=limit)
         colour = colour_of(frames, quiet, np.zeros(len(frames)), 1)
+        clipped = clipped_samples(frames)
         frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
-        return self.inversion.invert(frames, start.astype(np.intp), noise, colour=colour, error=error)
+        return self.inversion.invert(frames, start.astype(np.intp), noise, colour=colour, error=error, clipped=clipped)
 
     def _settled(
         self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: Colour

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ _GRID = 0.025
 _LEVELS = np.geomspace(2.0, 2e4, 12)
 #: Gauss-Newton steps from the grid to the place, and the longest [m].
 _STEPS, _LONGEST_STEP = 3, 0.012
+#: Rounds in which clipped samples are replaced by what the beam says.
+_UNCLIPPING = 6
 #: Prior deviation of the place about the best of the grid [m].
 _PLACE_DEVIATION = 0.1
 #: Rows at a time: their responses fit into the cache of a processor.
@@ -260,6 +263,7 @@ class Inversion:
         colour: Colour | None = None,
         error: Floats | None = None,
         limit: float | None = None,
+        clipped: NDArray[np.bool_] | None = None,
     ) -> Inverted:
         """Return places and forces of blows.
 
@@ -277,6 +281,8 @@ class Inversion:
             Power of further errors over that of the noise.
         limit : float, optional
             Frequency up to which the samples tell [Hz].
+        clipped : ndarray of bool, (n, n_samples), optional
+            Samples of the frames that only bound the motion: it went at least as far.
 
         Returns
         -------
@@ -290,7 +296,8 @@ class Inversion:
                 weight = weight / (1 + weight * error[part]).astype(np.float32)
             if limit is not None:
                 weight = weight * self._heard(limit)
-            parts.append(self._invert(frames[part], start[part], noise[part], weight, exponent, limit))
+            cut = None if clipped is None or not clipped[part].any() else clipped[part]
+            parts.append(self._invert(frames[part], start[part], noise[part], weight, exponent, limit, cut))
         return Inverted.joined(parts)
 
     def _weights(self, colour: Colour | None, part: slice, noise: Floats) -> tuple[Singles, Floats]:
@@ -313,11 +320,48 @@ class Inversion:
         weight: Singles,
         exponent: Floats,
         limit: float | None,
+        clipped: NDArray[np.bool_] | None,
     ) -> Inverted:
         begun = self._start(frames, start, noise, weight)
         samples = self.transformed(_cut(frames, begun, self.n_samples) / noise[:, None])
         _, place, level = self._search(samples, weight, exponent, limit)
-        return Inverted(start=begun, noise=noise, **self._refined(samples, weight, place, level))
+        found = self._refined(samples, weight, *(side[place] for side in self._grid[:2]), level)
+        if clipped is not None:
+            rows = np.flatnonzero(clipped.any(axis=1))
+            part = [array[rows] for array in (frames, begun, noise, weight, level, clipped)]
+            own = self._unclipped({name: array[rows] for name, array in found.items()}, *part)
+            for name, array in found.items():
+                array[rows] = own[name]
+        del found["predicted"]
+        return Inverted(start=begun, noise=noise, **found)
+
+    def _unclipped(
+        self,
+        found: dict[str, Any],
+        frames: NDArray[np.floating],
+        begun: NDArray[np.intp],
+        noise: Floats,
+        weight: Singles,
+        level: Floats,
+        clipped: NDArray[np.bool_],
+    ) -> dict[str, Any]:
+        """Return what is found where clipped samples are as far out as the beam says, but at least as recorded."""
+        recorded = _cut(frames, begun, self.n_samples) / noise[:, None]
+        bounds = _cut(clipped, begun, self.n_samples) > 0
+        for _ in range(_UNCLIPPING):
+            spectrum = np.zeros((len(noise), self.n_samples // 2 + 1), complex)
+            half = found["predicted"].shape[1] // 2
+            spectrum[:, self.bins] = (found["predicted"][:, :half] + 1j * found["predicted"][:, half:]) / np.sqrt(2)
+            expected = np.fft.irfft(spectrum, self.n_samples, axis=1, norm="ortho")
+            further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
+            samples = self.transformed(np.where(bounds, further, recorded))
+            found = self._refined(samples, weight, found["x"], found["y"], level)
+        # The bounded samples are no measurements: they take their share of the energy out of what is known.
+        power = np.where(bounds, further, recorded) ** 2
+        share = 1 - power.sum(axis=1, where=bounds) / np.maximum(power.sum(axis=1), 1e-300)
+        found["information"] *= share[:, None, None]
+        found["vector"] *= share[:, None]
+        return found
 
     @cached_property
     def _low(self) -> tuple[NDArray[np.intp], Singles, Singles, Singles, Floats]:
@@ -394,11 +438,10 @@ class Inversion:
                     array[better] = new[np.searchsorted(rows, better)]
         return out
 
-    def _refined(self, samples: Singles, weight: Singles, place: NDArray[np.intp], level: Floats) -> dict[str, Floats]:
+    def _refined(self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats) -> dict[str, Any]:
         """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid."""
         n, n_shapes = len(samples), len(self.beam.deviations)
         x_low, x_high, y_low, y_high = self.beam.region
-        x, y = (side[place].copy() for side in self._grid[:2])
         root = np.sqrt(weight)
         heard = samples * root
         prior = np.eye(n_shapes) / level[:, None, None] ** 2
@@ -430,6 +473,7 @@ class Inversion:
         rest, told = np.square(left, dtype=np.float64).sum(axis=1), np.maximum((weight > 0).sum(axis=1), 1)
         deviation = np.sqrt(np.maximum(np.linalg.inv(curvature)[:, [0, 1], [0, 1]], 0.0))
         return {
+            "predicted": (heard - left) / np.where(root > 0, root, 1),
             "x": x,
             "y": y,
             "place_deviation": deviation,
