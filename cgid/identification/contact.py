@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import family
-from cgid.identification.inversion import Inversion, Inverted, Ringing
+from cgid.identification.inversion import Inversion, Inverted, Ringing, Rowwise, Sought
 from cgid.measure.beam import FINE, TOUCH, Beam, gain
 from cgid.measure.colour import Colour, colour_of
 from cgid.measure.template import relative_times
@@ -37,6 +37,8 @@ REACH = 1.2e-3
 #: Recorders within this share have the same sampling rate; of others the band up to this share of the lower rate tells.
 _SAME_RATE, _TOP = 1e-6, 0.41
 _LARGEST_RATIO = 1000
+#: A touch within this of the ends of the table of forces is sought so much further on [samples].
+_EDGE, _BESIDE = 0.35, 4
 #: Samples before touch that show ringing: fewest and most.
 _FEWEST_QUIET, _MOST_QUIET = 64, 256
 #: Samples at a limit share their value within this, and are at least so many.
@@ -46,7 +48,7 @@ _FLOOR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class Contact(Rowwise):
     """Fitted pulses, each row one blow.
 
     Attributes
@@ -56,6 +58,8 @@ class Contact:
         Impulse over peak.
     shape : ndarray, (n,)
         ln e, above 0 for a pulse that rises more slowly than it falls.
+    touch : ndarray, (n,)
+        After `Inverted.start` [samples].
     covariance : ndarray, (n, 3, 3)
         Of ln peak, ln width and shape.
     coefficients : ndarray, (n, n_shapes)
@@ -68,6 +72,7 @@ class Contact:
     peak: Floats
     width: Floats
     shape: Floats
+    touch: Floats
     covariance: Floats
     coefficients: Floats
     misfit: Floats
@@ -223,7 +228,7 @@ class ContactFit:
         covariance = np.linalg.inv(self._curvature(ways, information, prior))[:, :3, :3]
         apart = inverted.coefficients - own
         misfit = np.einsum("nk,nkl,nl->n", apart, information, apart) / max(own.shape[1] - 4, 1)
-        return Contact(peak * inverted.noise, np.exp(at[:, 0]), at[:, 1], covariance, own, misfit)
+        return Contact(peak * inverted.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
 
     @staticmethod
     def _curvature(ways: Floats, information: Floats, prior: Floats) -> Floats:
@@ -279,8 +284,7 @@ class ThroughBeam:
 
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
         """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
-        inverted = self.invert(vibrations)
-        contact = self.fit.fit(inverted)
+        inverted, contact = self.look(vibrations)
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = contact.covariance / (deviation[:, :, None] * deviation[:, None])
         return {
@@ -300,8 +304,24 @@ class ThroughBeam:
             "beam_unexplained": 100 * inverted.unexplained,
         }
 
-    def invert(self, vibrations: VibrationBatch) -> Inverted:
-        """Return the forces behind vibrations at any sampling rate."""
+    def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
+        """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
+        sought, start = self._prepared(vibrations)
+        inverted = self.inversion.invert(sought, start)
+        contact = self.fit.fit(inverted)
+        # Where touch lies at the edge of the table of forces, look there.
+        edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
+        rows = np.flatnonzero(edge)
+        if rows.size:
+            begun = inverted.start[rows] + edge[rows] + TOUCH // 2
+            other = self.inversion.invert(sought.rows(rows), np.stack([begun, begun], axis=1))
+            better = np.flatnonzero(other.misfit < inverted.misfit[rows])
+            inverted = inverted.replaced(rows[better], other.rows(better))
+            contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+        return inverted, contact
+
+    def _prepared(self, vibrations: VibrationBatch) -> tuple[Sought, NDArray[np.intp]]:
+        """Return what the inversion needs of vibrations, and where touch may lie."""
         frames = vibrations.samples - vibrations.offset[:, None]
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
         quiet = vibrations.n_quiet.astype(np.float64)
@@ -315,11 +335,11 @@ class ThroughBeam:
         start[:, 0] = np.minimum(start[:, 0], start[:, 1])
         noise = self._noise(frames, quiet, vibrations, limit)
         if limit is not None:
-            return self.inversion.invert(frames, start.astype(np.intp), noise, limit=limit)
+            return Sought(frames, noise, limit=limit), start.astype(np.intp)
         colour = colour_of(frames, quiet, np.zeros(len(frames)), 1)
         clipped = clipped_samples(frames)
         frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
-        return self.inversion.invert(frames, start.astype(np.intp), noise, colour=colour, error=error, clipped=clipped)
+        return Sought(frames, noise, colour.coefficients, colour.innovation, error, clipped), start.astype(np.intp)
 
     def _settled(
         self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: Colour

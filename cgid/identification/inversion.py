@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.measure.beam import TOUCH, Beam, Singles, filtered, gain, respond
-from cgid.measure.colour import ORDER, Colour
+from cgid.measure.colour import ORDER
 from cgid.validation import Floats
 
 #: How long the response to a blow is compared [s].
@@ -117,8 +117,61 @@ class Ringing:
         return found, level, error, rings
 
 
+class Rowwise:
+    """A dataclass of arrays whose first axis is the blow; a field may be None."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def rows(self, rows: NDArray[np.intp] | slice) -> Self:
+        """Return some of the rows."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return type(self)(**{n: part[rows] if isinstance(part, np.ndarray) else part for n, part in fields.items()})
+
+    def replaced(self, rows: NDArray[np.intp], other: Self) -> Self:
+        """Return all rows, some of them those of another."""
+        found = {}
+        for name in self.__dataclass_fields__:
+            found[name] = getattr(self, name).copy()
+            found[name][rows] = getattr(other, name)
+        return type(self)(**found)
+
+    @classmethod
+    def joined(cls, parts: list[Self]) -> Self:
+        """Return the rows of all parts."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
+
+
 @dataclass(frozen=True, eq=False)
-class Inverted:
+class Sought(Rowwise):
+    """Vibrations whose force is sought.
+
+    Attributes
+    ----------
+    frames : ndarray, (n, n_samples)
+        At the sampling rate of the beam, without baseline; zeros where the frame has ended.
+    noise : ndarray, (n,)
+        Standard deviation of the noise.
+    coefficients, innovation : ndarray, (n, ORDER) and (n,), optional
+        Of the colour of the noise, as in `cgid.measure.colour.Colour`; white by default.
+    error : ndarray, (n, n_coefficients), optional
+        Power of further errors over that of the noise.
+    clipped : ndarray of bool, (n, n_samples), optional
+        Samples that only bound the motion: it went at least as far.
+    limit : float, optional
+        Frequency up to which the samples tell [Hz].
+    """
+
+    frames: Floats
+    noise: Floats
+    coefficients: Floats | None = None
+    innovation: Floats | None = None
+    error: Floats | None = None
+    clipped: NDArray[np.bool_] | None = None
+    limit: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Inverted(Rowwise):
     """What samples tell of some blows, each row one blow.
 
     Attributes
@@ -153,11 +206,6 @@ class Inverted:
     evidence: Floats
     misfit: Floats
     unexplained: Floats
-
-    @classmethod
-    def joined(cls, parts: list[Inverted]) -> Inverted:
-        """Return the rows of all parts."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
 
 
 class Inversion:
@@ -254,111 +302,70 @@ class Inversion:
 
     # -- the inversion --------------------------------------------------------------------------------
 
-    def invert(
-        self,
-        frames: NDArray[np.floating],
-        start: NDArray[np.intp],
-        noise: Floats,
-        *,
-        colour: Colour | None = None,
-        error: Floats | None = None,
-        limit: float | None = None,
-        clipped: NDArray[np.bool_] | None = None,
-    ) -> Inverted:
+    def invert(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
         """Return places and forces of blows.
 
         Parameters
         ----------
-        frames : ndarray, (n, n_samples)
-            At the sampling rate of the beam, without baseline; zeros where the frame has ended.
+        sought : Sought
         start : ndarray of int, (n, 2)
             First and last sample of the frame in which touch may lie.
-        noise : ndarray, (n,)
-            Standard deviation of the noise.
-        colour : Colour, optional
-            Of the noise; white by default.
-        error : ndarray, (n, n_coefficients), optional
-            Power of further errors over that of the noise.
-        limit : float, optional
-            Frequency up to which the samples tell [Hz].
-        clipped : ndarray of bool, (n, n_samples), optional
-            Samples of the frames that only bound the motion: it went at least as far.
 
         Returns
         -------
         Inverted
         """
-        parts = []
-        for first in range(0, len(frames), _ROWS):
-            part = slice(first, first + _ROWS)
-            weight, exponent = self._weights(colour, part, noise[part])
-            if error is not None:
-                weight = weight / (1 + weight * error[part]).astype(np.float32)
-            if limit is not None:
-                weight = weight * self._heard(limit)
-            cut = None if clipped is None or not clipped[part].any() else clipped[part]
-            parts.append(self._invert(frames[part], start[part], noise[part], weight, exponent, limit, cut))
-        return Inverted.joined(parts)
+        parts = [slice(first, first + _ROWS) for first in range(0, max(len(start), 1), _ROWS)]
+        return Inverted.joined([self._inverted(sought.rows(part), start[part]) for part in parts])
 
-    def _weights(self, colour: Colour | None, part: slice, noise: Floats) -> tuple[Singles, Floats]:
-        """Return the weight of each coefficient, (n, n_coefficients), and the exponents of the noise, (n,)."""
-        n = len(noise)
-        if colour is None or not colour.coefficients[part].any():
-            return np.ones((n, 2 * (self.bins.stop - self.bins.start)), np.float32), np.zeros(n)
-        frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
-        lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
-        power = (colour.innovation[part] / noise)[:, None] ** 2 / np.abs(1 - colour.coefficients[part] @ lag) ** 2
-        power[~colour.coefficients[part].any(axis=1)] = 1.0
-        slope = -np.polynomial.polynomial.polyfit(np.log(frequency), np.log(power).T, 1)[1]
-        return np.tile(1 / power, 2).astype(np.float32), np.asarray(slope)
-
-    def _invert(
-        self,
-        frames: NDArray[np.floating],
-        start: NDArray[np.intp],
-        noise: Floats,
-        weight: Singles,
-        exponent: Floats,
-        limit: float | None,
-        clipped: NDArray[np.bool_] | None,
-    ) -> Inverted:
-        begun = self._start(frames, start, noise, weight)
-        samples = self.transformed(_cut(frames, begun, self.n_samples) / noise[:, None])
-        _, place, level = self._search(samples, weight, exponent, limit)
+    def _inverted(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
+        weight, exponent = self._weights(sought)
+        begun = self._start(sought, start, weight)
+        samples = self.transformed(_cut(sought.frames, begun, self.n_samples) / sought.noise[:, None])
+        _, place, level = self._search(samples, weight, exponent, sought.limit)
         found = self._refined(samples, weight, *(side[place] for side in self._grid[:2]), level)
-        if clipped is not None:
-            rows = np.flatnonzero(clipped.any(axis=1))
-            part = [array[rows] for array in (frames, begun, noise, weight, level, clipped)]
-            own = self._unclipped({name: array[rows] for name, array in found.items()}, *part)
+        if sought.clipped is not None and sought.clipped.any():
+            rows = np.flatnonzero(sought.clipped.any(axis=1))
+            before = {name: array[rows] for name, array in found.items()}
+            own = self._unclipped(before, sought.rows(rows), begun[rows], weight[rows], level[rows])
             for name, array in found.items():
                 array[rows] = own[name]
         del found["predicted"]
-        return Inverted(start=begun, noise=noise, **found)
+        return Inverted(start=begun, noise=sought.noise, **found)
+
+    def _weights(self, sought: Sought) -> tuple[Singles, Floats]:
+        """Return the weight of each coefficient, (n, n_coefficients), and the exponents of the noise, (n,)."""
+        n, n_bins = len(sought.noise), self.bins.stop - self.bins.start
+        weight, exponent = np.ones((n, 2 * n_bins)), np.zeros(n)
+        if sought.coefficients is not None and sought.innovation is not None and sought.coefficients.any():
+            frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
+            lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
+            rows = np.flatnonzero(sought.coefficients.any(axis=1))
+            power = (sought.innovation / sought.noise)[rows, None] ** 2
+            power = power / np.abs(1 - sought.coefficients[rows] @ lag) ** 2
+            exponent[rows] = -np.polynomial.polynomial.polyfit(np.log(frequency), np.log(power).T, 1)[1]
+            weight[rows] = np.tile(1 / power, 2)
+        if sought.error is not None:
+            weight /= 1 + weight * sought.error
+        return (weight * self._heard(sought.limit)).astype(np.float32), exponent
 
     def _unclipped(
-        self,
-        found: dict[str, Any],
-        frames: NDArray[np.floating],
-        begun: NDArray[np.intp],
-        noise: Floats,
-        weight: Singles,
-        level: Floats,
-        clipped: NDArray[np.bool_],
+        self, found: dict[str, Any], sought: Sought, begun: NDArray[np.intp], weight: Singles, level: Floats
     ) -> dict[str, Any]:
         """Return what is found where clipped samples are as far out as the beam says, but at least as recorded."""
-        recorded = _cut(frames, begun, self.n_samples) / noise[:, None]
-        bounds = _cut(clipped, begun, self.n_samples) > 0
+        assert sought.clipped is not None
+        recorded = _cut(sought.frames, begun, self.n_samples) / sought.noise[:, None]
+        bounds = _cut(sought.clipped, begun, self.n_samples) > 0
         for _ in range(_UNCLIPPING):
-            spectrum = np.zeros((len(noise), self.n_samples // 2 + 1), complex)
+            spectrum = np.zeros((len(begun), self.n_samples // 2 + 1), complex)
             half = found["predicted"].shape[1] // 2
             spectrum[:, self.bins] = (found["predicted"][:, :half] + 1j * found["predicted"][:, half:]) / np.sqrt(2)
             expected = np.fft.irfft(spectrum, self.n_samples, axis=1, norm="ortho")
             further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
-            samples = self.transformed(np.where(bounds, further, recorded))
-            found = self._refined(samples, weight, found["x"], found["y"], level)
+            samples = np.where(bounds, further, recorded)
+            found = self._refined(self.transformed(samples), weight, found["x"], found["y"], level)
         # The bounded samples are no measurements: they take their share of the energy out of what is known.
-        power = np.where(bounds, further, recorded) ** 2
-        share = 1 - power.sum(axis=1, where=bounds) / np.maximum(power.sum(axis=1), 1e-300)
+        share = 1 - np.sum(samples**2, axis=1, where=bounds) / np.maximum(np.sum(samples**2, axis=1), 1e-300)
         found["information"] *= share[:, None, None]
         found["vector"] *= share[:, None]
         return found
@@ -380,16 +387,14 @@ class Inversion:
         turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
         return kept, np.ascontiguousarray(table), at, turned, np.maximum(power, 0.0)
 
-    def _start(
-        self, frames: NDArray[np.floating], start: NDArray[np.intp], noise: Floats, weight: Singles
-    ) -> NDArray[np.intp]:
+    def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
         first = start[:, 0] - TOUCH // 2
         steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
         if steps.size == 1:
             return np.asarray(first)
         kept, table, at, turned, power = self._low
-        samples = self.transformed(_cut(frames, first, self.n_samples) / noise[:, None])[:, kept]
+        samples = self.transformed(_cut(sought.frames, first, self.n_samples) / sought.noise[:, None])[:, kept]
         half = kept.size // 2
         spectrum = samples[:, :half] + 1j * samples[:, half:]
         turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, half + 1)) / self.n_samples)
@@ -403,7 +408,7 @@ class Inversion:
             share = (0.5 / (power + 1 / height**2)).astype(np.float32)
             cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
             best = np.maximum(best, ((share[:, None] @ told)[:, 0] - cost[:, None]).max(axis=0))
-        best = best.reshape(len(frames), steps.size)
+        best = best.reshape(len(start), steps.size)
         best[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
         trust = np.exp(_TEMPER * (best - best.max(axis=1, keepdims=True)))
         return np.asarray(first - 3 + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
