@@ -120,7 +120,7 @@ class ContactFit:
         n_points = self.forces.shape[1]
         found = np.fft.rfftfreq(2 * n_points, 1 / (FINE * self.beam.sampling_rate))
         heard = np.abs(gain(self.beam.filters, found)) > 1e-3
-        return found[: min(int(np.flatnonzero(heard)[-1]) + 1, found.size // FINE)]
+        return np.asarray(found[: min(int(np.flatnonzero(heard)[-1]) + 1, found.size // FINE)], np.float64)
 
     @cached_property
     def _projection(self) -> NDArray[np.complex128]:
@@ -228,7 +228,7 @@ class ContactFit:
         covariance = np.linalg.inv(self._curvature(ways, information, prior))[:, :3, :3]
         apart = inverted.coefficients - own
         misfit = np.einsum("nk,nkl,nl->n", apart, information, apart) / max(own.shape[1] - 4, 1)
-        return Contact(peak * inverted.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
+        return Contact(peak * inverted.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], np.asarray(covariance), own, misfit)
 
     @staticmethod
     def _curvature(ways: Floats, information: Floats, prior: Floats) -> Floats:
@@ -378,7 +378,7 @@ class ThroughBeam:
             power = np.sum(np.square(frames), axis=1, where=before) / np.maximum(quiet, 1)
             found = np.sqrt(power * self.beam.sampling_rate / 2 / limit)
         # Without any noise: what a table of the beam is worth.
-        return np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300)
+        return np.asarray(np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300))
 
     def resampled(self, frames: Floats, rate: float) -> Floats:
         """Return frames at the rate of the beam, with its filters in place of those of their recorder."""

@@ -40,7 +40,6 @@ _ROWS = 64
 #: The start is sought with the samples below this frequency [Hz], the modes up to so much above it, so many shapes and
 #: places of a wider grid [m], at every second sample.
 _LOW, _LOW_MODES, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 1.3, 6, 0.05, 2
-_TEMPER = 1.0
 #: Exponents of coloured noise, f^-a, for which there is a grid of its own.
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
@@ -323,7 +322,7 @@ class Inversion:
         begun = self._start(sought, start, weight)
         samples = self.transformed(_cut(sought.frames, begun, self.n_samples) / sought.noise[:, None])
         _, place, level = self._search(samples, weight, exponent, sought.limit)
-        found = self._refined(samples, weight, *(side[place] for side in self._grid[:2]), level)
+        found = self._refined(samples, weight, self._grid[0][place], self._grid[1][place], level)
         if sought.clipped is not None and sought.clipped.any():
             rows = np.flatnonzero(sought.clipped.any(axis=1))
             before = {name: array[rows] for name, array in found.items()}
@@ -408,10 +407,12 @@ class Inversion:
             share = (0.5 / (power + 1 / height**2)).astype(np.float32)
             cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
             best = np.maximum(best, ((share[:, None] @ told)[:, 0] - cost[:, None]).max(axis=0))
-        best = best.reshape(len(start), steps.size)
-        best[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
-        trust = np.exp(_TEMPER * (best - best.max(axis=1, keepdims=True)))
-        return np.asarray(first - 3 + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
+        evidence = best.reshape(len(start), steps.size)
+        evidence[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
+        trust = np.exp(evidence - evidence.max(axis=1, keepdims=True))
+        # A force begins so softly that a late start explains the samples as well: rather begin early.
+        early = TOUCH // 2
+        return np.asarray(first - early + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
 
     def _search(
         self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None
@@ -492,7 +493,7 @@ class Inversion:
         }
 
 
-def _cut(frames: NDArray[np.floating], start: NDArray[np.intp], n_samples: int) -> Floats:
+def _cut(frames: NDArray[Any], start: NDArray[np.intp], n_samples: int) -> Floats:
     """Return the samples of each row from its start on, zeros where the frame has ended."""
     out = np.zeros((len(frames), n_samples))
     for row, first in enumerate(np.clip(start, 0, frames.shape[1]).tolist()):
