@@ -115,7 +115,7 @@ class ContactFit:
 
     @cached_property
     def _projection(self) -> NDArray[np.complex128]:
-        """From the spectrum of a force [N s] to its coefficients: the real part of a product, (n_frequencies, n_shapes)."""
+        """From the spectrum of a force [N s] to coefficients: the real part of a product, (n_frequencies, n_shapes)."""
         n_points, rate = self.forces.shape[1], FINE * self.beam.sampling_rate
         spectrum = np.fft.rfft(self.forces, 2 * n_points, axis=1)[:, : self._frequencies.size]
         inner = self.forces @ self.forces.T
@@ -299,7 +299,7 @@ class ThroughBeam:
         return self.inversion.invert(frames, start.astype(np.intp), noise, colour=colour, limit=limit)
 
     def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:
-        """Return the standard deviation of white noise that is as loud as that before touch, in the band up to `limit`."""
+        """Return the standard deviation of white noise as loud as that before touch, in the band up to `limit`."""
         if limit is None:
             found = vibrations.noise
         else:
