@@ -284,6 +284,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
         training = train_model(
             _batches(data, options["n_signals"], options["seed"]),
             known=("drop_height",) if options["drop_height"] else (),
+            beam=_beam(data) if options["features"] is None else None,
             progress=progress,
             **{name: options[name] for name in (*_COMMON, "test_share", "calibration_share")},
         )
@@ -413,14 +414,30 @@ def _class_weights(text: str | None) -> dict[str, float] | str | None:
     return weights
 
 
-def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
+def _beam(data: list[str]) -> Any:
+    """Return the beam of the only scene, if it has one to look through."""
+    if len(data) != 1 or not _means_scene(data[0]):
+        return None
+    from cgid.scene import load_scene
+    from cgid.scene.through_beam import beam_of, has_beam
+
+    scene = load_scene(data[0])
+    return beam_of(scene) if has_beam(scene) else None
+
+
+def _means_scene(item: str) -> bool:
+    """Return whether data is a scene; a name that resembles a shipped one is a mistyped one, unless it exists."""
     from cgid import shipped
+
+    named = bool(item in shipped.SCENES or validation.suggestion(item, shipped.SCENES))
+    return Path(item).suffix == ".toml" or (named and not Path(item).exists())
+
+
+def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
     from cgid.store import Dataset
 
     for item in data:
-        # A name that resembles a shipped scene is a mistyped one, unless it exists.
-        means_scene = bool(item in shipped.SCENES or validation.suggestion(item, shipped.SCENES))
-        if Path(item).suffix == ".toml" or (means_scene and not Path(item).exists()):
+        if _means_scene(item):
             from cgid.scene import load_scene, synthesise
             from cgid.scene.generation import MOST_SIGNALS
 

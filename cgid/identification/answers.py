@@ -275,6 +275,7 @@ def identify_frames(
         invalid="nan",
         detection_limit=detection_limit,
         equalisation=equalisation,
+        beam=model.beam,
     )
     sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate

@@ -33,6 +33,7 @@ from cgid.identification.model_file import (
     signed,
 )
 from cgid.identification.reference import equalisations_of
+from cgid.measure.beam import Beam
 from cgid.measure.features import kind_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import Kind
@@ -41,11 +42,14 @@ from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.classifier import ImpactClassifier
+    from cgid.identification.contact import ThroughBeam
 
 #: Largest size of a model file [bytes].
 LARGEST_FILE = 64 << 20
 #: Longest message about a bad model file.
 _LONGEST_MESSAGE = 400
+#: A beam is looked through at sampling rates from this share of the training's on.
+LOWEST_SHARE = 0.5
 #: Limit of the numbers held in memory during prediction.
 _MOST_HELD = 1 << 20
 
@@ -126,7 +130,7 @@ class Model:
         check_names(self)
         check_numbers(self)
         check_training(self)
-        _ = self._classifier, self.conformal, self.contrast  # their constructors check the arrays
+        _ = self._classifier, self.conformal, self.contrast, self.beam  # their constructors check the arrays
 
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4
@@ -250,6 +254,16 @@ class Model:
         """What tells the training from anything else; None if the training had no strangers."""
         return Contrast.from_arrays(self.arrays, len(self.features) + len(self.guards))
 
+    @cached_property
+    def beam(self) -> ThroughBeam | None:
+        """The beam that the features look through; None if they do not."""
+        own = Beam.from_arrays(self.arrays)
+        if own is None:
+            return None
+        from cgid.identification.contact import ThroughBeam
+
+        return ThroughBeam(own)
+
     def distance(self, inputs: Floats) -> Floats:
         """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""
         near = self._neighbourhood
@@ -329,7 +343,10 @@ class Model:
         -------
         bool
         """
-        return bool(0.99 * self.sampling_rates[0] <= sampling_rate <= 1.01 * self.sampling_rates[1])
+        low, high = self.sampling_rates
+        if self.beam is not None:  # the beam is the same at any rate, and the features tell their deviations
+            low, high = LOWEST_SHARE * low, np.inf
+        return bool(0.99 * low <= sampling_rate <= 1.01 * high)
 
     def decide(self, probabilities: Floats, costs: Mapping[str, float] | None = None) -> NDArray[np.str_]:
         """Return the label of the smallest expected cost, (n_impacts,).
@@ -375,6 +392,7 @@ class Model:
         guards: Mapping[str, float] | None = None,
         conformal: Conformal | None = None,
         contrast: Contrast | None = None,
+        beam: Beam | None = None,
         references: Mapping[str, Floats] | None = None,
         **fields: Any,
     ) -> Model:
@@ -388,6 +406,7 @@ class Model:
             Limits of the guards.
         conformal : Conformal, optional
         contrast : Contrast, optional
+        beam : Beam, optional
         references : dict of ndarray, each (n_channels, n_bands), optional
             Reference spectra of the sensors.
         **fields
@@ -403,6 +422,8 @@ class Model:
             arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
         if contrast is not None:
             arrays |= contrast.arrays
+        if beam is not None:
+            arrays |= beam.arrays
         if references:
             arrays["reference.spectra"] = np.stack(list(references.values()))
         # C order, as in the file: the last digit of a product may depend on the order.

@@ -26,7 +26,8 @@ from cgid.errors import BadData
 from cgid.identification.families import BY_NAME, Contrast, Network, Standardiser
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
-from cgid.measure.features import require_known
+from cgid.measure.beam import Beam
+from cgid.measure.features import FEATURES, require_known
 from cgid.measure.spectra import MEL_BANDS
 from cgid.signals import KNOWN
 from cgid.units import quantity_of
@@ -340,7 +341,7 @@ def _check_arrays(model: Model) -> None:
     if ("conformal.scores" in arrays) != ("conformal.labels" in arrays):
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
     known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
-    known |= {f"family.{name}" for name in BY_NAME[model.family].AXES}
+    known |= {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, "limit")}
     for name, array in arrays.items():
         if name not in known:
@@ -351,6 +352,8 @@ def _check_arrays(model: Model) -> None:
         if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
+    if any(FEATURES[name].beam for name in model.measured) != any(name.startswith("beam.") for name in arrays):
+        raise BadData("a model must have the arrays of a beam if features look through it, and only then")
 
 
 def _check_windows(model: Model) -> None:

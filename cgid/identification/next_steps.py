@@ -144,7 +144,9 @@ def with_frames(
 def _inside(frames: NDArray[np.floating], rate: float, model: Model, pre_trigger: int | None) -> NDArray[np.bool_]:
     """Return whether each frame would lie inside of the training at another sampling rate."""
     try:
-        table = extract_array(frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan", detection_limit=0.0)
+        table = extract_array(
+            frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan", detection_limit=0.0, beam=model.beam
+        )
     except CgidError:  # at that rate the frames are too short for a feature
         return np.zeros(len(frames), bool)
     sound = np.asarray(np.isfinite(table).all(axis=1))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import chain
 from typing import Literal
 
@@ -18,7 +18,9 @@ from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.identification.contact import ThroughBeam
 from cgid.identification.windows import WINDOW_TIME, columns_of, require_times
+from cgid.measure.beam import Beam
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.spectra import THIRD_OCTAVES
 from cgid.measure.table import Kind
@@ -44,6 +46,19 @@ DEFAULT_VIBRATION_FEATURES = (
     *(f"level_{middle}_hz" for middle in THIRD_OCTAVES),
     *(f"early_level_{low}_{high}_hz" for low, high in EARLY_BANDS),
 )
+#: Features of a model that looks through a beam, and its guards.
+BEAM_FEATURES = (
+    "beam_peak_force",
+    "beam_pulse_width",
+    "beam_restitution",
+    "beam_peak_force_deviation",
+    "beam_pulse_width_deviation",
+    "beam_restitution_deviation",
+    "beam_peak_width_correlation",
+    "beam_peak_restitution_correlation",
+    "beam_width_restitution_correlation",
+)
+BEAM_GUARDS = ("beam_unexplained",)
 #: Synthetic rows of a label per recorded one; more would outweigh the measurements.
 MOST_SYNTHETIC = 10
 
@@ -102,6 +117,8 @@ class Rows:
         Start of a window, or time of an impact, in its recording.
     references : mapping of str to ndarray, (n_channels, n_bands)
         Reference spectra of the sensors.
+    beam : Beam or None
+        The beam that the features look through.
     left_out : int
         Number of rows that could not be measured.
     failures : tuple of CgidError
@@ -128,6 +145,7 @@ class Rows:
     slicing: Slicing | None = None
     time: Floats = field(default_factory=lambda: np.empty(0))
     references: Mapping[str, Floats] = field(default_factory=dict)
+    beam: Beam | None = None
     left_out: int = 0
     failures: tuple[CgidError, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -201,7 +219,9 @@ def union_of(sets: Sets) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for names in sets.values() for name in names))
 
 
-def chosen_for(batches: Iterable[Batch], features: Iterable[str] | None) -> tuple[Iterator[Batch], tuple[str, ...]]:
+def chosen_for(
+    batches: Iterable[Batch], features: Iterable[str] | None, beam: Beam | None = None
+) -> tuple[Iterator[Batch], tuple[str, ...]]:
     """Return the batches unchanged, and the features to measure on them.
 
     The default depends on the quantity, and on sampling rate and frame of the first batch.
@@ -209,6 +229,8 @@ def chosen_for(batches: Iterable[Batch], features: Iterable[str] | None) -> tupl
     batches = iter(batches)
     if features is not None:
         return batches, choose(features)
+    if beam is not None:
+        return batches, BEAM_FEATURES
     first = next(batches, None)
     if first is None or kind_for(quantity_of(first.unit)) == "pulse":
         return chain([first] if first is not None else [], batches), DEFAULT_FEATURES
@@ -222,7 +244,10 @@ def chosen_for(batches: Iterable[Batch], features: Iterable[str] | None) -> tupl
 
 
 def default_guards(features: Iterable[str]) -> tuple[str, ...]:
-    """Return the guards of a model with these features; models of vibrations have none."""
+    """Return the guards of a model with these features; models of vibrations have them only through a beam."""
+    features = tuple(features)
+    if any(FEATURES[name].beam for name in features):
+        return BEAM_GUARDS
     return DEFAULT_GUARDS if kind_of(features) == "pulse" else ()
 
 
@@ -240,6 +265,7 @@ def measure(
     progress: Callable[[int], object] | None = None,
     *,
     known: tuple[str, ...] = (),
+    beam: Beam | None = None,
     crew: Workers = ALONE,
 ) -> Rows:
     """Return the rows of labelled batches; memory holds one batch of signals, or a few for each worker.
@@ -254,6 +280,8 @@ def measure(
         Is called with the number of signals of each batch.
     known : tuple of str
         Known quantities of each impact that the model will ask for, such as "drop_height".
+    beam : Beam, optional
+        The beam that vibrates: the features look through it.
     crew : Workers
         Processes that measure.
 
@@ -268,11 +296,11 @@ def measure(
     InvalidValue
         A feature or known quantity does not exist.
     """
-    batches, names = chosen_for(batches, features)
+    batches, names = chosen_for(batches, features, beam)
     for name in known:
         validation.choice("known", name, dict(KNOWN))
     parts: list[tuple[Batch, Floats, Floats]] = []
-    with closing(crew.each(_measured, (names, known), batches)) as measured:
+    with closing(crew.each(_measured, (names, known, beam), batches)) as measured:
         for part in measured:
             unit = part[0].unit
             if parts and unit != parts[0][0].unit:
@@ -301,20 +329,34 @@ def measure(
         known=np.concatenate([heights for _, _, heights in parts]),
         unit=abouts[0].unit,
         sampling_rates=(min(rates), max(rates)),
+        beam=beam if any(FEATURES[name].beam for name in names) else None,
         left_out=int((~complete).sum()),
     )
     return rows[complete]
 
 
-def _measured(settings: tuple[tuple[str, ...], tuple[str, ...]], batch: Batch) -> tuple[Batch, Floats, Floats]:
+def _measured(
+    settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], batch: Batch
+) -> tuple[Batch, Floats, Floats]:
     """Return a batch without its signals, its features, and its known quantities."""
-    names, known = settings
+    names, known, beam = settings
     with threadpool_limits(1):
         features = extract_array(
-            batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger or None, invalid="nan"
+            batch.signals,
+            batch.sampling_rate,
+            names,
+            pre_trigger=batch.pre_trigger or None,
+            invalid="nan",
+            beam=None if beam is None else _through(beam),
         )
     about = replace(batch, signals=np.empty((len(batch), 0)), parameters={})
     return about, features, _known_of(batch) if known else np.empty((len(batch), 0))
+
+
+@lru_cache(maxsize=4)
+def _through(beam: Beam) -> ThroughBeam:
+    """Return the tables of a beam, made once in each process."""
+    return ThroughBeam(beam)
 
 
 def _known_of(batch: Batch) -> Floats:

@@ -49,7 +49,8 @@ from cgid.identification.rows import (
     sets_for,
     shift,
 )
-from cgid.measure.features import choose
+from cgid.measure.beam import Beam
+from cgid.measure.features import FEATURES, choose
 from cgid.measure.pulses import MOST_UNEXPLAINED
 from cgid.signals import Batch
 from cgid.units import quantity_of
@@ -117,6 +118,7 @@ def train(
     level_free: bool = False,
     synthetic: Rows | None = None,
     strangers: Rows | None = None,
+    beam: Beam | None = None,
     shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
     crew: Workers = ALONE,
@@ -157,6 +159,9 @@ def train(
     strangers : Rows, optional
         Impacts of anything else, with the features and guards of the model; their labels do not matter. The model
         learns to tell them from its own, which sharpens its novelty. Not for recordings.
+    beam : Beam, optional
+        The beam whose vibrations the signals are, as from `cgid.scene.beam_of`; its modes lead to the contact force.
+        Rows have their own. Not for recordings.
     shuffle_labels : bool
         Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
         With few recordings it is lower, because recordings of one material resemble each other.
@@ -181,7 +186,7 @@ def train(
         for name in (*names, *limiting):
             validation.choice("feature of rows", name, rows.names)
     else:
-        rows, names, limiting = _measured(data, features, guards, tuple(known), progress, crew)
+        rows, names, limiting = _measured(data, features, guards, tuple(known), beam, progress, crew)
     if rows.slicing is not None and len(set(rows.digests)) == 1 and len(rows.groups) == 1:
         rows = in_blocks_of_time(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
@@ -208,17 +213,18 @@ def _measured(
     features: Iterable[str] | None,
     guards: Iterable[str] | None,
     known: tuple[str, ...],
+    beam: Beam | None,
     progress: Callable[[int], object] | None,
     crew: Workers,
 ) -> tuple[Rows, tuple[str, ...], tuple[str, ...]]:
     """Return the rows of batches, and the names of their features and of their guards."""
     is_default = features is None
-    batches, names = chosen_for(batches, features)
+    batches, names = chosen_for(batches, features, beam)
     guards = default_guards(names) if guards is None else tuple(guards)
     guards = choose(guards) if guards else ()
     names = tuple(name for name in names if name not in guards)
     with threadpool_limits(1):
-        rows = measure(batches, names + guards, progress, known=known, crew=crew)
+        rows = measure(batches, names + guards, progress, known=known, beam=beam, crew=crew)
     if is_default and names == DEFAULT_FEATURES and len(rows.labels) < MANY_FEATURES:
         names = FEW_FEATURES
     return rows, names, guards
@@ -398,6 +404,7 @@ def _held_out(
         guards=_guard_limits(guards, rows.columns(guards)[training]),
         conformal=conformal,
         contrast=contrast,
+        beam=rows.beam if any(FEATURES[name].beam for name in names) else None,
     )
 
 

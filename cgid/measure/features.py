@@ -20,7 +20,7 @@ from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.measure.pulses import FAINT, PULSE_FEATURES, PulseBatch
 from cgid.measure.table import Feature, ImpactKind, Kind, Table
-from cgid.measure.vibration import VIBRATION_FEATURES, VibrationBatch
+from cgid.measure.vibration import VIBRATION_FEATURES, Beam, VibrationBatch
 from cgid.measure.windows import WINDOW_FEATURES, WindowBatch
 from cgid.validation import Floats, require_rate
 
@@ -34,6 +34,8 @@ _WINDOWED_SAMPLES = 1 << 17
 #: How far windows extend after touch, in contact durations and in samples: for quantities read off the samples (the
 #: run above 10 %, once more after its end), and for the fit (its bins and windows).
 _READ, _FITTED = (2.0, 6), (2.25, 54)
+#: Least height of a vibration over the standard deviation of the noise, for features that look through its beam.
+BEAM_LIMIT = 3.0
 #: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 
@@ -67,7 +69,8 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
     Parameters
     ----------
     features : iterable of str or None
-        Names of features or banks: `mel_*_hz` stands for all of its columns. None: all of the kind that need no extra.
+        Names of features or banks: `mel_*_hz` stands for all of its columns. None: all of the kind that need neither an
+        extra nor a beam.
     kind : {"pulse", "vibration", "window"}
 
     Returns
@@ -132,6 +135,15 @@ def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
             f"next, got {n_samples}: record longer"
         )
     return ""
+
+
+def _require_beam(names: Iterable[str], beam: Beam | None) -> None:
+    through = next((name for name in names if FEATURES[name].beam), None)
+    if through is not None and beam is None:
+        raise InvalidValue(
+            f"feature {through} must have a beam to look through, got none: train on a scene with a [tail_beam] (cgid "
+            "train tail_beam -o MODEL) and use that model, or leave the feature out"
+        )
 
 
 # -- values -------------------------------------------------------------------------------------------
@@ -202,11 +214,13 @@ def extract_array(
     invalid: Literal["raise", "nan"] = "raise",
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
+    beam: Beam | None = None,
 ) -> Floats:
     """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`.
 
     A peak must exceed `detection_limit` standard deviations of the noise before touch; lower it for impacts found in a
     recording by other means. `equalisation` corrects the sensor's response first; it does not apply to pulses.
+    `beam` is the one that vibrates, for features that look through it (such as `beam_peak_force`).
     """
     names = choose(features)
     frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
@@ -214,6 +228,7 @@ def extract_array(
     require_supported(names, rate, frames.shape[1])
     if equalisation is not None and kind_of(names) == "pulse":
         raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
+    _require_beam(names, beam)
     out = np.full((len(frames), len(names)), np.nan)
     most = _WINDOWED_SAMPLES if kind_of(names) == "window" else _SAMPLES
     n_rows = max(min(most // frames.shape[1], _ROWS), 1)
@@ -224,6 +239,7 @@ def extract_array(
         pre_trigger=pre_trigger,
         remove_baseline=remove_baseline,
         detection_limit=detection_limit,
+        beam=beam,
     )
     for first in range(0, len(frames), n_rows):
         part = frames[first : first + n_rows]
@@ -275,7 +291,11 @@ def _batches(
     pre_trigger: int | None,
     remove_baseline: bool,
     detection_limit: float,
+    beam: Beam | None = None,
 ) -> Batches:
+    names = tuple(names)
+    if all(FEATURES[name].beam for name in names):  # the modes find a blow where the samples alone do not show it
+        detection_limit = min(detection_limit, BEAM_LIMIT)
     how = (frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
     batches: dict[Kind, PulseBatch | VibrationBatch | WindowBatch] = {}
     for kind in {FEATURES[name].kind for name in names}:
@@ -283,6 +303,8 @@ def _batches(
             batches[kind] = WindowBatch(frames, sampling_rate, remove_baseline)
         else:
             batches[kind] = PulseBatch(*how) if kind == "pulse" else VibrationBatch(*how)
+            if isinstance(batch := batches[kind], VibrationBatch):
+                batch.beam = beam
     return batches
 
 

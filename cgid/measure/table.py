@@ -47,6 +47,7 @@ class Feature:
     highest_frequency : lower limit of half the sampling rate [Hz]
     shortest_frame : least duration of a frame [s]
     extra : the extra of cgid that it needs; such a feature is measured only if named
+    beam : read through a beam whose modes are known; the same holds
     """
 
     name: str
@@ -62,6 +63,7 @@ class Feature:
     highest_frequency: float = 0.0
     shortest_frame: float = 0.0
     extra: str = ""
+    beam: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -169,8 +171,12 @@ class Table(Mapping[str, Feature]):
         return sum(len(entry.columns) for entry in self.entries)
 
     def names(self, kind: Kind) -> tuple[str, ...]:
-        """Return the names of a kind's features that need no extra."""
-        own = (entry for entry in self.entries if entry.kind == kind and not entry.extra)
+        """Return the names of a kind's features that need neither an extra nor a beam."""
+        own = (
+            entry
+            for entry in self.entries
+            if entry.kind == kind and not entry.extra and not (isinstance(entry, Feature) and entry.beam)
+        )
         return tuple(name for entry in own for name in entry.columns)
 
     def expand(self, name: str) -> tuple[str, ...]:

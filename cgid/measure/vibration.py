@@ -11,7 +11,9 @@ spectrum depend on the rate, because they use the whole spectrum (`EnergySpectru
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property, partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,12 +62,28 @@ STRONG_SHARE = 0.9
 EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 
 
+class Beam(Protocol):
+    """A beam whose modes are known: `cgid.identification.contact.ThroughBeam`."""
+
+    def measured(self, vibrations: VibrationBatch) -> Mapping[str, Floats]:
+        """Return what it tells of the contact forces, by feature."""
+
+
 class VibrationBatch(Frames):
     """Vibrations in frames, one impact each; each quantity is computed on first use.
 
     Arguments are those of `Frames`. Without `pre_trigger`, each row is quiet up to well before it first leaves its
     initial level. No row depends on the other rows of the batch.
     """
+
+    #: The beam that vibrates, for the features that look through it.
+    beam: Beam | None = None
+
+    @cached_property
+    def through_beam(self) -> Mapping[str, Floats]:
+        """The features of the contact forces."""
+        assert self.beam is not None
+        return self.beam.measured(self)
 
     # -- before touch ---------------------------------------------------------------------------------
 
@@ -431,6 +449,13 @@ _PACKETS = Bank(
     extra="wavelets",
 )
 
+_INVERSION = "Tarantola 2005 (linear Gaussian inverse problem), on the modes of the beam"
+
+
+def _through(name: str, unit: str, definition: str, positive: bool = False) -> Feature:
+    return _vibration(name, unit, definition, _INVERSION, lambda v: v.through_beam[name], positive=positive, beam=True)
+
+
 VIBRATION_FEATURES: tuple[Feature | Bank, ...] = (
     _vibration("peak_amplitude", "U", "largest distance from the baseline", "signal amplitude", lambda v: v.peak),
     _vibration(
@@ -531,4 +556,18 @@ VIBRATION_FEATURES: tuple[Feature | Bank, ...] = (
     ),
     _PACKETS,
     _PACKETS.less(f"relative_packet_*_of_{N_PACKETS}", _TOTAL),
+    _through("beam_peak_force", "N", "peak of the pulse fitted to the force recovered through the beam"),
+    _through("beam_pulse_width", "s", "impulse over peak of that pulse"),
+    _through("beam_restitution", "1", "restitution of that pulse; above 1 it rises more slowly than it falls", True),
+    _through("beam_peak_force_deviation", "1", "relative standard deviation of beam_peak_force", True),
+    _through("beam_pulse_width_deviation", "1", "relative standard deviation of beam_pulse_width", True),
+    _through("beam_restitution_deviation", "1", "relative standard deviation of beam_restitution", True),
+    _through("beam_peak_width_correlation", "1", "correlation of the errors of beam_peak_force and beam_pulse_width"),
+    _through("beam_peak_restitution_correlation", "1", "that of beam_peak_force and beam_restitution"),
+    _through("beam_width_restitution_correlation", "1", "that of beam_pulse_width and beam_restitution"),
+    _through("beam_impact_x", "m", "place of the blow along the beam, with the highest evidence"),
+    _through("beam_impact_y", "m", "place of the blow across the beam"),
+    _through("beam_place_deviation", "m", "standard deviation of the place, of both directions together"),
+    _through("beam_misfit", "1", "mean square of what the beam leaves unexplained, over that of the noise", True),
+    _through("beam_unexplained", "1", "share of the signal's energy that the beam leaves unexplained, in %", True),
 )

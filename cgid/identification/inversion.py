@@ -1,0 +1,503 @@
+"""Through the beam to the force: from the acceleration of a beam to the place of a blow and the force of its contact.
+
+The way from a contact force to an accelerometer is linear once the place is known. A force is a sum of a few principal
+shapes, and each shape rings every mode of the beam; the place only weighs the modes. So for a place the samples are a
+linear Gaussian model in some 16 unknowns, whose evidence has a closed form. It is computed on a grid of places, from
+tables that are made once. From the best one Gauss-Newton steps lead to the place itself, which stays an unknown of the
+model: the uncertainty of the force includes that of the place.
+
+Signals and tables are discrete Fourier transforms, in which coloured noise is a weight for each frequency. A `Beam` is
+plain arrays, so that a model file can hold it; `cgid.scene.through_beam` makes it from a scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.measure.beam import GRID, TOUCH, Beam, Singles, filtered, gain, respond
+from cgid.measure.colour import ORDER
+from cgid.validation import Floats
+
+#: Expected strengths of a blow over the noise, by what the samples of a typical place would hold.
+_LEVELS = np.geomspace(2.0, 2e4, 12)
+#: Gauss-Newton steps from the grid to the place, and the longest [m].
+_STEPS, _LONGEST_STEP = 3, 0.012
+#: Rounds in which clipped samples are replaced by what the beam says.
+_UNCLIPPING = 6
+#: Fewest frequencies that tell, and limits of the response to a force of 1 N: squares keep to single precision.
+_FEWEST_BINS, _LOUDNESS = 17, (1e-12, 1e11)
+#: Prior deviation of the place about the best of the grid [m].
+_PLACE_DEVIATION = 0.1
+#: Rows, modes or places at a time: their responses fit into the cache of a processor.
+_ROWS = 64
+#: The start is sought with the samples below this frequency [Hz], the modes up to so much above it, so many shapes and
+#: places of a wider grid [m], at every second sample.
+_LOW, _LOW_MODES, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 1.3, 6, 0.05, 2
+#: Exponents of coloured noise, f^-a, for which there is a grid of its own.
+_COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
+
+
+class Ringing:
+    """What the modes of a beam still ring from earlier blows: a Gaussian process, seen before touch.
+
+    The amplitudes are those that a blow anywhere leaves after one of `AGES`; their common strength is the one of the
+    highest evidence.
+
+    Parameters
+    ----------
+    inversion : Inversion
+    n_quiet : int
+        Samples before touch that are looked at.
+    """
+
+    #: Ages of the earlier blow [s], powers of the ringing over that of the noise, and gain of evidence that it takes.
+    AGES, POWERS, CERTAIN = (0.005, 0.02, 0.08), np.geomspace(0.3, 3e6, 15), 12.0
+    #: The tables go on for so many samples longer than the inversion, because the touch is not known yet.
+    LATER = 64
+
+    def __init__(self, inversion: Inversion, n_quiet: int) -> None:
+        beam, self.n_quiet, self.n_samples = inversion.beam, n_quiet, inversion.n_samples + self.LATER
+        time = np.arange(n_quiet + self.n_samples) / beam.sampling_rate
+        frequency = np.abs(beam.poles) / (2 * np.pi)
+        loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(gain(beam.filters, frequency))
+        loud *= np.abs(beam.poles) ** (beam.derivatives - 1)
+        self._tables = []
+        for age in self.AGES:
+            size = loud * np.exp(beam.poles.real * age)
+            kept = size > 1e-4 * size.max()
+            waves = size[kept] * np.exp(np.outer(time, beam.poles[kept]))
+            both = np.concatenate([waves.real, waves.imag], axis=1)
+            both /= np.sqrt(np.mean(np.sum(np.square(both[:n_quiet]), axis=1)))
+            before, after = both[:n_quiet], both[n_quiet:]
+            power, turn = np.linalg.eigh(before @ before.T)
+            onward = after @ (before.T @ turn)
+            spectra = [np.square(inversion.transformed(part.T[:, : inversion.n_samples])) for part in (after, onward)]
+            self._tables.append((np.maximum(power, 0.0), turn, onward, spectra[0].sum(axis=0), spectra[1]))
+
+    def after(self, before: Floats, innovation: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+        """Return what rings on, from samples before touch.
+
+        Parameters
+        ----------
+        before : ndarray, (n, n_quiet)
+        innovation : ndarray, (n,)
+            Standard deviation of what noise of any colour leaves unpredicted: the rival of the ringing.
+
+        Returns
+        -------
+        tuple of ndarray
+            The ringing after these samples (n, n_samples), the standard deviation of the noise (n,), the power of the
+            error of the ringing over that of the noise at each coefficient (n, n_coefficients), and whether there is
+            ringing (n,).
+        """
+        n = len(before)
+        best = -self.n_quiet * np.log(np.maximum(innovation, 1e-150)) + self.CERTAIN
+        found, level, rings = np.zeros((n, self.n_samples)), innovation.copy(), np.zeros(n, bool)
+        error = np.zeros((n, self._tables[0][3].size))
+        for power, turn, onward, whole, spectrum in self._tables:
+            told = before @ turn
+            for ratio in self.POWERS:
+                variance = 1 + ratio * power
+                # The most likely noise for this ratio has a closed form.
+                left = np.mean(np.square(told) / variance, axis=1)
+                evidence = -0.5 * self.n_quiet * np.log(np.maximum(left, 1e-300)) - 0.5 * np.log(variance).sum()
+                better = np.flatnonzero(evidence > best)
+                if better.size:
+                    best[better], rings[better], level[better] = evidence[better], True, np.sqrt(left[better])
+                    found[better] = (told[better] * (ratio / variance)) @ onward.T
+                    error[better] = ratio * np.maximum(whole - (ratio / variance) @ spectrum, 0.0)
+        return found, level, error, rings
+
+
+class Rowwise:
+    """A dataclass of arrays whose first axis is the blow; a field may be None."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def rows(self, rows: NDArray[np.intp] | slice) -> Self:
+        """Return some of the rows."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return type(self)(**{n: part[rows] if isinstance(part, np.ndarray) else part for n, part in fields.items()})
+
+    def replaced(self, rows: NDArray[np.intp], other: Self) -> Self:
+        """Return all rows, some of them those of another."""
+        found = {}
+        for name in self.__dataclass_fields__:
+            found[name] = getattr(self, name).copy()
+            found[name][rows] = getattr(other, name)
+        return type(self)(**found)
+
+    @classmethod
+    def joined(cls, parts: list[Self]) -> Self:
+        """Return the rows of all parts."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class Sought(Rowwise):
+    """Vibrations whose force is sought.
+
+    Attributes
+    ----------
+    frames : ndarray, (n, n_samples)
+        At the sampling rate of the beam, without baseline; zeros where the frame has ended.
+    noise : ndarray, (n,)
+        Standard deviation of the noise.
+    coefficients, innovation : ndarray, (n, ORDER) and (n,), optional
+        Of the colour of the noise, as in `cgid.measure.colour.Colour`; white by default.
+    error : ndarray, (n, n_coefficients), optional
+        Power of further errors over that of the noise.
+    clipped : ndarray of bool, (n, n_samples), optional
+        Samples that only bound the motion: it went at least as far.
+    limit : float, optional
+        Frequency up to which the samples tell [Hz].
+    """
+
+    frames: Floats
+    noise: Floats
+    coefficients: Floats | None = None
+    innovation: Floats | None = None
+    error: Floats | None = None
+    clipped: NDArray[np.bool_] | None = None
+    limit: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Inverted(Rowwise):
+    """What samples tell of some blows, each row one blow.
+
+    Attributes
+    ----------
+    x, y : ndarray, (n,) [m]
+        The most probable place.
+    place_deviation : ndarray, (n, 2) [m]
+    start : ndarray, (n,)
+        Sample of the frame at which the table of forces begins: touch lies within `TOUCH` samples of it.
+    coefficients : ndarray, (n, n_shapes)
+        Of the force in principal shapes, each over its deviation and over the noise, with the prior of the shapes.
+    information, vector : ndarray, (n, n_shapes, n_shapes) and (n, n_shapes)
+        The likelihood of coefficients c after the place is projected out: `-c information c / 2 + vector c`.
+    noise : ndarray, (n,)
+        Standard deviation of the noise [unit of the samples].
+    evidence : ndarray, (n,)
+        Logarithm of the evidence over that of noise alone, per sample.
+    misfit : ndarray, (n,)
+        Mean square of what is left, over the noise: 1 where the beam explains the samples.
+    unexplained : ndarray, (n,)
+        Share of the samples' energy that is left beyond the noise, at least 0.
+    """
+
+    x: Floats
+    y: Floats
+    place_deviation: Floats
+    start: NDArray[np.intp]
+    coefficients: Floats
+    information: Floats
+    vector: Floats
+    noise: Floats
+    evidence: Floats
+    misfit: Floats
+    unexplained: Floats
+
+
+class Inversion:
+    """The tables of one beam, and the inversion of accelerations through them.
+
+    Parameters
+    ----------
+    beam : Beam
+    """
+
+    def __init__(self, beam: Beam) -> None:
+        self.beam = beam
+        self.n_samples = beam.n_samples
+
+    # -- tables ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def forces(self) -> Floats:
+        """Principal shapes behind the filters, each times its deviation, (n_shapes, n_points)."""
+        return filtered(self.beam, self.beam.shapes * self.beam.deviations[:, None])
+
+    @cached_property
+    def bins(self) -> slice:
+        """Frequencies that tell: above 0, up to where the filters leave 1 % or, without them, below half the rate."""
+        frequencies = np.fft.rfftfreq(self.n_samples, 1 / self.beam.sampling_rate)
+        heard = np.abs(gain(self.beam.filters, frequencies)) > 0.01
+        return slice(1, min(max(int(np.flatnonzero(heard)[-1]) + 1, _FEWEST_BINS), (self.n_samples + 1) // 2))
+
+    def transformed(self, samples: Floats) -> Singles:
+        """Return orthonormal Fourier coefficients of samples (..., n_samples), real then imaginary parts."""
+        found = np.fft.rfft(samples, axis=-1, norm="ortho")[..., self.bins] * np.sqrt(2)
+        return np.concatenate([found.real, found.imag], axis=-1).astype(np.float32)
+
+    @cached_property
+    def _table(self) -> Singles:
+        """Transformed responses of each mode to each shape for participation 1, (n_modes, n_shapes * n_coefficients).
+
+        Raises `BadData` if they leave the range of single precision, which no true beam does.
+        """
+        n_modes = len(self.beam.poles)
+        out = np.empty((n_modes, len(self.forces) * 2 * (self.bins.stop - self.bins.start)), np.float32)
+        for first in range(0, n_modes, _ROWS):
+            part = slice(first, first + _ROWS)
+            own = replace(self.beam, poles=self.beam.poles[part])
+            with np.errstate(over="ignore"):
+                found = self.transformed(respond(own, self.forces, self.n_samples))
+            out[part] = found.reshape(len(found), -1)
+        loudest = float(np.abs(self.beam.participation).max()) * max(float(out.max()), -float(out.min()))
+        if not _LOUDNESS[0] < loudest < _LOUDNESS[1]:
+            raise BadData(
+                f"a beam must ring between {_LOUDNESS[0]:g} and {_LOUDNESS[1]:g} for a force of 1 N, got {loudest:g}; "
+                "train the model again"
+            )
+        return out
+
+    @cached_property
+    def _grid(self) -> tuple[Floats, Floats, Singles]:
+        """Places of the grid, x and y (n_places,), and their weights (n_places, n_modes)."""
+        return self.beam.grid(GRID)
+
+    @cached_property
+    def _colour_tables(self) -> dict[tuple[float, float | None], tuple[Singles, Floats, Singles]]:
+        return {}
+
+    def _coarse(self, exponent: float, limit: float | None = None) -> tuple[Singles, Floats, Singles]:
+        """Return power and rotation of the shapes at each place of the grid, and the weight of each coefficient.
+
+        They diagonalise what the samples tell of the coefficients in noise of power f^-exponent: (n_places, n_shapes,
+        n_shapes) and (n_places, n_shapes).
+        """
+        key = exponent, limit
+        if key not in self._colour_tables:
+            weight = self._law(exponent) * self._heard(limit)
+            _, _, at = self._grid
+            n_shapes, table = (
+                len(self.beam.deviations),
+                self._table * np.tile(np.sqrt(weight), len(self.beam.deviations)),
+            )
+            gram = np.empty((len(at), n_shapes, n_shapes), np.float32)
+            for first in range(0, len(at), _ROWS):
+                part = slice(first, first + _ROWS)
+                response = (at[part] @ table).reshape(-1, n_shapes, weight.size)
+                gram[part] = response @ response.transpose(0, 2, 1)
+            power, rotation = np.linalg.eigh(gram.astype(np.float64))
+            turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
+            self._colour_tables[key] = turned, np.maximum(power, 0.0), weight
+        return self._colour_tables[key]
+
+    def _heard(self, limit: float | None) -> Singles:
+        frequency = np.arange(self.bins.start, self.bins.stop) * self.beam.sampling_rate / self.n_samples
+        return np.tile(frequency <= (np.inf if limit is None else limit), 2).astype(np.float32)
+
+    def _law(self, exponent: float) -> Singles:
+        frequency = np.arange(self.bins.start, self.bins.stop, dtype=np.float64)
+        weight = frequency**exponent
+        return np.tile(weight / weight.mean(), 2).astype(np.float32)
+
+    # -- the inversion --------------------------------------------------------------------------------
+
+    def invert(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
+        """Return places and forces of blows.
+
+        Parameters
+        ----------
+        sought : Sought
+        start : ndarray of int, (n, 2)
+            First and last sample of the frame in which touch may lie.
+
+        Returns
+        -------
+        Inverted
+        """
+        parts = [slice(first, first + _ROWS) for first in range(0, max(len(start), 1), _ROWS)]
+        return Inverted.joined([self._inverted(sought.rows(part), start[part]) for part in parts])
+
+    def _inverted(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
+        weight, exponent = self._weights(sought)
+        begun = self._start(sought, start, weight)
+        samples = self.transformed(_cut(sought.frames, begun, self.n_samples) / sought.noise[:, None])
+        _, place, level = self._search(samples, weight, exponent, sought.limit)
+        found = self._refined(samples, weight, self._grid[0][place], self._grid[1][place], level)
+        if sought.clipped is not None and sought.clipped.any():
+            rows = np.flatnonzero(sought.clipped.any(axis=1))
+            before = {name: array[rows] for name, array in found.items()}
+            own = self._unclipped(before, sought.rows(rows), begun[rows], weight[rows], level[rows])
+            for name, array in found.items():
+                array[rows] = own[name]
+        del found["predicted"]
+        return Inverted(start=begun, noise=sought.noise, **found)
+
+    def _weights(self, sought: Sought) -> tuple[Singles, Floats]:
+        """Return the weight of each coefficient, (n, n_coefficients), and the exponents of the noise, (n,)."""
+        n, n_bins = len(sought.noise), self.bins.stop - self.bins.start
+        weight, exponent = np.ones((n, 2 * n_bins)), np.zeros(n)
+        if sought.coefficients is not None and sought.innovation is not None and sought.coefficients.any():
+            frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
+            lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
+            rows = np.flatnonzero(sought.coefficients.any(axis=1))
+            power = (sought.innovation / sought.noise)[rows, None] ** 2
+            power = power / np.abs(1 - sought.coefficients[rows] @ lag) ** 2
+            exponent[rows] = -np.polynomial.polynomial.polyfit(np.log(frequency), np.log(power).T, 1)[1]
+            weight[rows] = np.tile(1 / power, 2)
+        if sought.error is not None:
+            weight /= 1 + weight * sought.error
+        return (weight * self._heard(sought.limit)).astype(np.float32), exponent
+
+    def _unclipped(
+        self, found: dict[str, Any], sought: Sought, begun: NDArray[np.intp], weight: Singles, level: Floats
+    ) -> dict[str, Any]:
+        """Return what is found where clipped samples are as far out as the beam says, but at least as recorded."""
+        assert sought.clipped is not None
+        recorded = _cut(sought.frames, begun, self.n_samples) / sought.noise[:, None]
+        bounds = _cut(sought.clipped, begun, self.n_samples) > 0
+        for _ in range(_UNCLIPPING):
+            spectrum = np.zeros((len(begun), self.n_samples // 2 + 1), complex)
+            half = found["predicted"].shape[1] // 2
+            spectrum[:, self.bins] = (found["predicted"][:, :half] + 1j * found["predicted"][:, half:]) / np.sqrt(2)
+            expected = np.fft.irfft(spectrum, self.n_samples, axis=1, norm="ortho")
+            further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
+            samples = np.where(bounds, further, recorded)
+            found = self._refined(self.transformed(samples), weight, found["x"], found["y"], level)
+        # The bounded samples are no measurements: they take their share of the energy out of what is known.
+        share = 1 - np.sum(samples**2, axis=1, where=bounds) / np.maximum(np.sum(samples**2, axis=1), 1e-300)
+        found["information"] *= share[:, None, None]
+        found["vector"] *= share[:, None]
+        return found
+
+    @cached_property
+    def _low(self) -> tuple[NDArray[np.intp], Singles, Singles, Singles, Floats]:
+        """The tables that find the start: coefficients, responses, weights of places, and rotation and power there."""
+        n_bins = self.bins.stop - self.bins.start
+        n_low = min(max(int(_LOW * self.n_samples / self.beam.sampling_rate), 16), n_bins)
+        kept = np.concatenate([np.arange(n_low), n_bins + np.arange(n_low)])
+        frequency = np.abs(self.beam.poles) / (2 * np.pi)
+        modes = np.flatnonzero(frequency <= max(_LOW_MODES * _LOW, frequency.min()))
+        n_shapes = min(_LOW_SHAPES, len(self.beam.deviations))
+        table = self._table.reshape(len(frequency), -1, 2 * n_bins)[modes, :n_shapes][:, :, kept]
+        at = np.ascontiguousarray(self.beam.grid(_LOW_GRID)[2][:, modes])
+        response = (at @ table.reshape(modes.size, -1)).reshape(len(at), n_shapes, kept.size)
+        power, rotation = np.linalg.eigh((response @ response.transpose(0, 2, 1)).astype(np.float64))
+        turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
+        return kept, np.ascontiguousarray(table), at, turned, np.maximum(power, 0.0)
+
+    def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
+        """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
+        first = start[:, 0] - TOUCH // 2
+        steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
+        if steps.size == 1:
+            return np.asarray(first)
+        kept, table, at, turned, power = self._low
+        samples = self.transformed(_cut(sought.frames, first, self.n_samples) / sought.noise[:, None])[:, kept]
+        half = kept.size // 2
+        spectrum = samples[:, :half] + 1j * samples[:, half:]
+        turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, half + 1)) / self.n_samples)
+        shifted = (spectrum[:, None] * turn).reshape(-1, half)
+        trusted = np.repeat(weight[:, kept], steps.size, axis=0)
+        shifted = np.concatenate([shifted.real, shifted.imag], axis=1).astype(np.float32) * trusted
+        heard = table.reshape(-1, kept.size) @ shifted.T
+        told = np.square(turned @ (at @ heard.reshape(len(table), -1)).reshape(len(at), table.shape[1], -1))
+        best = np.full(len(shifted), -np.inf)
+        for height in _LEVELS / np.sqrt(np.median(power.sum(axis=1))):
+            share = (0.5 / (power + 1 / height**2)).astype(np.float32)
+            cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
+            best = np.maximum(best, ((share[:, None] @ told)[:, 0] - cost[:, None]).max(axis=0))
+        evidence = best.reshape(len(start), steps.size)
+        evidence[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
+        trust = np.exp(evidence - evidence.max(axis=1, keepdims=True))
+        # A force begins so softly that a late start explains the samples as well: rather begin early.
+        early = TOUCH // 2
+        return np.asarray(first - early + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
+
+    def _search(
+        self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None
+    ) -> tuple[Floats, NDArray[np.intp], Floats]:
+        """Return the evidence of the best place of the grid, its number, and the best level of the force, each (n,)."""
+        n, n_shapes = len(samples), len(self.beam.deviations)
+        nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
+        out = np.full(n, -np.inf), np.zeros(n, np.intp), np.ones(n)
+        _, _, at = self._grid
+        flat = self._table.reshape(-1, samples.shape[1])
+        for number in np.unique(nearest).tolist():
+            rows = np.flatnonzero(nearest == number)
+            turned, power, law = self._coarse(_COLOURS[number], limit)
+            # The law has a mean weight of 1; the level of the noise is that of its middle.
+            heard_at = law > 0
+            scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
+            heard = flat @ (samples[rows] * weight[rows] / np.sqrt(scale)[:, None]).T
+            at_places = (at @ heard.reshape(len(self.beam.poles), -1)).reshape(len(at), n_shapes, rows.size)
+            told = np.square(turned @ at_places)
+            typical = np.sqrt(np.median(power.sum(axis=1)))
+            for height in _LEVELS / typical:
+                share = (0.5 / (power + 1 / height**2)).astype(np.float32)
+                cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
+                evidence = (share[:, None] @ told)[:, 0] - cost[:, None]
+                first = np.argmax(evidence, axis=0)
+                top = evidence[first, np.arange(rows.size)]
+                better = rows[top > out[0][rows]]
+                for array, new in zip(out, (top, first, np.full(rows.size, height)), strict=True):
+                    array[better] = new[np.searchsorted(rows, better)]
+        return out
+
+    def _refined(self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats) -> dict[str, Any]:
+        """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid."""
+        n, n_shapes = len(samples), len(self.beam.deviations)
+        x_low, x_high, y_low, y_high = self.beam.region
+        root = np.sqrt(weight)
+        heard = samples * root
+        prior = np.eye(n_shapes) / level[:, None, None] ** 2
+        prior_place = np.eye(2) / _PLACE_DEVIATION**2
+        for step in range(_STEPS):
+            at = np.concatenate(self.beam.weights(x, y))
+            ways = (at @ self._table).reshape(3, n, n_shapes, -1) * root[:, None]
+            own = ways[0]
+            gram = (own @ own.transpose(0, 2, 1)).astype(np.float64)
+            vector = (own @ heard[:, :, None])[:, :, 0].astype(np.float64)
+            force = np.linalg.solve(gram + prior, vector[:, :, None])[:, :, 0]
+            single = force.astype(np.float32)
+            slopes = np.einsum("wnks,nk->nws", ways[1:], single)
+            cross = (own @ slopes.transpose(0, 2, 1)).astype(np.float64)
+            inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + prior_place
+            left = heard - np.einsum("nks,nk->ns", own, single)
+            pull = (slopes @ left[:, :, None])[:, :, 0].astype(np.float64)
+            # The place after the coefficients are projected out, with their prior.
+            through = np.linalg.solve(gram + prior, cross)
+            curvature = inner - cross.transpose(0, 2, 1) @ through
+            if step < _STEPS - 1:
+                move = np.linalg.solve(curvature, pull[:, :, None])[:, :, 0].clip(-_LONGEST_STEP, _LONGEST_STEP)
+                x, y = (x + move[:, 0]).clip(x_low, x_high), (y + move[:, 1]).clip(y_low, y_high)
+        # The coefficients after the place is projected out, without their prior.
+        back = cross @ np.linalg.inv(inner)
+        push = (slopes @ heard[:, :, None])[:, :, 0].astype(np.float64)
+        _, cost = np.linalg.slogdet(np.eye(n_shapes) + level[:, None, None] ** 2 * gram)
+        gained = 0.5 * np.einsum("nk,nk->n", vector, force) - 0.5 * cost
+        rest, told = np.square(left, dtype=np.float64).sum(axis=1), np.maximum((weight > 0).sum(axis=1), 1)
+        deviation = np.sqrt(np.maximum(np.linalg.inv(curvature)[:, [0, 1], [0, 1]], 0.0))
+        return {
+            "predicted": (heard - left) / np.where(root > 0, root, 1),
+            "x": x,
+            "y": y,
+            "place_deviation": deviation,
+            "coefficients": force,
+            "information": gram - back @ cross.transpose(0, 2, 1),
+            "vector": vector - np.einsum("nki,ni->nk", back, push),
+            "evidence": gained / self.n_samples,
+            "misfit": rest / told,
+            "unexplained": np.maximum(rest - told, 0)
+            / np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300),
+        }
+
+
+def _cut(frames: NDArray[Any], start: NDArray[np.intp], n_samples: int) -> Floats:
+    """Return the samples of each row from its start on, zeros where the frame has ended."""
+    out = np.zeros((len(frames), n_samples))
+    for row, first in enumerate(np.clip(start, 0, frames.shape[1]).tolist()):
+        part = frames[row, first : first + n_samples]
+        out[row, : part.size] = part
+    return out

@@ -1,0 +1,286 @@
+"""A beam and its sensor as plain arrays: the response of each mode to a contact force, weighed by the place.
+
+`cgid.scene.through_beam` makes it from a scene, a model file holds it, and `cgid.identification.inversion` turns it
+round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import BadData
+from cgid.validation import Floats
+
+#: Points of a contact force to a sample, and length of a table of forces [s].
+FINE, FORCE_TIME = 16, 3.9e-3
+#: Samples at the start of a table of forces, within which touch lies.
+TOUCH = 7
+#: How long the response to a blow is compared [s].
+SPAN_TIME = 25e-3
+#: Distance of the places of the grid [m].
+GRID = 0.025
+#: Sampling rates [Hz]: a table of forces has 14 samples or more, a response at most 12,500.
+RATES = (2 * TOUCH / FORCE_TIME, 5e5)
+#: Most modes, places of the grid, and samples of all responses together (a quarter of a gigabyte in single precision).
+MOST_MODES, MOST_PLACES, MOST_NUMBERS = 1024, 1 << 14, 1 << 26
+#: Most shapes, poles of filters, and nodes in a direction.
+_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES = 64, 32, 512
+#: Moduli of poles and of filters over the sampling rate, least imaginary part of a pole over its modulus, and limits of
+#: other numbers above 0.
+_POLES, _CUT_OFFS, _LEAST_IMAGINARY, _NUMBERS = (1e-5, 1e3), (1e-3, 1e3), 1e-6, (1e-9, 1e9)
+
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Beam:
+    """A beam and its sensor as arrays.
+
+    Parameters
+    ----------
+    sampling_rate : float [Hz]
+        Of the recorder whose anti-alias filter `filters` describes.
+    poles : ndarray of complex, (n_modes,) [rad/s]
+        Of the modes, in the upper half-plane.
+    participation : ndarray, (n_modes, n_x, n_y) [1/kg]
+        Of each mode at the Chebyshev nodes (`nodes`) of the region where blows fall, including a gain.
+    region : ndarray, (4,) [m]
+        Lowest and highest x, lowest and highest y.
+    filters : ndarray of complex, (n_filter_poles,) [rad/s]
+        Poles of the sensor chain, in the upper half-plane and on the real axis.
+    derivatives : int
+        Of the displacement: 0, 1 or 2 for displacement, velocity or acceleration.
+    shapes : ndarray, (n_shapes, n_points) [1]
+        Principal shapes of contact forces, `FINE` points to a sample, before the filters.
+    deviations : ndarray, (n_shapes,) [1]
+        Standard deviation of the coefficient of each, for a force of peak 1.
+    """
+
+    #: Names of the arrays in a model file.
+    ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations")
+
+    sampling_rate: float
+    poles: NDArray[np.complex128]
+    participation: Floats
+    region: Floats
+    filters: NDArray[np.complex128]
+    derivatives: int
+    shapes: Floats
+    deviations: Floats
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples of a response to a blow."""
+        return round(SPAN_TIME * self.sampling_rate)
+
+    def grid(self, apart: float) -> tuple[Floats, Floats, Singles]:
+        """Return x and y of a grid of places in the region, each (n_places,) [m], and their weights as in `weights`."""
+        sides, own = [], []
+        for axis, n in enumerate(sides_of(self.region, apart)):
+            low, high = self.region[2 * axis : 2 * axis + 2].tolist()
+            sides.append(np.linspace(low, high, n))
+            own.append(lagrange(self.participation.shape[axis + 1], low, high, sides[-1])[0])
+        x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
+        at = (own[0] @ self.participation @ own[1].T).reshape(len(self.poles), -1)
+        return x, y, np.ascontiguousarray(at.T, dtype=np.float32)
+
+    def weights(self, x: Floats, y: Floats) -> tuple[Singles, Singles, Singles]:
+        """Return the participation of the modes at places (n,) [m] and its slopes in x and y, each (n, n_modes)."""
+        _, n_x, n_y = self.participation.shape
+        along, along_slope = lagrange(n_x, self.region[0], self.region[1], x)
+        across, across_slope = lagrange(n_y, self.region[2], self.region[3], y)
+        flat = np.ascontiguousarray(self.participation.transpose(1, 2, 0))
+        with_y, with_slope = np.tensordot(across, flat, (1, 1)), np.tensordot(across_slope, flat, (1, 1))
+        return (
+            np.einsum("nx,nxm->nm", along, with_y).astype(np.float32),
+            np.einsum("nx,nxm->nm", along_slope, with_y).astype(np.float32),
+            np.einsum("nx,nxm->nm", along, with_slope).astype(np.float32),
+        )
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The beam as arrays for a model file."""
+        found = {
+            "beam.scalars": np.array([self.sampling_rate, float(self.derivatives)]),
+            "beam.poles": np.stack([self.poles.real, self.poles.imag]),
+            "beam.participation": self.participation,
+            "beam.region": self.region,
+            "beam.filters": np.stack([self.filters.real, self.filters.imag]),
+            "beam.shapes": self.shapes,
+            "beam.deviations": self.deviations,
+        }
+        # A file holds no empty array.
+        return {name: array for name, array in found.items() if array.size}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Beam | None:
+        """Return the beam of `arrays`, checked; None if they hold none."""
+        own = {name.removeprefix("beam."): array for name, array in arrays.items() if name.startswith("beam.")}
+        if not own:
+            return None
+        own.setdefault("filters", np.empty((2, 0)))
+        names = cls.ARRAYS
+        if own.keys() != set(names) or any(own[name].dtype.kind != "f" for name in names):
+            raise BadData(f"a beam must have the arrays {', '.join(names)} of real numbers")
+        for name in names:
+            validation.real(f"beam.{name}", own[name])
+        if own["scalars"].shape != (2,):
+            raise BadData(f"beam.scalars must be sampling rate and derivatives, got shape {own['scalars'].shape}")
+        beam = cls(
+            sampling_rate=float(own["scalars"][0]),
+            derivatives=own["scalars"][1].item(),
+            poles=_complex("poles", own["poles"]),
+            filters=_complex("filters", own["filters"]),
+            **{name: own[name] for name in ("participation", "region", "shapes", "deviations")},
+        )
+        beam.check()
+        return replace(beam, derivatives=int(beam.derivatives))
+
+    def check(self) -> None:
+        """Raise `BadData` unless the arrays belong together and their tables are finite and of bounded size."""
+        validation.between("sampling_rate of a beam", self.sampling_rate, *RATES, "Hz")
+        n_modes, n_shapes = len(self.poles), self.deviations.size
+        size, rates = np.abs(self.participation), np.abs(self.poles) / self.sampling_rate
+        sound = (
+            self.derivatives in (0, 1, 2)
+            and (self.poles.real < 0).all()
+            and (self.poles.imag > _LEAST_IMAGINARY * np.abs(self.poles)).all()
+            and (self.filters.real < 0).all()
+            and (self.filters.imag >= 0).all()
+            and _inside(rates, *_POLES)
+            and _inside(np.abs(self.filters) / self.sampling_rate, *_CUT_OFFS)
+            and self.participation.ndim == 3
+            and len(self.participation) == n_modes
+            and _inside(size.max(initial=0.0), *_NUMBERS)
+            and self.region.shape == (4,)
+            and (self.region[1::2] >= self.region[::2]).all()
+            and self.deviations.ndim == 1
+            and self.shapes.shape == (n_shapes, points_of(self.sampling_rate))
+            and (np.abs(self.shapes).max(axis=1, initial=0.0) > _NUMBERS[0]).all()
+            and (np.abs(self.shapes) < _NUMBERS[1]).all()
+            and _inside(self.deviations, *_NUMBERS)
+        )
+        if not sound:
+            raise BadData("the arrays of a beam must fit each other, with poles that decay; train the model again")
+        counts = (n_shapes, len(self.filters), *self.participation.shape[1:])
+        most = (_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES, _MOST_NODES)
+        few = all(one <= limit for one, limit in zip(counts, most, strict=True))
+        if not few or not bounded(n_modes, n_shapes, self.n_samples, self.region):
+            raise BadData(
+                f"a beam must have at most {MOST_MODES} modes, {_MOST_SHAPES} shapes, {_MOST_NODES} nodes in a "
+                f"direction, {MOST_NUMBERS} samples of all responses and {MOST_PLACES} places, got {n_modes} modes, "
+                f"{n_shapes} shapes, {' x '.join(map(str, counts[2:]))} nodes, {n_modes * n_shapes * self.n_samples} "
+                f"samples and a region of {' x '.join(f'{side:g} m' for side in np.diff(self.region)[::2])}"
+            )
+
+
+def bounded(n_modes: int, n_shapes: int, n_samples: int, region: Floats) -> bool:
+    """Return whether the tables of a beam have a size that a computer can hold."""
+    along, across = sides_of(region, GRID)
+    return n_modes <= MOST_MODES and n_modes * n_shapes * n_samples <= MOST_NUMBERS and along * across <= MOST_PLACES
+
+
+def sides_of(region: Floats, apart: float) -> tuple[int, int]:
+    """Return the number of places of a grid in either direction."""
+    along, across = (int(np.ceil((high - low) / apart)) + 1 for low, high in region.reshape(2, 2).tolist())
+    return along, across
+
+
+def _inside(values: Floats, lowest: float, highest: float) -> bool:
+    return bool(np.all((values >= lowest) & (values <= highest)))
+
+
+def _complex(name: str, parts: Floats) -> NDArray[np.complex128]:
+    if parts.ndim != 2 or len(parts) != 2:
+        raise BadData(f"beam.{name} must be real and imaginary parts, got shape {parts.shape}")
+    return np.asarray(parts[0] + 1j * parts[1])
+
+
+def points_of(sampling_rate: float) -> int:
+    """Return the number of points of a table of forces."""
+    return FINE * round(FORCE_TIME * sampling_rate)
+
+
+def nodes(n: int, lowest: float, highest: float) -> Floats:
+    """Return n Chebyshev nodes between two places, ascending; of one node, the middle."""
+    return (lowest + highest) / 2 - (highest - lowest) / 2 * np.cos(np.pi * (np.arange(n) + 0.5) / n)
+
+
+def lagrange(n: int, lowest: float, highest: float, place: Floats) -> tuple[Floats, Floats]:
+    """Return the weights of n Chebyshev nodes at places (n_places,) and their slopes, each (n_places, n).
+
+    Through Chebyshev polynomials: `f(t) = sum_j c_j T_j(t)`, with `c_j` a cosine transform of the values at the nodes.
+    """
+    half = (highest - lowest) / 2
+    if n == 1 or half == 0:
+        return np.full((place.size, n), 1 / n), np.zeros((place.size, n))
+    angle = np.pi * (np.arange(n) + 0.5) / n
+    order = np.arange(n)
+    transform = np.cos(np.outer(order, np.pi - angle)) * (2 / n)
+    transform[0] /= 2
+    t = np.clip((place - (lowest + highest) / 2) / half, -1 + 1e-12, 1 - 1e-12)
+    theta = np.arccos(t)
+    values = np.cos(np.outer(theta, order))
+    slopes = order * np.sin(np.outer(theta, order)) / np.sin(theta)[:, None] / half
+    return values @ transform, slopes @ transform
+
+
+def gain(poles: NDArray[np.complex128], frequencies: NDArray[np.floating]) -> NDArray[np.complex128]:
+    """Return the gain of filters at frequencies [Hz]; 1 without any."""
+    s = 2j * np.pi * frequencies
+    out = np.ones(s.shape, complex)
+    for pole in poles:
+        both = pole.imag != 0
+        out *= (abs(pole) ** 2 / ((s - pole) * (s - pole.conjugate()))) if both else -pole.real / (s - pole)
+    return out
+
+
+def filtered(beam: Beam, forces: Floats) -> Floats:
+    """Return forces (..., n_points), `FINE` points to a sample, behind the filters of a beam."""
+    n_points = forces.shape[-1]
+    spectrum = np.fft.rfft(forces, 2 * n_points, axis=-1)
+    spectrum *= gain(beam.filters, np.fft.rfftfreq(2 * n_points, 1 / (FINE * beam.sampling_rate)))
+    return np.asarray(np.fft.irfft(spectrum, axis=-1)[..., :n_points])
+
+
+def _second(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return `(exp(z) - 1 - z) / z^2`, by its series where the terms would cancel."""
+    series = np.polynomial.polynomial.polyval(z, 1 / np.cumprod(np.arange(2.0, 11.0) * 1.0))
+    return np.where(np.abs(z) < 0.1, series, (np.expm1(z) - z) / z**2)
+
+
+def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
+    """Return the response of every mode to forces (n_forces, n_points) at samples, (n_modes, n_forces, n_samples).
+
+    A mode is a pole s: `x' = s x + f`, exact for forces straight between their points. Its displacement is
+    `Im x / Im s`, its derivatives have further factors s, and the acceleration has the force itself, too.
+    """
+    pole, step = beam.poles, 1 / (FINE * beam.sampling_rate)
+    z = pole * step
+    grown = np.exp(z)
+    late = step * _second(z)
+    early = step * np.expm1(z) / z - late
+    powers = grown[:, None] ** np.arange(FINE - 1, -1, -1)
+    points = np.zeros((len(pole), FINE + 1), complex)
+    points[:, :FINE] += powers * early[:, None]
+    points[:, 1:] += powers * late[:, None]
+    amplitude = pole**beam.derivatives / (1j * pole.imag)
+    over_a_sample = grown**FINE
+    state = np.zeros((len(pole), len(forces)), complex)
+    out = np.empty((len(pole), len(forces), n_samples))
+    longer = np.concatenate([forces, np.zeros((len(forces), 1))], axis=1)
+    for sample in range(n_samples):
+        out[:, :, sample] = (amplitude[:, None] * state).real
+        state *= over_a_sample[:, None]
+        if (sample + 1) * FINE <= forces.shape[1]:
+            own = longer[:, sample * FINE : (sample + 1) * FINE + 1]
+            state += points @ own.T
+            if beam.derivatives == 2:
+                out[:, :, sample] += own[:, 0]
+    return out

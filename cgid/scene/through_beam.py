@@ -1,0 +1,132 @@
+"""What it takes to look through a scene's beam to the force: beam, sensor and the contact forces of its rocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import eigh
+
+from cgid.errors import InvalidValue
+from cgid.measure.beam import FINE, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, nodes, points_of
+from cgid.physics.modes import MeasuredModes
+from cgid.physics.response import DERIVATIVES
+from cgid.scene.draws import BLOCK
+from cgid.scene.impacts import beam_modes, draw
+from cgid.scene.plan import highest_frequency
+from cgid.scene.schema import Scene
+from cgid.validation import Floats
+
+#: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
+_BLOCKS, _SEED, N_SHAPES = 12, 0x5EED_0002_C9D1, 18
+#: Multiples of the golden section fill an interval evenly.
+_GOLDEN = 0.6180339887498949
+#: Chebyshev nodes to a wave of the highest mode, and beyond.
+_NODES_A_WAVE, _NODES = 4.0, 7
+
+
+def beam_of(scene: Scene, n_shapes: int = N_SHAPES) -> Beam:
+    """Return the beam of a scene as arrays, with the principal shapes of its contact forces.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a tail beam and one sampling rate.
+    n_shapes : int
+        Number of principal shapes.
+
+    Returns
+    -------
+    Beam
+
+    Raises
+    ------
+    InvalidValue
+        The scene has no beam, records a force, or draws the band of its recorder.
+    """
+    if scene.tail_beam is None or scene.sensor.quantity == "force":
+        raise InvalidValue(
+            f"scene {scene.name}: must have a [tail_beam] and a sensor of motion to look through the beam; add them"
+        )
+    modes, chain = beam_modes(scene), scene.sensor.filters
+    rate = scene.sampling.sampling_rate
+    poles = -2 * np.pi * modes.frequency * (modes.damping_ratio - 1j * np.sqrt(1 - modes.damping_ratio**2))
+    participation, region = _participation(scene)
+    beam = Beam(
+        sampling_rate=rate,
+        poles=poles,
+        participation=participation,
+        region=region,
+        filters=np.concatenate([np.empty(0, complex), *(part.poles for part in chain)]),
+        derivatives=DERIVATIVES[scene.sensor.quantity],
+        shapes=np.zeros((0, points_of(rate))),
+        deviations=np.zeros(0),
+    )
+    forces = contact_forces(scene)
+    heard = filtered(beam, forces)
+    # Principal shapes of what passes the filters, as sums of whole forces: other filters can then be applied to them.
+    n_points = forces.shape[1]
+    power, shapes = eigh(heard.T @ heard, subset_by_index=(n_points - n_shapes, n_points - 1))
+    power, mixes = power[::-1], heard @ (shapes / power)[:, ::-1]
+    return replace(beam, shapes=mixes.T @ forces, deviations=np.sqrt(power / len(forces)))
+
+
+def has_beam(scene: Scene) -> bool:
+    """Return whether a scene has a beam to look through: a motion at one rate, of few enough modes."""
+    if (
+        scene.tail_beam is None
+        or scene.sensor.quantity == "force"
+        or any(scene.draws(name) for name in ("sampling_rate", "anti_alias_frequency"))
+        or scene.sampling.samples < 2
+    ):
+        return False
+    rate, n_modes = scene.sampling.sampling_rate, beam_modes(scene).frequency.size
+    return RATES[0] <= rate <= RATES[1] and bounded(n_modes, N_SHAPES, round(SPAN_TIME * rate), _region(scene))
+
+
+def contact_forces(scene: Scene) -> Floats:
+    """Return contact forces of the scene's rocks over their peaks, as in `Beam.shapes`."""
+    rate, n_points = scene.sampling.sampling_rate, points_of(scene.sampling.sampling_rate)
+    found = []
+    for block in range(_BLOCKS):
+        blows = draw(scene, _SEED, block)
+        forces = np.zeros((BLOCK, n_points))
+        touch = np.asarray((np.arange(BLOCK) * _GOLDEN) % 1 * TOUCH / rate, np.float64)
+        for strike in blows.strikes:
+            if strike.ratio is None:
+                own = np.zeros((strike.rows.size, n_points))
+                strike.pulses.add_to_frames(own, FINE * rate, np.asarray(touch[strike.rows], np.float64))
+                forces[strike.rows] = own
+        peak = forces.max(axis=1)
+        found.append(forces[peak > 0] / peak[peak > 0, None])
+    return np.concatenate(found)
+
+
+def _participation(scene: Scene) -> tuple[Floats, Floats]:
+    """Return the participation of the modes at Chebyshev nodes of the places of blows, and the region of these."""
+    assert scene.tail_beam is not None
+    modes, point = beam_modes(scene), scene.tail_beam.impact_point
+    gain = scene.sensor.gain or 1.0
+    if isinstance(modes.modes, MeasuredModes) or point is None or scene.panel is None:
+        at = modes.participation({"x": np.zeros(1)})[0] * gain
+        return at[:, None, None], np.zeros(4)
+    region = _region(scene)
+    sides = []
+    for low, high, stiffness in zip(
+        region[::2], region[1::2], (scene.panel.rigidities.along, scene.panel.rigidities.across), strict=True
+    ):
+        # A free wave, k^4 = omega^2 m / D.
+        omega = 2 * np.pi * highest_frequency(scene)
+        wave_number = np.sqrt(omega * np.sqrt(scene.panel.rigidities.mass / stiffness))
+        n = int(np.ceil(_NODES_A_WAVE * wave_number * (high - low) / (2 * np.pi))) + _NODES
+        sides.append(nodes(n if high > low else 1, low, high))
+    x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
+    at = modes.participation({"impact_x": x, "impact_y": y}) * gain
+    return np.ascontiguousarray(at.T.reshape(-1, sides[0].size, sides[1].size)), region
+
+
+def _region(scene: Scene) -> Floats:
+    """Return lowest and highest x, lowest and highest y of the places of blows [m]; zeros where they do not matter."""
+    assert scene.tail_beam is not None
+    point = scene.tail_beam.impact_point
+    return np.zeros(4) if point is None else np.array([*point.x.extremes, *point.y.extremes])
