@@ -303,23 +303,13 @@ class PulseBatch(Frames):
     def fit_problems(self) -> dict[int, str]:
         """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
         found = without_impact(self.samples, self.fit)
-        last = self.samples.shape[1] - 1
         middle = self.fit.onset + 0.5 * self.fit.duration
-        for row in np.flatnonzero((self.fit.onset < -0.5) | (middle > last)):
-            end, column = ("start", 0) if self.fit.onset[row] < -0.5 else ("end", last)
-            found.setdefault(
-                int(row),
-                f"the pulse must lie inside the frame, it is cut off by its {end} (sample {column}): record a "
-                "longer frame",
-            )
+        for row in np.flatnonzero((self.fit.onset < -0.5) | (middle > self.samples.shape[1] - 1)):
+            found.setdefault(int(row), self._cut_off(self.fit.onset[row] < -0.5))
         for row in np.flatnonzero(self.fit.width < MINIMUM_WIDTH):
-            span = self.fit.width[row] / self.sampling_rate
-            found.setdefault(
-                int(row),
-                f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse "
-                f"{self.fit.width[row]:.3g} samples of width; {MINIMUM_WIDTH:g} are needed and "
-                f"{WANTED_SAMPLES / 2:g} wanted: use {WANTED_SAMPLES / 2 / span:.3g} Hz or more",
-            )
+            width = self.fit.width[row]
+            said = f"{width:.3g} samples of width"
+            found.setdefault(int(row), self._too_short(width, said, MINIMUM_WIDTH, WANTED_SAMPLES / 2))
         return found
 
     # -- the spectrum ---------------------------------------------------------------------------------
@@ -347,21 +337,24 @@ class PulseBatch(Frames):
         for row in np.flatnonzero(cut_off):
             if np.ptp(self.samples[row]) == 0:
                 found.setdefault(int(row), constant_signal(self.samples[row, 0]))
-            end = "start" if first[row] == 0 else "end"
-            found.setdefault(
-                int(row),
-                f"the pulse must lie inside the frame, it is cut off by its {end} "
-                f"(sample {0 if end == 'start' else self.samples.shape[1] - 1}): record a longer frame",
-            )
+            found.setdefault(int(row), self._cut_off(first[row] == 0))
         for row in np.flatnonzero(count < MINIMUM_SAMPLES):
-            span = max(int(count[row]), 1) / self.sampling_rate
-            found.setdefault(
-                int(row),
-                f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse {count[row]} samples "
-                f"above 10 % of its peak; {MINIMUM_SAMPLES} are needed and {WANTED_SAMPLES} wanted: "
-                f"use {WANTED_SAMPLES / span:.3g} Hz or more",
-            )
+            said = f"{count[row]} samples above 10 % of its peak"
+            found.setdefault(int(row), self._too_short(max(count[row], 1), said, MINIMUM_SAMPLES, WANTED_SAMPLES))
         return found
+
+    def _cut_off(self, by_start: bool) -> str:
+        end, sample = ("start", 0) if by_start else ("end", self.samples.shape[1] - 1)
+        return (
+            f"the pulse must lie inside the frame, it is cut off by its {end} (sample {sample}): record a longer frame"
+        )
+
+    def _too_short(self, samples: float, said: str, needed: float, wanted: float) -> str:
+        span = samples / self.sampling_rate
+        return (
+            f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse {said}; {needed:g} are "
+            f"needed and {wanted:g} wanted: use {wanted / span:.3g} Hz or more"
+        )
 
 
 # -- features -----------------------------------------------------------------------------------------
