@@ -210,7 +210,7 @@ class DampedPlasticCurves(Curves):
         first = np.clip(np.floor(onset) + 1, 0, frames.shape[1]).astype(np.intp)
         last = np.clip(np.ceil(behind), first, frames.shape[1]).astype(np.intp)
         for rows in _alike(last - first):
-            width = int((last - first)[rows[-1]])
+            width = int((last - first)[rows].max())
             tau = (first[rows, None] + np.arange(width) - onset[rows, None]) * step[rows, None]
             force = (amplitude[rows, None] * self._at(rows, tau, "force", threads)).astype(frames.dtype)
             for row, values in zip(rows.tolist(), force, strict=True):
@@ -454,15 +454,9 @@ class _Quarter:
 
 
 def _alike(widths: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Return the rows whose pulses have samples in groups of about the same number, the last of each with most."""
-    order = np.argsort(widths, kind="stable")
-    order = order[widths[order] > 0]
-    groups, start = [], 0
-    while start < order.size:
-        stop = start + 1
-        while stop < order.size and widths[order[stop]] <= 1.5 * widths[order[start]] + 8:
-            stop += 1
-        most = max(_MOST_AT_ONCE // int(widths[order[stop - 1]]), 1)
-        groups += [order[first : min(first + most, stop)] for first in range(start, stop, most)]
-        start = stop
+    """Return the rows whose pulses have samples, in groups within a factor of two in their number."""
+    groups, exponents = [], np.frexp(widths)[1]
+    for exponent in np.unique(exponents[widths > 0]).tolist():
+        rows = np.flatnonzero(exponents == exponent)
+        groups += np.array_split(rows, min(-(-rows.size * 2**exponent // _MOST_AT_ONCE), rows.size))
     return groups
