@@ -10,7 +10,7 @@ import scipy
 from cgid.ceiling import Ceiling, ceiling
 from cgid.ceiling.coloured import maps, noise_of
 from cgid.errors import InvalidValue
-from cgid.measure.likelihood import _dimensionless
+from cgid.measure.prior import _dimensionless
 from cgid.scene import parse_scene, synthesise
 from cgid.scene.impacts import draw
 from tests import few, naive

@@ -5,6 +5,7 @@ import pytest
 from scipy import linalg, optimize
 
 from cgid.identification.estimation import cramer_rao_bound, estimate
+from cgid.measure import search, template
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.features import extract_array, extract_truncated
 from cgid.measure.fit import MODEL_ERROR
@@ -52,6 +53,18 @@ def test_quick_template_is_the_template(s, known):
     outside = (share < 0) | (share > 1)
     assert np.abs(value[0][outside]).max() < 1e-6
     assert np.abs(slopes[0, :-1, outside]).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("table", "n"), [(template._table, 129), (template._quick_table, 129), (search._fine_bank, 201)]
+)
+def test_tables_do_not_depend_on_which_rows_come_first(table, n):
+    """Bit for bit, made one or a few at a time as at once."""
+    whole, found = (table.__wrapped__() for _ in range(2))
+    order = np.random.default_rng(52).permutation(n)
+    for rows in (order[:1], order[1:2], np.array([0, n - 1, 1]), order[:9], order[5:40], order):
+        for own, all_of_them in zip(found(rows), whole(np.arange(n)), strict=True):
+            np.testing.assert_array_equal(own[rows], all_of_them[rows])
 
 
 # -- the global optimum -------------------------------------------------------------------------------------------

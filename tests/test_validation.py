@@ -13,8 +13,9 @@ from cgid.errors import InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.estimation import estimate, posterior
 from cgid.identification.reference import MeanSpectrum
-from cgid.measure.likelihood import Prior, cramer_rao_bound
+from cgid.measure.likelihood import cramer_rao_bound
 from cgid.measure.overview import OverviewStream
+from cgid.measure.prior import Prior
 from cgid.physics import RIGID, Elastic, HuntCrossley, ThinPlate
 from cgid.physics.materials import STEEL, Material
 from cgid.recordings import open_recording

@@ -17,7 +17,8 @@ from cgid.errors import BadData, InvalidValue
 from cgid.measure.filters import low_pass_response
 from cgid.measure.fit import PulseFit, fit_pulses, without_impact
 from cgid.measure.frames import LARGEST, frames_of
-from cgid.measure.likelihood import Bound, Prior, cramer_rao_bound, profile
+from cgid.measure.likelihood import Bound, cramer_rao_bound, profile
+from cgid.measure.prior import Prior
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import parameters_of
 from cgid.validation import Floats, require_rate

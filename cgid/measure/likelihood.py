@@ -1,14 +1,10 @@
-"""What samples tell about a pulse: the Cramer-Rao bound, the likelihood along the shape, and priors of populations.
+"""What samples tell about a pulse: the Cramer-Rao bound, and the likelihood along the shape.
 
 The bound (Rao 1945, Cramer 1946) limits how well any unbiased estimate can know the parameters of a pulse.
 
 The profile is the likelihood of the shape s = ln e. At a given shape, peak, duration and onset are well determined
 and their likelihood is nearly Gaussian, so Laplace's approximation integrates them. Along the shape the likelihood
 may be skewed or have two maxima; it is computed on a grid on which the standard deviation is the same everywhere.
-
-A prior is the density of peak, duration and shape in a population. Without the shape, peak and duration are the scales
-of an impact, `P0 = K L^(3/2)` and `T0 = L / v`. They follow from size, material and speed and do not depend on the
-loss. Their density and that of the shape are therefore kept separately, as smoothed histograms of draws.
 """
 
 from __future__ import annotations
@@ -22,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import family, validation
+from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.measure.excerpts import rows_of, windows
 from cgid.measure.filters import low_pass_response, mixing_matrix
@@ -50,12 +46,8 @@ _RINGING = 1.0
 _REACH = 6.5
 #: Evaluations of the fit at each node of a profile, and rows of profiles computed at once.
 _ITERATIONS, _PROFILED_ROWS = 5, 256
-#: Nodes along each of peak and duration at a node of a profile, and the widest distribution there.
-_HERMITE, _WIDEST = 3, 0.5
-#: Cells of a prior's histograms, and the standard deviation of the smoothing in cells.
-_CELLS, _SMOOTHING = 240, 1.2
-#: Lowest density over the largest: draws cannot prove that something is impossible.
-_FLOOR = 1e-9
+#: Widest distribution of peak and duration at a node of a profile.
+_WIDEST = 0.5
 
 
 # -- the bound ----------------------------------------------------------------------------------------
@@ -425,155 +417,3 @@ def _inside(
 
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
-
-
-# -- the prior ----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """Density of the pulses of one population.
-
-    Attributes
-    ----------
-    log_scales : ln of the density of (ln P0 - 2 ln T0, ln T0), (n_cells, n_cells); the first is independent of size
-    scale_edges : first edge and width of its cells, each (2,)
-    log_shape : ln of the density of s = ln e, (n_cells,)
-    shape_edges : first edge and width of its cells
-    """
-
-    log_scales: Floats
-    scale_edges: tuple[Floats, Floats]
-    log_shape: Floats
-    shape_edges: tuple[float, float]
-
-    @classmethod
-    def from_draws(cls, log_peak: Floats, log_duration: Floats, restitution: Floats) -> Prior:
-        """Return the density of draws, each (n,); 100,000 or more leave little noise.
-
-        The restitution must be independent of the other two within the population.
-        """
-        log_peak, log_duration, restitution = validation.broadcast(
-            log_peak=validation.real("log_peak", log_peak),
-            log_duration=validation.real("log_duration", log_duration),
-            restitution=validation.positive("restitution", restitution),
-        )
-        shape = np.log(restitution)
-        size_free, time = _scales(log_peak, log_duration, shape)
-        points = np.stack([size_free, time], axis=1)
-        low, high = points.min(axis=0), points.max(axis=0)
-        margin = np.maximum(0.03 * (high - low), 1e-3)
-        low, high = low - margin, high + margin
-        counts, _, _ = np.histogram2d(size_free, time, bins=_CELLS, range=list(zip(low, high, strict=True)))
-        width = (high - low) / _CELLS
-        shape_low, shape_high = float(shape.min()), float(shape.max())
-        shape_margin = max(0.02 * (shape_high - shape_low), 1e-3)
-        shape_low, shape_high = shape_low - shape_margin, min(shape_high + shape_margin, 0.0 + shape_margin)
-        shape_counts, _ = np.histogram(shape, bins=_CELLS, range=(shape_low, shape_high))
-        shape_width = (shape_high - shape_low) / _CELLS
-        return cls(
-            _log_density(_smoothed(_smoothed(counts, 0), 1), width.prod()),
-            (low, width),
-            _log_density(_smoothed(shape_counts.astype(np.float64), 0), shape_width),
-            (shape_low, shape_width),
-        )
-
-    @property
-    def shape_bounds(self) -> tuple[float, float]:
-        """Lowest and highest shape with a density above the floor."""
-        held = np.flatnonzero(self.log_shape > self.log_shape.max() + np.log(_FLOOR) + 1)
-        first, width = self.shape_edges
-        return first + width * float(held[0]), first + width * float(held[-1] + 1)
-
-    def log_density(self, log_peak: Floats, log_duration: Floats, shape: Floats) -> Floats:
-        """Return ln of the density of (ln peak, ln duration, s) at points of any common shape."""
-        size_free, time = _scales(log_peak, log_duration, shape)
-        low, width = self.scale_edges
-        first, step = self.shape_edges
-        return _bilinear(self.log_scales, (size_free - low[0]) / width[0], (time - low[1]) / width[1]) + _linear(
-            self.log_shape, (shape - first) / step
-        )
-
-    def evidence(
-        self, along: Profile, log_peak_offset: Floats | float = 0.0, log_time_offset: Floats | float = 0.0
-    ) -> Floats:
-        """Return ln of the probability of each signal, (n,), plus a constant of the signal.
-
-        The offsets, (n, 1) or float, are added to the profile's ln(peak) and ln(duration): its duration is in samples,
-        and a known speed shifts both.
-        """
-        return _log_sum(self._joint(along, log_peak_offset, log_time_offset))
-
-    def log_posterior(self, along: Profile, log_time_offset: Floats | float = 0.0) -> Floats:
-        """Return ln of the probability of each node, (n, n_nodes); offset as in `evidence`."""
-        joint = self._joint(along, 0.0, log_time_offset)
-        return np.asarray(joint - _log_sum(joint)[:, None])
-
-    def _joint(self, along: Profile, log_peak_offset: Floats | float, log_time_offset: Floats | float) -> Floats:
-        """Return ln of likelihood times prior, whose mean over peak and duration is by Gauss-Hermite quadrature."""
-        nodes, weights = np.polynomial.hermite_e.hermegauss(_HERMITE)
-        log_peak, log_duration = along.log_peak + log_peak_offset, along.log_duration + log_time_offset
-        density = np.zeros(along.shape.shape)
-        for x, outer in zip(nodes, weights / weights.sum(), strict=True):
-            for y, inner in zip(nodes, weights / weights.sum(), strict=True):
-                at = self.log_density(
-                    log_peak + along.peak_deviation * x,
-                    log_duration + along.cross * x + along.duration_deviation * y,
-                    along.shape,
-                )
-                density += outer * inner * np.exp(at)
-        with np.errstate(divide="ignore"):
-            return np.asarray(along.log_weight + np.log(density))
-
-
-def _log_sum(terms: Floats) -> Floats:
-    top = terms.max(axis=1)
-    return np.asarray(top + np.log(np.sum(np.exp(terms - top[:, None]), axis=1)))
-
-
-def _scales(log_peak: Floats, log_duration: Floats, shape: Floats) -> tuple[Floats, Floats]:
-    """Return ln P0 - 2 ln T0 and ln T0."""
-    contact, peak = _dimensionless(shape)
-    time = log_duration - contact
-    return log_peak - peak - 2 * time, time
-
-
-def _dimensionless(shape: Floats) -> tuple[Floats, Floats]:
-    """Return ln of contact duration and of peak force of the dimensionless pulse."""
-    grid = np.linspace(np.log(family.LOWEST_RESTITUTION), 0.0, 1201)
-    contact, peak_time, _ = family.times(np.exp(grid))
-    peak = family.force(peak_time[:, None], np.exp(grid))[:, 0]
-    return np.interp(shape, grid, np.log(contact)), np.interp(shape, grid, np.log(peak))
-
-
-def _smoothed(counts: Floats, axis: int) -> Floats:
-    offsets = np.arange(-4, 5)
-    kernel = np.exp(-0.5 * (offsets / _SMOOTHING) ** 2)
-    kernel /= kernel.sum()
-    return np.asarray(np.apply_along_axis(lambda row: np.convolve(row, kernel, mode="same"), axis, counts))
-
-
-def _log_density(counts: Floats, cell: float) -> Floats:
-    density = counts / counts.sum() / cell
-    return np.asarray(np.log(np.maximum(density, _FLOOR * density.max())))
-
-
-def _cell(place: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the cell whose middle is below a place and the share of the way to the next; constant beyond the ends."""
-    inside = np.clip(place - 0.5, 0.0, _CELLS - 1.000001)
-    cell = inside.astype(np.intp)
-    return cell, inside - cell
-
-
-def _linear(values: Floats, place: Floats) -> Floats:
-    cell, share = _cell(place)
-    beyond = (place < 0) | (place > _CELLS)
-    return np.where(beyond, values.max() + np.log(_FLOOR), values[cell] + share * (values[cell + 1] - values[cell]))
-
-
-def _bilinear(values: Floats, place: Floats, other: Floats) -> Floats:
-    (i, a), (j, b) = _cell(place), _cell(other)
-    near = values[i, j] + b * (values[i, j + 1] - values[i, j])
-    far = values[i + 1, j] + b * (values[i + 1, j + 1] - values[i + 1, j])
-    beyond = (place < 0) | (place > _CELLS) | (other < 0) | (other > _CELLS)
-    return np.where(beyond, values.max() + np.log(_FLOOR), near + a * (far - near))

@@ -61,7 +61,7 @@ class RowsOnDemand:
         return self._held
 
 
-def _dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return restitution, contact time, time of the peak and peak of the dimensionless pulse, each (n,)."""
     restitution = np.minimum(np.exp(shapes), family.HIGHEST_RESTITUTION)
     contact, peak_time, _ = family.times(restitution)
@@ -74,7 +74,7 @@ def _times() -> Floats:
 
     Over the width (impulse over peak), with two derivatives in s.
     """
-    restitution, contact, peak_time, peak = _dimensionless(_NODES)
+    restitution, contact, peak_time, peak = dimensionless(_NODES)
     # The impulse of m x'' from 1 to -e is 1 + e.
     times = np.stack([contact, peak_time], axis=1) * (peak / (1 + restitution))[:, None]
     # Beyond s = 0: the same, reversed.
@@ -114,7 +114,7 @@ def _curves(rows: NDArray[np.intp]) -> Floats:
     """Return pulses over their peaks at some nodes of s and all of w."""
     w = np.arange(_PLACES + 1) / _PLACES
     u = np.sin(np.pi / 4 + np.arcsin((2 * w - 1) / np.sqrt(2))) ** 2  # w is (1 + sin - cos) / 2 of that angle
-    restitution, contact, _, peak = _dimensionless(_NODES[rows])
+    restitution, contact, _, peak = dimensionless(_NODES[rows])
     return family.force(u * contact[:, None], restitution) / peak[:, None]
 
 
