@@ -358,6 +358,13 @@ class Diagnosis:
                 (*self._corrected("--unit", "m/s^2"), *self._training()),
             )
         reason = "they are clear, but unlike those of the training, as on another beam, mount or sensor"
+        if cause == "shape" and model.beam is not None:
+            return (
+                "they are clear, but the modes of the model's beam do not explain them: it is another beam, or it has "
+                "changed",
+                "learn the modes of this beam from the recording, with a scene of its size, and train on the result",
+                self._calibration(),
+            )
         if cause == "shape":
             reason = "they are no single pulses like those of the training, as where the sensor rings or filters"
         elif causes:
@@ -401,6 +408,14 @@ class Diagnosis:
             )
         # What only the former model asks for: the new one sees the samples as they are.
         return (*train, self._predict("--model", "mine.npz", dropped=("--mass", "--drop-height", "--sensor")))
+
+    def _calibration(self) -> tuple[str, ...]:
+        """Return the commands that make a model of this recording's beam."""
+        return (
+            shlex.join(["cgid", "calibrate", self._source, *self._options, "--scene", "tail_beam", "-o", "site.toml"]),
+            "cgid train site.toml -o site.npz",
+            self._predict("--model", "site.npz"),
+        )
 
 
 def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:
@@ -451,5 +466,5 @@ def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
         return ("noise" if answer.problem.startswith("no impact") else "unmeasured"), False
     if not cause:
         return "coverage", False
-    own = {"misfit": "shape", "unexplained": "shape", **{name: name for name in _TESTED}}
+    own = {"misfit": "shape", "unexplained": "shape", "beam_unexplained": "shape", **{name: name for name in _TESTED}}
     return own.get(cause, "features"), False
