@@ -265,14 +265,14 @@ class Inversion:
         return self.beam.grid(GRID)
 
     @cached_property
-    def _colour_tables(self) -> dict[tuple[float, float | None], tuple[Singles, Floats, Singles]]:
+    def _colour_tables(self) -> dict[tuple[float, float | None], tuple[Singles, Floats, Singles, Singles, Singles]]:
         return {}
 
-    def _coarse(self, exponent: float, limit: float | None = None) -> tuple[Singles, Floats, Singles]:
-        """Return power and rotation of the shapes at each place of the grid, and the weight of each coefficient.
+    def _coarse(self, exponent: float, limit: float | None = None) -> tuple[Singles, Floats, Singles, Singles, Singles]:
+        """Return the rotation of the shapes at each place of the grid, `_shares`, and the weight of each coefficient.
 
-        They diagonalise what the samples tell of the coefficients in noise of power f^-exponent: (n_places, n_shapes,
-        n_shapes) and (n_places, n_shapes).
+        The rotation diagonalises what the samples tell of the coefficients in noise of power f^-exponent, (n_places,
+        n_shapes, n_shapes).
         """
         key = exponent, limit
         if key not in self._colour_tables:
@@ -289,7 +289,7 @@ class Inversion:
                 gram[part] = response @ response.transpose(0, 2, 1)
             power, rotation = np.linalg.eigh(gram.astype(np.float64))
             turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
-            self._colour_tables[key] = turned, np.maximum(power, 0.0), weight
+            self._colour_tables[key] = turned, *_shares(np.maximum(power, 0.0)), weight
         return self._colour_tables[key]
 
     def _heard(self, limit: float | None) -> Singles:
@@ -372,8 +372,8 @@ class Inversion:
         return found
 
     @cached_property
-    def _low(self) -> tuple[NDArray[np.intp], Singles, Singles, Singles, Floats]:
-        """The tables that find the start: coefficients, responses, weights of places, and rotation and power there."""
+    def _low(self) -> tuple[NDArray[np.intp], Singles, Singles, Singles, Singles, Singles]:
+        """The tables that find the start: coefficients, responses, weights of places, and rotation, shares, costs."""
         n_bins = self.bins.stop - self.bins.start
         n_low = min(max(int(_LOW * self.n_samples / self.beam.sampling_rate), 16), n_bins)
         kept = np.concatenate([np.arange(n_low), n_bins + np.arange(n_low)])
@@ -385,7 +385,7 @@ class Inversion:
         response = (at @ table.reshape(modes.size, -1)).reshape(len(at), n_shapes, kept.size)
         power, rotation = np.linalg.eigh((response @ response.transpose(0, 2, 1)).astype(np.float64))
         turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
-        return kept, np.ascontiguousarray(table), at, turned, np.maximum(power, 0.0)
+        return kept, np.ascontiguousarray(table), at, turned, *_shares(np.maximum(power, 0.0))[1:]
 
     def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
@@ -393,7 +393,7 @@ class Inversion:
         steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
         if steps.size == 1:
             return np.asarray(first)
-        kept, table, at, turned, power = self._low
+        kept, table, at, turned, share, cost = self._low
         samples = self.transformed(_cut(sought.frames, first, self.n_samples) / sought.noise[:, None])[:, kept]
         half = kept.size // 2
         spectrum = samples[:, :half] + 1j * samples[:, half:]
@@ -403,12 +403,11 @@ class Inversion:
         shifted = np.concatenate([shifted.real, shifted.imag], axis=1).astype(np.float32) * trusted
         heard = table.reshape(-1, kept.size) @ shifted.T
         told = np.square(turned @ (at @ heard.reshape(len(table), -1)).reshape(len(at), table.shape[1], -1))
-        best = np.full(len(shifted), -np.inf)
-        for height in _LEVELS / np.sqrt(np.median(power.sum(axis=1))):
-            share = (0.5 / (power + 1 / height**2)).astype(np.float32)
-            cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
-            best = np.maximum(best, ((share[:, None] @ told)[:, 0] - cost[:, None]).max(axis=0))
-        evidence = best.reshape(len(start), steps.size)
+        best: NDArray[np.floating] = np.full(len(shifted), -np.inf, np.float32)
+        for first_place in range(0, len(at), _ROWS):
+            part = slice(first_place, first_place + _ROWS)
+            best = np.maximum(best, (share[part] @ told[part] - cost[part]).max(axis=(0, 1)))
+        evidence = best.reshape(len(start), steps.size).astype(np.float64)
         evidence[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
         trust = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         # A force begins so softly that a late start explains the samples as well: rather begin early.
@@ -426,23 +425,19 @@ class Inversion:
         flat = self._table.reshape(-1, samples.shape[1])
         for number in np.unique(nearest).tolist():
             rows = np.flatnonzero(nearest == number)
-            turned, power, law = self._coarse(_COLOURS[number], limit)
+            turned, levels, share, cost, law = self._coarse(_COLOURS[number], limit)
             # The law has a mean weight of 1; the level of the noise is that of its middle.
             heard_at = law > 0
             scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
             heard = flat @ (samples[rows] * weight[rows] / np.sqrt(scale)[:, None]).T
             at_places = (at @ heard.reshape(len(self.beam.poles), -1)).reshape(len(at), n_shapes, rows.size)
             told = np.square(turned @ at_places)
-            typical = np.sqrt(np.median(power.sum(axis=1)))
-            for height in _LEVELS / typical:
-                share = (0.5 / (power + 1 / height**2)).astype(np.float32)
-                cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
-                evidence = (share[:, None] @ told)[:, 0] - cost[:, None]
-                first = np.argmax(evidence, axis=0)
-                top = evidence[first, np.arange(rows.size)]
-                better = rows[top > out[0][rows]]
-                for array, new in zip(out, (top, first, np.full(rows.size, height)), strict=True):
-                    array[better] = new[np.searchsorted(rows, better)]
+            evidence = share @ told
+            evidence -= cost
+            of_levels = evidence.max(axis=0)
+            own = np.argmax(of_levels, axis=0)
+            out[0][rows], out[2][rows] = of_levels[own, np.arange(rows.size)], levels[own]
+            out[1][rows] = np.argmax(evidence[:, own, np.arange(rows.size)], axis=0)
         return out
 
     def _refined(self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats) -> dict[str, Any]:
@@ -451,20 +446,23 @@ class Inversion:
         x_low, x_high, y_low, y_high = self.beam.region
         root = np.sqrt(weight)
         heard = samples * root
+        coloured = bool((weight != 1).any())
         prior = np.eye(n_shapes) / level[:, None, None] ** 2
         prior_place = np.eye(2) / _PLACE_DEVIATION**2
         for step in range(_STEPS):
             at = np.concatenate(self.beam.weights(x, y))
-            ways = (at @ self._table).reshape(3, n, n_shapes, -1) * root[:, None]
+            ways = (at @ self._table).reshape(3, n, n_shapes, -1)
+            if coloured:
+                ways *= root[:, None]
             own = ways[0]
             gram = (own @ own.transpose(0, 2, 1)).astype(np.float64)
             vector = (own @ heard[:, :, None])[:, :, 0].astype(np.float64)
             force = np.linalg.solve(gram + prior, vector[:, :, None])[:, :, 0]
             single = force.astype(np.float32)
-            slopes = np.einsum("wnks,nk->nws", ways[1:], single)
+            slopes = (single[:, None] @ ways[1:])[:, :, 0].transpose(1, 0, 2)
             cross = (own @ slopes.transpose(0, 2, 1)).astype(np.float64)
             inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + prior_place
-            left = heard - np.einsum("nks,nk->ns", own, single)
+            left = heard - (single[:, None] @ own)[:, 0]
             pull = (slopes @ left[:, :, None])[:, :, 0].astype(np.float64)
             # The place after the coefficients are projected out, with their prior.
             through = np.linalg.solve(gram + prior, cross)
@@ -492,6 +490,17 @@ class Inversion:
             "unexplained": np.maximum(rest - told, 0)
             / np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300),
         }
+
+
+def _shares(power: Floats) -> tuple[Floats, Singles, Singles]:
+    """Return levels of the force, what squares of rotated vectors add to the evidence for each, and what it costs.
+
+    Power is (n_places, n_shapes); shapes (n_levels,), (n_places, n_levels, n_shapes) and (n_places, n_levels, 1).
+    """
+    levels = _LEVELS / np.sqrt(np.median(power.sum(axis=1)))
+    share = 0.5 / (power[:, None] + levels[:, None] ** -2)
+    cost = 0.5 * np.log1p(levels[:, None] ** 2 * power[:, None]).sum(axis=2, keepdims=True)
+    return levels, share.astype(np.float32), cost.astype(np.float32)
 
 
 def _cut(frames: NDArray[Any], start: NDArray[np.intp], n_samples: int) -> Floats:

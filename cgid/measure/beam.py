@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -95,13 +96,15 @@ class Beam:
         _, n_x, n_y = self.participation.shape
         along, along_slope = lagrange(n_x, self.region[0], self.region[1], x)
         across, across_slope = lagrange(n_y, self.region[2], self.region[3], y)
-        flat = np.ascontiguousarray(self.participation.transpose(1, 2, 0))
-        with_y, with_slope = np.tensordot(across, flat, (1, 1)), np.tensordot(across_slope, flat, (1, 1))
-        return (
-            np.einsum("nx,nxm->nm", along, with_y).astype(np.float32),
-            np.einsum("nx,nxm->nm", along_slope, with_y).astype(np.float32),
-            np.einsum("nx,nxm->nm", along, with_slope).astype(np.float32),
-        )
+        with_y, with_slope = ((side @ self._by_y).reshape(-1, n_x, len(self.poles)) for side in (across, across_slope))
+        both = np.stack([along, along_slope], axis=1) @ with_y
+        last = along[:, None] @ with_slope
+        return both[:, 0].astype(np.float32), both[:, 1].astype(np.float32), last[:, 0].astype(np.float32)
+
+    @cached_property
+    def _by_y(self) -> Floats:
+        """Participation, (n_y, n_x * n_modes)."""
+        return np.ascontiguousarray(self.participation.transpose(2, 1, 0).reshape(self.participation.shape[2], -1))
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
