@@ -238,7 +238,7 @@ class Inversion:
         limit: float | None,
     ) -> Inverted:
         begun = self._start(frames, start, noise, weight)
-        samples = self.transformed(_cut(frames, begun, self.n_samples) / noise[:, None])
+        samples = self.transformed(cut(frames, begun, self.n_samples) / noise[:, None])
         _, place, level = self._search(samples, weight, exponent, limit)
         return Inverted(start=begun, noise=noise, **self._refined(samples, weight, place, level))
 
@@ -268,7 +268,7 @@ class Inversion:
         if steps.size == 1:
             return np.asarray(first)
         kept, table, at, turned, power = self._low
-        samples = self.transformed(_cut(frames, first, self.n_samples) / noise[:, None])[:, kept]
+        samples = self.transformed(cut(frames, first, self.n_samples) / noise[:, None])[:, kept]
         half = kept.size // 2
         spectrum = samples[:, :half] + 1j * samples[:, half:]
         turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, half + 1)) / self.n_samples)
@@ -366,7 +366,7 @@ class Inversion:
         }
 
 
-def _cut(frames: NDArray[np.floating], start: NDArray[np.intp], n_samples: int) -> Floats:
+def cut(frames: NDArray[np.floating], start: NDArray[np.intp], n_samples: int) -> Floats:
     """Return the samples of each row from its start on, zeros where the frame has ended."""
     out = np.zeros((len(frames), n_samples))
     for row, first in enumerate(np.clip(start, 0, frames.shape[1]).tolist()):
