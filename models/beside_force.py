@@ -15,7 +15,6 @@ from cgid.identification.card import plain, table
 from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
 from cgid.identification.training import train
-from cgid.measure.features import choose, supported
 from cgid.scene import Scene, load_scene, synthesise, varied
 
 #: No training uses it.
@@ -67,16 +66,6 @@ def force_model(scene: Scene, n_signals: int, seed: int) -> Model:
     return train(synthesise(of_force(scene), n_signals, seed), family="logistic", seed=seed).model
 
 
-def learner(scene: Scene, n_signals: int, seed: int) -> dict[str, Any]:
-    """Return how far boosting comes that sees every feature of the vibrations; the split is that of the model."""
-    sampling = scene.sampling
-    names = supported(choose(None, "vibration"), sampling.sampling_rate, sampling.samples)
-    metrics = train(synthesise(scene, n_signals, seed), features=names, family="boosting", seed=seed).metrics
-    low, high = metrics["accuracy_interval_95"]
-    name = f"Boosting on all {len(names)} features of {n_signals} impacts"
-    return {"name": name, "n": metrics["n_impacts"], "accuracy": metrics["accuracy"], "low": low, "high": high}
-
-
 def _hits(model: Model, batches: list[Any]) -> Any:
     """Return for which impacts the most probable label is the right one, (n_impacts,)."""
     answers = chain.from_iterable(
@@ -93,26 +82,14 @@ def _most_probable(answer: Answer) -> str | None:
 def force_table(row: dict[str, Any]) -> list[str]:
     """Return the comparison of a model of vibrations with one of the contact force of the same impacts.
 
-    `row` has name (of the other model), n, accuracy, force_accuracy, difference, standard_error, and optionally
-    learner: name, n, accuracy, low and high of the best learner.
+    `row` has name (of the other model), n, accuracy, force_accuracy, difference, standard_error.
     """
     rows = [
         ("this model, on the vibration", row["n"], f"{row['accuracy']:.4f}"),
         (plain(row["name"]), row["n"], f"{row['force_accuracy']:.4f}"),
     ]
     lost = f"{row['difference']:.4f} ± {row['standard_error']:.4f} of the accuracy"
-    lines = [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
-    if "learner" not in row:
-        return lines
-    learner = row["learner"]
-    return [
-        *lines,
-        "",
-        "Nobody integrates the likelihood of a vibration here: a learner holds the ceiling from below. "
-        f"{plain(learner['name'])} is right in {learner['accuracy']:.4f} (95 % interval {learner['low']:.4f} to "
-        f"{learner['high']:.4f}) of the {learner['n']} impacts that judge. From above the ceiling of the force "
-        "holds it, for the force has all that the vibration has. It lies between the two.",
-    ]
+    return [*table(("the same impacts", "number", "accuracy"), rows), "", f"The way through the beam costs {lost}."]
 
 
 def main() -> None:

@@ -398,6 +398,11 @@ class Models:
             self._models[key] = model
         return self._models[key]
 
+    @property
+    def expects_acceleration(self) -> bool:
+        """Whether the given model is one of acceleration."""
+        return self._one_for_all and self.of(None).quantity == "acceleration"
+
     def name(self, model: Model) -> str:
         """Return the file name of a model, or which default model it is."""
         if self._path is not None:

@@ -277,7 +277,7 @@ class _Tally:
     cls=Command, short_help="Identify the material of the impacts in recordings.", example="cgid predict --sample"
 )
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
-@click.option("--sample", is_flag=True, help="Use the recording that comes with cgid.")
+@click.option("--sample", is_flag=True, help="Use the recording that comes with cgid, of what the model expects.")
 @answering_options
 @click.option(
     "--report", type=PATH, metavar="PAGE", help="Write one page (.html) with pictures and answers of the recordings."
@@ -312,11 +312,12 @@ def predict(
     from cgid import shipped
     from cgid.recordings import is_dataset
 
-    if sample:
-        files = (*files, str(shipped.path_of("datasets", shipped.SAMPLE)))
-    if not files:
+    if not files and not sample:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
     models, question = question_of(**options, invert=reading.invert, milliseconds=reading.milliseconds)
+    if sample:
+        name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
+        files = (*files, str(shipped.path_of("datasets", name)))
     pages = None if report is None else Pages(report, overwrite)
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)))

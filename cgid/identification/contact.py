@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import family
-from cgid.identification.inversion import Inversion, Inverted
+from cgid.identification.inversion import Inversion, Inverted, Ringing, Rowwise, Sought
 from cgid.measure.beam import FINE, TOUCH, Beam, gain
-from cgid.measure.colour import colour_of
+from cgid.measure.colour import Colour, colour_of
 from cgid.measure.template import relative_times
 from cgid.measure.vibration import VibrationBatch
 from cgid.validation import Floats
@@ -37,12 +37,18 @@ REACH = 1.2e-3
 #: Recorders within this share have the same sampling rate; of others the band up to this share of the lower rate tells.
 _SAME_RATE, _TOP = 1e-6, 0.41
 _LARGEST_RATIO = 1000
+#: A touch within this of the ends of the table of forces is sought so much further on [samples].
+_EDGE, _BESIDE = 0.35, 4
+#: Samples before touch that show ringing: fewest and most.
+_FEWEST_QUIET, _MOST_QUIET = 64, 256
+#: Samples at a limit share their value within this, and are at least so many.
+_SAME, _SHARED = 1e-6, 3
 #: Least noise over the signal.
 _FLOOR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class Contact(Rowwise):
     """Fitted pulses, each row one blow.
 
     Attributes
@@ -52,6 +58,8 @@ class Contact:
         Impulse over peak.
     shape : ndarray, (n,)
         ln e, above 0 for a pulse that rises more slowly than it falls.
+    touch : ndarray, (n,)
+        After `Inverted.start` [samples].
     covariance : ndarray, (n, 3, 3)
         Of ln peak, ln width and shape.
     coefficients : ndarray, (n, n_shapes)
@@ -64,6 +72,7 @@ class Contact:
     peak: Floats
     width: Floats
     shape: Floats
+    touch: Floats
     covariance: Floats
     coefficients: Floats
     misfit: Floats
@@ -111,11 +120,11 @@ class ContactFit:
         n_points = self.forces.shape[1]
         found = np.fft.rfftfreq(2 * n_points, 1 / (FINE * self.beam.sampling_rate))
         heard = np.abs(gain(self.beam.filters, found)) > 1e-3
-        return found[: min(int(np.flatnonzero(heard)[-1]) + 1, found.size // FINE)]
+        return np.asarray(found[: min(int(np.flatnonzero(heard)[-1]) + 1, found.size // FINE)], np.float64)
 
     @cached_property
     def _projection(self) -> NDArray[np.complex128]:
-        """From the spectrum of a force [N s] to its coefficients: the real part of a product, (n_frequencies, n_shapes)."""
+        """From the spectrum of a force [N s] to its coefficients, (n_frequencies, n_shapes): the real part."""
         n_points, rate = self.forces.shape[1], FINE * self.beam.sampling_rate
         spectrum = np.fft.rfft(self.forces, 2 * n_points, axis=1)[:, : self._frequencies.size]
         inner = self.forces @ self.forces.T
@@ -219,7 +228,7 @@ class ContactFit:
         covariance = np.linalg.inv(self._curvature(ways, information, prior))[:, :3, :3]
         apart = inverted.coefficients - own
         misfit = np.einsum("nk,nkl,nl->n", apart, information, apart) / max(own.shape[1] - 4, 1)
-        return Contact(peak * inverted.noise, np.exp(at[:, 0]), at[:, 1], covariance, own, misfit)
+        return Contact(peak * inverted.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], np.asarray(covariance), own, misfit)
 
     @staticmethod
     def _curvature(ways: Floats, information: Floats, prior: Floats) -> Floats:
@@ -240,6 +249,20 @@ def _cubic(place: Floats) -> tuple[Floats, Floats]:
     return weights, slopes
 
 
+def clipped_samples(frames: Floats) -> NDArray[np.bool_] | None:
+    """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none.
+
+    A limit is a value that three samples share at the top or the bottom, at least half as far out as the other side.
+    """
+    high, low = frames.max(axis=1), frames.min(axis=1)
+    out = np.zeros(frames.shape, bool)
+    for extreme, other in ((high, low), (low, high)):
+        at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
+        limit = (at.sum(axis=1) >= _SHARED) & (np.abs(extreme) >= 0.5 * np.abs(other))
+        out |= at & limit[:, None]
+    return out if out.any() else None
+
+
 # -- from vibrations to features ------------------------------------------------------------------------------
 
 
@@ -257,11 +280,11 @@ class ThroughBeam:
         self.beam = beam
         self.inversion = Inversion(beam)
         self.fit = ContactFit(self.inversion)
+        self._ringing: dict[int, Ringing] = {}
 
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
         """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
-        inverted = self.invert(vibrations)
-        contact = self.fit.fit(inverted)
+        inverted, contact = self.look(vibrations)
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = contact.covariance / (deviation[:, :, None] * deviation[:, None])
         return {
@@ -281,8 +304,24 @@ class ThroughBeam:
             "beam_unexplained": 100 * inverted.unexplained,
         }
 
-    def invert(self, vibrations: VibrationBatch) -> Inverted:
-        """Return the forces behind vibrations at any sampling rate."""
+    def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
+        """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
+        sought, start = self._prepared(vibrations)
+        inverted = self.inversion.invert(sought, start)
+        contact = self.fit.fit(inverted)
+        # Where touch lies at the edge of the table of forces, look there.
+        edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
+        rows = np.flatnonzero(edge)
+        if rows.size:
+            begun = inverted.start[rows] + edge[rows] + TOUCH // 2
+            other = self.inversion.invert(sought.rows(rows), np.stack([begun, begun], axis=1))
+            better = np.flatnonzero(other.misfit < inverted.misfit[rows])
+            inverted = inverted.replaced(rows[better], other.rows(better))
+            contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+        return inverted, contact
+
+    def _prepared(self, vibrations: VibrationBatch) -> tuple[Sought, NDArray[np.intp]]:
+        """Return what the inversion needs of vibrations, and where touch may lie."""
         frames = vibrations.samples - vibrations.offset[:, None]
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
         quiet = vibrations.n_quiet.astype(np.float64)
@@ -295,11 +334,43 @@ class ThroughBeam:
         start = np.stack([np.maximum(np.floor(first - REACH * own), np.floor(quiet)), np.ceil(first) + 1], axis=1)
         start[:, 0] = np.minimum(start[:, 0], start[:, 1])
         noise = self._noise(frames, quiet, vibrations, limit)
-        colour = colour_of(frames, quiet, np.zeros(len(frames)), 1) if limit is None else None
-        return self.inversion.invert(frames, start.astype(np.intp), noise, colour=colour, limit=limit)
+        if limit is not None:
+            return Sought(frames, noise, limit=limit), start.astype(np.intp)
+        colour = colour_of(frames, quiet, np.zeros(len(frames)), 1)
+        clipped = clipped_samples(frames)
+        frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
+        return Sought(frames, noise, colour.coefficients, colour.innovation, error, clipped), start.astype(np.intp)
+
+    def _settled(
+        self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: Colour
+    ) -> tuple[Floats, Floats, Floats | None]:
+        """Return frames without what rings from earlier blows, the noise, and the power of the error of that.
+
+        Where there is ringing, `colour` becomes white.
+        """
+        rows = colour.rows[quiet[colour.rows] >= _FEWEST_QUIET]
+        if not rows.size:
+            return frames, noise, None
+        n_quiet = min(int(quiet[rows].min()), _MOST_QUIET) // 32 * 32
+        if n_quiet not in self._ringing:
+            self._ringing[n_quiet] = Ringing(self.inversion, n_quiet)
+        ringing = self._ringing[n_quiet]
+        before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in rows])
+        found, level, own_error, rings = ringing.after(before, colour.innovation[rows])
+        if not rings.any():
+            return frames, noise, None
+        frames, noise = frames.copy(), noise.copy()
+        error = np.zeros((len(frames), own_error.shape[1]))
+        for number in np.flatnonzero(rings).tolist():
+            row = rows[number]
+            part = frames[row, quiet[row] : quiet[row] + ringing.n_samples]
+            part -= found[number, : part.size]
+        colour.coefficients[rows[rings]] = 0.0
+        noise[rows[rings]], error[rows[rings]] = level[rings], own_error[rings]
+        return frames, noise, error
 
     def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:
-        """Return the standard deviation of white noise that is as loud as that before touch, in the band up to `limit`."""
+        """Return the standard deviation of white noise as loud as that before touch in the band up to `limit`."""
         if limit is None:
             found = vibrations.noise
         else:
@@ -307,7 +378,7 @@ class ThroughBeam:
             power = np.sum(np.square(frames), axis=1, where=before) / np.maximum(quiet, 1)
             found = np.sqrt(power * self.beam.sampling_rate / 2 / limit)
         # Without any noise: what a table of the beam is worth.
-        return np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300)
+        return np.asarray(np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300))
 
     def resampled(self, frames: Floats, rate: float) -> Floats:
         """Return frames at the rate of the beam, with its filters in place of those of their recorder."""

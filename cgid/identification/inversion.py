@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.measure.beam import TOUCH, Beam, Singles, filtered, gain, respond
-from cgid.measure.colour import ORDER, Colour
+from cgid.measure.colour import ORDER
 from cgid.validation import Floats
 
 #: How long the response to a blow is compared [s].
@@ -30,6 +31,8 @@ _GRID = 0.025
 _LEVELS = np.geomspace(2.0, 2e4, 12)
 #: Gauss-Newton steps from the grid to the place, and the longest [m].
 _STEPS, _LONGEST_STEP = 3, 0.012
+#: Rounds in which clipped samples are replaced by what the beam says.
+_UNCLIPPING = 6
 #: Prior deviation of the place about the best of the grid [m].
 _PLACE_DEVIATION = 0.1
 #: Rows at a time: their responses fit into the cache of a processor.
@@ -37,13 +40,137 @@ _ROWS = 64
 #: The start is sought with the samples below this frequency [Hz], the modes up to so much above it, so many shapes and
 #: places of a wider grid [m], at every second sample.
 _LOW, _LOW_MODES, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 1.3, 6, 0.05, 2
-_TEMPER = 1.0
 #: Exponents of coloured noise, f^-a, for which there is a grid of its own.
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
+class Ringing:
+    """What the modes of a beam still ring from earlier blows: a Gaussian process, seen before touch.
+
+    The amplitudes are those that a blow anywhere leaves after one of `AGES`; their common strength is the one of the
+    highest evidence.
+
+    Parameters
+    ----------
+    inversion : Inversion
+    n_quiet : int
+        Samples before touch that are looked at.
+    """
+
+    #: Ages of the earlier blow [s], powers of the ringing over that of the noise, and gain of evidence that it takes.
+    AGES, POWERS, CERTAIN = (0.005, 0.02, 0.08), np.geomspace(0.3, 3e6, 15), 12.0
+    #: The tables go on for so many samples longer than the inversion, because the touch is not known yet.
+    LATER = 64
+
+    def __init__(self, inversion: Inversion, n_quiet: int) -> None:
+        beam, self.n_quiet, self.n_samples = inversion.beam, n_quiet, inversion.n_samples + self.LATER
+        time = np.arange(n_quiet + self.n_samples) / beam.sampling_rate
+        frequency = np.abs(beam.poles) / (2 * np.pi)
+        loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(gain(beam.filters, frequency))
+        loud *= np.abs(beam.poles) ** (beam.derivatives - 1)
+        self._tables = []
+        for age in self.AGES:
+            size = loud * np.exp(beam.poles.real * age)
+            kept = size > 1e-4 * size.max()
+            waves = size[kept] * np.exp(np.outer(time, beam.poles[kept]))
+            both = np.concatenate([waves.real, waves.imag], axis=1)
+            both /= np.sqrt(np.mean(np.sum(np.square(both[:n_quiet]), axis=1)))
+            before, after = both[:n_quiet], both[n_quiet:]
+            power, turn = np.linalg.eigh(before @ before.T)
+            onward = after @ (before.T @ turn)
+            spectra = [np.square(inversion.transformed(part.T[:, : inversion.n_samples])) for part in (after, onward)]
+            self._tables.append((np.maximum(power, 0.0), turn, onward, spectra[0].sum(axis=0), spectra[1]))
+
+    def after(self, before: Floats, innovation: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+        """Return what rings on, from samples before touch.
+
+        Parameters
+        ----------
+        before : ndarray, (n, n_quiet)
+        innovation : ndarray, (n,)
+            Standard deviation of what noise of any colour leaves unpredicted: the rival of the ringing.
+
+        Returns
+        -------
+        tuple of ndarray
+            The ringing after these samples (n, n_samples), the standard deviation of the noise (n,), the power of the
+            error of the ringing over that of the noise at each coefficient (n, n_coefficients), and whether there is
+            ringing (n,).
+        """
+        n = len(before)
+        best = -self.n_quiet * np.log(np.maximum(innovation, 1e-150)) + self.CERTAIN
+        found, level, rings = np.zeros((n, self.n_samples)), innovation.copy(), np.zeros(n, bool)
+        error = np.zeros((n, self._tables[0][3].size))
+        for power, turn, onward, whole, spectrum in self._tables:
+            told = before @ turn
+            for ratio in self.POWERS:
+                variance = 1 + ratio * power
+                # The most likely noise for this ratio has a closed form.
+                left = np.mean(np.square(told) / variance, axis=1)
+                evidence = -0.5 * self.n_quiet * np.log(np.maximum(left, 1e-300)) - 0.5 * np.log(variance).sum()
+                better = np.flatnonzero(evidence > best)
+                if better.size:
+                    best[better], rings[better], level[better] = evidence[better], True, np.sqrt(left[better])
+                    found[better] = (told[better] * (ratio / variance)) @ onward.T
+                    error[better] = ratio * np.maximum(whole - (ratio / variance) @ spectrum, 0.0)
+        return found, level, error, rings
+
+
+class Rowwise:
+    """A dataclass of arrays whose first axis is the blow; a field may be None."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def rows(self, rows: NDArray[np.intp] | slice) -> Self:
+        """Return some of the rows."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return type(self)(**{n: part[rows] if isinstance(part, np.ndarray) else part for n, part in fields.items()})
+
+    def replaced(self, rows: NDArray[np.intp], other: Self) -> Self:
+        """Return all rows, some of them those of another."""
+        found = {}
+        for name in self.__dataclass_fields__:
+            found[name] = getattr(self, name).copy()
+            found[name][rows] = getattr(other, name)
+        return type(self)(**found)
+
+    @classmethod
+    def joined(cls, parts: list[Self]) -> Self:
+        """Return the rows of all parts."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
+
+
 @dataclass(frozen=True, eq=False)
-class Inverted:
+class Sought(Rowwise):
+    """Vibrations whose force is sought.
+
+    Attributes
+    ----------
+    frames : ndarray, (n, n_samples)
+        At the sampling rate of the beam, without baseline; zeros where the frame has ended.
+    noise : ndarray, (n,)
+        Standard deviation of the noise.
+    coefficients, innovation : ndarray, (n, ORDER) and (n,), optional
+        Of the colour of the noise, as in `cgid.measure.colour.Colour`; white by default.
+    error : ndarray, (n, n_coefficients), optional
+        Power of further errors over that of the noise.
+    clipped : ndarray of bool, (n, n_samples), optional
+        Samples that only bound the motion: it went at least as far.
+    limit : float, optional
+        Frequency up to which the samples tell [Hz].
+    """
+
+    frames: Floats
+    noise: Floats
+    coefficients: Floats | None = None
+    innovation: Floats | None = None
+    error: Floats | None = None
+    clipped: NDArray[np.bool_] | None = None
+    limit: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Inverted(Rowwise):
     """What samples tell of some blows, each row one blow.
 
     Attributes
@@ -78,11 +205,6 @@ class Inverted:
     evidence: Floats
     misfit: Floats
     unexplained: Floats
-
-    @classmethod
-    def joined(cls, parts: list[Inverted]) -> Inverted:
-        """Return the rows of all parts."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
 
 
 class Inversion:
@@ -179,68 +301,73 @@ class Inversion:
 
     # -- the inversion --------------------------------------------------------------------------------
 
-    def invert(
-        self,
-        frames: NDArray[np.floating],
-        start: NDArray[np.intp],
-        noise: Floats,
-        *,
-        colour: Colour | None = None,
-        limit: float | None = None,
-    ) -> Inverted:
+    def invert(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
         """Return places and forces of blows.
 
         Parameters
         ----------
-        frames : ndarray, (n, n_samples)
-            At the sampling rate of the beam, without baseline; zeros where the frame has ended.
+        sought : Sought
         start : ndarray of int, (n, 2)
             First and last sample of the frame in which touch may lie.
-        noise : ndarray, (n,)
-            Standard deviation of the noise.
-        colour : Colour, optional
-            Of the noise; white by default.
-        limit : float, optional
-            Frequency up to which the samples tell [Hz].
 
         Returns
         -------
         Inverted
         """
-        parts = []
-        for first in range(0, len(frames), _ROWS):
-            part = slice(first, first + _ROWS)
-            weight, exponent = self._weights(colour, part, noise[part])
-            if limit is not None:
-                weight = weight * self._heard(limit)
-            parts.append(self._invert(frames[part], start[part], noise[part], weight, exponent, limit))
-        return Inverted.joined(parts)
+        parts = [slice(first, first + _ROWS) for first in range(0, max(len(start), 1), _ROWS)]
+        return Inverted.joined([self._inverted(sought.rows(part), start[part]) for part in parts])
 
-    def _weights(self, colour: Colour | None, part: slice, noise: Floats) -> tuple[Singles, Floats]:
+    def _inverted(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
+        weight, exponent = self._weights(sought)
+        begun = self._start(sought, start, weight)
+        samples = self.transformed(_cut(sought.frames, begun, self.n_samples) / sought.noise[:, None])
+        _, place, level = self._search(samples, weight, exponent, sought.limit)
+        found = self._refined(samples, weight, self._grid[0][place], self._grid[1][place], level)
+        if sought.clipped is not None and sought.clipped.any():
+            rows = np.flatnonzero(sought.clipped.any(axis=1))
+            before = {name: array[rows] for name, array in found.items()}
+            own = self._unclipped(before, sought.rows(rows), begun[rows], weight[rows], level[rows])
+            for name, array in found.items():
+                array[rows] = own[name]
+        del found["predicted"]
+        return Inverted(start=begun, noise=sought.noise, **found)
+
+    def _weights(self, sought: Sought) -> tuple[Singles, Floats]:
         """Return the weight of each coefficient, (n, n_coefficients), and the exponents of the noise, (n,)."""
-        n = len(noise)
-        if colour is None or not colour.coefficients[part].any():
-            return np.ones((n, 2 * (self.bins.stop - self.bins.start)), np.float32), np.zeros(n)
-        frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
-        lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
-        power = (colour.innovation[part] / noise)[:, None] ** 2 / np.abs(1 - colour.coefficients[part] @ lag) ** 2
-        power[~colour.coefficients[part].any(axis=1)] = 1.0
-        slope = -np.polynomial.polynomial.polyfit(np.log(frequency), np.log(power).T, 1)[1]
-        return np.tile(1 / power, 2).astype(np.float32), np.asarray(slope)
+        n, n_bins = len(sought.noise), self.bins.stop - self.bins.start
+        weight, exponent = np.ones((n, 2 * n_bins)), np.zeros(n)
+        if sought.coefficients is not None and sought.innovation is not None and sought.coefficients.any():
+            frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
+            lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
+            rows = np.flatnonzero(sought.coefficients.any(axis=1))
+            power = (sought.innovation / sought.noise)[rows, None] ** 2
+            power = power / np.abs(1 - sought.coefficients[rows] @ lag) ** 2
+            exponent[rows] = -np.polynomial.polynomial.polyfit(np.log(frequency), np.log(power).T, 1)[1]
+            weight[rows] = np.tile(1 / power, 2)
+        if sought.error is not None:
+            weight /= 1 + weight * sought.error
+        return (weight * self._heard(sought.limit)).astype(np.float32), exponent
 
-    def _invert(
-        self,
-        frames: NDArray[np.floating],
-        start: NDArray[np.intp],
-        noise: Floats,
-        weight: Singles,
-        exponent: Floats,
-        limit: float | None,
-    ) -> Inverted:
-        begun = self._start(frames, start, noise, weight)
-        samples = self.transformed(cut(frames, begun, self.n_samples) / noise[:, None])
-        _, place, level = self._search(samples, weight, exponent, limit)
-        return Inverted(start=begun, noise=noise, **self._refined(samples, weight, place, level))
+    def _unclipped(
+        self, found: dict[str, Any], sought: Sought, begun: NDArray[np.intp], weight: Singles, level: Floats
+    ) -> dict[str, Any]:
+        """Return what is found where clipped samples are as far out as the beam says, but at least as recorded."""
+        assert sought.clipped is not None
+        recorded = _cut(sought.frames, begun, self.n_samples) / sought.noise[:, None]
+        bounds = _cut(sought.clipped, begun, self.n_samples) > 0
+        for _ in range(_UNCLIPPING):
+            spectrum = np.zeros((len(begun), self.n_samples // 2 + 1), complex)
+            half = found["predicted"].shape[1] // 2
+            spectrum[:, self.bins] = (found["predicted"][:, :half] + 1j * found["predicted"][:, half:]) / np.sqrt(2)
+            expected = np.fft.irfft(spectrum, self.n_samples, axis=1, norm="ortho")
+            further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
+            samples = np.where(bounds, further, recorded)
+            found = self._refined(self.transformed(samples), weight, found["x"], found["y"], level)
+        # The bounded samples are no measurements: they take their share of the energy out of what is known.
+        share = 1 - np.sum(samples**2, axis=1, where=bounds) / np.maximum(np.sum(samples**2, axis=1), 1e-300)
+        found["information"] *= share[:, None, None]
+        found["vector"] *= share[:, None]
+        return found
 
     @cached_property
     def _low(self) -> tuple[NDArray[np.intp], Singles, Singles, Singles, Floats]:
@@ -259,16 +386,14 @@ class Inversion:
         turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
         return kept, np.ascontiguousarray(table), at, turned, np.maximum(power, 0.0)
 
-    def _start(
-        self, frames: NDArray[np.floating], start: NDArray[np.intp], noise: Floats, weight: Singles
-    ) -> NDArray[np.intp]:
+    def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
         first = start[:, 0] - TOUCH // 2
         steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
         if steps.size == 1:
             return np.asarray(first)
         kept, table, at, turned, power = self._low
-        samples = self.transformed(cut(frames, first, self.n_samples) / noise[:, None])[:, kept]
+        samples = self.transformed(_cut(sought.frames, first, self.n_samples) / sought.noise[:, None])[:, kept]
         half = kept.size // 2
         spectrum = samples[:, :half] + 1j * samples[:, half:]
         turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, half + 1)) / self.n_samples)
@@ -282,10 +407,12 @@ class Inversion:
             share = (0.5 / (power + 1 / height**2)).astype(np.float32)
             cost = 0.5 * np.log1p(height**2 * power).sum(axis=1)
             best = np.maximum(best, ((share[:, None] @ told)[:, 0] - cost[:, None]).max(axis=0))
-        best = best.reshape(len(frames), steps.size)
-        best[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
-        trust = np.exp(_TEMPER * (best - best.max(axis=1, keepdims=True)))
-        return np.asarray(first - 3 + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
+        evidence = best.reshape(len(start), steps.size)
+        evidence[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
+        trust = np.exp(evidence - evidence.max(axis=1, keepdims=True))
+        # A force begins so softly that a late start explains the samples as well: rather begin early.
+        early = TOUCH // 2
+        return np.asarray(first - early + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
 
     def _search(
         self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None
@@ -317,11 +444,10 @@ class Inversion:
                     array[better] = new[np.searchsorted(rows, better)]
         return out
 
-    def _refined(self, samples: Singles, weight: Singles, place: NDArray[np.intp], level: Floats) -> dict[str, Floats]:
+    def _refined(self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats) -> dict[str, Any]:
         """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid."""
         n, n_shapes = len(samples), len(self.beam.deviations)
         x_low, x_high, y_low, y_high = self.beam.region
-        x, y = (side[place].copy() for side in self._grid[:2])
         root = np.sqrt(weight)
         heard = samples * root
         prior = np.eye(n_shapes) / level[:, None, None] ** 2
@@ -353,6 +479,7 @@ class Inversion:
         rest, told = np.square(left, dtype=np.float64).sum(axis=1), np.maximum((weight > 0).sum(axis=1), 1)
         deviation = np.sqrt(np.maximum(np.linalg.inv(curvature)[:, [0, 1], [0, 1]], 0.0))
         return {
+            "predicted": (heard - left) / np.where(root > 0, root, 1),
             "x": x,
             "y": y,
             "place_deviation": deviation,
@@ -366,7 +493,7 @@ class Inversion:
         }
 
 
-def cut(frames: NDArray[np.floating], start: NDArray[np.intp], n_samples: int) -> Floats:
+def _cut(frames: NDArray[Any], start: NDArray[np.intp], n_samples: int) -> Floats:
     """Return the samples of each row from its start on, zeros where the frame has ended."""
     out = np.zeros((len(frames), n_samples))
     for row, first in enumerate(np.clip(start, 0, frames.shape[1]).tolist()):

@@ -163,7 +163,7 @@ def lagrange(n: int, lowest: float, highest: float, place: Floats) -> tuple[Floa
     return values @ transform, slopes @ transform
 
 
-def gain(poles: NDArray[np.complex128], frequencies: Floats) -> NDArray[np.complex128]:
+def gain(poles: NDArray[np.complex128], frequencies: NDArray[np.floating]) -> NDArray[np.complex128]:
     """Return the gain of filters at frequencies [Hz]; 1 without any."""
     s = 2j * np.pi * frequencies
     out = np.ones(s.shape, complex)

@@ -87,7 +87,7 @@ def contact_forces(scene: Scene) -> Floats:
     for block in range(_BLOCKS):
         blows = draw(scene, _SEED, block)
         forces = np.zeros((BLOCK, n_points))
-        touch = (np.arange(BLOCK) * _GOLDEN) % 1 * TOUCH / rate
+        touch = np.asarray((np.arange(BLOCK) * _GOLDEN) % 1 * TOUCH / rate, np.float64)
         for strike in blows.strikes:
             if strike.ratio is None:
                 own = np.zeros((strike.rows.size, n_points))

@@ -219,7 +219,7 @@ def calibrate(
 
 
 def check_scene(scene: Scene, sampling_rate: float) -> None:
-    """Raise `InvalidValue` or `BadData` unless a scene has a beam that its sensor hears, at the rate of the recording."""
+    """Raise unless a scene has a beam that its sensor hears (`InvalidValue`), at this rate (`BadData`)."""
     if scene.tail_beam is None or scene.sensor.quantity == "force":
         raise InvalidValue(
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion on it to be calibrated; add them"

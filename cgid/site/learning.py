@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.inversion import Inversion, cut
+from cgid.identification.inversion import Inversion, Sought
 from cgid.measure.beam import Beam, Singles, respond
 from cgid.validation import Floats
 
@@ -115,8 +115,8 @@ def evidence_of(inversion: Inversion, blows: Blows) -> Floats:
     White noise alone has -0.5. A beam that explains the blows has some tenths less, as places and forces are unknown;
     one that does not has much less.
     """
-    found = inversion.invert(blows.frames, blows.start, blows.noise)
-    samples = cut(blows.frames, found.start, inversion.n_samples) / blows.noise[:, None]
+    found = inversion.invert(Sought(blows.frames, blows.noise), blows.start)
+    samples = _cut(blows.frames, found.start, inversion.n_samples) / blows.noise[:, None]
     power = np.square(inversion.transformed(samples), dtype=np.float64).sum(axis=1)
     return np.asarray(found.evidence - 0.5 * power / inversion.n_samples)
 
@@ -214,6 +214,13 @@ class _State:
         return moved is not None
 
 
+def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
+    """Return the samples of each row from its start on, zeros behind the frame."""
+    columns = start[:, None] + np.arange(n_samples)
+    inside = np.take_along_axis(frames, np.clip(columns, 0, frames.shape[1] - 1), axis=1)
+    return np.where((columns >= 0) & (columns < frames.shape[1]), inside, 0.0)
+
+
 class _System:
     """The normal equations of the corrections at one beam, summed over blows.
 
@@ -234,8 +241,8 @@ class _System:
         self.columns = np.flatnonzero(np.tile(frequency, 2) <= highest)
         self.active = np.flatnonzero(np.abs(beam.poles) / (2 * np.pi) <= _BEYOND * highest)
         self.noise = blows.noise * raised
-        self.found = self.inversion.invert(blows.frames, blows.start, self.noise, limit=limit)
-        samples = cut(blows.frames, self.found.start, self.inversion.n_samples) / self.noise[:, None]
+        self.found = self.inversion.invert(Sought(blows.frames, self.noise, limit=limit), blows.start)
+        samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / self.noise[:, None]
         self.samples = self.inversion.transformed(samples)[:, self.columns]
         self.table = self._told(self.inversion.responses)
         self.at = self.beam.weights(self.found.x, self.found.y)
@@ -271,7 +278,7 @@ class _System:
         return max(float(np.mean(np.square(self.found.coefficients[row]))), 1.0)
 
     def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, Floats]:
-        """Return of one blow the ways of force and place, their precision, what is left, and the weight of its samples."""
+        """Return of one blow the ways of force and place, their precision, what is left, and the samples' weight."""
         force = self.found.coefficients[row]
         single = force.astype(np.float32)
         ways = np.tensordot(np.stack([at[row] for at in self.at]), self.table, 1)
