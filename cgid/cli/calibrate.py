@@ -74,8 +74,8 @@ def calibrate(
     """
     from cgid.files import check_new
     from cgid.scene import load_scene
-    from cgid.site.calibrate import MOST_ROUNDS, check_scene, table_beside
-    from cgid.site.calibrate import calibrate as calibrated
+    from cgid.site.calibration import MOST_ROUNDS, check_scene, table_beside
+    from cgid.site.calibration import calibrate as calibrated
 
     path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
     check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
@@ -116,7 +116,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
     """Return the frames of all usable impacts in the unit of the scene's sensor, their rate and samples before touch."""
     import numpy as np
 
-    from cgid.site.calibrate import FEWEST, frames_of, usable_blows
+    from cgid.site.calibration import FEWEST, frames_of, usable_blows
 
     if any(reading.wants_whole_dataset(path) for path in recordings):
         if len(recordings) > 1:

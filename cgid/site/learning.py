@@ -32,6 +32,10 @@ _FEW, _SOUGHT = 120, 48
 _FIRST, _BETWEEN, _LAST, _MOST_SEARCHES = 8, 2, 10, 6
 #: Bands that are learned one after the other, as shares of the whole, and modes beyond a band that still act on it.
 _BANDS, _BEYOND = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0), 1.15
+#: Errors of a frequency below this share of the damping ratio are learned in the whole band at once.
+_NARROW = 0.7
+#: Factor of the deviations for what a linear model of the poles leaves out; measured by benchmarks/calibrate.py.
+_BEYOND_LINEAR = 1.1
 #: Most rounds.
 MOST_ROUNDS = len(_BANDS) * (_FIRST + _MOST_SEARCHES * _BETWEEN) + _LAST
 #: Poles are at rest where this share of the steps is no longer than this share of their own deviations.
@@ -148,8 +152,10 @@ def learn(
     state = _State(beam, blows, np.maximum(deviation[kept], 1e-9), kept, progress)
     few = min(_FEW, len(blows))
     top = Inversion(beam).bins.stop / Inversion(beam).n_samples * beam.sampling_rate
-    for share in _BANDS:
-        # The low modes first: with them come the places, and with these the higher modes.
+    ratio = float(np.median(-beam.poles.real / np.abs(beam.poles)))
+    # The low modes first: with them come the places, and with these the higher modes. Errors well below the width of
+    # a resonance need no such care.
+    for share in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
         state.limit = None if share == 1 else share * top
         for search in range(_MOST_SEARCHES + 1):
             for _ in range(_BETWEEN if search else _FIRST):
@@ -163,7 +169,7 @@ def learn(
         if at_rest:
             break
     found = deviation.copy()
-    found[kept] = np.minimum(state.own, state.prior)
+    found[kept] = np.minimum(_BEYOND_LINEAR * state.own, state.prior)
     return Learned(state.now, found, state.rounds, at_rest)
 
 
@@ -197,9 +203,12 @@ class _State:
         """Make a Gauss-Newton step with the first blows; return whether the poles are at rest."""
         system = self._system(n_blows)
         precision = system.curvature + np.diag(self.prior.ravel() ** -2)
-        self.own = np.sqrt(np.diag(np.linalg.inv(precision))).reshape(self.prior.shape)
-        pull = system.pull - (self.now[self.kept] / self.prior**2).ravel()
-        step = np.clip(np.linalg.solve(precision, pull).reshape(self.prior.shape), -self.prior, self.prior)
+        covariance = np.linalg.inv(precision)
+        # Where the pulls of single blows scatter more than the curvature says, the model is not exact: Huber (1967).
+        scatter = np.sum(np.square(covariance @ system.pulls.T), axis=1)
+        self.own = np.sqrt(np.maximum(np.diag(covariance), scatter)).reshape(self.prior.shape)
+        pull = system.pulls.sum(axis=0) - (self.now[self.kept] / self.prior**2).ravel()
+        step = np.clip((covariance @ pull).reshape(self.prior.shape), -self.prior, self.prior)
         self.now[self.kept] += step
         self.rounds += 1
         if self.progress is not None:
@@ -226,7 +235,7 @@ class _System:
 
     Attributes
     ----------
-    curvature, pull : ndarray, (n, n) and (n,), n = kept quantities times modes
+    curvature, pulls : ndarray, (n, n) and (n_blows, n), n = kept quantities times modes
     power : ndarray, (n_blows,)
         Mean square of what is left of each blow, over the noise.
     """
@@ -249,11 +258,11 @@ class _System:
         slopes = [self._slope(row) if row < 2 else self.table[self.active] for row in kept]
         n = kept.size * len(beam.poles)
         self.rows = np.add.outer(np.arange(kept.size) * len(beam.poles), self.active).ravel()
-        self.curvature, self.pull, self.power = np.zeros((n, n)), np.zeros(n), np.empty(len(blows))
-        curvature, pull = np.zeros((self.rows.size, self.rows.size), np.float64), np.zeros(self.rows.size)
+        self.curvature, self.pulls, self.power = np.zeros((n, n)), np.zeros((len(blows), n)), np.empty(len(blows))
+        curvature = np.zeros((self.rows.size, self.rows.size))
         for row in range(len(blows)):
-            self._add(row, slopes, float(raised[row]), curvature, pull)
-        self.curvature[np.ix_(self.rows, self.rows)], self.pull[self.rows] = curvature, pull
+            self.pulls[row, self.rows] = self._add(row, slopes, float(raised[row]), curvature)
+        self.curvature[np.ix_(self.rows, self.rows)] = curvature
 
     def _slope(self, row: int) -> Singles:
         """Return the slopes of the responses in ln frequency or ln damping ratio, like `table`."""
@@ -290,7 +299,8 @@ class _System:
         exact = every.astype(np.float64)  # singles would leave a precision that is not positive
         return every, weight * (exact @ exact.T) + np.diag(prior), left, weight
 
-    def _add(self, row: int, slopes: list[Singles], raised: float, curvature: Floats, pull: Floats) -> None:
+    def _add(self, row: int, slopes: list[Singles], raised: float, curvature: Floats) -> Floats:
+        """Add the curvature of one blow, and return its pull."""
         every, precision, left, weight = self.nuisance(row)
         force = self.found.coefficients[row]
         single = force.astype(np.float32)
@@ -299,9 +309,9 @@ class _System:
         cross = weight * (every @ jacobian.T).astype(np.float64)
         half = np.linalg.solve(np.linalg.cholesky(precision), cross).astype(np.float32)
         curvature += (np.float32(weight) * jacobian) @ jacobian.T - half.T @ half
+        # Without the pull of the force's prior: its level is unknown, and would raise all participations.
         push = weight * (every @ left).astype(np.float64)
-        push[: force.size] -= force / self.level(row)
-        pull += weight * (jacobian @ left).astype(np.float64) - cross.T @ np.linalg.solve(precision, push)
+        return np.asarray(weight * (jacobian @ left).astype(np.float64) - cross.T @ np.linalg.solve(precision, push))
 
 
 def _searched(beam: Beam, now: Floats, deviation: Floats, system: _System) -> Floats | None:

@@ -40,9 +40,9 @@ _DAMPING_A_FREQUENCY, _MOST_DAMPING = 10.0, 0.3
 #: Blows whose evidence is compared, and the seed of simulated ones.
 _COMPARED, _SEED = 256, 0x5EED_0002_CA11
 #: The evidence may stay this much below that of simulation, absolutely and relatively.
-_BELOW, _BELOW_SHARE = 0.15, 0.15
-#: Share of the worst blows that is left out: two at once, or another place than the scene's.
-_WORST = 0.05
+_BELOW, _BELOW_SHARE = 0.1, 0.1
+#: Share of the worst blows that is left out: a touch that is missed, two blows at once, another place than the scene's.
+_WORST = 0.2
 #: A mode is silent at a sensor where its shape is below this share of its own root mean square, 1/2; a sensor on nodes
 #: of more than this share of the modes learns nothing. On a line of symmetry it is half.
 _SILENT, _MOST_SILENT = 0.02, 0.6
@@ -63,7 +63,7 @@ class SiteCalibration:
     n_blows : int
         Blows that were used.
     before, after, expected : float
-        Log evidence of a blow per sample (mean without the worst 5 %): before, after, and of blows that are simulated
+        Log evidence of a blow per sample (mean without the worst fifth): before, after, and of blows that are simulated
         through the learned beam.
     crossings : int
         Neighbouring modes that have changed places.
