@@ -21,6 +21,7 @@ _OPTIONS = {
     "Decision": "--cost --miss-cost --coverage --class-conditional --vote",
     "Gangue share": "--window --gangue --gangue-cost --dilution-cost",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
+    "Calibration": "--start-error --drift --participation-error --impacts",
     "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
@@ -36,7 +37,7 @@ _EXCEPTIONS = {
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
     "Models": "train",
-    "Datasets and scenes": "generate check verify export",
+    "Datasets and scenes": "generate check calibrate verify export",
     "Studies": "ceiling reproduce",
 }
 #: One line for the start file of each shell.

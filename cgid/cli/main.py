@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from cgid import __version__
+from cgid.cli.calibrate import calibrate
 from cgid.cli.events import events
 from cgid.cli.export import export
 from cgid.cli.features import features
@@ -56,6 +57,7 @@ for command in (
     generate,
     check,
     ceiling,
+    calibrate,
     events,
     train,
     predict,

@@ -1,4 +1,4 @@
-"""Modes of a tail beam, computed or measured by a tap test."""
+"""Modes of a tail beam: computed, measured by a tap test, or learned from blows."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
+from cgid.elementary import exp, normal_quantile
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_cells
 from cgid.physics.plates import Shapes
@@ -18,6 +19,17 @@ Point = tuple[ArrayLike, ArrayLike]
 
 #: Columns of a table of measured modes, with their units.
 COLUMNS = {"frequency": "Hz", "damping_ratio": "1", "modal_mass": "kg", "shape_impact": "1", "shape_sensor": "1"}
+#: Columns of a table of learned modes, with their units. A deviation is that of the logarithm.
+LEARNED_COLUMNS = {
+    "frequency": "Hz",
+    "damping_ratio": "1",
+    "participation": "1",
+    "frequency_deviation": "1",
+    "damping_ratio_deviation": "1",
+    "participation_deviation": "1",
+}
+#: Drawn damping ratios stay below this one.
+_MOST_DAMPING = 0.7
 #: Largest file of modes [bytes].
 _LARGEST_FILE = 8 << 20
 
@@ -151,6 +163,50 @@ class MeasuredModes:
         return np.asarray(impact * sensor / mass)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LearnedModes:
+    """What blows have told of the modes of a beam; all fields are (n_modes,), in the order of the beam's own modes.
+
+    Parameters
+    ----------
+    frequency : ndarray [Hz]
+        Two modes may have changed places.
+    damping_ratio : ndarray
+    participation : ndarray
+        Factor of the participation of the beam's own mode.
+    frequency_deviation, damping_ratio_deviation, participation_deviation : ndarray
+        Standard deviations of the logarithms of these.
+    """
+
+    frequency: Floats
+    damping_ratio: Floats
+    participation: Floats
+    frequency_deviation: Floats
+    damping_ratio_deviation: Floats
+    participation_deviation: Floats
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether any deviation is above 0."""
+        return bool(self.frequency_deviation.any() or self.damping_ratio_deviation.any()) or bool(
+            self.participation_deviation.any()
+        )
+
+    def drawn(self, uniform: Floats) -> LearnedModes:
+        """Return certain modes, drawn from these for uniform numbers (3, n_modes), each mode by itself."""
+        normal = normal_quantile(uniform)
+        damping = self.damping_ratio * exp(self.damping_ratio_deviation * normal[1])
+        none = np.zeros_like(self.frequency)
+        return LearnedModes(
+            frequency=self.frequency * exp(self.frequency_deviation * normal[0]),
+            damping_ratio=np.minimum(damping, np.maximum(self.damping_ratio, _MOST_DAMPING)),
+            participation=self.participation * exp(self.participation_deviation * normal[2]),
+            frequency_deviation=none,
+            damping_ratio_deviation=none,
+            participation_deviation=none,
+        )
+
+
 def read_measured_modes(path: str | Path) -> MeasuredModes:
     r"""Read a table of modes from a UTF-8 file of comma-separated values.
 
@@ -187,23 +243,38 @@ def read_measured_modes(path: str | Path) -> MeasuredModes:
     >>> modes.participation().round(6).tolist()
     [0.001714, -0.001167]
     """
-    lines = read_cells(path, "the table of modes", _LARGEST_FILE)
-    if len(lines) < 2:
-        raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
-    places = _places(path, lines[0][1])
-    rows = [_row(f"{path}, line {number}", cells, places) for number, cells in lines[1:]]
-    for (number, _), before, row in zip(lines[2:], rows[:-1], rows[1:], strict=True):
+    rows = _rows(path, COLUMNS)
+    for (number, row), (_, before) in zip(rows[1:], rows[:-1], strict=True):
         if row["frequency"] < before["frequency"]:
             raise BadData(
                 f"{path}, line {number}: frequency must ascend from line to line, got {row['frequency']:g} Hz after "
                 f"{before['frequency']:g} Hz; sort the modes"
             )
-    return MeasuredModes(**{name: np.array([row[name] for row in rows]) for name in COLUMNS})
+    return MeasuredModes(**{name: np.array([row[name] for _, row in rows]) for name in COLUMNS})
 
 
-def _places(path: str | Path, titles: list[str]) -> dict[str, int]:
+def read_learned_modes(path: str | Path) -> LearnedModes:
+    """Read a table of learned modes, as `cgid calibrate` writes it; the file is like that of `read_measured_modes`.
+
+    Its columns are `frequency [Hz]`, `damping_ratio [1]`, `participation [1]` and their deviations, such as
+    `frequency_deviation [1]`. Lines are in the order of the beam's own modes. Raises as `read_measured_modes`.
+    """
+    rows = _rows(path, LEARNED_COLUMNS)
+    return LearnedModes(**{name: np.array([row[name] for _, row in rows]) for name in LEARNED_COLUMNS})
+
+
+def _rows(path: str | Path, columns: dict[str, str]) -> list[tuple[int, dict[str, float]]]:
+    """Return the numbers of each mode by column, with the number of its line."""
+    lines = read_cells(path, "the table of modes", _LARGEST_FILE)
+    if len(lines) < 2:
+        raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
+    places = _places(path, lines[0][1], columns)
+    return [(number, _row(f"{path}, line {number}", cells, places)) for number, cells in lines[1:]]
+
+
+def _places(path: str | Path, titles: list[str], columns: dict[str, str]) -> dict[str, int]:
     """Return the cell index of each column."""
-    wanted = {name: f"{name} [{unit}]" for name, unit in COLUMNS.items()}
+    wanted = {name: f"{name} [{unit}]" for name, unit in columns.items()}
     for name, title in wanted.items():
         if titles.count(title) != 1:
             # A scene may name any file that its user can read: quote only a table of modes.
@@ -236,4 +307,6 @@ def _require_rule(name: str, value: ArrayLike) -> Floats:
         return validation.real(name, value)
     if name == "damping_ratio":
         return validation.damping_ratio(name, value)
-    return validation.positive(name, value, COLUMNS[name])
+    if name.endswith("_deviation"):
+        return validation.not_negative(name, value)
+    return validation.positive(name, value, (COLUMNS | LEARNED_COLUMNS)[name])

@@ -214,3 +214,39 @@ def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, fl
     figure.axes[0].set(ylabel="highest accuracy possible (2 std. errors)")
     figure.axes[0].legend(fontsize="small")
     return png(figure)
+
+
+def modes_picture(before: Any, after: Any) -> bytes:
+    """Return learned modes against those they started from as PNG.
+
+    Parameters
+    ----------
+    before, after : LearnedModes
+        With two deviations as bars; those of `before` are what it was trusted.
+
+    Returns
+    -------
+    bytes
+    """
+    figure = require_matplotlib()(figsize=(9, 6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    place = before.frequency / 1e3
+    change = 100 * (after.frequency / before.frequency - 1)
+    upper.fill_between(
+        place, -200 * before.frequency_deviation, 200 * before.frequency_deviation, color="0.9", label="before"
+    )
+    upper.axhline(0.0, color="0.6", lw=0.8)
+    upper.errorbar(place, change, 200 * after.frequency_deviation, fmt=".", color="C0", capsize=2, label="after")
+    upper.set(ylabel="change of frequency [%]\n(2 std. deviations)")
+    damping = 100 * before.damping_ratio
+    spread = np.exp(2 * before.damping_ratio_deviation)
+    lower.fill_between(place, damping / spread, damping * spread, color="0.9")
+    lower.plot(place, damping, color="0.6", lw=0.8)
+    own = 100 * after.damping_ratio
+    bars = own - own * np.exp(-2 * after.damping_ratio_deviation), own * np.expm1(2 * after.damping_ratio_deviation)
+    lower.errorbar(place, own, bars, fmt=".", color="C0", capsize=2)
+    lower.set(xlabel="natural frequency before [kHz]", ylabel="damping ratio [%]", yscale="log")
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
+    upper.legend(fontsize="small")
+    return png(figure)

@@ -28,7 +28,7 @@ from cgid.validation import Floats
 BLOCK = 256
 #: Purposes of random numbers; a new purpose gets a new number.
 PARAMETERS, NOISE, TAPS, SECOND_HITS, CLIPPING, RANDOMISED, LUMPS, VISCOUS = 1, 2, 3, 4, 5, 6, 7, 8
-IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE = 16, 17, 18, 19, 20, 21
+IMPACT_POINTS, ARRIVALS, HUM, COLOURED, RECORDED, COLOURED_NOISE, MODES = 16, 17, 18, 19, 20, 21, 22
 
 PARTICLE = ("density", "youngs_modulus", "poisson_ratio", "radius")
 #: The columns of a rock's numbers, in order. Quantities of which a population has only one share a number.
@@ -165,7 +165,7 @@ class Drawn:
 def drawn_block(scene: Scene, seed: int, block: int) -> Drawn:
     """Return the drawn numbers of one block of 256 frames."""
     settings, sources = settings_of(scene, seed, block), scene.sources
-    here = settled(scene, settings)
+    here = with_drawn_modes(settled(scene, settings), seed, block)
     numbers = numbers_of(seed, block)
     weights = np.array([source.weight for source in sources])
     edges = np.cumsum(weights / weights.sum())
@@ -273,6 +273,17 @@ def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
             "randomise": None,
         }
     )
+
+
+def with_drawn_modes(scene: Scene, seed: int, block: int) -> Scene:
+    """Return the scene of one block with its learned modes drawn; the scene itself where these are certain or none."""
+    learned = None if scene.tail_beam is None else scene.tail_beam.learned_modes
+    if learned is None or not learned.uncertain:
+        return scene
+    assert scene.tail_beam is not None
+    raw = generator(seed, MODES, block).random((3, learned.frequency.size))
+    modes = learned.drawn(np.asarray(np.clip(raw, 2.0**-54, None)))
+    return scene.model_copy(update={"tail_beam": scene.tail_beam.with_learned(modes)})
 
 
 def numbers_of(seed: int, block: int) -> Floats:

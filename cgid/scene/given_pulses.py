@@ -35,6 +35,7 @@ from cgid.scene.draws import (
     settings_of,
     settled,
     specimen_of,
+    with_drawn_modes,
 )
 from cgid.scene.impacts import Blows, Strike
 from cgid.scene.plan import Plan, plan
@@ -161,7 +162,7 @@ def _blows(
     asked: Plan, pulses: SampledPulses, labels: NDArray[np.str_], known: dict[str, Floats], seed: int, block: int
 ) -> Blows:
     settings = settings_of(asked.scene, seed, block)
-    here = settled(asked.scene, settings)
+    here = with_drawn_modes(settled(asked.scene, settings), seed, block)
     values = {name: np.full(BLOCK, np.nan) for name in parameter_units(asked.scene)}
     drawn = {"onset": onset_of(here, numbers_of(seed, block)[-1]), **points_of_impact(here, seed, block)}
     values |= {"peak_force": pulses.peak_force, "contact_duration": pulses.contact_duration, **known}

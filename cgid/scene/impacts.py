@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -81,7 +81,7 @@ def beam_modes(scene: Scene) -> BeamModes:
 def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float) -> BeamModes:
     if panel is None:
         assert section.measured is not None
-        return BeamModes(section.measured, np.asarray(section.measured.shape_sensor))
+        return _learned(section, BeamModes(section.measured, np.asarray(section.measured.shape_sensor)))
     assert section.sensor_point is not None
     try:
         modes = panel.modes(highest)
@@ -95,7 +95,27 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
             f"tail_beam: must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; "
             "raise sampling.sampling_rate or sensor.anti_alias.frequency, or take a larger or thinner beam"
         )
-    return BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y))
+    return _learned(section, BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y)))
+
+
+def _learned(section: TailBeamSection, own: BeamModes) -> BeamModes:
+    """Return a beam's own modes as blows have taught them."""
+    learned = section.learned_modes
+    if learned is None:
+        return own
+    if learned.frequency.size != own.at_sensor.size:
+        raise InvalidValue(
+            f"tail_beam.learned: must have a row for each of the {own.at_sensor.size} modes of this beam in the band "
+            f"of its recorder, got {learned.frequency.size}; calibrate again (cgid calibrate), or leave it out"
+        )
+    at_sensor = own.at_sensor * learned.participation
+    if isinstance(own.modes, Modes):
+        modes = replace(own.modes, frequency=learned.frequency, damping_ratio=learned.damping_ratio)
+        return BeamModes(modes, at_sensor)
+    order = np.argsort(learned.frequency, kind="stable")  # measured modes ascend
+    columns = {name: np.asarray(getattr(own.modes, name))[order] for name in ("modal_mass", "shape_impact")}
+    columns |= {"frequency": learned.frequency[order], "damping_ratio": learned.damping_ratio[order]}
+    return BeamModes(MeasuredModes(**columns, shape_sensor=at_sensor[order]), at_sensor[order])
 
 
 @dataclass(frozen=True)
@@ -199,12 +219,13 @@ def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[n
     assert scene.tail_beam is not None and isinstance(scene.impact.target, TargetSection)
     modes = beam_modes(scene)
     shape = modes.shape_at({name: column[rows] for name, column in values.items()})
+    order = np.argsort(modes.frequency, kind="stable")  # learned modes may have changed places
     return ModalImpact(
         target=HalfSpace(material=scene.impact.target.material),
-        frequency=modes.frequency,
-        damping_ratio=modes.damping_ratio,
-        compliance=shape**2 / modes.modal_mass,
-        residual_compliance=_residual_compliance(scene, modes.frequency[-1]),
+        frequency=modes.frequency[order],
+        damping_ratio=modes.damping_ratio[order],
+        compliance=(shape**2 / modes.modal_mass)[:, order],
+        residual_compliance=_residual_compliance(scene, modes.frequency.max()),
         tolerance=0.1 * RESPONSE_TOLERANCE,
         **_collision(scene, values, rows),
     )

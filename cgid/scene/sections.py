@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
@@ -23,7 +23,14 @@ from cgid.elementary import sin
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.materials import Material
-from cgid.physics.modes import COLUMNS, MeasuredModes, read_measured_modes
+from cgid.physics.modes import (
+    COLUMNS,
+    LEARNED_COLUMNS,
+    LearnedModes,
+    MeasuredModes,
+    read_learned_modes,
+    read_measured_modes,
+)
 from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import (
     LIMITS,
@@ -500,6 +507,32 @@ class ModeRow(Section):
     shape_sensor: Annotated[Number, _SHAPE]
 
 
+_DEVIATION = Field(default=0.0, ge=0, le=1)
+
+
+class LearnedRow(Section):
+    """A mode of the beam as blows have taught it: `cgid calibrate`.
+
+    Parameters
+    ----------
+    frequency : float [Hz]
+        Natural frequency.
+    damping_ratio : float
+        Share of critical damping.
+    participation : float
+        Factor of the participation of the beam's own mode.
+    frequency_deviation, damping_ratio_deviation, participation_deviation : float
+        Standard deviations of their logarithms: each block of 256 signals draws its modes with them.
+    """
+
+    frequency: Frequency
+    damping_ratio: Ratio = Field(gt=0, lt=1)
+    participation: Number = Field(default=1.0, gt=0, le=1e6)
+    frequency_deviation: Annotated[Ratio, _DEVIATION]
+    damping_ratio_deviation: Annotated[Ratio, _DEVIATION]
+    participation_deviation: Annotated[Ratio, _DEVIATION]
+
+
 class TailBeamSection(Section):
     """A rectangular panel, stiffened or not, or modes measured in a tap test.
 
@@ -522,6 +555,9 @@ class TailBeamSection(Section):
     modes : tuple of ModeRow
         Instead of a panel, modes measured in a tap test, with ascending frequencies; in a file `modes = "modes.csv"`
         reads them from a table.
+    learned : tuple of LearnedRow, optional
+        What blows have taught of the modes of the panel, or of those measured, one row for each in their order; in a
+        file `learned = "site-modes.csv"` reads them from a table, as `cgid calibrate` writes it.
     coupling : str
         How the beam yields under a rock: as an infinite thin plate, through its modes, or whichever applies.
     """
@@ -535,6 +571,7 @@ class TailBeamSection(Section):
     impact_point: ImpactPoint | None = None
     sensor_point: SensorPoint | None = None
     modes: tuple[ModeRow, ...] | None = Field(default=None, min_length=1, max_length=10_000)
+    learned: tuple[LearnedRow, ...] | None = Field(default=None, min_length=1, max_length=10_000)
     coupling: Literal["auto", "impedance", "modes"] = "auto"
 
     @model_validator(mode="after")
@@ -605,13 +642,37 @@ class TailBeamSection(Section):
             **{name: np.array([getattr(row, name) for row in self.modes]) for name in ModeRow.model_fields}
         )
 
+    @cached_property
+    def learned_modes(self) -> LearnedModes | None:
+        """The learned modes."""
+        if self.learned is None:
+            return None
+        return LearnedModes(
+            **{name: np.array([getattr(row, name) for row in self.learned]) for name in LEARNED_COLUMNS}
+        )
+
+    def with_learned(self, modes: LearnedModes) -> TailBeamSection:
+        """Return the beam with other learned modes."""
+        rows = [LearnedRow.model_construct(**row) for row in rows_of(modes, LEARNED_COLUMNS)]
+        made = self.model_copy(update={"learned": tuple(rows)})
+        made.__dict__.pop("learned_modes", None)  # a copy keeps what is cached
+        return made
+
+
+def rows_of(modes: MeasuredModes | LearnedModes, columns: Iterable[str]) -> list[dict[str, float]]:
+    """Return a row for each mode."""
+    values = [np.asarray(getattr(modes, name)).tolist() for name in columns]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
+
 
 def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the content of a scene file with the table named in `tail_beam.modes` replaced by its rows."""
+    """Return the content of a scene file with the tables named in `tail_beam` replaced by their rows."""
     beam = content.get("tail_beam")
-    if not isinstance(beam, dict) or not isinstance(beam.get("modes"), str):
+    if not isinstance(beam, dict):
         return content
-    modes = read_measured_modes(folder / beam["modes"])
-    columns = [np.asarray(getattr(modes, name)).tolist() for name in COLUMNS]
-    rows = [dict(zip(COLUMNS, row, strict=True)) for row in zip(*columns, strict=True)]
-    return content | {"tail_beam": beam | {"modes": rows}}
+    rows = {}
+    if isinstance(beam.get("modes"), str):
+        rows["modes"] = rows_of(read_measured_modes(folder / beam["modes"]), COLUMNS)
+    if isinstance(beam.get("learned"), str):
+        rows["learned"] = rows_of(read_learned_modes(folder / beam["learned"]), LEARNED_COLUMNS)
+    return content | {"tail_beam": beam | rows} if rows else content

@@ -1,0 +1,229 @@
+"""`cgid calibrate`: learn the modes of one's own beam from a recording of impacts that nobody labelled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cgid.cli.help import Command
+from cgid.cli.options import PATH, SCENE, Reading, reading_options
+from cgid.cli.output import print_json, progress_bar, say
+from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.terminal import counted
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cgid.identification.events import Event
+    from cgid.scene import Scene
+    from cgid.site import SiteCalibration
+
+
+@click.command(
+    cls=Command,
+    short_help="Learn the modes of a beam from a recording of unlabelled impacts.",
+    example="cgid calibrate shift.wav --scene tail_beam -o site.toml\ncgid train site.toml -o site.npz",
+)
+@click.argument("recordings", type=PATH, nargs=-1, required=True, metavar="RECORDING...")
+@click.option("--scene", "scene_name", type=SCENE, required=True, help="Start from the beam of this scene.")
+@click.option("-o", "--output", type=PATH, required=True, help="Write this scene (.toml), and its modes beside it.")
+@click.option(
+    "--start-error",
+    default="1 %",
+    show_default=True,
+    help="Say how far the scene's natural frequencies may be off (one standard deviation); dampings 10 times as far.",
+)
+@click.option(
+    "--drift",
+    default="0.3 %",
+    show_default=True,
+    help="Say the same of a scene that was calibrated before: how far they may have moved since.",
+)
+@click.option(
+    "--participation-error",
+    default="0 %",
+    show_default=True,
+    help="Say how far the strengths of the modes may be off; with 0 they are not learned.",
+)
+@click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
+@click.option("--plot", "picture", type=PATH, help="Draw the modes before and after, with deviations, as PNG.")
+@click.option("--overwrite", is_flag=True, help="Replace existing files.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@reading_options
+def calibrate(
+    recordings: tuple[str, ...],
+    scene_name: str,
+    output: str,
+    start_error: str,
+    drift: str,
+    participation_error: str,
+    impacts: int,
+    picture: str | None,
+    overwrite: bool,
+    as_json: bool,
+    reading: Reading,
+) -> None:
+    """Learn the modes of a beam from RECORDINGs of its impacts, or a dataset, without labels, and write a scene of them.
+
+    A few hundred impacts at unknown places are enough where the scene's beam is nearly right: its frequencies within
+    some per cent, its shapes, the place of the sensor and the region of the blows. Train through the learned beam with
+    cgid train site.toml. Nothing is written where the beam does not explain the impacts as well as it should.
+    """
+    from cgid.files import check_new
+    from cgid.scene import load_scene
+    from cgid.site.calibration import MOST_ROUNDS, check_scene, table_beside
+    from cgid.site.calibration import calibrate as calibrated
+
+    path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
+    check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
+    drawing = None
+    if picture is not None:
+        from cgid.plots import require_matplotlib
+
+        drawing = check_new(Path(picture), "a picture", (".png",), overwrite=overwrite)
+        require_matplotlib()
+    scene = load_scene(scene_name)
+    errors = {
+        "start_error": _share("--start-error", start_error),
+        "drift": _share("--drift", drift),
+        "participation_error": _share("--participation-error", participation_error),
+    }
+    check_scene(scene, scene.sampling.sampling_rate)
+    frames, rate, before = _frames(recordings, scene, reading)
+    check_scene(scene, rate)
+    with progress_bar(MOST_ROUNDS, "rounds") as progress:
+        found = calibrated(scene, frames, rate, before, most_blows=impacts, progress=progress, **errors)
+    found.save(path, overwrite=overwrite)
+    if drawing is not None:
+        _draw(found, drawing, overwrite)
+    _say(found, path, as_json)
+
+
+def _share(flag: str, text: str) -> float:
+    """Return a share such as "1 %"."""
+    from cgid.units import parse
+
+    try:
+        return parse(float(text) if text.replace(".", "", 1).isdigit() else text, "ratio")
+    except (CgidError, ValueError):
+        raise InvalidValue(f"{flag} must be a share such as '1 %' or 0.01, got {text!r}") from None
+
+
+def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tuple[NDArray[np.floating], float, int]:
+    """Return the frames of all usable impacts in the unit of the scene's sensor, their rate and samples before touch."""
+    import numpy as np
+
+    from cgid.site.calibration import FEWEST, frames_of, usable_blows
+
+    if any(reading.wants_whole_dataset(path) for path in recordings):
+        if len(recordings) > 1:
+            raise InvalidValue(f"{recordings[0]}: a dataset must be given alone, got {len(recordings)} recordings")
+        return _of_dataset(recordings[0], scene)
+    events: list[Event] = []
+    rate = 0.0
+    for path in recordings:
+        recording = reading.recording(path)
+        if rate and abs(recording.sampling_rate / rate - 1) > 1e-6:
+            raise BadData(f"{path}: all recordings must have one sampling rate, got {recording.sampling_rate:g} Hz")
+        rate = recording.sampling_rate
+        events += _found(recording, scene, reading)
+    kept, lost = usable_blows(events)
+    if len(kept) < FEWEST:
+        reasons = ", ".join(f"{n} {name}" for name, n in lost.items() if n)
+        raise BadData(
+            f"{recordings[0]}: usable impacts must be at least {FEWEST}, got {len(kept)} of {len(events)}"
+            + (f" ({reasons})" if reasons else "")
+            + "; record longer, and below the sensor's range"
+        )
+    frames, before = frames_of(kept)
+    return np.asarray(frames, np.float64), rate, before
+
+
+def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
+    """Return the impacts of a recording in the unit of a scene's sensor."""
+    from cgid.identification.detection import ImpactDetector
+    from cgid.identification.labelled_recordings import unit_of
+    from cgid.units import UNITS, quantity_of
+
+    if len(recording.channels) != 1:
+        raise BadData(
+            f"{recording.source}: the recording must be of one sensor, got {len(recording.channels)} channels; pick "
+            "one with --channel"
+        )
+    unit = unit_of(recording)
+    quantity = quantity_of(unit)
+    if quantity != scene.sensor.quantity:
+        raise BadData(
+            f"{recording.source}: the recording must be of {scene.sensor.quantity} like scene {scene.name}, got "
+            f"{quantity} [{unit}]; choose another channel, or say --unit"
+        )
+    factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
+    detector = ImpactDetector(recording.sampling_rate, kind="vibration", dead_time=reading.dead_time)
+    events: list[Event] = []
+    for block in recording.blocks():
+        events += detector.feed(block * factor)
+    events += detector.finish()
+    if not events:
+        raise BadData(f"{recording.source}: {detector.why_silent(unit=unit)}")
+    return events
+
+
+def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, int]:
+    """Return the frames of a dataset, their rate and samples before touch."""
+    import numpy as np
+
+    from cgid.store import Dataset
+    from cgid.units import UNITS
+
+    dataset = Dataset(path)
+    first = dataset.signal(0)
+    factor = UNITS[scene.sensor.quantity].get(first.unit or "")
+    if factor is None:
+        raise BadData(
+            f"{path}: the dataset must be of {scene.sensor.quantity} like scene {scene.name}, got {first.unit}"
+        )
+    frames = np.concatenate([batch.signals for batch in dataset])
+    return np.asarray(frames * factor, np.float64), first.sampling_rate, first.pre_trigger or 0
+
+
+def _draw(found: SiteCalibration, path: Path, overwrite: bool) -> None:
+    from cgid.files import write_whole
+    from cgid.plots import modes_picture
+
+    write_whole(path, modes_picture(found.start, found.learned), overwrite=overwrite)
+
+
+def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
+    import numpy as np
+
+    modes, change = found.learned, np.log(found.learned.frequency / found.start.frequency)
+    known = modes.frequency_deviation < 0.5 * found.start.frequency_deviation
+    content = {
+        "scene": found.scene.name,
+        "site": str(path),
+        "n_impacts": found.n_blows,
+        "n_modes": int(modes.frequency.size),
+        "n_learned": int(known.sum()),
+        "frequency_change": float(np.median(np.abs(change[known]))) if known.any() else None,
+        "frequency_deviation": float(np.median(modes.frequency_deviation[known])) if known.any() else None,
+        "evidence": {"before": found.before, "after": found.after, "expected": found.expected},
+        "crossings": found.crossings,
+        "at_rest": found.at_rest,
+    }
+    if as_json:
+        print_json(content)
+    else:
+        say(f"{path}: {counted(found.n_blows, 'impact')}, {content['n_learned']} of {content['n_modes']} modes learned")
+        if known.any():
+            say(
+                f"natural frequencies moved by {content['frequency_change']:.3%} (median), and are known to "
+                f"{content['frequency_deviation']:.3%}"
+            )
+        say(f"evidence a sample: {found.before:.3g} before, {found.after:.3g} after, {found.expected:.3g} expected")
+    if found.crossings:
+        say(f"cgid: warning: {counted(found.crossings, 'pair')} of neighbouring modes changed places", err=True)
+    if not found.at_rest:
+        say("cgid: warning: the modes still moved in the last round; more impacts help, or calibrate again", err=True)

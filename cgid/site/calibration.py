@@ -1,0 +1,335 @@
+"""A scene's beam calibrated with recorded impacts that nobody labelled, and the site file that holds the result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.files import check_new, write_together
+from cgid.identification.contact import REACH
+from cgid.identification.inversion import Inversion
+from cgid.measure.beam import Beam
+from cgid.measure.vibration import VibrationBatch
+from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
+from cgid.scene.impacts import beam_modes
+from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.sections import rows_of
+from cgid.scene.synthesis import synthesise
+from cgid.scene.through_beam import beam_of
+from cgid.site.learning import MOST_ROUNDS, Blows, corrected, evidence_of, learn
+from cgid.validation import Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.events import Event
+
+__all__ = ["MOST_ROUNDS", "SiteCalibration", "calibrate", "usable_blows"]
+
+#: Fewest usable blows.
+FEWEST = 20
+#: Prior deviations of ln damping ratio for those of ln frequency, and the largest.
+_DAMPING_A_FREQUENCY, _MOST_DAMPING = 10.0, 0.3
+#: Blows whose evidence is compared, and the seed of simulated ones.
+_COMPARED, _SEED = 256, 0x5EED_0002_CA11
+#: The evidence may stay this much below that of simulation, absolutely and relatively.
+_BELOW, _BELOW_SHARE = 0.1, 0.1
+#: Share of the worst blows that is left out: a touch that is missed, two blows at once, another place than the scene's.
+_WORST = 0.2
+#: A mode is silent at a sensor where its shape is below this share of its own root mean square, 1/2; a sensor on nodes
+#: of more than this share of the modes learns nothing. On a line of symmetry it is half.
+_SILENT, _MOST_SILENT = 0.02, 0.6
+#: A crossing counts where the learned frequencies are this many of their deviations apart.
+_CERTAIN = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SiteCalibration:
+    """A calibrated scene and how well it explains the recording.
+
+    Attributes
+    ----------
+    scene : Scene
+        With `tail_beam.learned`.
+    start, learned : LearnedModes
+        The modes before, with the deviations they were given, and after.
+    n_blows : int
+        Blows that were used.
+    before, after, expected : float
+        Log evidence of a blow per sample (mean without the worst fifth): before, after, and of blows that are simulated
+        through the learned beam.
+    crossings : int
+        Neighbouring modes that have changed places.
+    at_rest : bool
+        Whether the modes have come to rest.
+    """
+
+    scene: Scene
+    start: LearnedModes
+    learned: LearnedModes
+    n_blows: int
+    before: float
+    after: float
+    expected: float
+    crossings: int
+    at_rest: bool
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, Path]:
+        """Write the scene as a .toml file, and its modes as a table beside it; return both paths."""
+        path = check_new(Path(path), "a site", (".toml",), overwrite=overwrite)
+        table = check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
+        titles = [f"{name} [{unit}]" for name, unit in LEARNED_COLUMNS.items()]
+        rows = rows_of(self.learned, LEARNED_COLUMNS)
+        lines = [",".join(titles), *(",".join(f"{value!r}" for value in row.values()) for row in rows)]
+        content = json.loads(self.scene.text)
+        content["tail_beam"]["learned"] = table.name
+        for part in content.get("background", {}).values():  # paths are relative to the file that names them
+            if isinstance(part, dict) and "path" in part:
+                part["path"] = str((self.scene.folder / part["path"]).resolve())
+        head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {self.n_blows} impacts.\n"
+        texts = {table: "\n".join(lines) + "\n", path: head + "\n".join(_toml(content)) + "\n"}
+        write_together({place: text.encode() for place, text in texts.items()}, overwrite=overwrite)
+        return path, table
+
+
+def table_beside(path: Path) -> Path:
+    """Return the path of the table of modes of a site file."""
+    return path.with_name(f"{path.stem}-modes.csv")
+
+
+def usable_blows(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]]:
+    """Return the impacts that can teach, and how many cannot, by reason."""
+    kept, lost = [], {"overlapping": 0, "clipped": 0, "cut": 0}
+    for event in events:
+        flaw = next((name for name in lost if getattr(event, name)), None)
+        if flaw is None and not event.problem:
+            kept.append(event)
+        elif flaw is not None:
+            lost[flaw] += 1
+    return kept, lost
+
+
+def calibrate(
+    scene: Scene,
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    pre_trigger: int,
+    *,
+    start_error: float = 0.01,
+    drift: float = 0.003,
+    participation_error: float = 0.0,
+    most_blows: int = 300,
+    progress: Callable[[int], object] | None = None,
+) -> SiteCalibration:
+    """Learn the modes of a scene's beam from recorded blows.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a beam of known size or a table of modes, and one accelerometer on it.
+    frames : ndarray, (n_blows, n_samples)
+        Blows at unknown places, in the SI unit of the sensor; of more than `most_blows` those over the whole recording.
+    sampling_rate : float [Hz]
+        That of the scene.
+    pre_trigger : int
+        Samples of each frame before touch.
+    start_error : float
+        Standard deviation of the natural frequencies of a scene that has never been calibrated, relative; that of the
+        damping ratios is 10 times as large, at most 0.3.
+    drift : float
+        The same for a scene that has been calibrated: what has changed since.
+    participation_error : float
+        Standard deviation of the modes' participations, relative; with 0, they are not learned.
+    most_blows : int
+        Largest number of blows that are used.
+    progress : callable, optional
+        Receives the number of rounds done since the last call; there are at most `MOST_ROUNDS`.
+
+    Returns
+    -------
+    SiteCalibration
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule, or the scene has no beam to look through, or a sensor on nodes.
+    BadData
+        Too few blows, another sampling rate, modes that cross and cannot be told apart, or blows of another beam.
+    """
+    for name, value, most in (
+        ("start_error", start_error, 0.1),
+        ("drift", drift, 0.1),
+        ("participation_error", participation_error, 1.0),
+    ):
+        if not 0 <= value <= most or (name == "start_error" and value == 0):
+            least = "above 0" if name == "start_error" else "at least 0"
+            raise InvalidValue(f"{name} must be {least} and at most {most:g}, got {value:g}")
+    validation.count("most_blows", most_blows)
+    check_scene(scene, sampling_rate)
+    if len(frames) < FEWEST:
+        raise BadData(f"blows must be at least {FEWEST} to learn from, got {len(frames)}; record longer")
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most_blows)).round().astype(np.intp))
+    beam = beam_of(scene)
+    start = _start(scene)
+    deviation = _prior(scene, start, start_error, drift, participation_error)
+    with threadpool_limits(1):
+        blows = _blows(frames[chosen], sampling_rate, pre_trigger)
+        before = _evidence(beam, blows)
+        found = learn(beam, blows, deviation, progress=progress)
+        learned = LearnedModes(
+            frequency=start.frequency * np.exp(found.correction[0]),
+            damping_ratio=-corrected(beam, found.correction).poles.real
+            / np.abs(corrected(beam, found.correction).poles),
+            participation=start.participation * np.exp(found.correction[2]),
+            frequency_deviation=found.deviation[0],
+            damping_ratio_deviation=found.deviation[1],
+            participation_deviation=found.deviation[2],
+        )
+        crossings = _crossings(scene, learned)
+        site = _with_learned(scene, learned)
+        own = corrected(beam, found.correction)
+        after, expected = _evidence(own, blows), _evidence(own, _simulated(site))
+    if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
+        raise BadData(
+            f"the beam of scene {scene.name} must explain the blows as it explains simulated ones: their evidence is "
+            f"{after:.3g} a sample ({before:.3g} before), expected {expected:.3g}; is it the beam, the place of the "
+            "sensor and the region of the blows? Else take more impacts, or a larger start error"
+        )
+    return SiteCalibration(
+        scene=site,
+        start=LearnedModes(
+            **{name: getattr(start, name) for name in ("frequency", "damping_ratio", "participation")},
+            **dict(zip(list(LEARNED_COLUMNS)[3:], deviation, strict=True)),
+        ),
+        learned=learned,
+        n_blows=len(blows),
+        before=before,
+        after=after,
+        expected=expected,
+        crossings=crossings,
+        at_rest=found.at_rest,
+    )
+
+
+def check_scene(scene: Scene, sampling_rate: float) -> None:
+    """Raise unless a scene has a beam that its sensor hears (`InvalidValue`), at this rate (`BadData`)."""
+    if scene.tail_beam is None or scene.sensor.quantity == "force":
+        raise InvalidValue(
+            f"scene {scene.name}: must have a [tail_beam] and a sensor of motion on it to be calibrated; add them"
+        )
+    rate = scene.sampling.sampling_rate
+    if abs(sampling_rate / rate - 1) > 1e-3:
+        raise BadData(
+            f"the recording must be sampled at {rate:g} Hz like scene {scene.name}, whose modes reach "
+            f"{beam_modes(scene).frequency.max():.4g} Hz, got {sampling_rate:g} Hz; set sampling.sampling_rate and "
+            "sensor.anti_alias of the scene to those of the recorder"
+        )
+    shape = np.abs(beam_modes(scene).at_sensor)
+    silent = shape < _SILENT * (0.5 if scene.panel is not None else shape.max())
+    if silent.mean() > _MOST_SILENT:
+        raise InvalidValue(
+            f"scene {scene.name}: the sensor must hear the modes, {silent.sum()} of {silent.size} have a node at "
+            "tail_beam.sensor_point; move it"
+        )
+
+
+def _start(scene: Scene) -> LearnedModes:
+    """Return the modes of a scene before calibration, in the order of the beam's own, without deviations."""
+    assert scene.tail_beam is not None
+    if scene.tail_beam.learned_modes is not None:
+        return scene.tail_beam.learned_modes
+    modes = beam_modes(scene)
+    none = np.zeros_like(modes.frequency)
+    return LearnedModes(
+        frequency=modes.frequency,
+        damping_ratio=modes.damping_ratio,
+        participation=np.ones_like(none),
+        frequency_deviation=none,
+        damping_ratio_deviation=none,
+        participation_deviation=none,
+    )
+
+
+def _prior(scene: Scene, start: LearnedModes, start_error: float, drift: float, participation: float) -> Floats:
+    """Return the prior deviations, (3, n_modes)."""
+    assert scene.tail_beam is not None
+    moved = start_error if scene.tail_beam.learned is None else drift
+    more = np.array([moved, min(_DAMPING_A_FREQUENCY * moved, _MOST_DAMPING), participation])
+    known = [getattr(start, name) for name in list(LEARNED_COLUMNS)[3:]]
+    return np.sqrt(np.square(known) + np.square(more)[:, None])
+
+
+def _blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Blows:
+    batch = VibrationBatch(np.asarray(frames, np.float64), sampling_rate, pre_trigger)
+    level = np.sqrt(np.mean(np.square(batch.samples), axis=1))
+    first = np.maximum(batch.first - int(np.ceil(REACH * sampling_rate)), batch.n_quiet)
+    start = np.stack([np.minimum(first, batch.first + 1), batch.first + 1], axis=1).astype(np.intp)
+    return Blows(batch.samples - batch.offset[:, None], start, np.maximum(batch.noise, 1e-6 * level + 1e-300))
+
+
+def _evidence(beam: Beam, blows: Blows) -> float:
+    """Return the mean evidence of some blows, without the worst."""
+    part = blows.taken(slice(_COMPARED))
+    found = np.sort(evidence_of(Inversion(beam), part))
+    return float(found[int(_WORST * found.size) :].mean())
+
+
+def _simulated(site: Scene) -> Blows:
+    frames = np.concatenate([batch.signals for batch in synthesise(site, _COMPARED, _SEED)])
+    return _blows(frames, site.sampling.sampling_rate, site.sampling.pre_trigger)
+
+
+def _crossings(scene: Scene, learned: LearnedModes) -> int:
+    """Return how many neighbours have changed places; raises `BadData` where shapes do not tell them apart."""
+    logs, deviation = np.log(learned.frequency), learned.frequency_deviation
+    crossed = np.flatnonzero(np.diff(logs) < -_CERTAIN * np.hypot(deviation[1:], deviation[:-1]))
+    if crossed.size and scene.panel is None:
+        first, second = learned.frequency[crossed[0] : crossed[0] + 2]
+        raise BadData(
+            f"modes {crossed[0] + 1} and {crossed[0] + 2} must not cross where only a table tells them apart: they "
+            f"went to {first:.5g} and {second:.5g} Hz; take a smaller start error, or one mode for both"
+        )
+    return int(crossed.size)
+
+
+def _with_learned(scene: Scene, learned: LearnedModes) -> Scene:
+    content = json.loads(scene.text)
+    content["tail_beam"]["learned"] = rows_of(learned, LEARNED_COLUMNS)
+    return parse_scene(content, source=f"calibration of {scene.name}", folder=scene.folder)
+
+
+def _toml(content: dict[str, Any]) -> list[str]:
+    """Return a scene as lines of TOML: its sections as tables, what is deeper inline."""
+    lines = [f"{key} = {_value(part)}" for key, part in content.items() if not _is_section(part)]
+    for key, part in content.items():
+        for table in part if isinstance(part, list) else [part]:
+            if _is_section(part):
+                head = f"[[{key}]]" if isinstance(part, list) else f"[{key}]"
+                lines += ["", head, *(f"{name} = {_value(value)}" for name, value in table.items())]
+    return lines
+
+
+def _is_section(part: Any) -> bool:
+    return isinstance(part, dict) or (isinstance(part, list) and bool(part) and isinstance(part[0], dict))
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {_value(own)}" for name, own in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else repr(value)
+
+
+def frames_of(events: Sequence[Event]) -> tuple[NDArray[np.floating], int]:
+    """Return the frames of impacts from one detector, and how many samples of each are before touch."""
+    before = events[0].pre_trigger
+    assert before is not None  # those of vibrations are known
+    return np.stack([event.samples for event in events]), before

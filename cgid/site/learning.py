@@ -1,0 +1,365 @@
+"""The modes of a beam, learned from blows whose places and forces nobody knows.
+
+The samples of a blow are `sum_r participation_r(place) response_r(pole_r, force) + noise`. Place and force differ from
+blow to blow, but all share the poles. So the place and the force of each blow are found with the present poles, and a
+Gauss-Newton step then corrects all modes at once, with the places and forces projected out: variable projection (Golub
+& Pereyra 1973), with Gaussian priors of the forces and of the corrections. A mode that ended in a wrong valley is
+sought alone over a wider range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.identification.inversion import Inversion, Sought
+from cgid.measure.beam import Beam, Singles, respond
+from cgid.validation import Floats
+
+#: What is corrected of a mode.
+CORRECTED = ("frequency", "damping_ratio", "participation")
+#: Relative step of the difference quotients in a pole: at the end of a response, it turns the fastest mode by some
+#: thousandths of a radian.
+_STEP = 1e-6
+#: Prior deviation of a place about the one found [m].
+_PLACE_DEVIATION = 0.1
+#: Blows of a round while the poles move far, and of a search of single modes.
+_FEW, _SOUGHT = 120, 48
+#: Gauss-Newton rounds before the first search of single modes, between two, and at last with all blows; searches.
+_FIRST, _BETWEEN, _LAST, _MOST_SEARCHES = 8, 2, 10, 6
+#: Bands that are learned one after the other, as shares of the whole, and modes beyond a band that still act on it.
+_BANDS, _BEYOND = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0), 1.15
+#: Errors of a frequency below this share of the damping ratio are learned in the whole band at once.
+_NARROW = 0.7
+#: Factor of the deviations for what a linear model of the poles leaves out; measured by benchmarks/calibrate.py.
+_BEYOND_LINEAR = 1.1
+#: Most rounds.
+MOST_ROUNDS = len(_BANDS) * (_FIRST + _MOST_SEARCHES * _BETWEEN) + _LAST
+#: Poles are at rest where this share of the steps is no longer than this share of their own deviations.
+_MOST_MODES, _AT_REST = 0.97, 0.5
+#: The search: the widest, in prior deviations and relative to the frequency, and its step in damping ratios.
+_WIDEST, _WIDEST_SHARE, _FINEST = 3.0, 0.12, 0.35
+#: Least gain in log likelihood of a mode that moves to another valley, and how far modes are apart that move together.
+_LEAST_GAIN, _APART = 10.0, 0.04
+#: Limits of a damping ratio.
+_LEAST_DAMPING, _MOST_DAMPING = 1e-4, 0.7
+
+
+def corrected(beam: Beam, correction: Floats) -> Beam:
+    """Return a beam with corrected modes.
+
+    Parameters
+    ----------
+    beam : Beam
+    correction : ndarray, (3, n_modes)
+        Of ln frequency, ln damping ratio and ln participation (`CORRECTED`).
+    """
+    size = np.abs(beam.poles)
+    ratio = np.clip(-beam.poles.real / size * np.exp(correction[1]), _LEAST_DAMPING, _MOST_DAMPING)
+    return replace(
+        beam,
+        poles=size * np.exp(correction[0]) * (-ratio + 1j * np.sqrt(1 - ratio**2)),
+        participation=beam.participation * np.exp(correction[2])[:, None, None],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Blows:
+    """Recorded blows.
+
+    Attributes
+    ----------
+    frames : ndarray, (n, n_samples)
+        At the sampling rate of the beam, without baseline.
+    start : ndarray of int, (n, 2)
+        First and last sample in which touch may lie.
+    noise : ndarray, (n,)
+        Standard deviation of the noise.
+    """
+
+    frames: NDArray[np.floating]
+    start: NDArray[np.intp]
+    noise: Floats
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def taken(self, rows: slice) -> Blows:
+        """Return some of the blows."""
+        return Blows(self.frames[rows], self.start[rows], self.noise[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What blows tell of the modes of a beam.
+
+    Attributes
+    ----------
+    correction, deviation : ndarray, (3, n_modes)
+        Of ln frequency, ln damping ratio and ln participation, and its standard deviation: that of the prior where the
+        blows tell nothing.
+    rounds : int
+        Gauss-Newton steps.
+    at_rest : bool
+        Whether the last step was small against the deviations.
+    """
+
+    correction: Floats
+    deviation: Floats
+    rounds: int
+    at_rest: bool
+
+
+def evidence_of(inversion: Inversion, blows: Blows) -> Floats:
+    """Return the log evidence of each blow per sample, (n,): 0 would be samples that are known without noise.
+
+    White noise alone has -0.5. A beam that explains the blows has some tenths less, as places and forces are unknown;
+    one that does not has much less.
+    """
+    found = inversion.invert(Sought(blows.frames, blows.noise), blows.start)
+    samples = _cut(blows.frames, found.start, inversion.n_samples) / blows.noise[:, None]
+    power = np.square(inversion.transformed(samples), dtype=np.float64).sum(axis=1)
+    return np.asarray(found.evidence - 0.5 * power / inversion.n_samples)
+
+
+def learn(
+    beam: Beam,
+    blows: Blows,
+    deviation: Floats,
+    *,
+    progress: Callable[[int], object] | None = None,
+) -> Learned:
+    """Learn the modes of a beam from blows.
+
+    Parameters
+    ----------
+    beam : Beam
+        To start from.
+    blows : Blows
+    deviation : ndarray, (3, n_modes)
+        Prior standard deviation of ln frequency, ln damping ratio and ln participation; rows of zeros are not learned.
+    progress : callable, optional
+        Receives the number of rounds done since the last call.
+
+    Returns
+    -------
+    Learned
+    """
+    kept = np.flatnonzero(deviation.any(axis=1))
+    state = _State(beam, blows, np.maximum(deviation[kept], 1e-9), kept, progress)
+    few = min(_FEW, len(blows))
+    top = Inversion(beam).bins.stop / Inversion(beam).n_samples * beam.sampling_rate
+    ratio = float(np.median(-beam.poles.real / np.abs(beam.poles)))
+    # The low modes first: with them come the places, and with these the higher modes. Errors well below the width of
+    # a resonance need no such care.
+    for share in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
+        state.limit = None if share == 1 else share * top
+        for search in range(_MOST_SEARCHES + 1):
+            for _ in range(_BETWEEN if search else _FIRST):
+                if state.step(few):
+                    break
+            if search == _MOST_SEARCHES or not state.search(few, deviation):
+                break
+    at_rest = False
+    for _ in range(_LAST):
+        at_rest = state.step(len(blows))
+        if at_rest:
+            break
+    found = deviation.copy()
+    found[kept] = np.minimum(_BEYOND_LINEAR * state.own, state.prior)
+    return Learned(state.now, found, state.rounds, at_rest)
+
+
+class _State:
+    """The corrections so far, and the steps that improve them."""
+
+    def __init__(
+        self,
+        beam: Beam,
+        blows: Blows,
+        prior: Floats,
+        kept: NDArray[np.intp],
+        progress: Callable[[int], object] | None,
+    ) -> None:
+        self.beam, self.blows, self.prior, self.kept, self.progress = beam, blows, prior, kept, progress
+        self.now = np.zeros((len(CORRECTED), len(beam.poles)))
+        self.own = prior
+        self.raised = np.ones(len(blows))
+        self.rounds = 0
+        self.limit: float | None = None
+
+    def _system(self, n_blows: int) -> _System:
+        rows = slice(n_blows)
+        system = _System(
+            corrected(self.beam, self.now), self.blows.taken(rows), self.raised[rows], self.kept, self.limit
+        )
+        self.raised[rows] = np.sqrt(np.maximum(system.power, 1.0))
+        return system
+
+    def step(self, n_blows: int) -> bool:
+        """Make a Gauss-Newton step with the first blows; return whether the poles are at rest."""
+        system = self._system(n_blows)
+        precision = system.curvature + np.diag(self.prior.ravel() ** -2)
+        covariance = np.linalg.inv(precision)
+        # Where the pulls of single blows scatter more than the curvature says, the model is not exact: Huber (1967).
+        scatter = np.sum(np.square(covariance @ system.pulls.T), axis=1)
+        self.own = np.sqrt(np.maximum(np.diag(covariance), scatter)).reshape(self.prior.shape)
+        pull = system.pulls.sum(axis=0) - (self.now[self.kept] / self.prior**2).ravel()
+        step = np.clip((covariance @ pull).reshape(self.prior.shape), -self.prior, self.prior)
+        self.now[self.kept] += step
+        self.rounds += 1
+        if self.progress is not None:
+            self.progress(1)
+        return bool(np.quantile(np.abs(step) / self.own, _MOST_MODES) < _AT_REST)
+
+    def search(self, n_blows: int, deviation: Floats) -> bool:
+        """Move single modes to other valleys; return whether any gains by it."""
+        moved = _searched(self.beam, self.now, deviation, self._system(min(n_blows, _SOUGHT)))
+        if moved is not None:
+            self.now = moved
+        return moved is not None
+
+
+def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
+    """Return the samples of each row from its start on, zeros behind the frame."""
+    columns = start[:, None] + np.arange(n_samples)
+    inside = np.take_along_axis(frames, np.clip(columns, 0, frames.shape[1] - 1), axis=1)
+    return np.where((columns >= 0) & (columns < frames.shape[1]), inside, 0.0)
+
+
+class _System:
+    """The normal equations of the corrections at one beam, summed over blows.
+
+    Attributes
+    ----------
+    curvature, pulls : ndarray, (n, n) and (n_blows, n), n = kept quantities times modes
+    power : ndarray, (n_blows,)
+        Mean square of what is left of each blow, over the noise.
+    """
+
+    def __init__(
+        self, beam: Beam, blows: Blows, raised: Floats, kept: NDArray[np.intp], limit: float | None = None
+    ) -> None:
+        self.beam, self.inversion = beam, Inversion(beam)
+        bins = self.inversion.bins
+        frequency = np.arange(bins.start, bins.stop) / self.inversion.n_samples * beam.sampling_rate
+        highest = np.inf if limit is None else limit
+        self.columns = np.flatnonzero(np.tile(frequency, 2) <= highest)
+        self.active = np.flatnonzero(np.abs(beam.poles) / (2 * np.pi) <= _BEYOND * highest)
+        self.noise = blows.noise * raised
+        self.found = self.inversion.invert(Sought(blows.frames, self.noise, limit=limit), blows.start)
+        samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / self.noise[:, None]
+        self.samples = self.inversion.transformed(samples)[:, self.columns]
+        self.table = self._told(self.inversion.responses)
+        self.at = self.beam.weights(self.found.x, self.found.y)
+        slopes = [self._slope(row) if row < 2 else self.table[self.active] for row in kept]
+        n = kept.size * len(beam.poles)
+        self.rows = np.add.outer(np.arange(kept.size) * len(beam.poles), self.active).ravel()
+        self.curvature, self.pulls, self.power = np.zeros((n, n)), np.zeros((len(blows), n)), np.empty(len(blows))
+        curvature = np.zeros((self.rows.size, self.rows.size))
+        for row in range(len(blows)):
+            self.pulls[row, self.rows] = self._add(row, slopes, float(raised[row]), curvature)
+        self.curvature[np.ix_(self.rows, self.rows)] = curvature
+
+    def _slope(self, row: int) -> Singles:
+        """Return the slopes of the responses in ln frequency or ln damping ratio, like `table`."""
+        step = np.zeros((len(CORRECTED), len(self.beam.poles)))
+        step[row] = _STEP
+        sides = [
+            respond(corrected(self.beam, sign * step), self.inversion.forces, self.inversion.n_samples)
+            for sign in (1, -1)
+        ]
+        return self._told((sides[0] - sides[1])[self.active] / (2 * _STEP))
+
+    def _told(self, responses: Floats) -> Singles:
+        """Return the coefficients of responses that tell."""
+        return np.ascontiguousarray(self.inversion.transformed(responses)[..., self.columns])
+
+    def of(self, beam: Beam) -> Singles:
+        """Return the table of the active modes of another beam."""
+        return self._told(respond(beam, self.inversion.forces, self.inversion.n_samples)[self.active])
+
+    def level(self, row: int) -> float:
+        """Return the prior variance of the coefficients of one blow."""
+        return max(float(np.mean(np.square(self.found.coefficients[row]))), 1.0)
+
+    def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, Floats]:
+        """Return of one blow the ways of force and place, their precision, what is left, and the samples' weight."""
+        force = self.found.coefficients[row]
+        single = force.astype(np.float32)
+        ways = np.tensordot(np.stack([at[row] for at in self.at]), self.table, 1)
+        ways[1:, 0] = single @ ways[1:]
+        left = self.samples[row] - single @ ways[0]
+        weight = 1 / max(float(np.mean(np.square(left))), 1.0)
+        every = np.concatenate([ways[0], ways[1:, 0]])
+        prior = np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _PLACE_DEVIATION**-2)])
+        exact = every.astype(np.float64)  # singles would leave a precision that is not positive
+        return every, weight * (exact @ exact.T) + np.diag(prior), left, weight
+
+    def _add(self, row: int, slopes: list[Singles], raised: float, curvature: Floats) -> Floats:
+        """Add the curvature of one blow, and return its pull."""
+        every, precision, left, weight = self.nuisance(row)
+        force = self.found.coefficients[row]
+        single = force.astype(np.float32)
+        self.power[row] = float(np.mean(np.square(left))) * raised**2
+        jacobian = np.concatenate([(single @ slope) * self.at[0][row][self.active, None] for slope in slopes])
+        cross = weight * (every @ jacobian.T).astype(np.float64)
+        half = np.linalg.solve(np.linalg.cholesky(precision), cross).astype(np.float32)
+        curvature += (np.float32(weight) * jacobian) @ jacobian.T - half.T @ half
+        # Without the pull of the force's prior: its level is unknown, and would raise all participations.
+        push = weight * (every @ left).astype(np.float64)
+        return np.asarray(weight * (jacobian @ left).astype(np.float64) - cross.T @ np.linalg.solve(precision, push))
+
+
+def _searched(beam: Beam, now: Floats, deviation: Floats, system: _System) -> Floats | None:
+    """Return corrections in which some modes have moved to another valley; None if none gains by it.
+
+    Each mode is tried alone at frequencies all over its prior, with its prior damping and participation, while the
+    other modes stay and places and forces follow.
+    """
+    active = system.active
+    ratio = (-beam.poles.real / np.abs(beam.poles))[active]
+    widest = min(_WIDEST * float(deviation[0].max()), _WIDEST_SHARE)
+    finest = max(_FINEST * float(np.median(ratio)), widest / 60)
+    shifts = np.arange(-np.ceil(widest / finest), np.ceil(widest / finest) + 1) * finest
+    rows = range(min(len(system.power), _SOUGHT))
+    parts = []
+    for row in rows:
+        every, precision, left, weight = system.nuisance(row)
+        half = np.linalg.solve(np.linalg.cholesky(precision), np.sqrt(weight) * every).astype(np.float32)
+        single = system.found.coefficients[row].astype(np.float32)
+        at = system.at[0][row][active]
+        present = (single @ system.table[active]) * at[:, None]
+        parts.append((single, np.exp(-now[2, active]).astype(np.float32) * at, present, left, half, weight))
+    prior = np.maximum(deviation[:, active], 1e-9)
+    at_now = -0.5 * np.sum((now[:, active] / prior) ** 2, axis=0)
+    gains = np.empty((shifts.size, len(ratio)))
+    for number, shift in enumerate(shifts):
+        other = np.zeros_like(now)
+        other[0] = shift
+        table = system.of(corrected(beam, other))
+        gain = -0.5 * (shift / prior[0]) ** 2 - at_now
+        for single, at, present, left, half, weight in parts:
+            change = present - (single @ table) * at[:, None]
+            through, along = half @ change.T, half @ left
+            gain -= 0.5 * weight * (2 * change @ left + np.einsum("ms,ms->m", change, change))
+            gain += 0.5 * weight * (2 * along @ through + np.einsum("km,km->m", through, through))
+        gains[number] = gain
+    best = np.argmax(gains, axis=0)
+    gain, shift = gains[best, np.arange(best.size)], shifts[best]
+    frequency = np.log(np.abs(beam.poles))
+    moved, taken = now.copy(), np.empty(0)
+    for number in np.argsort(-gain):
+        mode = active[number]
+        if gain[number] < _LEAST_GAIN:
+            break
+        places = frequency[mode] + np.array([now[0, mode], shift[number]])
+        if abs(places[1] - places[0]) < finest or np.abs(np.subtract.outer(places, taken)).min(initial=np.inf) < _APART:
+            continue
+        taken = np.append(taken, places)
+        moved[:, mode] = 0.0
+        moved[0, mode] = shift[number]
+    return moved if taken.size else None

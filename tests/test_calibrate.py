@@ -1,0 +1,337 @@
+"""`cgid calibrate`: the modes of a beam from unlabelled blows, against beams whose modes are known."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid import shipped
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue
+from cgid.identification.inversion import Inversion
+from cgid.measure.beam import respond
+from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, read_learned_modes
+from cgid.scene import generate, load_scene, parse_scene, synthesise
+from cgid.scene.impacts import beam_modes
+from cgid.scene.sections import rows_of
+from cgid.scene.through_beam import beam_of
+from cgid.site import calibrate
+from cgid.site.calibration import check_scene, table_beside, usable_blows
+from cgid.site.learning import _STEP, Blows, _searched, _System, corrected, learn
+
+RATE, BEFORE = 6400.0, 64
+
+
+def panel(**changes):
+    """A small plain panel, of which some ten modes are heard below 2 kHz."""
+    content = json.loads(load_scene("tail_beam").text)
+    content["tail_beam"] |= {"length": 0.9, "width": 0.7, "thickness": 0.02, "edges": "clamped", "ribs": None}
+    content["tail_beam"] |= {
+        "sensor_point": {"x": 0.31, "y": 0.22},
+        "impact_point": {
+            axis: {"distribution": "uniform", "lowest": low, "highest": high}
+            for axis, low, high in (("x", 0.3, 0.8), ("y", 0.1, 0.6))
+        },
+    }
+    content["tail_beam"] = {
+        name: value for name, value in (content["tail_beam"] | changes).items() if value is not None
+    }
+    content["sampling"] = {"sampling_rate": RATE, "samples": 512, "pre_trigger": BEFORE}
+    content["sensor"] |= {"anti_alias": {"frequency": 2000.0, "order": 8}, "mounting": None, "noise_density": 0.1}
+    content["sensor"] = {name: value for name, value in content["sensor"].items() if value is not None}
+    for rocks in content["populations"]:
+        rocks["radius"] = {"distribution": "log-uniform", "lowest": 0.02, "highest": 0.06}
+    return parse_scene(content)
+
+
+def modes_off(scene, frequency, damping, seed, deviation=0.0):
+    """Return a scene whose modes are off by independent errors, and these errors."""
+    own, rng = beam_modes(scene), np.random.default_rng(seed)
+    error = np.stack([rng.normal(0, spread, own.frequency.size) for spread in (frequency, damping)])
+    bars = np.full(own.frequency.size, deviation)
+    modes = LearnedModes(
+        frequency=own.frequency * np.exp(error[0]),
+        damping_ratio=own.damping_ratio * np.exp(error[1]),
+        participation=np.ones(bars.size),
+        frequency_deviation=bars,
+        damping_ratio_deviation=bars,
+        participation_deviation=bars,
+    )
+    content = json.loads(scene.text)
+    content["tail_beam"]["learned"] = rows_of(modes, LEARNED_COLUMNS)
+    return parse_scene(content), error
+
+
+def frames(scene, n, seed):
+    return np.concatenate([batch.signals for batch in synthesise(scene, n, seed)])
+
+
+@pytest.fixture(scope="module")
+def known():
+    """The panel, one whose modes are off by 1 %, the errors, and blows on that one."""
+    scene = panel()
+    site, error = modes_off(scene, 0.01, 0.1, seed=3)
+    return scene, site, error, frames(site, 100, seed=8)
+
+
+@pytest.fixture(scope="module")
+def found(known):
+    scene, _, _, blows = known
+    return calibrate(scene, blows, RATE, BEFORE)
+
+
+def test_unlabelled_blows_teach_the_modes(known, found):
+    scene, site, error, _ = known
+    after = np.log(found.learned.frequency / site.tail_beam.learned_modes.frequency)
+    heard = beam_modes(scene).frequency < 2000
+    assert heard.sum() > 8
+    assert np.median(np.abs(after[heard])) < 0.05 * np.median(np.abs(error[0, heard]))
+    damping = np.log(found.learned.damping_ratio / site.tail_beam.learned_modes.damping_ratio)
+    assert np.median(np.abs(damping[heard])) < 0.2 * np.median(np.abs(error[1, heard]))
+    # Its own deviations are right: normal errors rarely pass three.
+    assert np.mean(np.abs(after[heard]) < 3 * found.learned.frequency_deviation[heard]) > 0.85
+    assert found.at_rest and found.n_blows == 100
+
+
+def test_evidence_tells_what_was_learned(found):
+    assert found.before < found.after - 5
+    assert abs(found.after - found.expected) < 0.1
+
+
+def test_five_per_cent_off_is_learned_band_by_band():
+    scene = panel()
+    site, _ = modes_off(scene, 0.05, 0.3, seed=1)
+    found = calibrate(scene, frames(site, 120, seed=4), RATE, BEFORE, start_error=0.05)
+    heard = beam_modes(scene).frequency < 2000
+    after = np.log(found.learned.frequency / site.tail_beam.learned_modes.frequency)[heard]
+    assert np.median(np.abs(after)) < 1e-3
+
+
+def test_participations_are_learned_where_asked(known):
+    scene, site, _, _ = known
+    modes = site.tail_beam.learned_modes
+    factor = np.exp(np.random.default_rng(5).normal(0, 0.1, modes.frequency.size))
+    content = json.loads(site.text)
+    content["tail_beam"]["learned"] = rows_of(replace(modes, participation=factor), LEARNED_COLUMNS)
+    found = calibrate(scene, frames(parse_scene(content), 100, seed=9), RATE, BEFORE, participation_error=0.1)
+    heard = beam_modes(scene).frequency < 1800
+    # The common factor belongs to the forces, which nobody knows.
+    after = np.log(found.learned.participation / factor)[heard]
+    before = np.log(factor[heard])
+    assert np.std(after) < 0.4 * np.std(before)
+
+
+def test_blows_of_another_beam_are_refused(known):
+    scene, _, _, _ = known
+    other = panel(length=1.3, thickness=0.03)
+    with pytest.raises(BadData, match="must explain the blows"):
+        calibrate(scene, frames(other, 60, seed=2), RATE, BEFORE)
+
+
+def test_a_calibrated_scene_is_followed_as_it_drifts(known, found):
+    _, site, _, _ = known
+    moved, _ = modes_off(panel(), 0.0, 0.0, seed=0)
+    rng = np.random.default_rng(6)
+    modes = site.tail_beam.learned_modes
+    content = json.loads(moved.text)
+    drifted = replace(modes, frequency=modes.frequency * np.exp(rng.normal(0, 0.003, modes.frequency.size)))
+    content["tail_beam"]["learned"] = rows_of(drifted, LEARNED_COLUMNS)
+    again = calibrate(found.scene, frames(parse_scene(content), 100, seed=7), RATE, BEFORE, drift=0.003)
+    heard = beam_modes(panel()).frequency < 2000
+    error = np.log(again.learned.frequency / drifted.frequency)[heard]
+    assert np.median(np.abs(error)) < 5e-4
+    # It never knew less than the drift allows.
+    assert (again.start.frequency_deviation >= 0.003).all()
+
+
+def test_pull_is_that_of_the_projected_misfit(known, monkeypatch):
+    """Against difference quotients of the misfit with place and force fitted anew, by Gauss-Newton in float64."""
+    scene, _, _, blows = known
+    monkeypatch.setattr(_System, "level", lambda self, row: 1e12)
+    beam = beam_of(scene)
+    from cgid.site.calibration import _blows
+
+    system = _System(beam, _blows(blows[:1], RATE, BEFORE), np.full(1, 100.0), np.array([0, 1]))
+    assert system.nuisance(0)[3] == 1.0  # no error of the model above this noise
+    start = np.array([system.found.x[0], system.found.y[0]])
+
+    def cost(correction):
+        own = corrected(beam, correction)
+        table = system.of(own).astype(float)
+        place = start.copy()
+        for _ in range(12):
+            at = [side[0].astype(float) for side in own.weights(place[:1], place[1:])]
+            ways = np.tensordot(np.stack(at), table, 1)
+            force = np.linalg.lstsq(ways[0].T, system.samples[0].astype(float), rcond=1e-9)[0]
+            every = np.concatenate([ways[0], np.tensordot(ways[1:], force, (1, 0))])
+            left = system.samples[0] - force @ ways[0]
+            prior = np.diag(np.concatenate([np.full(force.size, 1e-12), np.full(2, 1e2)]))
+            away = np.concatenate([np.zeros(force.size), 1e2 * (place - start)])
+            place = place + np.linalg.solve(every @ every.T + prior, every @ left - away)[-2:]
+        return 0.5 * left @ left + 50 * np.sum((place - start) ** 2)
+
+    n = len(beam.poles)
+    for number in np.argsort(-np.abs(system.pulls[0]))[:4]:
+        step = np.zeros((3, n))
+        step[number // n, number % n] = h = 1e-3
+        quotient = -(cost(step) - cost(-step)) / (2 * h)
+        assert system.pulls[0, number] == pytest.approx(
+            quotient, rel=0.25
+        )  # Kaufman (1975) leaves out the second derivatives
+
+
+def test_a_mode_in_a_wrong_valley_is_found(known):
+    scene, site, _, blows = known
+    from cgid.site.calibration import _blows
+
+    beam = beam_of(site)
+    wrong = np.zeros((3, len(beam.poles)))
+    mode = int(np.argmax((beam.participation**2).mean(axis=(1, 2)) * (np.abs(beam.poles) < 2 * np.pi * 1500)))
+    wrong[0, mode] = 0.09
+    own = _blows(blows[:40], RATE, BEFORE)
+    deviation = np.stack([np.full(len(beam.poles), spread) for spread in (0.05, 0.3, 0.0)])
+    system = _System(corrected(beam, wrong), own, np.ones(40), np.array([0, 1]))
+    moved = _searched(beam, wrong, deviation, system)
+    assert moved is not None and abs(moved[0, mode]) < 0.02
+
+
+def test_slopes_do_not_depend_on_their_step(known):
+    beam = beam_of(known[0])
+    inversion = Inversion(beam)
+
+    def slope(row, h):
+        step = np.zeros((3, len(beam.poles)))
+        step[row] = h
+        sides = [respond(corrected(beam, sign * step), inversion.forces, inversion.n_samples) for sign in (1, -1)]
+        return (sides[0] - sides[1]) / (2 * h)
+
+    for row in (0, 1):
+        fine, wide = slope(row, _STEP), slope(row, 30 * _STEP)
+        assert np.abs(fine - wide).max() < 1e-5 * np.abs(fine).max()
+
+
+def test_learning_needs_no_labels_and_is_reproducible(known):
+    scene, _, _, blows = known
+    from cgid.site.calibration import _blows
+
+    beam, own = beam_of(scene), _blows(blows[:30], RATE, BEFORE)
+    deviation = np.stack([np.full(len(beam.poles), spread) for spread in (0.01, 0.1, 0.0)])
+    first, second = (learn(beam, Blows(own.frames, own.start, own.noise), deviation) for _ in range(2))
+    assert np.array_equal(first.correction, second.correction)
+    assert not first.correction[2].any()  # not asked for
+    assert (first.deviation <= deviation).all()
+
+
+# -- the site file ----------------------------------------------------------------------------------------
+
+
+def test_site_file_holds_the_scene(found, tmp_path):
+    path, table = found.save(tmp_path / "site.toml")
+    assert table == table_beside(path) and read_learned_modes(table).frequency.size == found.learned.frequency.size
+    again = load_scene(path)
+    assert again.text == found.scene.text and again.sha256 == found.scene.sha256
+    assert np.array_equal(beam_modes(again).frequency, found.learned.frequency)
+
+
+def test_each_block_draws_its_modes(known):
+    scene = known[0]
+    certain, _ = modes_off(scene, 0.0, 0.0, seed=0)
+    uncertain, _ = modes_off(scene, 0.0, 0.0, seed=0, deviation=0.02)
+    # Without deviations, the signals are those of the panel itself.
+    assert np.array_equal(frames(certain, 8, 1), frames(scene, 8, 1))
+    first, again = frames(uncertain, 300, 1), frames(uncertain, 300, 1)
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first[:8], frames(scene, 8, 1))
+    assert np.array_equal(first[290:], np.concatenate([b.signals for b in synthesise(uncertain, 10, 1, first=290)]))
+
+
+def test_drawn_modes_have_their_deviations(known):
+    modes = known[1].tail_beam.learned_modes
+    own = replace(modes, frequency_deviation=np.full(modes.frequency.size, 0.02))
+    uniform = np.random.default_rng(0).random((400, 3, modes.frequency.size))
+    drawn = np.log([own.drawn(numbers).frequency for numbers in uniform]) - np.log(modes.frequency)
+    assert np.std(drawn) == pytest.approx(0.02, rel=0.03) and abs(np.mean(drawn)) < 1e-3
+    assert np.array_equal(own.drawn(uniform[0]).damping_ratio, modes.damping_ratio)
+
+
+def test_the_command_writes_a_scene_that_trains(known, tmp_path, capsys):
+    _, site, _, _ = known
+    generate(site, tmp_path / "blows.h5", 60, seed=12)
+    scene_file = tmp_path / "panel.toml"
+    from cgid.site.calibration import _toml
+
+    scene_file.write_text("\n".join(_toml(json.loads(known[0].text))))
+    output = tmp_path / "site.toml"
+    assert run(["calibrate", str(tmp_path / "blows.h5"), "--scene", str(scene_file), "-o", str(output), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["n_impacts"] == 60 and told["evidence"]["after"] > told["evidence"]["before"]
+    assert run(["check", str(output), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tail_beam"]["modes"] == told["n_modes"]
+    assert run(["generate", str(output), "-n", "16", "-o", str(tmp_path / "more.h5")]) == 0
+
+
+def test_usable_blows_stand_alone(known):
+    from cgid.identification.detection import ImpactDetector
+
+    rng = np.random.default_rng(0)
+    blows = known[3][:6, BEFORE:]
+    silence = [rng.normal(0, 0.5, 4000) for _ in range(7)]
+    detector = ImpactDetector(RATE, kind="vibration")
+    stream = np.concatenate([part for pair in zip(silence, [*blows, np.zeros(0)], strict=True) for part in pair])
+    events = detector.feed(stream[None]) + detector.finish()
+    kept, lost = usable_blows(events)
+    assert len(kept) >= 4 and len(kept) + sum(lost.values()) == len(events)
+    detector = ImpactDetector(RATE, kind="vibration")
+    events = detector.feed(np.clip(stream, *np.quantile(stream, [0.01, 0.99]))[None]) + detector.finish()
+    kept, lost = usable_blows(events)
+    assert len(kept) + lost["clipped"] == len(events) and lost["clipped"] >= 4
+
+
+# -- what cannot be calibrated ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scene", "rate", "error", "says"),
+    [
+        (lambda: load_scene("reference"), 2e5, InvalidValue, "tail_beam"),
+        (panel, 12_800.0, BadData, "sampled at 6400 Hz"),
+        (lambda: panel(edges="cantilever", sensor_point={"x": 1e-4, "y": 0.2}), RATE, InvalidValue, "node"),
+    ],
+)
+def test_scenes_that_cannot_be_calibrated(scene, rate, error, says):
+    with pytest.raises(error, match=says):
+        check_scene(scene(), rate)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "says"),
+    [
+        ({"start_error": 0.0}, InvalidValue, "start_error must be above 0"),
+        ({"start_error": np.nan}, InvalidValue, "start_error"),
+        ({"drift": -1.0}, InvalidValue, "drift"),
+        ({"participation_error": 2.0}, InvalidValue, "participation_error"),
+        ({"most_blows": 0}, InvalidValue, "most_blows"),
+    ],
+)
+def test_numbers_out_of_range(known, changes, error, says):
+    with pytest.raises(error, match=says):
+        calibrate(known[0], known[3], RATE, BEFORE, **changes)
+
+
+def test_few_blows(known):
+    with pytest.raises(BadData, match="at least 20"):
+        calibrate(known[0], known[3][:19], RATE, BEFORE)
+
+
+def test_a_table_of_another_beam(known):
+    content = json.loads(known[1].text)
+    content["tail_beam"]["learned"] = content["tail_beam"]["learned"][:-1]
+    with pytest.raises(InvalidValue, match="a row for each"):
+        beam_modes(parse_scene(content))
+
+
+def test_scenes_without_learned_modes_keep_their_identity():
+    assert "learned" not in load_scene("tail_beam").text
+    assert Path(shipped.scene_path("tail_beam")).exists()
