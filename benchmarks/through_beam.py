@@ -1,0 +1,216 @@
+"""How far a model of acceleration sees through its beam: places, forces, labels; other recorders, ringing, other beams.
+
+    python benchmarks/through_beam.py                                  # the shipped model, 4096 impacts a case
+    python benchmarks/through_beam.py MODEL -n 8192 --cases tail_beam quarters
+    python benchmarks/through_beam.py --cases independent              # beams of finite elements
+
+The impacts are from a seed that no training uses. An impact that cannot be measured counts as wrong, and as unknown.
+Accuracy is that of the most probable label, whether the answer is unknown or not; "answered" is that of the others.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cgid import shipped
+from cgid.identification.contact import ThroughBeam
+from cgid.identification.model import Model
+from cgid.identification.prediction import load_model
+from cgid.measure.beam import nodes
+from cgid.measure.features import extract_array
+from cgid.measure.vibration import VibrationBatch
+from cgid.scene import Scene, load_scene, parse_scene, synthesise
+from cgid.signals import Batch
+
+SEED = 777_000_003
+#: Sampling rates [kHz] with the edge of the anti-alias filter [kHz].
+RATES = ((12.8, 5.0), (48.0, 18.75), (51.2, 20.0), (102.4, 40.0))
+#: How long before an impact another one strikes [s].
+GAPS = (10e-3, 30e-3)
+_CHUNK = 256
+
+
+def changed(**changes: Any) -> Scene:
+    """Return the scene tail_beam with other keys, `section.key` or `section.sub.key`; None removes one."""
+    content = json.loads(load_scene(shipped.scene_path("tail_beam")).text)
+    for path, value in changes.items():
+        *sections, key = path.split("__")
+        inner = content
+        for section in sections:
+            inner = inner.setdefault(section, {})
+        inner.pop(key, None)
+        if value is not None:
+            inner[key] = value
+    return parse_scene(content | {"name": "tail_beam, changed"})
+
+
+def cases(n: int) -> Iterator[tuple[str, str, Callable[[], Iterator[Batch]]]]:
+    """Yield the kind and name of each case, and what makes its impacts."""
+    own = changed()
+    yield "tail_beam", "tail_beam", lambda: synthesise(own, n, SEED)
+    for rate, edge in RATES:
+        samples = round(80 * rate)
+        scene = changed(
+            sampling__sampling_rate=f"{rate} kHz",
+            sampling__samples=samples,
+            sampling__pre_trigger=samples // 16,
+            sensor__anti_alias__frequency=f"{edge} kHz",
+        )
+        yield "rates", f"at {rate:g} kHz", lambda scene=scene: synthesise(scene, n, SEED)
+    quiet = {"sensor__noise_density": None, "sensor__range": None, "sensor__bits": None, "sensor__relative_noise": 0.03}
+    for name, more in (
+        ("white noise, 3 % of the peak", {}),
+        ("pink noise, 3 %", {"sensor__noise_exponent": 1.0}),
+        ("white noise, 3 %, clipped at .7 of the peak", {"sensor__relative_range": 0.7}),
+    ):
+        scene = changed(**quiet, **more)
+        yield "noise", name, lambda scene=scene: synthesise(scene, n, SEED)
+    for gap in GAPS:
+        yield "ringing", f"{1e3 * gap:g} ms after another", lambda gap=gap: after_another(synthesise(own, n, SEED), gap)
+
+
+def after_another(batches: Iterator[Batch], gap: float) -> Iterator[Batch]:
+    """Yield batches, each signal with what still rings of the one with its number in the batch before."""
+    before = None
+    for batch in batches:
+        if before is not None and len(before.signals) == len(batch.signals):
+            tail = before.signals[:, round(gap * batch.sampling_rate) :]
+            signals = batch.signals.copy()
+            signals[:, : tail.shape[1]] += tail
+            yield replace(batch, signals=signals)
+        before = batch
+
+
+def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
+    """Return what a model answers for labelled batches."""
+    assert model.beam is not None
+    rows: list[Any] = []
+    spent = 0.0
+    for batch in batches:
+        start = time.process_time()
+        values = extract_array(
+            batch.signals, batch.sampling_rate, model.measured, pre_trigger=batch.pre_trigger, invalid="nan",
+            beam=model.beam,
+        )  # fmt: skip
+        spent += time.process_time() - start
+        sound = np.isfinite(values).all(axis=1)
+        inputs, guards = np.split(values[sound], [len(model.features)], axis=1)
+        likely = np.full((len(batch), 2), 0.5)
+        likely[sound] = model.probabilities(inputs)
+        novelty = np.full(len(batch), np.inf)
+        novelty[sound] = model.novelty(inputs, guards)
+        looked, contact = model.beam.look(VibrationBatch(batch.signals, batch.sampling_rate, batch.pre_trigger))
+        told = batch.parameters
+        apart = np.hypot(looked.x - told["impact_x"], looked.y - told["impact_y"])
+        force = np.abs(np.log(contact.peak / told["peak_force"]))
+        energy = np.square(batch.signals).sum(axis=1)
+        hit = np.array(model.labels)[likely.argmax(axis=1)] == batch.labels
+        rows.append(np.column_stack([hit & sound, novelty > 1, likely.max(axis=1), apart, force, energy]))
+    hit, unknown, sure, apart, force, energy = np.concatenate(rows).T
+    return {
+        "n": len(hit),
+        "accuracy": hit.mean(),
+        "answered": hit[unknown == 0].mean() if (unknown == 0).any() else np.nan,
+        "unknown": unknown.mean(),
+        "calibration": calibration(sure, hit),
+        "place": np.median(apart),
+        "peak": np.median(force),
+        "us": 1e6 * spent / len(hit),
+        "quarters": [hit[part].mean() for part in np.array_split(np.argsort(energy), 4)],
+    }
+
+
+def calibration(sure: Any, hit: Any) -> float:
+    """Return the expected calibration error over ten bins of the confidence."""
+    number = np.clip(((sure - 0.5) * 20).astype(int), 0, 9)
+    bins = [number == k for k in range(10) if (number == k).any()]
+    return float(sum(abs(hit[own].mean() - sure[own].mean()) * own.mean() for own in bins))
+
+
+def independent(model: Model, n: int, variants: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the answers on beams of finite elements: through the model's beam, and through the beam's own modes."""
+    import independent_beam as other
+
+    assert model.beam is not None
+    beam = model.beam.beam
+    for name in variants:
+        variant = other.VARIANTS[name]
+        modes = other.modes_for(variant)
+        damping = other.damping_ratios(modes.frequency, variant.damping)
+        shape = beam.participation.shape[1:]
+        x, y = (
+            side.ravel()
+            for side in np.meshgrid(nodes(shape[0], *beam.region[:2]), nodes(shape[1], *beam.region[2:]), indexing="ij")
+        )
+        at = modes.shape(x, y) * modes.shape(*(np.array([place]) for place in other.SENSOR))
+        exact = replace(
+            beam,
+            poles=-2 * np.pi * modes.frequency * (damping - 1j * np.sqrt(1 - damping**2)),
+            participation=np.ascontiguousarray(at.T.reshape(-1, *shape)),
+        )
+        made = other.generate(n, SEED, name)
+        for told, looked in (("the model's beam", model.beam), ("its own modes", ThroughBeam(exact))):
+            through = replace(model)
+            through.__dict__["beam"] = looked
+            yield f"{name}, through {told}", judged(through, batches_of(made))
+
+
+def batches_of(made: dict[str, Any]) -> Iterator[Batch]:
+    """Yield the impacts of an independent beam as batches."""
+    names = ("impact_x", "impact_y", "peak_force")
+    for first in range(0, len(made["labels"]), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        yield Batch(
+            signals=made["acceleration"][part],
+            labels=made["labels"][part],
+            specimen=np.arange(first, first + len(made["labels"][part]), dtype=np.uint64),
+            parameters={name: made[name][part] for name in names},
+            sampling_rate=float(made["sampling_rate"]),
+            pre_trigger=int(made["pre_trigger"]),
+            unit="m/s^2",
+            source="independent beam",
+        )
+
+
+def printed(rows: list[tuple[str, dict[str, Any]]]) -> None:
+    """Print the table."""
+    print(
+        "| impacts | number | accuracy | answered | unknown | calibration error | place, median | peak, median | us |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name, row in rows:
+        print(
+            f"| {name} | {row['n']} | {row['accuracy']:.3f} | {row['answered']:.3f} | {row['unknown']:.3f} | "
+            f"{row['calibration']:.3f} | {1e3 * row['place']:.1f} mm | {row['peak']:.1%} | {row['us']:.0f} |"
+        )
+
+
+def main() -> None:
+    """Print a table of all cases asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", nargs="?", default="default-acceleration")
+    parser.add_argument("-n", "--signals", type=int, default=4096)
+    kinds = ["tail_beam", "rates", "noise", "ringing", "independent"]
+    parser.add_argument("--cases", nargs="+", default=kinds[:-1], choices=kinds)
+    parser.add_argument("--variants", nargs="+", default=["0.001 mindlin", "0.01 mindlin", "0.1 mindlin", "plain"])
+    arguments = parser.parse_args()
+    model = load_model(arguments.model)
+    rows = []
+    for kind, name, make in cases(arguments.signals):
+        if kind in arguments.cases:
+            rows.append((name, judged(model, make())))
+            if kind == "tail_beam":
+                quarters = ", ".join(f"{share:.3f}" for share in rows[-1][1]["quarters"])
+                print(f"accuracy by quarter of the signal's energy, weakest first: {quarters}\n")
+    if "independent" in arguments.cases:
+        rows += independent(model, arguments.signals, arguments.variants)
+    printed(rows)
+
+
+if __name__ == "__main__":
+    main()
