@@ -23,6 +23,7 @@ from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
 from tests.bad_recordings import RECORDING_CASES, make_recordings
+from tests.hostile_models import beam_arrays, with_beam, written
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
@@ -128,6 +129,7 @@ def make_files(folder: Path) -> None:
     default = Model.load(folder / "model.npz")
     (folder / "acceleration.npz").write_bytes(replace(default, unit="m/s^2").to_bytes())
     _old_model(folder / "old.npz", default)
+    _beam_models(folder, good)
     scene = load_scene(ROOT / "datasets" / "reference.toml")
     knowing = train(synthesise(scene, 600), features=["peak_force", "width_50"], known=["drop_height"])
     (folder / "height.npz").write_bytes(knowing.model.to_bytes())
@@ -384,6 +386,17 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
         (folder / "two_manifests" / name).write_text("path,label\na.wav,coal\n")
 
 
+def _beam_models(folder: Path, good: np.ndarray) -> None:
+    """Write a model that looks through a beam, one without the beam, one with a pole that grows, a slow recording."""
+    (folder / "through.npz").write_bytes(with_beam())
+    model = Model.load(folder / "through.npz")
+    arrays = {name: array for name, array in model.arrays.items() if not name.startswith("beam.")}
+    (folder / "beamless.npz").write_bytes(written(model.header, arrays))
+    poles = beam_arrays()["beam.poles"] * [[-1.0], [1.0]]
+    (folder / "growing.npz").write_bytes(with_beam(None, poles=poles))
+    _csv(folder / "slow.csv", good / 9.81, "# sampling_rate: 1500 Hz\nacceleration (m/s^2)\n")
+
+
 def _old_model(path: Path, model: Model) -> None:
     header = json.dumps(model.header | {"schema_version": 1}).encode()
     np.savez(path, header=np.frombuffer(header, np.uint8), **model.arrays)
@@ -476,6 +489,21 @@ CASES = (
         65,
         ("old.npz", "2 to 4, got 1", "again"),
     ),
+    Case(
+        "look through a beam of a force",
+        ("train", "reference", "-n", "600", "--features", "beam_peak_force", "-o", "new.npz"),
+        65,
+        ("beam_peak_force must have a beam", "[tail_beam]", "leave the feature out"),
+    ),
+    Case(
+        "look through a beam without a model",
+        ("features", "acceleration.csv", "--features", "beam_peak_force"),
+        65,
+        ("beam_peak_force must have a beam", "cgid train tail_beam"),
+    ),
+    Case("model that lost its beam", ("predict", "slow.csv", "--model", "beamless.npz"), 65, ("arrays of a beam",)),
+    Case("model whose beam grows", ("predict", "slow.csv", "--model", "growing.npz"), 65, ("poles that decay",)),
+    Case("recording slower than a beam", ("predict", "slow.csv", "--model", "through.npz"), 65, ("at least 2000 Hz",)),
     Case(
         "drop height of no use",
         ("predict", "good.csv", "--model", "model.npz", "--drop-height", "1.5"),

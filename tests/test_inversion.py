@@ -13,15 +13,18 @@ from scipy import signal
 from scipy.optimize import least_squares
 
 from cgid import family
+from cgid.identification.answers import identify_frames
 from cgid.identification.contact import Contact, ThroughBeam
 from cgid.identification.inversion import Inversion, Inverted
+from cgid.identification.model import Model
+from cgid.identification.training import train
 from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, lagrange, nodes, points_of, respond
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.response import Response
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
-from cgid.scene.through_beam import beam_of
+from cgid.scene.through_beam import beam_of, has_beam
 from cgid.signals import Batch
 from tests.hostile_models import beam_arrays
 from tests.test_response import impacts
@@ -415,3 +418,61 @@ def test_the_fit_finds_the_best_pulse() -> None:
         moved.append(abs(best.x[0]) / deviation)
     assert np.mean(np.array(lost) < 0.5) > 0.93
     assert np.quantile(moved, 0.9) < 0.1, moved
+
+
+# -- in a model -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    scene = load_scene("tail_beam")
+    return train(synthesise(scene, 300, 5), beam=tail_beam().beam).model
+
+
+def test_a_model_keeps_its_beam_to_the_last_bit(model: Model, tmp_path: Path) -> None:
+    batch = blows()[0]
+    path = tmp_path / "m.npz"
+    path.write_bytes(model.to_bytes())
+    loaded = Model.load(path)
+    assert loaded.to_bytes() == path.read_bytes()
+    assert loaded.beam is not None and model.beam is not None
+    for name, array in model.beam.beam.arrays.items():
+        np.testing.assert_array_equal(loaded.beam.beam.arrays[name], array)
+    some = batch.signals[:40]
+    answers = [
+        identify_frames(some, batch.sampling_rate, one, pre_trigger=batch.pre_trigger) for one in (model, loaded)
+    ]
+    assert [answer.probabilities for answer in answers[0]] == [answer.probabilities for answer in answers[1]]
+    assert [answer.novelty for answer in answers[0]] == [answer.novelty for answer in answers[1]]
+    known = sum(answer.label != "unknown" for answer in answers[0])
+    assert known > 20
+
+
+def test_frames_of_nothing_are_unknown(model: Model) -> None:
+    """Zeros, a constant, noise alone, a step that never ends: no warning, no traceback."""
+    frames = np.zeros((5, 2048))
+    frames[1] = 3.0
+    frames[2] = np.random.default_rng(0).normal(size=2048)
+    frames[3, 128:] = 100.0
+    frames[4, 128:] = 1e100
+    answers = identify_frames(frames, 25_600, model, pre_trigger=128)
+    assert [answer.label for answer in answers] == ["unknown"] * 5
+
+
+def test_beams_without_filters_and_of_slow_recorders() -> None:
+    """Without filters all frequencies tell; at a rate too low for a table of forces a scene has no beam."""
+    bare = re.sub(r"(?m)^(mounting|anti_alias) = .*$", "", TEXT)
+    scene = parse_scene(tomllib.loads(bare))
+    assert has_beam(scene)
+    beam = beam_of(scene)
+    assert beam.filters.size == 0
+    again = Beam.from_arrays(beam.arrays)
+    assert again is not None and again.filters.shape == (0,)
+    through, batch = ThroughBeam(again), next(iter(synthesise(scene, 64, SEED)))
+    inverted = through.invert(vibrations(batch))
+    apart = np.hypot(inverted.x - batch.parameters["impact_x"], inverted.y - batch.parameters["impact_y"])
+    assert np.median(apart) < 3e-3
+    slow = TEXT.replace('"25.6 kHz"', '"3 kHz"').replace('"10 kHz", order', '"1 kHz", order')
+    assert not has_beam(parse_scene(tomllib.loads(slow)))
+    assert has_beam(load_scene("tail_beam"))
+    assert not has_beam(load_scene("reference"))

@@ -284,7 +284,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
         training = train_model(
             _batches(data, options["n_signals"], options["seed"]),
             known=("drop_height",) if options["drop_height"] else (),
-            beam=_beam(data) if options["features"] is None else None,
+            beam=_beam(data, options["features"]),
             progress=progress,
             **{name: options[name] for name in (*_COMMON, "test_share", "calibration_share")},
         )
@@ -414,9 +414,12 @@ def _class_weights(text: str | None) -> dict[str, float] | str | None:
     return weights
 
 
-def _beam(data: list[str]) -> Any:
-    """Return the beam of the only scene, if it has one to look through."""
-    if len(data) != 1 or not _means_scene(data[0]):
+def _beam(data: list[str], features: tuple[str, ...] | None) -> Any:
+    """Return the beam of the only scene, if it has one to look through and the features, or the default, do."""
+    from cgid.measure.features import FEATURES
+
+    asked = features is None or any(FEATURES[name].beam for name in features)
+    if not asked or len(data) != 1 or not _means_scene(data[0]):
         return None
     from cgid.scene import load_scene
     from cgid.scene.through_beam import beam_of, has_beam

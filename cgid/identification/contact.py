@@ -26,7 +26,7 @@ from cgid.validation import Floats
 #: Nodes of the shape s = ln e (above 0: reversed pulses) in the table of spectra; points of a pulse to its width and of
 #: its transform.
 _SHAPES = np.linspace(np.log(0.06), 1.2, 41)
-_POINTS, _LENGTH = 96, 1 << 15
+_POINTS, _LENGTH = 96, 1 << 14
 #: Least and largest width [s] (impulse over peak), and how far touch may lie outside of its slack [samples].
 _WIDTHS, _BEYOND = (25e-6, 1.6e-3), 2.0
 #: Pulses of the table by ln width, shape and touch; every so many are tried first.
@@ -126,7 +126,7 @@ class ContactFit:
     def _frequencies(self) -> Floats:
         n_points = self.forces.shape[1]
         found = np.fft.rfftfreq(2 * n_points, 1 / (FINE * self.beam.sampling_rate))
-        heard = np.abs(gain(self.beam.filters, found)) > 1e-3
+        heard = np.abs(gain(self.beam.filters, found)) > 5e-3
         # Beyond half the sampling rate, too: what the filters leave there is folded into the samples.
         return np.asarray(found[: min(int(np.flatnonzero(heard)[-1]) + 1, found.size // 4)], np.float64)
 
