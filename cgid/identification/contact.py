@@ -30,7 +30,7 @@ _POINTS, _LENGTH = 96, 1 << 14
 #: Least and largest width [s] (impulse over peak), and how far touch may lie outside of its slack [samples].
 _WIDTHS, _BEYOND = (25e-6, 1.6e-3), 2.0
 #: Pulses of the table by ln width, shape and touch; every so many are tried first.
-_NODES, _EVERY = (48, 33, 45), (2, 4, 2)
+_NODES, _EVERY = (48, _SHAPES.size, 45), (2, 5, 2)
 #: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table.
 _KEPT, _FEW, _MORE = 7, 3, 10
 #: Steps with exact pulses.
@@ -195,8 +195,14 @@ class ContactFit:
         width, shape, touch = (np.linspace(low, high, n) for low, high, n in zip(*_LIMITS, _NODES, strict=True))
         turn = np.exp(-2j * np.pi * np.outer(self._frequencies, touch / self.beam.sampling_rate))
         later = (turn[:, :, None] * self._projection[:, None]).reshape(len(turn), -1).astype(np.complex64)
-        mesh = (side.ravel() for side in np.meshgrid(np.exp(width), shape, indexing="ij"))
-        spectrum = self._spectrum(*mesh)[0].astype(np.complex64)
+        # As in `_spectrum`, but the shapes are those of its table.
+        scaled = np.exp(width)[:, None] * self._frequencies * (_LENGTH / _POINTS)
+        index = np.minimum(scaled.astype(np.intp), _spectra().shape[1] - 2)
+        spectrum = _spectra()[:, index]
+        spectrum += (scaled - index) * (_spectra()[:, index + 1] - spectrum)
+        late = np.outer(relative_times(shape)[1], np.exp(width))
+        spectrum *= np.exp(-2j * np.pi * self._frequencies * late[:, :, None]) * np.exp(width)[:, None]
+        spectrum = spectrum.transpose(1, 0, 2).reshape(-1, len(turn)).astype(np.complex64)
         found = spectrum.real @ later.real - spectrum.imag @ later.imag
         return np.asarray(found.reshape(*_NODES, -1))
 
