@@ -19,6 +19,7 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train
+from cgid.physics.modes import LEARNED_COLUMNS
 from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
@@ -90,6 +91,24 @@ def _tables(folder: Path) -> None:
     (folder / "endless.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\ncoupling = "impedance"'))
     (folder / "both.toml").write_text(good.replace('"modes.csv"', '"modes.csv"\nlength = "1.6 m"'))
     (folder / "beamless.toml").write_text(text[:start] + text[stop:])
+    title = ",".join(f"{name} [{unit}]" for name, unit in LEARNED_COLUMNS.items())
+    for name, row in {"learned": "110,0.02,1,1e-4,1e-3,0", "unsure": "110,0.02,1,-1,1e-3,0"}.items():
+        (folder / f"{name}_modes.csv").write_text(f"{title}\n{row}\n")
+        beam = f'[tail_beam]\nlearned = "{name}_modes.csv"\n'
+        (folder / f"{name}.toml").write_text(text.replace("[tail_beam]\n", beam, 1))
+
+
+def _ringing(folder: Path) -> None:
+    """Write recordings of a beam that cannot calibrate one: of few blows, and clipped throughout."""
+    rng, times = np.random.default_rng(7), np.arange(2560) / 25600
+    blow = 90 * np.exp(-60 * times) * np.sin(2 * np.pi * 300 * times) * (times < 0.09)
+    for name, n, limit in (("few_blows", 5, 100.0), ("clipped_blows", 30, 6.0)):
+        samples = np.concatenate([np.zeros(2560), *[blow, 0 * blow] * n]) + rng.normal(0, 0.5, 2560 * (2 * n + 1))
+        _csv(
+            folder / f"{name}.csv",
+            np.clip(samples, -limit, limit),
+            "# sampling_rate: 25600 Hz\nacceleration (m/s^2)\n",
+        )
 
 
 def _spectra(folder: Path) -> None:
@@ -180,6 +199,7 @@ def make_files(folder: Path) -> None:
     _changed(folder, "reference", {"range": ("[sensor]", '[sensor]\nrange = "500 g"')})
     _changed(folder, "reference", {file: (_COAL, f"{_COAL}\n{line}") for _, file, line, _ in _OF_ROCKS})
     _tables(folder)
+    _ringing(folder)
     _spectra(folder)
     tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), "closed-form"), folder / "table.csv", 9)
     lines = (folder / "table.csv").read_text().splitlines()
@@ -199,6 +219,8 @@ def make_files(folder: Path) -> None:
         file["labels"][:5] = b"<b>"
 
 
+#: Calibrates the tail beam with few blows.
+_CALIBRATE = ("calibrate", "few_blows.csv", "--scene", "tail_beam", "-o", "new.toml")
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
 _RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'
 #: What is wrong with the first rocks of `reference`: a line for each scene file, and the text of its error.
@@ -796,6 +818,23 @@ CASES = (
         "no mode that is heard", ("check", "still.toml"), 65, ("tail_beam", "shape is not 0", "nothing would be heard")
     ),
     Case("impedance of measured modes", ("check", "endless.toml"), 65, ("coupling", "auto or modes", "no impedance")),
+    Case("learned modes of another beam", ("check", "learned.toml"), 65, ("a row for each of the 188 modes", "got 1")),
+    Case("learned mode without sense", ("check", "unsure.toml"), 65, ("unsure_modes.csv, line 2", "deviation", "-1")),
+    Case("calibration of no beam", (*_CALIBRATE[:3], "reference", *_CALIBRATE[4:]), 65, ("[tail_beam]", "add them")),
+    Case("calibration with few impacts", _CALIBRATE, 65, ("few_blows.csv", "at least 20", "record longer")),
+    Case("clipped throughout", ("calibrate", "clipped_blows.csv", *_CALIBRATE[2:]), 65, ("at least 20", "clipped")),
+    Case("calibration with forces", ("calibrate", "good.csv", *_CALIBRATE[2:]), 65, ("acceleration", "force [N]")),
+    Case(
+        "calibration at another rate",
+        ("calibrate", "acceleration.csv", *_CALIBRATE[2:]),
+        65,
+        ("25600 Hz", "200000 Hz", "anti_alias"),
+    ),
+    Case("start error that is none", (*_CALIBRATE, "--start-error", "near"), 65, ("--start-error", "'1 %'", "near")),
+    Case("start error too large", (*_CALIBRATE, "--start-error", "30 %"), 65, ("start_error", "at most 0.1", "0.3")),
+    Case("site that is no scene", (*_CALIBRATE[:5], "site.csv"), 73, ("site.csv", ".toml")),
+    Case("site exists", (*_CALIBRATE[:5], "modes.toml"), 73, ("modes.toml", "--overwrite")),
+    Case("no recording to calibrate", ("calibrate", "gone.wav", *_CALIBRATE[2:]), 66, ("gone.wav",)),
     Case("measured modes and a panel", ("check", "both.toml"), 65, ("modes or a panel", "take out length")),
     Case(
         "more impacts than memory holds",

@@ -183,7 +183,7 @@ def test_pull_is_that_of_the_projected_misfit(known, monkeypatch):
 
 
 def test_a_mode_in_a_wrong_valley_is_found(known):
-    scene, site, _, blows = known
+    _, site, _, blows = known
     from cgid.site.calibration import _blows
 
     beam = beam_of(site)

@@ -66,15 +66,16 @@ def calibrate(
     as_json: bool,
     reading: Reading,
 ) -> None:
-    """Learn the modes of a beam from RECORDINGs of its impacts, or a dataset, without labels, and write a scene of them.
+    """Learn the modes of a beam from RECORDINGs of its impacts, or a dataset of them, and write a scene.
 
-    A few hundred impacts at unknown places are enough where the scene's beam is nearly right: its frequencies within
-    some per cent, its shapes, the place of the sensor and the region of the blows. Train through the learned beam with
-    cgid train site.toml. Nothing is written where the beam does not explain the impacts as well as it should.
+    No labels are needed. A few hundred impacts at unknown places are enough where the scene's beam is nearly right: its
+    frequencies within some per cent, its shapes, the place of the sensor and the region of the blows. Train through the
+    learned beam with cgid train site.toml. Nothing is written where the beam does not explain the impacts as well as it
+    should.
     """
     from cgid.files import check_new
     from cgid.scene import load_scene
-    from cgid.site.calibration import MOST_ROUNDS, check_scene, table_beside
+    from cgid.site.calibration import MOST_ROUNDS, check_numbers, check_scene, table_beside
     from cgid.site.calibration import calibrate as calibrated
 
     path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
@@ -91,9 +92,9 @@ def calibrate(
         "drift": _share("--drift", drift),
         "participation_error": _share("--participation-error", participation_error),
     }
+    check_numbers(**errors, most_blows=impacts)
     check_scene(scene, scene.sampling.sampling_rate)
     frames, rate, before = _frames(recordings, scene, reading)
-    check_scene(scene, rate)
     with progress_bar(MOST_ROUNDS, "rounds") as progress:
         found = calibrated(scene, frames, rate, before, most_blows=impacts, progress=progress, **errors)
     found.save(path, overwrite=overwrite)
@@ -113,7 +114,7 @@ def _share(flag: str, text: str) -> float:
 
 
 def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tuple[NDArray[np.floating], float, int]:
-    """Return the frames of all usable impacts in the unit of the scene's sensor, their rate and samples before touch."""
+    """Return frames of all usable impacts in the unit of the scene's sensor, their rate, and samples before touch."""
     import numpy as np
 
     from cgid.site.calibration import FEWEST, frames_of, usable_blows
@@ -146,6 +147,7 @@ def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
     """Return the impacts of a recording in the unit of a scene's sensor."""
     from cgid.identification.detection import ImpactDetector
     from cgid.identification.labelled_recordings import unit_of
+    from cgid.site.calibration import check_scene
     from cgid.units import UNITS, quantity_of
 
     if len(recording.channels) != 1:
@@ -160,6 +162,7 @@ def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
             f"{recording.source}: the recording must be of {scene.sensor.quantity} like scene {scene.name}, got "
             f"{quantity} [{unit}]; choose another channel, or say --unit"
         )
+    check_scene(scene, recording.sampling_rate)
     factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
     detector = ImpactDetector(recording.sampling_rate, kind="vibration", dead_time=reading.dead_time)
     events: list[Event] = []

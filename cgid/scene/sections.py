@@ -653,7 +653,7 @@ class TailBeamSection(Section):
 
     def with_learned(self, modes: LearnedModes) -> TailBeamSection:
         """Return the beam with other learned modes."""
-        rows = [LearnedRow.model_construct(**row) for row in rows_of(modes, LEARNED_COLUMNS)]
+        rows = [LearnedRow.model_construct(None, **row) for row in rows_of(modes, LEARNED_COLUMNS)]
         made = self.model_copy(update={"learned": tuple(rows)})
         made.__dict__.pop("learned_modes", None)  # a copy keeps what is cached
         return made

@@ -163,15 +163,7 @@ def calibrate(
     BadData
         Too few blows, another sampling rate, modes that cross and cannot be told apart, or blows of another beam.
     """
-    for name, value, most in (
-        ("start_error", start_error, 0.1),
-        ("drift", drift, 0.1),
-        ("participation_error", participation_error, 1.0),
-    ):
-        if not 0 <= value <= most or (name == "start_error" and value == 0):
-            least = "above 0" if name == "start_error" else "at least 0"
-            raise InvalidValue(f"{name} must be {least} and at most {most:g}, got {value:g}")
-    validation.count("most_blows", most_blows)
+    check_numbers(start_error, drift, participation_error, most_blows)
     check_scene(scene, sampling_rate)
     if len(frames) < FEWEST:
         raise BadData(f"blows must be at least {FEWEST} to learn from, got {len(frames)}; record longer")
@@ -216,6 +208,19 @@ def calibrate(
         crossings=crossings,
         at_rest=found.at_rest,
     )
+
+
+def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:
+    """Raise `InvalidValue` if a number of `calibrate` breaks its rule."""
+    for name, value, most in (
+        ("start_error", start_error, 0.1),
+        ("drift", drift, 0.1),
+        ("participation_error", participation_error, 1.0),
+    ):
+        if not 0 <= value <= most or (name == "start_error" and value == 0):
+            least = "above 0" if name == "start_error" else "at least 0"
+            raise InvalidValue(f"{name} must be {least} and at most {most:g}, got {value:g}")
+    validation.count("most_blows", most_blows)
 
 
 def check_scene(scene: Scene, sampling_rate: float) -> None:
@@ -263,7 +268,7 @@ def _prior(scene: Scene, start: LearnedModes, start_error: float, drift: float, 
     moved = start_error if scene.tail_beam.learned is None else drift
     more = np.array([moved, min(_DAMPING_A_FREQUENCY * moved, _MOST_DAMPING), participation])
     known = [getattr(start, name) for name in list(LEARNED_COLUMNS)[3:]]
-    return np.sqrt(np.square(known) + np.square(more)[:, None])
+    return np.asarray(np.sqrt(np.square(known) + np.square(more)[:, None]))
 
 
 def _blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Blows:

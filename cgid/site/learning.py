@@ -80,7 +80,7 @@ class Blows:
         Standard deviation of the noise.
     """
 
-    frames: NDArray[np.floating]
+    frames: Floats
     start: NDArray[np.intp]
     noise: Floats
 
@@ -286,7 +286,7 @@ class _System:
         """Return the prior variance of the coefficients of one blow."""
         return max(float(np.mean(np.square(self.found.coefficients[row]))), 1.0)
 
-    def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, Floats]:
+    def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, float]:
         """Return of one blow the ways of force and place, their precision, what is left, and the samples' weight."""
         force = self.found.coefficients[row]
         single = force.astype(np.float32)
@@ -297,7 +297,7 @@ class _System:
         every = np.concatenate([ways[0], ways[1:, 0]])
         prior = np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _PLACE_DEVIATION**-2)])
         exact = every.astype(np.float64)  # singles would leave a precision that is not positive
-        return every, weight * (exact @ exact.T) + np.diag(prior), left, weight
+        return every, np.asarray(weight * (exact @ exact.T) + np.diag(prior)), left, weight
 
     def _add(self, row: int, slopes: list[Singles], raised: float, curvature: Floats) -> Floats:
         """Add the curvature of one blow, and return its pull."""
