@@ -28,6 +28,8 @@ _POINTS, _LENGTH = 96, 1 << 15
 #: Widths [s] (impulse over peak), shapes and touches [samples] of the pulses tried first.
 _WIDTHS, _TRIED = np.geomspace(25e-6, 1.6e-3, 48), np.linspace(np.log(0.08), 1.0, 9)
 _TOUCHES = np.arange(0.25, TOUCH, 0.5)
+#: Lowest and highest ln width and shape of a fit.
+LOWEST, HIGHEST = (np.log(_WIDTHS[0]), _SHAPES[0]), (np.log(_WIDTHS[-1]), _SHAPES[-1])
 #: Prior mean and deviation of the shape, and of the touch [samples].
 _SHAPE_PRIOR, _TOUCH_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Levenberg-Marquardt steps.
@@ -182,8 +184,8 @@ class ContactFit:
             told = np.where(along[row] > 0, np.square(along[row]) / np.maximum(size, 1e-30), 0.0)
             first[row] = np.argmax(told)
         scale = np.array([1.0, 1.0, 1 / self.beam.sampling_rate])
-        lowest = np.array([np.log(_WIDTHS[0]), _SHAPES[0], -2.0])
-        highest = np.array([np.log(_WIDTHS[-1]), _SHAPES[-1], TOUCH + 2.0])
+        lowest = np.array([*LOWEST, -2.0])
+        highest = np.array([*HIGHEST, TOUCH + 2.0])
         at = np.stack([np.log(tried[first, 0]), tried[first, 1], tried[first, 2] / scale[2]], axis=1)
         middle = np.array([0.0, _SHAPE_PRIOR[0], _TOUCH_PRIOR[0]])
         prior = np.array([0.0, _SHAPE_PRIOR[1] ** -2, _TOUCH_PRIOR[1] ** -2])
