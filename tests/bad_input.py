@@ -304,6 +304,10 @@ _BEAMS = {
     "step": ('range = "500 g"\n', ""),
     "deaf": ("bits = 16", "bits = 16\ngain = 0"),
     "modes_too_many": ('"10 kHz", order = 8 }', '"10 kHz", order = 1 }'),
+    "beam_rates": ("[sampling]", f"[randomise]\n{_RATES}\n[sampling]"),
+    "beam_pink": ('noise_density = "2 mg/sqrt(Hz)"', 'absolute_noise = "0.2 g"\nnoise_exponent = 1'),
+    "beam_silent": ('noise_density = "2 mg/sqrt(Hz)"', ""),
+    "beam_smooth": ('anti_alias = { frequency = "10 kHz", order = 8 }', 'bandwidth = "9 kHz"'),
     "hum_device": (
         "[sampling]",
         '[background]\nrecorded = { path = "/dev/null", signal_to_noise = "20 dB" }\n[sampling]',
@@ -803,7 +807,15 @@ CASES = (
         65,
         ("/dev/null", "background must be a regular file"),
     ),
-    Case("ceiling of a beam", ("ceiling", "tail_beam"), 65, ("tail_beam", "force itself", "cgid train")),
+    Case("ceiling of a beam in hum", ("ceiling", "hum_missing.toml"), 65, ("white noise", "take [background] out")),
+    Case(
+        "ceiling of a beam at drawn rates", ("ceiling", "beam_rates.toml"), 65, ("one sampling", "take [randomise] out")
+    ),
+    Case("ceiling of a beam in pink noise", ("ceiling", "beam_pink.toml"), 65, ("white noise", "noise_exponent")),
+    Case("ceiling of a silent beam", ("ceiling", "beam_silent.toml"), 65, ("needs noise", "sensor.noise_density")),
+    Case("ceiling of a smooth band", ("ceiling", "beam_smooth.toml"), 65, ("anti_alias in place of bandwidth",)),
+    Case("survey of a beam", ("ceiling", "tail_beam", "--plot", "r.png"), 65, ("force itself", "without --plot")),
+    Case("no signals behind a beam", ("ceiling", "tail_beam", "-n", "0"), 65, ("n_signals", "got 0")),
     Case("no table of modes", ("generate", "no_table.toml", "-o", "new.h5"), 66, ("gone.csv", "table of modes")),
     Case("table of modes is a device", ("check", "device.toml"), 65, ("/dev/null", "modes must be a regular file")),
     Case("modes not sorted", ("generate", "unsorted.toml", "-o", "new.h5"), 65, ("unsorted.csv, line 3", "ascend")),

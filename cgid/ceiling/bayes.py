@@ -212,11 +212,6 @@ def check_asked(scene: Scene) -> None:
     """Raise `InvalidValue` if a scene has no ceiling of any kind: no single impacts, or a single label."""
     problems = (
         (scene.stream is not None, "a frame for each impact, this one is a stream; take [stream] out"),
-        (
-            scene.tail_beam is not None,
-            "the force itself: what a beam makes of it is no member of the family; give it to a learner "
-            "(cgid train SCENE -o MODEL)",
-        ),
         (scene.taps, "a scene of impacts alone, this one has taps"),
         (len(scene.labels) < 2, f"at least 2 labels, got {', '.join(scene.labels)}"),
     )
@@ -230,6 +225,7 @@ def uncovered(scene: Scene) -> str:
     sensor, background = scene.sensor, scene.background
     noise = noise_of(scene) if scene.sampling.samples else None
     problems = (
+        (scene.tail_beam is not None, "the force itself: what a beam makes of it is no member of the family"),
         (bool(sensor.filters), "the force itself: what a filter makes of it is no member of the family"),
         (
             background is not None and background.recorded is not None,
@@ -267,7 +263,7 @@ def check_covered(scene: Scene) -> None:
     if rule := uncovered(scene):
         raise InvalidValue(
             f"scene {scene.name}: the ceiling needs {rule}; cgid ceiling without --plot, or cgid.ceiling.bracket, "
-            "encloses it by learners"
+            f"{'estimates' if scene.tail_beam is not None else 'encloses'} it by learners"
         )
 
 

@@ -6,6 +6,9 @@ most of the statistical error cancels in the difference.
 From above, where the integration does not cover a scene: a learner on the exact pulses of these impacts, trained on as
 many as it takes to saturate. Noise, filters, clipping and rounding can only lose what the exact pulse tells. Of a pulse
 it receives peak, duration, restitution, impulse, the law of loss and its viscous part, which together determine it.
+
+Behind a beam, in place of that from above, an estimate: a learner on pulses with the least errors that unbiased
+estimates can have (`cgid.ceiling.beam`). From below, the learner receives the pulses recovered through the beam.
 """
 
 from __future__ import annotations
@@ -20,10 +23,14 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.ceiling.bayes import MOST_SIGNALS, Ceiling, ceiling, check_asked, uncovered
+from cgid.ceiling.beam import BeamErrors
 from cgid.errors import InvalidValue
+from cgid.identification.contact import ThroughBeam
+from cgid.identification.rows import BEAM_FEATURES
 from cgid.measure.features import extract_array
 from cgid.measure.pulses import PULSE_FEATURES
 from cgid.measure.table import Feature
+from cgid.measure.vibration import Beam
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, synthesise
 from cgid.scene.draws import BLOCK
@@ -46,6 +53,11 @@ _EXACT_SEED = 0x5EED_0001_C9D1
 #: Draws on which the learner on exact pulses is trained; it ends when four times as many gain less than the second on
 #: draws held back, of this number.
 _EXACT_SIZES, _SATURATED, _HELD_DRAWS = (1 << 14, 1 << 16, 1 << 18), 0.001, 1 << 16
+#: The same for estimated pulses behind a beam, which take longer.
+_ESTIMATED_SIZES, _HELD_ESTIMATES = (1 << 13, 1 << 15), 1 << 14
+N_ESTIMATED = _HELD_ESTIMATES + _ESTIMATED_SIZES[-1]
+#: Features behind a beam whose logarithms are inputs; the other ones are correlations.
+_POSITIVE_BEAM = tuple(name for name in BEAM_FEATURES if not name.endswith("correlation"))
 #: Parameters of a pulse, besides its law, that a learner receives as logarithms or, where they may be missing, as is.
 _PULSE, _OPTIONAL = (
     ("peak_force", "contact_duration", "restitution"),
@@ -67,8 +79,8 @@ class Learner:
     hits : ndarray of bool, (n_test,)
         Whether it was right. For a signal that cannot be measured the answer is the most frequent label.
     difference, difference_error : float
-        Accuracy of the ceiling's answers (without a ceiling, of the best learner from above) minus this learner's, on
-        the same signals, and the standard error.
+        Accuracy of the ceiling's answers (without a ceiling, of the best learner from above or, behind a beam, of the
+        estimate) minus this learner's, on the same signals, and the standard error.
     regret, regret_error : float
         The same with the ceiling's probabilities in place of the truth, which reduces the statistical error; nan
         without a ceiling.
@@ -97,6 +109,8 @@ class Learner:
 class Bracket:
     """The ceiling and the learners below it; where the integration does not cover a scene, learners on both sides.
 
+    Behind a beam, an estimate takes the place of those from above.
+
     Attributes
     ----------
     ceiling : Ceiling, optional
@@ -109,6 +123,12 @@ class Bracket:
         From above, on exact pulses, by the number of draws; the last one is the bound. Empty if there is a ceiling.
     uncovered : str
         What the integration needs that the scene does not have; empty if there is a ceiling.
+    estimate : tuple of Learner
+        Behind a beam, on pulses with the errors of Cramér and Rao, by the number of draws; the last one is the
+        estimate, neither an upper nor a lower bound. Else empty.
+    apart : float
+        Median distance of the scene's pulses from those of the family that stand for them in the estimate, root mean
+        square over that of the pulse; nan without an estimate.
     """
 
     ceiling: Ceiling | None
@@ -116,6 +136,13 @@ class Bracket:
     unmeasured: int
     above: tuple[Learner, ...] = ()
     uncovered: str = ""
+    estimate: tuple[Learner, ...] = ()
+    apart: float = float("nan")
+
+    @property
+    def kind(self) -> str:
+        """What is known of the ceiling: its "limit", a "bracket", or an "estimate"."""
+        return "limit" if self.ceiling is not None else "estimate" if self.estimate else "bracket"
 
 
 def sizes_up_to(highest: int) -> tuple[int, ...]:
@@ -144,11 +171,14 @@ def bracket(
 ) -> Bracket:
     """Return the ceiling of a scene and the accuracy of learners below it, or of learners on both sides of it.
 
+    Behind a beam, return an estimate of the ceiling and learners below it.
+
     Parameters
     ----------
     scene : Scene
     sizes : tuple of int
-        Numbers of training signals; each set contains the smaller ones. Their seed differs from that of the test.
+        Numbers of training signals; each set contains the smaller ones. Their seed differs from that of the test. May
+        be empty for an estimate.
     n_test, seed, drop_height_known
         As in `ceiling`.
     limit : Ceiling, optional
@@ -163,26 +193,59 @@ def bracket(
     Raises
     ------
     InvalidValue
-        The scene has no single impacts or a single label, or a size is out of range.
+        The scene has no single impacts or a single label, the errors behind its beam are not known, or a size is out
+        of range.
     """
-    for size in sizes or (0,):
+    behind_beam = scene.tail_beam is not None
+    for size in sizes if sizes or behind_beam else (0,):
         sizes_up_to(size)
     check_asked(scene)
     validation.whole("n_signals", n_test, 2, MOST_SIGNALS)
+    another = seed + 1 if seed < 2**63 - 1 else 0
     rule = uncovered(scene)
+    if behind_beam:
+        return _behind_beam(scene, sizes, n_test, (seed, another), drop_height_known, progress)
     if limit is None and not rule:
         limit = ceiling(scene, n_test, seed, drop_height_known=drop_height_known, progress=progress)
-    features = (*_POSITIVE, *_OTHERS) if rule else _POSITIVE
-    test = _measured(scene, features, n_test, seed, drop_height_known, progress)
+    look = _Look((*_POSITIVE, *_OTHERS) if rule else _POSITIVE, _POSITIVE, drop_height_known)
+    test = _measured(scene, look, n_test, seed, progress)
     if limit is not None and not np.array_equal(test.labels, limit.truth):
         raise InvalidValue(f"limit must be the ceiling of the {n_test} signals of seed {seed}, it is of others")
-    another = seed + 1 if seed < 2**63 - 1 else 0
     above = () if limit is not None else _above(scene, n_test, seed, drop_height_known)
-    signals = _measured(scene, features, max(sizes), another, drop_height_known, progress)
-    learners = tuple(
+    signals = _measured(scene, look, max(sizes), another, progress)
+    learners = _below(signals, sizes, test, limit, above)
+    return Bracket(limit, learners, int((~test.sound).sum()), above, rule)
+
+
+def _behind_beam(
+    scene: Scene,
+    sizes: tuple[int, ...],
+    n_test: int,
+    seeds: tuple[int, int],
+    drop_height_known: bool,
+    progress: Callable[[int], object] | None,
+) -> Bracket:
+    """Return the estimate of a scene with a beam, and learners of some sizes below it."""
+    errors = BeamErrors(scene)
+    test, apart = _estimated(errors, n_test, seeds[0], drop_height_known, progress)
+    draws, _ = _estimated(errors, N_ESTIMATED, _EXACT_SEED, drop_height_known, progress)
+    estimate = _saturated(test, draws, _ESTIMATED_SIZES)
+    rule = uncovered(scene)
+    if not sizes:
+        return Bracket(None, (), 0, (), rule, estimate, apart)
+    look = _Look(BEAM_FEATURES, _POSITIVE_BEAM, drop_height_known, ThroughBeam(errors.beam))
+    measured = _measured(scene, look, n_test, seeds[0], progress)
+    signals = _measured(scene, look, max(sizes), seeds[1], progress)
+    learners = _below(signals, sizes, measured, None, estimate)
+    return Bracket(None, learners, int((~measured.sound).sum()), (), rule, estimate, apart)
+
+
+def _below(
+    signals: _Rows, sizes: tuple[int, ...], test: _Rows, limit: Ceiling | None, above: tuple[Learner, ...]
+) -> tuple[Learner, ...]:
+    return tuple(
         _judged(size, *_answers(signals.part(slice(size)), test), test.labels, limit, above) for size in sorted(sizes)
     )
-    return Bracket(limit, learners, int((~test.sound).sum()), above, rule)
 
 
 @dataclass(frozen=True)
@@ -208,29 +271,37 @@ class _Rows:
         return _Rows(inputs, labels, self.n_core)
 
 
-def _measured(
-    scene: Scene,
-    features: tuple[str, ...],
-    n_signals: int,
-    seed: int,
-    drop_height_known: bool,
-    progress: Callable[[int], object] | None,
-) -> _Rows:
-    rows, labels = [], []
+@dataclass(frozen=True)
+class _Look:
+    """What a learner from below receives: features, the first of which as logarithms."""
+
+    features: tuple[str, ...]
+    logarithms: tuple[str, ...]
+    drop_height_known: bool
+    beam: Beam | None = None
+
+
+def _measured(scene: Scene, look: _Look, n_signals: int, seed: int, progress: Callable[[int], object] | None) -> _Rows:
+    rows, labels, n_logarithms = [], [], len(look.logarithms)
     for batch in synthesise(scene, n_signals, seed):
         values = extract_array(
-            batch.signals, batch.sampling_rate, features, pre_trigger=batch.pre_trigger, invalid="nan"
+            batch.signals,
+            batch.sampling_rate,
+            look.features,
+            pre_trigger=batch.pre_trigger,
+            invalid="nan",
+            beam=look.beam,
         )
         with np.errstate(invalid="ignore", divide="ignore"):
-            columns = [np.log(values[:, : len(_POSITIVE)])]
-        if drop_height_known:
+            columns = [np.log(values[:, :n_logarithms])]
+        if look.drop_height_known:
             # 2 ln(velocity), which all scenes have, is the logarithm of the height up to a constant.
             columns.append(2 * np.log(batch.parameters["velocity"])[:, None])
-        rows.append(np.hstack([*columns, values[:, len(_POSITIVE) :]]))
+        rows.append(np.hstack([*columns, values[:, n_logarithms:]]))
         labels.append(batch.labels)
         if progress is not None:
             progress(len(batch))
-    return _Rows(np.concatenate(rows), np.concatenate(labels), len(_POSITIVE) + drop_height_known)
+    return _Rows(np.concatenate(rows), np.concatenate(labels), n_logarithms + look.drop_height_known)
 
 
 def _exact(scene: Scene, n_draws: int, seed: int, drop_height_known: bool) -> _Rows:
@@ -258,11 +329,34 @@ def _above(scene: Scene, n_test: int, seed: int, drop_height_known: bool) -> tup
     """Return learners on the exact pulses of the signals of a seed, by size until another gains little."""
     test = _exact(scene, n_test, seed, drop_height_known)
     draws = _exact(scene, _HELD_DRAWS + _EXACT_SIZES[-1], _EXACT_SEED, drop_height_known)
-    n_held = len(draws.labels) - _EXACT_SIZES[-1]
+    return _saturated(test, draws, _EXACT_SIZES)
+
+
+def _estimated(
+    errors: BeamErrors, n_draws: int, seed: int, drop_height_known: bool, progress: Callable[[int], object] | None
+) -> tuple[_Rows, float]:
+    """Return what estimates of pulses behind a beam tell, and the median distance of the pulses from the family."""
+    rows, labels, apart = [], [], []
+    for features, true in errors.estimated(seed, n_draws):
+        blows = true.blows
+        height = [2 * np.log(blows.parameters["velocity"])[:, None]] if drop_height_known else []
+        rows.append(np.hstack([features, *height]))
+        labels.append(blows.labels)
+        apart.append(true.apart)
+        if progress is not None:
+            progress(min(BLOCK, n_draws - BLOCK * (len(rows) - 1)))
+    inputs = np.concatenate(rows)[:n_draws]
+    found = _Rows(inputs, np.concatenate(labels)[:n_draws], inputs.shape[1])
+    return found, float(np.median(np.concatenate(apart)[:n_draws]))
+
+
+def _saturated(test: _Rows, draws: _Rows, sizes: tuple[int, ...]) -> tuple[Learner, ...]:
+    """Return learners by size until another gains little on draws held back, judged on the test."""
+    n_held = len(draws.labels) - sizes[-1]
     judged = draws.part(slice(n_held)).joined(test)
     found: list[tuple[int, str, NDArray[np.str_]]] = []
     shares: list[float] = []
-    for size in _EXACT_SIZES:
+    for size in sizes:
         kind, answers = _answers(draws.part(slice(n_held, n_held + size)), judged)
         found.append((size, kind, answers[n_held:]))
         shares.append(float(np.mean((answers == judged.labels)[:n_held])))

@@ -236,41 +236,55 @@ def ceiling(
 
     Bayes' rule, which knows the scene, is applied to each of many signals: no classifier can be right more often.
     Where its integration does not cover the scene (other laws of loss, filters, [randomise]), two learners enclose the
-    answer: one on measured signals from below, one on exact pulses, without a sensor, from above.
+    answer: one on measured signals from below, one on exact pulses, without a sensor, from above. Behind a [tail_beam]
+    the answer is an estimate, neither an upper nor a lower bound: a learner on pulses with the least errors that
+    unbiased estimates can have. There, --learner measures the pulses through the beam.
     """
     from cgid.ceiling.bayes import ceiling as ceiling_of
     from cgid.ceiling.bayes import check_asked, check_covered, uncovered
-    from cgid.ceiling.learner import bracket, sizes_up_to
+    from cgid.ceiling.beam import check_estimated
+    from cgid.ceiling.learner import N_ESTIMATED, bracket, sizes_up_to
     from cgid.ceiling.survey import untrusted
     from cgid.scene import load_scene
 
     loaded = load_scene(scene)
     check_asked(loaded)
-    covered = not uncovered(loaded)
+    covered, behind_beam = not uncovered(loaded), loaded.tail_beam is not None
     sizes = () if learner is None else sizes_up_to(learner)
     if picture is not None:
         check_covered(loaded)
+    if behind_beam:
+        check_estimated(loaded)
     path = None if picture is None else _checked(Path(picture), overwrite)
     if covered and (problem := untrusted(loaded)):
         say(f"cgid: warning: do not rely on this ceiling: {problem}", err=True)
-    if not covered:
+    if not covered and not behind_beam:
         sizes = sizes or (_TRAINED,)
-    total = (n_signals if covered else 0) + (n_signals + max(sizes) if sizes else 0)
+    total = (n_signals if covered else n_signals + N_ESTIMATED if behind_beam else 0) + (
+        n_signals + max(sizes) if sizes else 0
+    )
     with progress_bar(total, "signals") as progress:
         limit, found = None, None
         if covered:
             limit = ceiling_of(loaded, n_signals, seed, drop_height_known=drop_height, progress=progress)
-        if sizes:
+        if sizes or behind_beam:
             found = bracket(
                 loaded, sizes, n_signals, seed, drop_height_known=drop_height, limit=limit, progress=progress
             )
     surveyed = None if path is None else _survey(loaded, min(n_signals, _SURVEYED), seed, path, overwrite)
     content: dict[str, Any] = {"scene": loaded.name, "n_signals": n_signals, "drop_height_known": drop_height}
+    content["kind"] = "limit" if found is None else found.kind
     if limit is not None:
         content |= _figures(limit)
     if found is not None:
         if limit is None:
-            content |= {"uncovered": found.uncovered, "above": [_learner(one) for one in found.above]}
+            content["uncovered"] = found.uncovered
+        if found.estimate:
+            best = found.estimate[-1]
+            content |= {"accuracy": best.accuracy, "accuracy_error": best.accuracy_error, "apart": found.apart}
+            content["estimate"] = [_learner(one) for one in found.estimate]
+        elif limit is None:
+            content["above"] = [_learner(one) for one in found.above]
         content["learners"] = [_learner(one) for one in found.learners]
         content["unmeasured"] = found.unmeasured
     if surveyed is not None:
@@ -329,7 +343,9 @@ def _survey(scene: Any, n_signals: int, seed: int, path: Path, overwrite: bool) 
 def _say(content: dict[str, Any]) -> None:
     known = "known" if content["drop_height_known"] else "not known"
     say(f"{content['scene']}: {counted(content['n_signals'], 'signal')}, drop height {known}")
-    if "above" in content:
+    if content["kind"] == "estimate":
+        _say_estimated(content)
+    elif content["kind"] == "bracket":
         _say_enclosed(content)
     else:
         say(f"highest accuracy possible {content['accuracy']:.4f} +- {content['accuracy_error']:.4f}")
@@ -360,9 +376,21 @@ def _say_enclosed(content: dict[str, Any]) -> None:
     below, above = (f"{one['accuracy']:.4f} +- {one['accuracy_error']:.4f}" for one in _ends(content))
     say(f"highest accuracy possible between {below} and {above}")
     say(f"not integrated: that needs {content['uncovered']}")
-    say("          trained on  learner    accuracy            below the highest")
-    for side in ("learners", "above"):
-        head = "measured" if side == "learners" else "exact"
+    _say_sides(content, {"learners": "measured", "above": "exact"}, "below the highest")
+
+
+def _say_estimated(content: dict[str, Any]) -> None:
+    say(f"highest accuracy possible about {content['accuracy']:.4f} +- {content['accuracy_error']:.4f}")
+    say("an estimate, neither an upper nor a lower bound: pulses with the errors of Cramér and Rao, which hold for")
+    say("unbiased estimates of strong blows")
+    say(f"pulses stand for the closest ones of the damped Hertz family, {content['apart']:.2%} apart (median)")
+    say(f"not integrated: that needs {content['uncovered']}")
+    _say_sides(content, {"learners": "measured", "estimate": "estimate"}, "below the estimate")
+
+
+def _say_sides(content: dict[str, Any], sides: dict[str, str], below: str) -> None:
+    say(f"          trained on  learner    accuracy            {below}")
+    for side, head in sides.items():
         for one in content[side]:
             accuracy, lost = (f"{one[name]:.4f} +- {one[f'{name}_error']:.4f}" for name in ("accuracy", "difference"))
             say(f"{head:<8}  {one['n_signals']:>10}  {one['kind']:<9}  {accuracy}    {lost}")

@@ -328,6 +328,8 @@ _LIMITS = (
     np.array([np.log(_WIDTHS[0]), _SHAPES[0], -_BEYOND]),
     np.array([np.log(_WIDTHS[1]), _SHAPES[-1], TOUCH + _BEYOND]),
 )
+#: The same of ln width and shape alone.
+LOWEST, HIGHEST = tuple(_LIMITS[0][:2].tolist()), tuple(_LIMITS[1][:2].tolist())
 _MIDDLE, _PRIOR = np.array([0.0, _SHAPE_PRIOR[0], _TOUCH_PRIOR[0]]), np.array([0, _SHAPE_PRIOR[1], _TOUCH_PRIOR[1]])
 _PRIOR[1:] **= -2
 

@@ -1,0 +1,200 @@
+"""The estimate of the ceiling behind a beam: slopes, Fisher's information, and the command."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from cgid import shipped
+from cgid.ceiling import bracket
+from cgid.ceiling.beam import UNKNOWNS, BeamErrors, check_estimated
+from cgid.cli.main import run
+from cgid.errors import InvalidValue
+from cgid.measure.template import curve, relative_times
+from cgid.physics.sampled import SampledPulses, shares_of_contact
+from cgid.scene import Scene, load_scene
+from cgid.scene.impacts import recorder_of
+from cgid.scene.plan import Plan
+
+TEXT = Path(shipped.scene_path("tail_beam")).read_text()
+#: A recorder of a lower band hears fewer modes, which takes less time.
+SLOW = TEXT.replace('"10 kHz", order = 8', '"4 kHz", order = 8').replace("samples = 2048", "samples = 768")
+QUIET = SLOW.replace("2 mg/sqrt(Hz)", "0.05 mg/sqrt(Hz)")
+#: A strong blow of 1.1 ms: ln peak, ln width, shape, touch, x, y.
+BLOW = np.array([np.log(3000.0), np.log(4e-4), -0.7, 3.4, 1.13, 0.62])
+STEPS = np.array([1e-3, 1e-3, 2e-3, 1e-3, 5e-4, 5e-4])
+
+
+def scene_of(folder: Path, text: str) -> Scene:
+    (folder / "scene.toml").write_text(text)
+    return load_scene(folder / "scene.toml")
+
+
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory: pytest.TempPathFactory) -> BeamErrors:
+    return BeamErrors(scene_of(tmp_path_factory.mktemp("beam"), QUIET))
+
+
+def with_sensor(errors: BeamErrors, folder: Path, text: str) -> BeamErrors:
+    """Return the errors behind the same beam of a scene with another noise and range."""
+    other = copy.copy(errors)
+    other.scene = scene_of(folder, text)
+    return other
+
+
+def heard(errors: BeamErrors, unknowns: np.ndarray, n_samples: int) -> np.ndarray:
+    """Return the recorder's response to pulses of the family, as the signals of scenes are made."""
+    log_peak, log_width, shape, touch, x, y = unknowns.T
+    shares = shares_of_contact(257)
+    force = curve(np.broadcast_to(shares, (len(unknowns), shares.size)), shape)[0]
+    lasts = relative_times(shape)[0] * np.exp(log_width)
+    pulses = SampledPulses(
+        shares=shares, forces=np.maximum(force, 0) * np.exp(log_peak)[:, None], contact_duration=lasts
+    )
+    recorder = recorder_of(Plan(scene=errors.scene))
+    assert recorder is not None
+    participation = recorder.participation({"impact_x": x, "impact_y": y})
+    frames = np.zeros((len(unknowns), n_samples))
+    recorder.response.add_to_frames(frames, pulses, touch / errors.beam.sampling_rate, participation)
+    return frames
+
+
+def test_the_slopes_are_those_of_signals_by_central_differences(errors: BeamErrors) -> None:
+    slopes = errors.signals(errors.slopes(BLOW[None]))[0]
+    ends = np.concatenate([BLOW + np.diag(STEPS), BLOW - np.diag(STEPS)])
+    own = errors.signals(errors.slopes(ends)[:, 0])
+    signals = heard(errors, ends, slopes.shape[1])
+    # The contact force is a sum of 18 principal shapes, which follow a change of width and shape within 6 %.
+    for number, name in enumerate(UNKNOWNS):
+        for one, error in ((own, 0.002), (signals, 0.06)):
+            difference = (one[number] - one[number + 6]) / (2 * STEPS[number])
+            apart = np.linalg.norm(slopes[number] - difference) / np.linalg.norm(difference)
+            assert apart < error, (name, apart)
+
+
+def test_the_information_is_that_of_a_fit_to_noisy_copies(errors: BeamErrors) -> None:
+    """Against the covariance of 200 least-squares fits to noisy samples, with slopes by differences."""
+    information = errors.information(BLOW[None])[0]
+    covariance = np.linalg.inv(information)
+    clean = errors.signals(errors.slopes(BLOW[None]))[0, 0]
+    sensor = errors.scene.sensor
+    step = sensor.range / 2 ** (sensor.bits - 1)
+    noise = np.hypot(sensor.noise_density * np.sqrt(errors.beam.sampling_rate / 2), step / np.sqrt(12))
+    scale = np.sqrt(np.diag(covariance))
+    assert np.abs(clean).max() / noise > 100
+    random = np.random.default_rng(5)
+    found = []
+    for _ in range(200):
+        samples = clean + noise * random.standard_normal(clean.size)
+
+        def left(at: np.ndarray, samples: np.ndarray = samples) -> np.ndarray:
+            # What the scene says of touch and place is known from elsewhere; here it is less than a thousandth. Steps
+            # are shares of the unknowns, so these lie about 10 deviations.
+            return (errors.signals(errors.slopes((BLOW + scale * (at - 10))[None])[0, 0]) - samples) / noise
+
+        start = np.full(6, 10.0)
+        found.append(scipy.optimize.least_squares(left, start, jac="3-point", diff_step=0.03).x - 10)
+    empirical = np.cov(np.array(found).T)
+    expected = covariance / np.outer(scale, scale)
+    # In the axes of the expected covariance the empirical one is 1, with chi-squared of 199 degrees of freedom.
+    root = np.linalg.inv(np.linalg.cholesky(expected))
+    whitened = root @ empirical @ root.T
+    assert np.abs(np.diag(whitened) - 1).max() < 0.35  # 3.5 standard errors
+    assert np.abs(whitened - np.diag(np.diag(whitened))).max() < 0.28  # 4 of 1 / sqrt(200)
+    assert np.abs(np.mean(found, axis=0)).max() < 0.3
+
+
+def test_pulses_of_the_family_stand_for_themselves(errors: BeamErrors) -> None:
+    true = errors.drawn(3, 0)
+    values = true.blows.parameters
+    close = true.apart < 0.002
+    assert close.mean() > 0.4
+    shape = true.unknowns[close, 2]
+    assert np.quantile(np.abs(shape - np.log(values["restitution"][close])), 0.9) < 0.01
+    lasts = relative_times(shape)[0] * np.exp(true.unknowns[close, 1])
+    assert np.quantile(np.abs(lasts / values["contact_duration"][close] - 1), 0.9) < 0.01
+    assert np.array_equal(true.unknowns[:, 0], np.log(values["peak_force"]))
+
+
+def test_samples_at_full_scale_tell_nothing(errors: BeamErrors, tmp_path: Path) -> None:
+    plain = SLOW.replace("bits = 16\n", "")
+    clipped = with_sensor(errors, tmp_path, plain.replace('range = "500 g"', 'range = "1 g"'))
+    free = with_sensor(errors, tmp_path, plain.replace('range = "500 g"\n', ""))
+    signal = free.signals(free.slopes(BLOW[None])[:, 0])[0]
+    kept = np.abs(signal) <= 9.80665
+    assert 0 < np.sum(~kept) < 200
+    slopes = free.signals(free.slopes(BLOW[None]))[0][:, kept]
+    expected = slopes @ slopes.T / free.scene.sensor.noise_level(np.zeros(()), 25600.0) ** 2
+    for one in (free, clipped):
+        found = one.information(BLOW[None])[0] - np.diag(one._prior)
+        share = np.diag(found) / np.diag(expected)
+        assert np.allclose(share, 1, rtol=1e-6) if one is clipped else (share > 1.001).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("[sampling]", "[randomise]\nbandwidth = 3e3\n[sampling]"), "randomise"),
+        (("bits = 16", 'bits = 16\nnoise_exponent = 1\nabsolute_noise = "1 g"'), "white noise"),
+        (('noise_density = "2 mg/sqrt(Hz)"', ""), "noise: give sensor.noise_density"),
+        (("[sampling]", '[background]\nhum = [{ frequency = 50, amplitude = "1 g" }]\n[sampling]'), "background"),
+        (('anti_alias = { frequency = "4 kHz", order = 8 }', 'bandwidth = "4 kHz"'), "sensor.anti_alias"),
+        (("[[populations]]\n", '[[populations]]\nsecond_hit = { delay = "1 ms", ratio = 0.5 }\n'), "second_hit"),
+    ],
+)
+def test_what_the_estimate_does_not_cover(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+    old, new = change
+    assert old in SLOW
+    text = SLOW.replace(old, new, 1)
+    if "noise_exponent" in new:
+        text = text.replace('noise_density = "2 mg/sqrt(Hz)"', "")
+    with pytest.raises(InvalidValue, match=message):
+        check_estimated(scene_of(tmp_path, text))
+
+
+def test_scenes_without_a_beam_have_no_estimate() -> None:
+    with pytest.raises(InvalidValue, match="tail_beam"):
+        BeamErrors(load_scene(shipped.scene_path("peers")))
+
+
+@pytest.fixture
+def _few_draws(monkeypatch: pytest.MonkeyPatch, errors: BeamErrors) -> None:
+    monkeypatch.setattr("cgid.ceiling.beam.beam_of", lambda scene: errors.beam)  # noise does not change it
+    monkeypatch.setattr("cgid.ceiling.learner._ESTIMATED_SIZES", (1 << 10, 1 << 12))
+    monkeypatch.setattr("cgid.ceiling.learner._HELD_ESTIMATES", 1 << 10)
+    monkeypatch.setattr("cgid.ceiling.learner.N_ESTIMATED", 5 << 10)
+
+
+@pytest.mark.usefixtures("_few_draws")
+def test_the_estimate_lies_above_the_learner_from_below(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, SLOW)
+    found = bracket(scene, (1000,), 512, 8)
+    assert found.kind == "estimate" and found.above == () and found.ceiling is None
+    (below,), best = found.learners, found.estimate[-1]
+    assert below.difference == pytest.approx(best.accuracy - below.accuracy)
+    assert below.difference > -below.difference_error
+    assert 0.7 < best.accuracy < 0.9 and below.accuracy > 0.65
+    assert 0 < found.apart < 0.02
+    # A known drop height tells more.
+    known = bracket(scene, (), 512, 8, drop_height_known=True)
+    assert known.learners == () and known.estimate[-1].accuracy > best.accuracy
+
+
+@pytest.mark.usefixtures("_few_draws")
+def test_the_command_says_that_it_estimates(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    scene_of(tmp_path, SLOW)
+    arguments = ["ceiling", str(tmp_path / "scene.toml"), "-n", "256"]
+    assert run([*arguments, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["kind"] == "estimate" and content["learners"] == [] and "above" not in content
+    best = content["estimate"][-1]
+    assert (content["accuracy"], content["accuracy_error"]) == (best["accuracy"], best["accuracy_error"])
+    assert run(arguments) == 0
+    out = capsys.readouterr().out
+    assert f"highest accuracy possible about {best['accuracy']:.4f} +- {best['accuracy_error']:.4f}" in out
+    assert "neither an upper nor a lower bound" in out and "closest ones of the damped Hertz family" in out
