@@ -127,9 +127,17 @@ class BeamErrors:
         return np.asarray(np.maximum(deviation, _KNOWN) ** -2)
 
     def slopes(self, unknowns: Floats) -> Floats:
-        """Return the slopes of the noiseless samples in the unknowns (n, 6), in the basis: (n, 6, n_basis).
+        """Return the slopes of the noiseless samples in the unknowns, in a basis of these.
 
-        That in ln peak is the signal itself.
+        Parameters
+        ----------
+        unknowns : ndarray, (n, 6)
+            ln peak [N], ln width [s], shape, touch [samples], x and y [m].
+
+        Returns
+        -------
+        ndarray, (n, 6, n_basis)
+            The slope in ln peak is the signal itself. `signals` turns them into samples.
         """
         log_peak, log_width, shape, touch, x, y = unknowns.T
         rate, height = self.beam.sampling_rate, np.exp(log_peak)[:, None]
@@ -142,7 +150,17 @@ class BeamErrors:
         return np.concatenate([pulse, *place], axis=1).astype(np.float64)
 
     def signals(self, slopes: Floats) -> Floats:
-        """Return slopes (..., n_basis) as samples, (..., n_samples)."""
+        """Return slopes as samples.
+
+        Parameters
+        ----------
+        slopes : ndarray, (..., n_basis)
+
+        Returns
+        -------
+        ndarray, (..., n_samples)
+            In the unit of the sensor, the first one where the table of forces begins.
+        """
         return slopes @ self._tables[1].T
 
     def _rung(self, x: Floats, y: Floats) -> NDArray[np.float32]:
@@ -152,7 +170,18 @@ class BeamErrors:
         return (at @ table).reshape(3, len(x), -1, basis.shape[1])
 
     def information(self, unknowns: Floats) -> Floats:
-        """Return Fisher's information on the unknowns (n, 6) with that of the scene, (n, 6, 6)."""
+        """Return Fisher's information on the unknowns, with what the scene says of touch and place.
+
+        Parameters
+        ----------
+        unknowns : ndarray, (n, 6)
+            As in `slopes`.
+
+        Returns
+        -------
+        ndarray, (n, 6, 6)
+            Its inverse is the least covariance of an unbiased estimate.
+        """
         parts = [self._information(unknowns[first : first + _ROWS]) for first in range(0, len(unknowns), _ROWS)]
         return np.concatenate(parts)
 
@@ -175,7 +204,17 @@ class BeamErrors:
         return np.asarray(found)
 
     def drawn(self, seed: int, block: int) -> Pulses:
-        """Return the pulses of a block of the scene's impacts, each as the closest one of the family."""
+        """Return the pulses of a block of the scene's impacts, each as the closest one of the family.
+
+        Parameters
+        ----------
+        seed, block : int
+            As of `cgid.scene.synthesise`, in blocks of 256.
+
+        Returns
+        -------
+        Pulses
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HertzRangeWarning)
             blows = draw(self.scene, seed, block)
@@ -193,15 +232,25 @@ class BeamErrors:
         return Pulses(unknowns, apart, blows)
 
     def estimated(self, seed: int, n_draws: int) -> Iterator[tuple[Floats, Pulses]]:
-        """Yield, block by block, the features of estimates of pulses, (`BLOCK`, 9), and the true pulses.
+        """Yield what estimates of pulses tell, block by block of 256 impacts, and the true pulses.
 
-        The features are ln peak, ln width and shape, the logarithms of their deviations, and their correlations.
+        Parameters
+        ----------
+        seed : int
+        n_draws : int
+            Rounded up to whole blocks.
+
+        Yields
+        ------
+        tuple of ndarray, (256, 9), and Pulses
+            ln peak, ln width and shape, the logarithms of their deviations, and their correlations.
         """
         for block in range(-(-n_draws // BLOCK)):
             true = self.drawn(seed, block)
             numbers = np.random.default_rng([seed, block]).standard_normal((BLOCK, 6))
             unknowns = self._scattered(true.unknowns, numbers)
-            # As of any estimate, its covariance is taken at the estimate: at the truth it would tell the truth.
+            # As of any estimate, its covariance is taken at the estimate. That at the truth would tell the truth: in
+            # scene tail_beam a learner would be right in .895 in place of .851.
             covariance = np.linalg.inv(self.information(unknowns))[:, :3, :3]
             deviation = np.sqrt(covariance[:, range(3), range(3)])
             correlation = covariance[:, [0, 0, 1], [1, 2, 2]] / deviation[:, [0, 0, 1]] / deviation[:, [1, 2, 2]]
