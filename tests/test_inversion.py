@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from cgid import family
 from cgid.identification.answers import identify_frames
 from cgid.identification.contact import Contact, ThroughBeam
-from cgid.identification.inversion import Inversion, Inverted
+from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
 from cgid.identification.training import train
 from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, lagrange, nodes, points_of, respond
@@ -220,7 +220,8 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
     samples = inversion.transformed(sample[None])
     _, place, level = inversion._search(samples, weight, np.zeros(1), None)
-    found = inversion._refined(samples, weight, place, level)
+    x, y = (side[place] for side in inversion._grid[:2])
+    found = inversion._refined(samples, weight, x, y, level)
     x, y, force = found["x"][0], found["y"][0], found["coefficients"][0]
     step = 1e-5
     response = dense(inversion, x, y)
@@ -245,6 +246,10 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     assert found["evidence"][0] * inversion.n_samples == pytest.approx(gained, rel=1e-3)
 
 
+def sought(colour: Colour, noise: np.ndarray) -> Sought:
+    return Sought(np.zeros((len(noise), 1)), noise, colour.coefficients, colour.innovation)
+
+
 @pytest.mark.parametrize("rho", [0.8, -0.5, 0.97])
 def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     """Of an autoregression of first order: exactly where it is known, nearly where its quiet samples tell it."""
@@ -254,7 +259,7 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     known = Colour(np.zeros((1, ORDER)), np.ones(1))
     known.coefficients[0, 0] = rho
     noise = np.array([1 / np.sqrt(1 - rho**2)])
-    weight, exponent = inversion._weights(known, slice(0, 1), noise)
+    weight, exponent = inversion._weights(sought(known, noise))
     np.testing.assert_allclose(np.tile(noise[0] ** 2 / true, 2), weight[0], rtol=1e-5)
     assert (exponent[0] > 0) == (rho > 0)
     # One that is estimated: the weighted coefficients of fresh noise have deviation 1.
@@ -263,13 +268,13 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     quiet, fresh = frames[:, 200:712], frames[:, -640:]
     colour = colour_of(quiet, np.full(n, 512.0), np.zeros(n))
     sizes = np.std(quiet, axis=1)
-    weight, _ = inversion._weights(colour, slice(0, n), sizes)
+    weight, _ = inversion._weights(sought(colour, sizes))
     white = inversion.transformed(fresh / sizes[:, None]) * np.sqrt(weight)
     by_frequency = np.sqrt(np.mean(white**2, axis=0)).reshape(2, -1)
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.1)
     assert np.abs(by_frequency - 1).mean() < 0.12
     white_noise = Colour(np.zeros((1, ORDER)), np.ones(1))
-    assert (inversion._weights(white_noise, slice(0, 1), np.ones(1))[0] == 1).all()
+    assert (inversion._weights(sought(white_noise, np.ones(1)))[0] == 1).all()
 
 
 # -- impacts of the scene -------------------------------------------------------------------------------------------
@@ -469,7 +474,7 @@ def test_beams_without_filters_and_of_slow_recorders() -> None:
     again = Beam.from_arrays(beam.arrays)
     assert again is not None and again.filters.shape == (0,)
     through, batch = ThroughBeam(again), next(iter(synthesise(scene, 64, SEED)))
-    inverted = through.invert(vibrations(batch))
+    inverted = through.look(vibrations(batch))[0]
     apart = np.hypot(inverted.x - batch.parameters["impact_x"], inverted.y - batch.parameters["impact_y"])
     assert np.median(apart) < 3e-3
     slow = TEXT.replace('"25.6 kHz"', '"3 kHz"').replace('"10 kHz", order', '"1 kHz", order')

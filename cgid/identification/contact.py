@@ -422,8 +422,9 @@ class ThroughBeam:
             begun = inverted.start[rows] + edge[rows] + TOUCH // 2
             other = self.inversion.invert(sought.rows(rows), np.stack([begun, begun], axis=1))
             better = np.flatnonzero(other.misfit < inverted.misfit[rows])
-            inverted = inverted.replaced(rows[better], other.rows(better))
-            contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+            if better.size:
+                inverted = inverted.replaced(rows[better], other.rows(better))
+                contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
         return inverted, contact
 
     def _prepared(self, vibrations: VibrationBatch) -> tuple[Sought, NDArray[np.intp]]:

@@ -30,6 +30,8 @@ _LEVELS = np.geomspace(2.0, 2e4, 12)
 _STEPS, _LONGEST_STEP = 3, 0.012
 #: Rounds in which clipped samples are replaced by what the beam says.
 _UNCLIPPING = 6
+#: Least share of what is known that clipping leaves.
+_LEAST_SHARE = 0.01
 #: Fewest frequencies that tell, and limits of the response to a force of 1 N: squares keep to single precision.
 _FEWEST_BINS, _LOUDNESS = 17, (1e-12, 1e11)
 #: Prior deviation of the place about the best of the grid [m].
@@ -367,6 +369,7 @@ class Inversion:
             found = self._refined(self.transformed(samples), weight, found["x"], found["y"], level)
         # The bounded samples are no measurements: they take their share of the energy out of what is known.
         share = 1 - np.sum(samples**2, axis=1, where=bounds) / np.maximum(np.sum(samples**2, axis=1), 1e-300)
+        share = np.maximum(share, _LEAST_SHARE)
         found["information"] *= share[:, None, None]
         found["vector"] *= share[:, None]
         return found
