@@ -228,7 +228,7 @@ class ContactFit:
         """Return the pulses that agree best with recovered forces."""
         parts = [
             self._fit(inverted.information[rows], inverted.vector[rows])
-            for rows in (slice(first, first + _ROWS) for first in range(0, len(inverted.vector), _ROWS))
+            for rows in (slice(first, first + _ROWS) for first in range(0, max(len(inverted.vector), 1), _ROWS))
         ]
         at, peak, own, covariance = (np.concatenate(part) for part in zip(*parts, strict=True))
         apart = inverted.coefficients - own
@@ -259,7 +259,7 @@ class ContactFit:
         size = products @ both.T.astype(np.float32)
         along = np.maximum(bank @ vector.T.astype(np.float32), 0)
         told = 0.5 * np.square(along) / np.maximum(size, 1e-30)
-        gained = told.reshape(*prior.shape, -1) - prior[:, :, None]
+        gained = told.reshape(*prior.shape, len(vector)) - prior[:, :, None]
         best = np.argmax(gained, axis=1)
         top = np.take_along_axis(gained, best[:, None], axis=1)[:, 0]
         shapes = np.argsort(-top, axis=0)[:_KEPT]
@@ -342,7 +342,8 @@ def _curvature(ways: Floats, information: Floats) -> Floats:
     """Return the precision of ln peak, ln width, shape and touch, (n, 4, 4), from the slopes of coefficients."""
     found = ways @ information @ ways.transpose(0, 2, 1)
     found[:, [1, 2, 3], [1, 2, 3]] += _PRIOR
-    found[:, range(4), range(4)] *= 1 + 1e-9
+    # Never singular, even where nothing is told.
+    found[:, range(4), range(4)] = found[:, range(4), range(4)] * (1 + 1e-9) + 1e-30
     return np.asarray(found)
 
 
