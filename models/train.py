@@ -13,8 +13,8 @@ train. The card also compares the families (`models/selection.py`), and says how
 (`models/domain_shift.py`).
 
 The model of acceleration looks through the beam of `tail_beam` at the contact force. It trains on blows all over that
-beam (`EVERYWHERE`), and is judged on those of the scene. Its card compares it with a model of force on the same impacts
-(`models/beside_force.py`).
+beam (`EVERYWHERE`), in many noises (`BEAM_RIGS`), and is judged on those of the scene. Its card compares it with a
+model of force on the same impacts (`models/beside_force.py`).
 """
 
 import argparse
@@ -64,6 +64,11 @@ RIGS = {
         "parts": ["1 GHz", {"distribution": "log-uniform", "lowest": "15 kHz", "highest": "300 kHz"}],
     },
 }
+#: The same for accelerometers: a beam has one recorder, but not one noise.
+BEAM_RIGS = {name: RIGS[name] for name in ("noise_exponent", "hum", "hum_frequency", "bits")} | {
+    "relative_noise": {"distribution": "log-uniform", "lowest": 1e-3, "highest": 0.3},
+    "relative_range": {"distribution": "choice", "values": [0.5, 0.7, 0.9, 1.2], "weights": [1, 1, 1, 12]},
+}
 #: Samples of a frame on all rigs, of which before touch: 4.1 ms at 1 MHz, where the longest contact lasts 2.1 ms.
 RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
 #: How often a lump is drawn for each sphere of the same law, and crushing by strength for each by equal restitution.
@@ -99,7 +104,11 @@ def acceleration_scenes(n: int) -> list[tuple[Scene, int]]:
     own = load_scene(shipped.scene_path("tail_beam"))
     content = json.loads(own.text)
     content["tail_beam"]["impact_point"] = EVERYWHERE
-    return [(own, 2 * n // 5), (parse_scene(content | {"name": "tail_beam, blows everywhere"}), n)]
+    everywhere = parse_scene(content | {"name": "tail_beam, blows everywhere"})
+    for name in ("noise_density", "range", "bits"):
+        del content["sensor"][name]
+    noisy = parse_scene(content | {"name": "tail_beam, many noises", "randomise": BEAM_RIGS})
+    return [(own, 2 * n // 5), (noisy, 4 * n // 5), (everywhere, n)]
 
 
 def strangers(n: int, seed: int) -> Rows:

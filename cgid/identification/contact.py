@@ -376,7 +376,8 @@ def clipped_samples(frames: Floats) -> NDArray[np.bool_] | None:
 class ThroughBeam:
     """A beam to look through: from vibrations to features of the contact force.
 
-    A recorder with another sampling rate is supposed to have the same anti-alias filter at the same share of its rate.
+    A recorder with another sampling rate is supposed to have the same anti-alias filter, at the same share of its rate
+    or, if it is faster, at the same frequency: whichever explains the samples better.
 
     Parameters
     ----------
@@ -413,7 +414,19 @@ class ThroughBeam:
 
     def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
         """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
-        sought, start = self._prepared(vibrations)
+        rate, own = vibrations.sampling_rate, self.beam.sampling_rate
+        inverted, contact = self._looked(vibrations, rate / own)
+        if rate > own * (1 + _SAME_RATE):
+            other, of_other = self._looked(vibrations, 1.0)
+            better = np.flatnonzero(other.misfit < inverted.misfit)
+            if better.size:
+                inverted = inverted.replaced(better, other.rows(better))
+                contact = contact.replaced(better, of_other.rows(better))
+        return inverted, contact
+
+    def _looked(self, vibrations: VibrationBatch, filters: float) -> tuple[Inverted, Contact]:
+        """Return the same for a recorder whose anti-alias filter is this many times as high as the beam's."""
+        sought, start = self._prepared(vibrations, filters)
         inverted = self.inversion.invert(sought, start)
         contact = self.fit.fit(inverted)
         # Where touch lies at the edge of the table of forces, look there.
@@ -428,7 +441,7 @@ class ThroughBeam:
                 contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
         return inverted, contact
 
-    def _prepared(self, vibrations: VibrationBatch) -> tuple[Sought, NDArray[np.intp]]:
+    def _prepared(self, vibrations: VibrationBatch, filters: float) -> tuple[Sought, NDArray[np.intp]]:
         """Return what the inversion needs of vibrations, and where touch may lie."""
         frames = vibrations.samples - vibrations.offset[:, None]
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
@@ -436,7 +449,7 @@ class ThroughBeam:
         first = vibrations.first.astype(np.float64)
         limit = None
         if abs(rate / own - 1) > _SAME_RATE:
-            frames = self.resampled(frames, rate)
+            frames = self.resampled(frames, rate, filters)
             quiet, first = quiet * own / rate, first * own / rate
             limit = _TOP * min(rate, own)
         start = np.stack([np.maximum(np.floor(first - REACH * own), np.floor(quiet)), np.ceil(first) + 1], axis=1)
@@ -486,8 +499,8 @@ class ThroughBeam:
         # Without any noise: what a table of the beam is worth.
         return np.asarray(np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300))
 
-    def resampled(self, frames: Floats, rate: float) -> Floats:
-        """Return frames at the rate of the beam, with its filters in place of those of their recorder."""
+    def resampled(self, frames: Floats, rate: float, filters: float) -> Floats:
+        """Return frames at the rate of the beam, with its filters in place of others, `filters` times as high."""
         own = self.beam.sampling_rate
         ratio = Fraction(own / rate).limit_denominator(_LARGEST_RATIO)
         n = -(-frames.shape[1] // ratio.denominator) * ratio.denominator
@@ -496,7 +509,7 @@ class ThroughBeam:
         frequency = np.fft.rfftfreq(n, 1 / rate)
         inside = frequency <= _TOP * min(rate, own)
         low_pass = np.abs(self.beam.filters) < np.pi * own
-        theirs = np.where(low_pass, self.beam.filters * (rate / own), self.beam.filters)
+        theirs = np.where(low_pass, self.beam.filters * filters, self.beam.filters)
         change = np.where(inside, gain(self.beam.filters, frequency) / gain(theirs, frequency), 0.0)
         out = np.zeros((len(frames), n_out // 2 + 1), complex)
         kept = min(out.shape[1], spectrum.shape[1])
