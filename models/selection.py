@@ -175,6 +175,7 @@ def _in_use(classifier: ImpactClassifier, measured: Rows) -> tuple[Callable[[Flo
         known=measured.known_names,
         unit=measured.unit,
         sampling_rates=measured.sampling_rates,
+        beam=measured.beam,
         training={},
     )
     return model.probabilities, len(model.to_bytes())

@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
+import cgid.identification.contact  # noqa: F401 - loaded here, so that no watched process imports it
 from cgid.identification.model import LARGEST_FILE, Model
 from cgid.identification.model_file import signed
+from cgid.measure.beam import points_of
 
 GOLDEN = Path(__file__).parent / "golden"
 #: The action of a pickle when it is loaded: it makes this folder, which the tests look for.
@@ -315,6 +317,108 @@ def _trees() -> dict[str, Callable[[], bytes]]:
     }
 
 
+# -- beams ----------------------------------------------------------------------------------------------
+
+
+def beam_arrays(**changes: Any) -> dict[str, Any]:
+    """Return the arrays of a beam of three modes and four shapes at 8 kHz, some replaced, or left out if None."""
+    poles = np.array([[-20.0, -60.0, -200.0], [600.0, 2500.0, 9000.0]])
+    n_points = points_of(8e3)
+    shapes = np.sin(np.outer(np.arange(1, 5), np.linspace(0, np.pi, n_points))) / np.sqrt(n_points / 2)
+    arrays = {
+        "scalars": np.array([8e3, 2.0]),
+        "poles": poles,
+        "participation": 1e-3 * np.cos(np.arange(3 * 4 * 5.0)).reshape(3, 4, 5),
+        "region": np.array([0.8, 1.2, 0.2, 0.5]),
+        "filters": np.array([[-9e3, -2e4], [1.8e4, 0.0]]),
+        "shapes": shapes,
+        "deviations": np.array([4.0, 2.0, 1.0, 0.5]),
+    }
+    return {f"beam.{name}": array for name, array in (arrays | changes).items() if array is not None}
+
+
+def with_beam(header: Mapping[str, Any] | None = None, /, **changes: Any) -> bytes:
+    """Return a model that looks through `beam_arrays`, changed and signed anew."""
+    model = golden("logistic")
+    features = {"features": ["beam_peak_force", "beam_pulse_width"], "unit": "m/s^2", "sampling_rates": [8e3, 8e3]}
+    return written(model.header | features | dict(header or {}), {**model.arrays, **beam_arrays(**changes)})
+
+
+def _beams() -> dict[str, Callable[[], bytes]]:
+    poles = beam_arrays()["beam.poles"]
+    huge = np.ones(1_000_000)
+
+    def of_modes(n: int) -> dict[str, Any]:
+        return {"poles": np.tile([[-20.0], [600.0]], n), "participation": np.ones((n, 1, 1))}
+
+    def one(name: str, place: Any, value: float) -> dict[str, Any]:
+        array = beam_arrays()[f"beam.{name}"].copy()
+        array[place] = value
+        return {name: array}
+
+    changes: dict[str, dict[str, Any]] = {
+        "beam whose pole grows": one("poles", (0, 1), 20.0),
+        "beam whose pole keeps its size": one("poles", (0, 1), 0.0),
+        "beam whose pole is below the axis": {"poles": poles * [[1.0], [-1.0]]},
+        "beam whose pole is on the axis": one("poles", (1, 0), 0.0),
+        "beam whose pole is nan": one("poles", (1, 0), np.nan),
+        "beam whose pole is 10^99": one("poles", (1, 0), 1e99),
+        "beam whose pole is 10^-300": {"poles": poles * 1e-300},
+        "beam whose filter grows": one("filters", (0, 0), 9e3),
+        "beam whose filter is nearly 0": {"filters": np.array([[-1e-90], [0.0]])},
+        "beam of 100 filters": {"filters": np.tile([[-9e3], [0.0]], 100)},
+        "beam of a million filters": {"filters": np.stack([-huge, huge])},
+        "beam of a million modes": of_modes(1_000_000),
+        "beam of a million modes in no shape": {"poles": np.stack([-huge, huge])},
+        "beam of 1,025 modes": of_modes(1025),
+        "beam of a million shapes": {"shapes": np.ones((1_000_000, 1)), "deviations": huge},
+        "beam of 65 shapes": {"shapes": np.ones((65, points_of(8e3))), "deviations": np.ones(65)},
+        "beam of too many responses": {
+            **of_modes(1024),
+            "scalars": np.array([4e5, 2.0]),
+            "shapes": np.ones((8, points_of(4e5))),
+            "deviations": np.ones(8),
+        },
+        "beam of a million nodes": {"participation": np.ones((3, 1, 1_000_000))},
+        "beam of two axes": {"participation": np.ones((3, 4))},
+        "beam that nothing moves": {"participation": np.zeros((3, 4, 5))},
+        "beam that 10^99 moves": one("participation", (0, 0, 0), 1e99),
+        "beam upside down": {"region": np.array([0.8, 1.2, 0.5, 0.2])},
+        "beam of a million metres": {"region": np.array([0.0, 1e6, 0.0, 1e6])},
+        "beam of 10^99 metres": {"region": np.array([0.0, 1e99, 0.0, 0.0])},
+        "beam of three sides": {"region": np.array([0.0, 1.0, 0.0])},
+        "rate of a beam of 10^300": one("scalars", 0, 1e300),
+        "rate of a beam of 10^99": one("scalars", 0, 1e99),
+        "rate of a beam of 10^-300": one("scalars", 0, 1e-300),
+        "rate of a beam below 0": one("scalars", 0, -8e3),
+        "rate of a beam of another table": one("scalars", 0, 9e3),
+        "seven derivatives": one("scalars", 1, 7.0),
+        "one and a half derivatives": one("scalars", 1, 1.5),
+        "derivatives that are nan": one("scalars", 1, np.nan),
+        "one scalar": {"scalars": np.array([8e3])},
+        "scalars in a row": {"scalars": np.array([[8e3, 2.0]])},
+        "deviation of 0": one("deviations", 0, 0.0),
+        "deviation below 0": one("deviations", 0, -1.0),
+        "deviations in a square": {"deviations": np.ones((4, 4))},
+        "shape that is nan": one("shapes", (0, 0), np.nan),
+        "shape of nothing but 0": one("shapes", 0, 0.0),
+        "shape of 10^90": one("shapes", 0, 1e90),
+        "poles without parts": {"poles": poles[0]},
+        "poles of three parts": {"poles": np.concatenate([poles, poles[:1]])},
+        "poles of whole numbers": {"poles": poles.astype(np.int64)},
+        "beam of another array": {"more": np.ones(3)},
+        "beam without poles": {"poles": None},
+    }
+    crafted = {name: (lambda own=own: with_beam(None, **own)) for name, own in changes.items()}
+    force = {"features": ["peak_force", "width_50"], "unit": "N"}
+    plain = golden("logistic")
+    through = plain.header | {"features": ["beam_peak_force", "beam_pulse_width"], "unit": "m/s^2"}
+    return crafted | {
+        "beam that nobody looks through": lambda: with_beam(force),
+        "look through no beam": lambda: written(through, plain.arrays),
+    }
+
+
 # -- headers --------------------------------------------------------------------------------------------
 
 
@@ -421,11 +525,32 @@ def _huge_numbers() -> bytes:
     return written(model.header, {**model.arrays, "standardiser.scale": small})
 
 
+def _extreme_beam() -> bytes:
+    """Return a beam whose numbers all lie at their limits."""
+    own = beam_arrays()
+    return with_beam(
+        poles=8e3 * np.array([[-1.1e-5, -999.0, -1e-9], [1.2e-11, 1e-2, 900.0]]),
+        participation=1e9 * np.sign(own["beam.participation"]),
+        filters=8e3 * np.array([[-1.1e-3, -999.0], [0.0, 1.0]]),
+        shapes=9e8 * np.sign(own["beam.shapes"] + 1e-12),
+        deviations=np.array([1e9, 1e9, 1e-9, 1e-9]),
+    )
+
+
 #: Files to refuse, in one line.
-HOSTILE: dict[str, Callable[[], bytes]] = _pickles() | _archives() | _arrays() | _trees() | _headers()
+HOSTILE: dict[str, Callable[[], bytes]] = _pickles() | _archives() | _arrays() | _trees() | _beams() | _headers()
 #: Files that may answer within the limits of time and memory: with probabilities, or with a one-line reason.
 EXTREME: dict[str, Callable[[], bytes]] = {
     "widest network": _widest_network,
     "largest forest": _largest_forest,
     "numbers that grow too large": _huge_numbers,
+    "beam of one node": lambda: with_beam(participation=np.ones((3, 1, 1))),
+    "beam without filters": lambda: with_beam(filters=None),
+    "beam of no size": lambda: with_beam(region=np.array([0.8, 0.8, 0.2, 0.2])),
+    "beam of modes and places as many as allowed": lambda: with_beam(
+        poles=np.tile([[-20.0], [600.0]], 1024),
+        participation=np.ones((1024, 4, 5)),
+        region=np.array([0.0, 400.0, 0.0, 0.0]),
+    ),
+    "beam of extreme numbers": _extreme_beam,
 }

@@ -3,6 +3,7 @@
 The long form: python benchmarks/hostile_models.py
 """
 
+import contextlib
 import os
 import re
 import signal
@@ -16,6 +17,7 @@ from benchmarks.hostile_models import Watched, by_hand, failed_by_hand, failed_m
 from cgid.cli.main import run
 from cgid.cli.output import print_json
 from cgid.errors import BadData
+from cgid.identification.answers import identify_frames
 from cgid.identification.model import Model
 from cgid.identification.model_file import signed
 from tests.hostile_models import EXTREME, HOSTILE, archive, changed, entries_of, golden
@@ -122,6 +124,22 @@ def test_numbers_that_grow_too_large_are_said_once(tmp_path):
     model = Model.load(tmp_path / "m.npz")
     with pytest.raises(BadData, match="gives no probabilities"):
         model.probabilities(np.array([[1e9, 1e-9]]))
+
+
+@pytest.mark.parametrize("name", [name for name in EXTREME if "beam" in name])
+def test_extreme_beams_answer_or_say_why_not(name):
+    """No traceback, no warning, no memory without end when signals go through the tables of such a beam."""
+    import resource
+
+    model = Model.from_bytes(EXTREME[name]())
+    time = np.arange(560) / 8e3
+    frames = np.random.default_rng(0).normal(0, 1e-2, (6, 640))
+    frames[:, 80:] += np.arange(1, 7)[:, None] * np.exp(-60 * time) * np.sin(2500 * time)
+    with contextlib.suppress(BadData):
+        answers = identify_frames(frames, 8e3, model, pre_trigger=80)
+        assert len(answers) == 6
+        assert all(answer.problem or sum(answer.probabilities.values()) == pytest.approx(1) for answer in answers)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2 << 20
 
 
 # -- texts of strangers on the terminal ----------------------------------------------------------------------

@@ -351,22 +351,20 @@ class ThroughBeam:
         rows = colour.rows[quiet[colour.rows] >= _FEWEST_QUIET]
         if not rows.size:
             return frames, noise, None
-        n_quiet = min(int(quiet[rows].min()), _MOST_QUIET) // 32 * 32
-        if n_quiet not in self._ringing:
-            self._ringing[n_quiet] = Ringing(self.inversion, n_quiet)
-        ringing = self._ringing[n_quiet]
-        before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in rows])
-        found, level, own_error, rings = ringing.after(before, colour.innovation[rows])
-        if not rings.any():
-            return frames, noise, None
-        frames, noise = frames.copy(), noise.copy()
-        error = np.zeros((len(frames), own_error.shape[1]))
-        for number in np.flatnonzero(rings).tolist():
-            row = rows[number]
-            part = frames[row, quiet[row] : quiet[row] + ringing.n_samples]
-            part -= found[number, : part.size]
-        colour.coefficients[rows[rings]] = 0.0
-        noise[rows[rings]], error[rows[rings]] = level[rings], own_error[rings]
+        frames, noise, error = frames.copy(), noise.copy(), None
+        lengths = np.minimum(quiet[rows], _MOST_QUIET) // 32 * 32
+        for n_quiet in np.unique(lengths).tolist():
+            if n_quiet not in self._ringing:
+                self._ringing[n_quiet] = Ringing(self.inversion, n_quiet)
+            ringing, own = self._ringing[n_quiet], rows[lengths == n_quiet]
+            before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in own])
+            found, level, own_error, rings = ringing.after(before, colour.innovation[own])
+            error = np.zeros((len(frames), own_error.shape[1])) if error is None else error
+            for number in np.flatnonzero(rings).tolist():
+                part = frames[own[number], quiet[own[number]] : quiet[own[number]] + ringing.n_samples]
+                part -= found[number, : part.size]
+            colour.coefficients[own[rings]] = 0.0
+            noise[own[rings]], error[own[rings]] = level[rings], own_error[rings]
         return frames, noise, error
 
     def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:

@@ -12,30 +12,29 @@ plain arrays, so that a model file can hold it; `cgid.scene.through_beam` makes 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.beam import TOUCH, Beam, Singles, filtered, gain, respond
+from cgid.errors import BadData
+from cgid.measure.beam import GRID, TOUCH, Beam, Singles, filtered, gain, respond
 from cgid.measure.colour import ORDER
 from cgid.validation import Floats
 
-#: How long the response to a blow is compared [s].
-SPAN_TIME = 25e-3
-#: Distance of the places of the grid [m].
-_GRID = 0.025
 #: Expected strengths of a blow over the noise, by what the samples of a typical place would hold.
 _LEVELS = np.geomspace(2.0, 2e4, 12)
 #: Gauss-Newton steps from the grid to the place, and the longest [m].
 _STEPS, _LONGEST_STEP = 3, 0.012
 #: Rounds in which clipped samples are replaced by what the beam says.
 _UNCLIPPING = 6
+#: Fewest frequencies that tell, and limits of the response to a force of 1 N: squares keep to single precision.
+_FEWEST_BINS, _LOUDNESS = 17, (1e-12, 1e11)
 #: Prior deviation of the place about the best of the grid [m].
 _PLACE_DEVIATION = 0.1
-#: Rows at a time: their responses fit into the cache of a processor.
+#: Rows, modes or places at a time: their responses fit into the cache of a processor.
 _ROWS = 64
 #: The start is sought with the samples below this frequency [Hz], the modes up to so much above it, so many shapes and
 #: places of a wider grid [m], at every second sample.
@@ -217,7 +216,7 @@ class Inversion:
 
     def __init__(self, beam: Beam) -> None:
         self.beam = beam
-        self.n_samples = round(SPAN_TIME * beam.sampling_rate)
+        self.n_samples = beam.n_samples
 
     # -- tables ---------------------------------------------------------------------------------------
 
@@ -227,16 +226,11 @@ class Inversion:
         return filtered(self.beam, self.beam.shapes * self.beam.deviations[:, None])
 
     @cached_property
-    def responses(self) -> Floats:
-        """Response of each mode to each shape, (n_modes, n_shapes, n_samples), for a participation of 1."""
-        return respond(self.beam, self.forces, self.n_samples)
-
-    @cached_property
     def bins(self) -> slice:
         """Frequencies that tell: above 0, up to where the filters leave 1 % or, without them, below half the rate."""
         frequencies = np.fft.rfftfreq(self.n_samples, 1 / self.beam.sampling_rate)
         heard = np.abs(gain(self.beam.filters, frequencies)) > 0.01
-        return slice(1, min(int(np.flatnonzero(heard)[-1]) + 1, (self.n_samples + 1) // 2))
+        return slice(1, min(max(int(np.flatnonzero(heard)[-1]) + 1, _FEWEST_BINS), (self.n_samples + 1) // 2))
 
     def transformed(self, samples: Floats) -> Singles:
         """Return orthonormal Fourier coefficients of samples (..., n_samples), real then imaginary parts."""
@@ -245,22 +239,30 @@ class Inversion:
 
     @cached_property
     def _table(self) -> Singles:
-        """Transformed responses, (n_modes, n_shapes * n_coefficients)."""
-        found = self.transformed(self.responses)
-        return np.ascontiguousarray(found.reshape(len(found), -1))
+        """Transformed responses of each mode to each shape for participation 1, (n_modes, n_shapes * n_coefficients).
+
+        Raises `BadData` if they leave the range of single precision, which no true beam does.
+        """
+        n_modes = len(self.beam.poles)
+        out = np.empty((n_modes, len(self.forces) * 2 * (self.bins.stop - self.bins.start)), np.float32)
+        for first in range(0, n_modes, _ROWS):
+            part = slice(first, first + _ROWS)
+            own = replace(self.beam, poles=self.beam.poles[part])
+            with np.errstate(over="ignore"):
+                found = self.transformed(respond(own, self.forces, self.n_samples))
+            out[part] = found.reshape(len(found), -1)
+        loudest = float(np.abs(self.beam.participation).max()) * max(float(out.max()), -float(out.min()))
+        if not _LOUDNESS[0] < loudest < _LOUDNESS[1]:
+            raise BadData(
+                f"a beam must ring between {_LOUDNESS[0]:g} and {_LOUDNESS[1]:g} for a force of 1 N, got {loudest:g}; "
+                "train the model again"
+            )
+        return out
 
     @cached_property
     def _grid(self) -> tuple[Floats, Floats, Singles]:
         """Places of the grid, x and y (n_places,), and their weights (n_places, n_modes)."""
-        x, y = self._places(_GRID)
-        return x, y, self.beam.weights(x, y)[0]
-
-    def _places(self, apart: float) -> tuple[Floats, Floats]:
-        x_low, x_high, y_low, y_high = self.beam.region
-        along = np.linspace(x_low, x_high, int(np.ceil((x_high - x_low) / apart)) + 1)
-        across = np.linspace(y_low, y_high, int(np.ceil((y_high - y_low) / apart)) + 1)
-        x, y = (side.ravel() for side in np.meshgrid(along, across, indexing="ij"))
-        return x, y
+        return self.beam.grid(GRID)
 
     @cached_property
     def _colour_tables(self) -> dict[tuple[float, float | None], tuple[Singles, Floats, Singles]]:
@@ -379,8 +381,7 @@ class Inversion:
         modes = np.flatnonzero(frequency <= max(_LOW_MODES * _LOW, frequency.min()))
         n_shapes = min(_LOW_SHAPES, len(self.beam.deviations))
         table = self._table.reshape(len(frequency), -1, 2 * n_bins)[modes, :n_shapes][:, :, kept]
-        x, y = self._places(_LOW_GRID)
-        at = self.beam.weights(x, y)[0][:, modes]
+        at = np.ascontiguousarray(self.beam.grid(_LOW_GRID)[2][:, modes])
         response = (at @ table.reshape(modes.size, -1)).reshape(len(at), n_shapes, kept.size)
         power, rotation = np.linalg.eigh((response @ response.transpose(0, 2, 1)).astype(np.float64))
         turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
@@ -427,8 +428,8 @@ class Inversion:
             rows = np.flatnonzero(nearest == number)
             turned, power, law = self._coarse(_COLOURS[number], limit)
             # The law has a mean weight of 1; the level of the noise is that of its middle.
-            told = law > 0
-            scale = np.exp(np.mean(np.log(weight[rows][:, told] / law[told]), axis=1))
+            heard_at = law > 0
+            scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
             heard = flat @ (samples[rows] * weight[rows] / np.sqrt(scale)[:, None]).T
             at_places = (at @ heard.reshape(len(self.beam.poles), -1)).reshape(len(at), n_shapes, rows.size)
             told = np.square(turned @ at_places)

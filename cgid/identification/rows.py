@@ -117,6 +117,8 @@ class Rows:
         Start of a window, or time of an impact, in its recording.
     references : mapping of str to ndarray, (n_channels, n_bands)
         Reference spectra of the sensors.
+    beam : Beam or None
+        The beam that the features look through.
     left_out : int
         Number of rows that could not be measured.
     failures : tuple of CgidError
@@ -143,6 +145,7 @@ class Rows:
     slicing: Slicing | None = None
     time: Floats = field(default_factory=lambda: np.empty(0))
     references: Mapping[str, Floats] = field(default_factory=dict)
+    beam: Beam | None = None
     left_out: int = 0
     failures: tuple[CgidError, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -326,6 +329,7 @@ def measure(
         known=np.concatenate([heights for _, _, heights in parts]),
         unit=abouts[0].unit,
         sampling_rates=(min(rates), max(rates)),
+        beam=beam if any(FEATURES[name].beam for name in names) else None,
         left_out=int((~complete).sum()),
     )
     return rows[complete]

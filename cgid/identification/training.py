@@ -161,7 +161,7 @@ def train(
         learns to tell them from its own, which sharpens its novelty. Not for recordings.
     beam : Beam, optional
         The beam whose vibrations the signals are, as from `cgid.scene.beam_of`; its modes lead to the contact force.
-        With rows, the one through which they were measured. Not for recordings.
+        Rows have their own. Not for recordings.
     shuffle_labels : bool
         Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
         With few recordings it is lower, because recordings of one material resemble each other.
@@ -200,9 +200,8 @@ def train(
         names = names or tuple(name for name in rows.names if name not in limiting)
         parts = _split(rows, judged_on, test_share, calibration_share, seed)
         record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
-        used = beam if any(FEATURES[name].beam for name in names) else None
         fitted = (names, limiting, family or "logistic", class_weights, seed, crew, record)
-        return _held_out(rows, parts, strangers, used, *fitted)
+        return _held_out(rows, parts, strangers, *fitted)
     sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
     candidates = candidates_for(sets, rows.names, family or "linear")
     lesson = Lesson(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
@@ -356,7 +355,6 @@ def _held_out(
     rows: Rows,
     parts: Mapping[str, NDArray[np.bool_]],
     strangers: Rows | None,
-    beam: Beam | None,
     names: tuple[str, ...],
     guards: tuple[str, ...],
     family: str,
@@ -406,7 +404,7 @@ def _held_out(
         guards=_guard_limits(guards, rows.columns(guards)[training]),
         conformal=conformal,
         contrast=contrast,
-        beam=beam,
+        beam=rows.beam if any(FEATURES[name].beam for name in names) else None,
     )
 
 

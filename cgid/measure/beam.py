@@ -7,7 +7,7 @@ round.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,6 +21,19 @@ from cgid.validation import Floats
 FINE, FORCE_TIME = 16, 3.9e-3
 #: Samples at the start of a table of forces, within which touch lies.
 TOUCH = 7
+#: How long the response to a blow is compared [s].
+SPAN_TIME = 25e-3
+#: Distance of the places of the grid [m].
+GRID = 0.025
+#: Sampling rates [Hz]: a table of forces has 14 samples or more, a response at most 12,500.
+RATES = (2 * TOUCH / FORCE_TIME, 5e5)
+#: Most modes, places of the grid, and samples of all responses together (a quarter of a gigabyte in single precision).
+MOST_MODES, MOST_PLACES, MOST_NUMBERS = 1024, 1 << 14, 1 << 26
+#: Most shapes, poles of filters, and nodes in a direction.
+_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES = 64, 32, 512
+#: Moduli of poles and of filters over the sampling rate, least imaginary part of a pole over its modulus, and limits of
+#: other numbers above 0.
+_POLES, _CUT_OFFS, _LEAST_IMAGINARY, _NUMBERS = (1e-5, 1e3), (1e-3, 1e3), 1e-6, (1e-9, 1e9)
 
 Singles = NDArray[np.float32]
 
@@ -61,6 +74,22 @@ class Beam:
     shapes: Floats
     deviations: Floats
 
+    @property
+    def n_samples(self) -> int:
+        """Number of samples of a response to a blow."""
+        return round(SPAN_TIME * self.sampling_rate)
+
+    def grid(self, apart: float) -> tuple[Floats, Floats, Singles]:
+        """Return x and y of a grid of places in the region, each (n_places,) [m], and their weights as in `weights`."""
+        sides, own = [], []
+        for axis, n in enumerate(sides_of(self.region, apart)):
+            low, high = self.region[2 * axis : 2 * axis + 2].tolist()
+            sides.append(np.linspace(low, high, n))
+            own.append(lagrange(self.participation.shape[axis + 1], low, high, sides[-1])[0])
+        x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
+        at = (own[0] @ self.participation @ own[1].T).reshape(len(self.poles), -1)
+        return x, y, np.ascontiguousarray(at.T, dtype=np.float32)
+
     def weights(self, x: Floats, y: Floats) -> tuple[Singles, Singles, Singles]:
         """Return the participation of the modes at places (n,) [m] and its slopes in x and y, each (n, n_modes)."""
         _, n_x, n_y = self.participation.shape
@@ -77,7 +106,7 @@ class Beam:
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The beam as arrays for a model file."""
-        return {
+        found = {
             "beam.scalars": np.array([self.sampling_rate, float(self.derivatives)]),
             "beam.poles": np.stack([self.poles.real, self.poles.imag]),
             "beam.participation": self.participation,
@@ -86,6 +115,8 @@ class Beam:
             "beam.shapes": self.shapes,
             "beam.deviations": self.deviations,
         }
+        # A file holds no empty array.
+        return {name: array for name, array in found.items() if array.size}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Beam | None:
@@ -93,39 +124,76 @@ class Beam:
         own = {name.removeprefix("beam."): array for name, array in arrays.items() if name.startswith("beam.")}
         if not own:
             return None
+        own.setdefault("filters", np.empty((2, 0)))
         names = cls.ARRAYS
         if own.keys() != set(names) or any(own[name].dtype.kind != "f" for name in names):
             raise BadData(f"a beam must have the arrays {', '.join(names)} of real numbers")
         for name in names:
             validation.real(f"beam.{name}", own[name])
+        if own["scalars"].shape != (2,):
+            raise BadData(f"beam.scalars must be sampling rate and derivatives, got shape {own['scalars'].shape}")
         beam = cls(
-            sampling_rate=float(own["scalars"].ravel()[0]),
-            derivatives=int(own["scalars"].ravel()[-1]),
+            sampling_rate=float(own["scalars"][0]),
+            derivatives=own["scalars"][1].item(),
             poles=_complex("poles", own["poles"]),
             filters=_complex("filters", own["filters"]),
             **{name: own[name] for name in ("participation", "region", "shapes", "deviations")},
         )
         beam.check()
-        return beam
+        return replace(beam, derivatives=int(beam.derivatives))
 
     def check(self) -> None:
-        """Raise `BadData` unless the shapes of the arrays and their signs belong together."""
-        validation.positive("sampling_rate of a beam", self.sampling_rate, "Hz")
-        n_modes, n_shapes = len(self.poles), len(self.deviations)
+        """Raise `BadData` unless the arrays belong together and their tables are finite and of bounded size."""
+        validation.between("sampling_rate of a beam", self.sampling_rate, *RATES, "Hz")
+        n_modes, n_shapes = len(self.poles), self.deviations.size
+        size, rates = np.abs(self.participation), np.abs(self.poles) / self.sampling_rate
         sound = (
             self.derivatives in (0, 1, 2)
             and (self.poles.real < 0).all()
-            and (self.poles.imag > 0).all()
+            and (self.poles.imag > _LEAST_IMAGINARY * np.abs(self.poles)).all()
             and (self.filters.real < 0).all()
+            and (self.filters.imag >= 0).all()
+            and _inside(rates, *_POLES)
+            and _inside(np.abs(self.filters) / self.sampling_rate, *_CUT_OFFS)
             and self.participation.ndim == 3
             and len(self.participation) == n_modes
+            and _inside(size.max(initial=0.0), *_NUMBERS)
             and self.region.shape == (4,)
             and (self.region[1::2] >= self.region[::2]).all()
+            and self.deviations.ndim == 1
             and self.shapes.shape == (n_shapes, points_of(self.sampling_rate))
-            and (self.deviations > 0).all()
+            and (np.abs(self.shapes).max(axis=1, initial=0.0) > _NUMBERS[0]).all()
+            and (np.abs(self.shapes) < _NUMBERS[1]).all()
+            and _inside(self.deviations, *_NUMBERS)
         )
         if not sound:
             raise BadData("the arrays of a beam must fit each other, with poles that decay; train the model again")
+        counts = (n_shapes, len(self.filters), *self.participation.shape[1:])
+        most = (_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES, _MOST_NODES)
+        few = all(one <= limit for one, limit in zip(counts, most, strict=True))
+        if not few or not bounded(n_modes, n_shapes, self.n_samples, self.region):
+            raise BadData(
+                f"a beam must have at most {MOST_MODES} modes, {_MOST_SHAPES} shapes, {_MOST_NODES} nodes in a "
+                f"direction, {MOST_NUMBERS} samples of all responses and {MOST_PLACES} places, got {n_modes} modes, "
+                f"{n_shapes} shapes, {' x '.join(map(str, counts[2:]))} nodes, {n_modes * n_shapes * self.n_samples} "
+                f"samples and a region of {' x '.join(f'{side:g} m' for side in np.diff(self.region)[::2])}"
+            )
+
+
+def bounded(n_modes: int, n_shapes: int, n_samples: int, region: Floats) -> bool:
+    """Return whether the tables of a beam have a size that a computer can hold."""
+    along, across = sides_of(region, GRID)
+    return n_modes <= MOST_MODES and n_modes * n_shapes * n_samples <= MOST_NUMBERS and along * across <= MOST_PLACES
+
+
+def sides_of(region: Floats, apart: float) -> tuple[int, int]:
+    """Return the number of places of a grid in either direction."""
+    along, across = (int(np.ceil((high - low) / apart)) + 1 for low, high in region.reshape(2, 2).tolist())
+    return along, across
+
+
+def _inside(values: Floats, lowest: float, highest: float) -> bool:
+    return bool(np.all((values >= lowest) & (values <= highest)))
 
 
 def _complex(name: str, parts: Floats) -> NDArray[np.complex128]:
@@ -181,6 +249,12 @@ def filtered(beam: Beam, forces: Floats) -> Floats:
     return np.asarray(np.fft.irfft(spectrum, axis=-1)[..., :n_points])
 
 
+def _second(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return `(exp(z) - 1 - z) / z^2`, by its series where the terms would cancel."""
+    series = np.polynomial.polynomial.polyval(z, 1 / np.cumprod(np.arange(2.0, 11.0) * 1.0))
+    return np.where(np.abs(z) < 0.1, series, (np.expm1(z) - z) / z**2)
+
+
 def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
     """Return the response of every mode to forces (n_forces, n_points) at samples, (n_modes, n_forces, n_samples).
 
@@ -190,8 +264,8 @@ def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
     pole, step = beam.poles, 1 / (FINE * beam.sampling_rate)
     z = pole * step
     grown = np.exp(z)
-    late = step * (grown - 1 - z) / z**2
-    early = step * (grown - 1) / z - late
+    late = step * _second(z)
+    early = step * np.expm1(z) / z - late
     powers = grown[:, None] ** np.arange(FINE - 1, -1, -1)
     points = np.zeros((len(pole), FINE + 1), complex)
     points[:, :FINE] += powers * early[:, None]

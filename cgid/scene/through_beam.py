@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.linalg import eigh
 
 from cgid.errors import InvalidValue
-from cgid.measure.beam import FINE, TOUCH, Beam, filtered, nodes, points_of
+from cgid.measure.beam import FINE, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, nodes, points_of
 from cgid.physics.modes import MeasuredModes
 from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK
@@ -62,22 +65,23 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES) -> Beam:
     forces = contact_forces(scene)
     heard = filtered(beam, forces)
     # Principal shapes of what passes the filters, as sums of whole forces: other filters can then be applied to them.
-    power, mixes = np.linalg.eigh(heard @ heard.T)
-    strongest = np.argsort(power)[::-1][:n_shapes]
-    root = np.sqrt(power[strongest])
-    return Beam(
-        **{**vars(beam), "shapes": (mixes[:, strongest] / root).T @ forces, "deviations": root / np.sqrt(len(forces))}
-    )
+    n_points = forces.shape[1]
+    power, shapes = eigh(heard.T @ heard, subset_by_index=(n_points - n_shapes, n_points - 1))
+    power, mixes = power[::-1], heard @ (shapes / power)[:, ::-1]
+    return replace(beam, shapes=mixes.T @ forces, deviations=np.sqrt(power / len(forces)))
 
 
 def has_beam(scene: Scene) -> bool:
-    """Return whether a scene has a beam to look through: a motion is recorded, always at one rate."""
-    return (
-        scene.tail_beam is not None
-        and scene.sensor.quantity != "force"
-        and not any(scene.draws(name) for name in ("sampling_rate", "anti_alias_frequency"))
-        and scene.sampling.samples >= 2
-    )
+    """Return whether a scene has a beam to look through: a motion at one rate, of few enough modes."""
+    if (
+        scene.tail_beam is None
+        or scene.sensor.quantity == "force"
+        or any(scene.draws(name) for name in ("sampling_rate", "anti_alias_frequency"))
+        or scene.sampling.samples < 2
+    ):
+        return False
+    rate, n_modes = scene.sampling.sampling_rate, beam_modes(scene).frequency.size
+    return RATES[0] <= rate <= RATES[1] and bounded(n_modes, N_SHAPES, round(SPAN_TIME * rate), _region(scene))
 
 
 def contact_forces(scene: Scene) -> Floats:
@@ -91,7 +95,7 @@ def contact_forces(scene: Scene) -> Floats:
         for strike in blows.strikes:
             if strike.ratio is None:
                 own = np.zeros((strike.rows.size, n_points))
-                strike.pulses.add_to_frames(own, FINE * rate, touch[strike.rows])
+                strike.pulses.add_to_frames(own, FINE * rate, np.asarray(touch[strike.rows], np.float64))
                 forces[strike.rows] = own
         peak = forces.max(axis=1)
         found.append(forces[peak > 0] / peak[peak > 0, None])
@@ -106,7 +110,7 @@ def _participation(scene: Scene) -> tuple[Floats, Floats]:
     if isinstance(modes.modes, MeasuredModes) or point is None or scene.panel is None:
         at = modes.participation({"x": np.zeros(1)})[0] * gain
         return at[:, None, None], np.zeros(4)
-    region = np.array([*point.x.extremes, *point.y.extremes])
+    region = _region(scene)
     sides = []
     for low, high, stiffness in zip(
         region[::2], region[1::2], (scene.panel.rigidities.along, scene.panel.rigidities.across), strict=True
@@ -119,3 +123,10 @@ def _participation(scene: Scene) -> tuple[Floats, Floats]:
     x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
     at = modes.participation({"impact_x": x, "impact_y": y}) * gain
     return np.ascontiguousarray(at.T.reshape(-1, sides[0].size, sides[1].size)), region
+
+
+def _region(scene: Scene) -> Floats:
+    """Return lowest and highest x, lowest and highest y of the places of blows [m]; zeros where they do not matter."""
+    assert scene.tail_beam is not None
+    point = scene.tail_beam.impact_point
+    return np.zeros(4) if point is None else np.array([*point.x.extremes, *point.y.extremes])
