@@ -253,7 +253,7 @@ class _System:
         self.found = self.inversion.invert(Sought(blows.frames, self.noise, limit=limit), blows.start)
         samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / self.noise[:, None]
         self.samples = self.inversion.transformed(samples)[:, self.columns]
-        self.table = self._told(self.inversion.responses)
+        self.table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
         self.at = self.beam.weights(self.found.x, self.found.y)
         slopes = [self._slope(row) if row < 2 else self.table[self.active] for row in kept]
         n = kept.size * len(beam.poles)
