@@ -335,3 +335,43 @@ def test_a_table_of_another_beam(known):
 def test_scenes_without_learned_modes_keep_their_identity():
     assert "learned" not in load_scene("tail_beam").text
     assert Path(shipped.scene_path("tail_beam")).exists()
+
+
+# -- a table of measured modes instead of a panel ----------------------------------------------------------
+
+
+def tapped(factor):
+    """A scene of four modes of a tap test, their frequencies times a factor."""
+    content = json.loads(panel().text)
+    rows = zip((210.0, 340.0, 560.0, 905.0), (0.02, 0.015, 0.03, 0.02), (210, 180, 240, 160), strict=True)
+    content["tail_beam"] = {
+        "modes": [
+            {
+                "frequency": f * factor,
+                "damping_ratio": zeta,
+                "modal_mass": mass,
+                "shape_impact": 0.8,
+                "shape_sensor": 0.6,
+            }
+            for f, zeta, mass in rows
+        ]
+    }
+    return parse_scene(content)
+
+
+def test_modes_of_a_tap_test_are_followed():
+    found = calibrate(tapped(1.0), frames(tapped(1.008), 40, seed=3), RATE, BEFORE)
+    error = np.abs(np.log(found.learned.frequency / (1.008 * beam_modes(tapped(1.0)).frequency)))
+    assert (error < 2e-3).all() and (error < 4 * found.learned.frequency_deviation).all()
+    assert np.array_equal(beam_modes(found.scene).frequency, np.sort(found.learned.frequency))
+
+
+def test_measured_modes_must_not_cross():
+    from cgid.site.calibration import _crossings, _start
+
+    scene = tapped(1.0)
+    modes = _start(scene)
+    crossed = replace(modes, frequency=modes.frequency[[1, 0, 2, 3]])
+    with pytest.raises(BadData, match="modes 1 and 2 must not cross"):
+        _crossings(scene, crossed)
+    assert _crossings(scene, replace(crossed, frequency_deviation=np.full(4, 0.3))) == 0  # not known to have

@@ -23,7 +23,7 @@ VERBS = """
     Replace Say Set Show Simulate Stop Store Survey Tabulate Take Train Turn Use Weight Write
 """
 #: Of minutes.
-SLOW = ("reproduce", "ceiling")
+SLOW = ("reproduce", "ceiling", "calibrate")
 
 
 def test_bare_cgid_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 @click.command(
     cls=Command,
     short_help="Learn the modes of a beam from a recording of unlabelled impacts.",
-    example="cgid calibrate shift.wav --scene tail_beam -o site.toml\ncgid train site.toml -o site.npz",
+    example="cgid generate tail_beam -n 24 -o blows.h5\ncgid calibrate blows.h5 --scene tail_beam -o site.toml",
 )
 @click.argument("recordings", type=PATH, nargs=-1, required=True, metavar="RECORDING...")
-@click.option("--scene", "scene_name", type=SCENE, required=True, help="Start from the beam of this scene.")
+@click.option("--scene", "scene_name", type=SCENE, required=True, help="Take the beam of this scene to start from.")
 @click.option("-o", "--output", type=PATH, required=True, help="Write this scene (.toml), and its modes beside it.")
 @click.option(
     "--start-error",

@@ -83,6 +83,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
         },
     ),
     "ceiling": ("How well anybody could do: cgid.ceiling", {"cgid.ceiling": None}),
+    "site": ("The beam of a site: cgid.site", {"cgid.site": None}),
     "output": (
         "Pictures and reports: cgid.plots, cgid.report",
         {
