@@ -109,7 +109,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
         "sampled too slowly for the model",
         ("predict", "blow.npy", "--rate", "1000", "--unit", "m/s^2"),
         65,
-        ("blow.npy: the sampling_rate must be at least 22", "got 1000 Hz", "record faster"),
+        ("blow.npy: the sampling_rate must be at least 2000", "got 1000 Hz", "record faster"),
     ),
     (
         "sampled absurdly slowly",

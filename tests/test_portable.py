@@ -168,6 +168,7 @@ _NOT_STORED = {
     "scene/calibration.py": "from a recording to a scene",
     "scene/calibration_blow.py": "from a recording to a scene",
     "scene/calibration_fit.py": "from a recording to a scene",
+    "scene/through_beam.py": "what an inversion looks through",
     "scene/units.py": "words of a message",
 }
 _FUNCTIONS = {
