@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,11 @@ from cgid.identification.answers import identify_frames
 from cgid.identification.model import Model
 from cgid.identification.next_steps import Diagnosis, Hint
 from cgid.identification.question import Question
+from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.identification.stream import identify_blocks
-from cgid.scene import parse_scene
+from cgid.identification.training import train
+from cgid.measure.features import supported
+from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.recordings import parts_of_recording
 from tests.ringing import ringing_batch
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -25,7 +29,16 @@ from tests.streams_of_pulses import RATE, ROOT, stream
 LABELS = ["coal", "gangue"] * 8
 BEAM_RATE = 25_600.0
 PULSES = Model.load(ROOT / "models" / "default.npz")
-VIBRATIONS = Model.load(ROOT / "models" / "default-acceleration.npz")
+BEAM = Model.load(ROOT / "models" / "default-acceleration.npz")
+
+
+@cache
+def of_levels() -> Model:
+    """Return a model of vibrations that does not look through a beam."""
+    scene = load_scene(ROOT / "datasets" / "tail_beam.toml")
+    return train(
+        synthesise(scene, 6000, 5), features=supported(DEFAULT_VIBRATION_FEATURES, BEAM_RATE, 2048), seed=1
+    ).model
 
 
 def of_the_trained_beam(blows_per_second: float) -> np.ndarray:
@@ -89,8 +102,8 @@ def cause_of(samples: np.ndarray, rate: float, model: Model) -> str | None:
 def test_what_is_answered_well_gets_no_hint(beam: np.ndarray) -> None:
     random = np.random.default_rng(0)
     for good in (beam, -beam, beam + random.normal(0, 5, beam.size), np.clip(beam, -200, 200)):
-        assert hint_of(good, BEAM_RATE, VIBRATIONS) is None
-    assert hint_of(resample_poly(beam, 2, 1), 2 * BEAM_RATE, VIBRATIONS) is None
+        assert hint_of(good, BEAM_RATE, BEAM) is None
+    assert hint_of(resample_poly(beam, 2, 1), 2 * BEAM_RATE, BEAM) is None
     force = stream(LABELS, 0.05)
     for good in (force, force - force.mean(), force + random.normal(0, 400, force.size)):
         assert hint_of(good, RATE, PULSES) is None
@@ -98,11 +111,12 @@ def test_what_is_answered_well_gets_no_hint(beam: np.ndarray) -> None:
 
 def test_causes_of_vibrations(beam: np.ndarray) -> None:
     random = np.random.default_rng(0)
-    assert cause_of(beam + random.normal(0, 150, beam.size), BEAM_RATE, VIBRATIONS) == "noise"
-    assert cause_of(0.01 * beam, BEAM_RATE, VIBRATIONS) == "amplitude"
+    assert cause_of(beam + random.normal(0, 150, beam.size), BEAM_RATE, of_levels()) == "noise"
+    assert cause_of(0.01 * beam, BEAM_RATE, of_levels()) == "amplitude"
     other = of_another_beam()
-    assert cause_of(other, BEAM_RATE, VIBRATIONS) == "features"
-    assert cause_of(other + random.normal(0, 0.02 * other.max(), other.size), BEAM_RATE, VIBRATIONS) == "features"
+    for samples in (other, other + random.normal(0, 0.02 * other.max(), other.size)):
+        assert cause_of(samples, BEAM_RATE, of_levels()) == "features"
+        assert cause_of(samples, BEAM_RATE, BEAM) == "shape"
 
 
 def test_causes_of_pulses() -> None:
@@ -132,8 +146,9 @@ def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
 def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     """The answers change when only the rate does, so the rate is the cause."""
     samples = of_the_trained_beam(3)
-    diagnosis = Diagnosis(VIBRATIONS, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--mass", "2"))
-    for step in identify_blocks([samples[None]], 2 * BEAM_RATE, VIBRATIONS, ("1",), Question()):
+    model = of_levels()
+    diagnosis = Diagnosis(model, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--mass", "2"))
+    for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), Question()):
         # Only those outside of the training: at this rate about half of them are.
         diagnosis.add([answer for answer in step.answers if answer.novelty > 1])
     hint = diagnosis.hint()
@@ -145,11 +160,11 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
 
 def test_a_cut_vibration_says_so() -> None:
     whole = of_another_beam(1)
-    assert cause_of(whole[:1080], BEAM_RATE, VIBRATIONS) == "cut_off"
+    assert cause_of(whole[:1080], BEAM_RATE, BEAM) == "cut_off"
 
 
 def test_coverage_that_no_label_reaches(beam: np.ndarray) -> None:
-    hint = hint_of(beam, BEAM_RATE, VIBRATIONS, coverage=0.99)
+    hint = hint_of(beam, BEAM_RATE, BEAM, coverage=0.99)
     assert hint is not None
     assert hint.cause == "coverage"
     assert "the prediction set at coverage 0.99 holds both" in hint.reason
@@ -168,14 +183,14 @@ def test_only_the_channels_that_need_it_are_named() -> None:
 def test_causes_add_up_to_the_distance() -> None:
     """The foremost input is the one without which the squared distance falls most, by finite differences."""
     frames = ringing_batch(40, noise=1e-3).signals
-    answers = identify_frames(frames, BEAM_RATE, VIBRATIONS, pre_trigger=200)
+    answers = identify_frames(frames, BEAM_RATE, BEAM, pre_trigger=200)
     assert all(answer.cause is None for answer in answers if answer.novelty <= 1)
     outside = [answer for answer in answers if answer.novelty > 1]
     assert outside
     assert all(answer.cause is not None for answer in outside)
     random = np.random.default_rng(0)
-    near = VIBRATIONS._neighbourhood
-    rows = random.normal(0, 3, (20, len(VIBRATIONS.inputs)))
+    near = BEAM._neighbourhood
+    rows = random.normal(0, 3, (20, len(BEAM.inputs)))
     for row, foremost in zip(rows, near.foremost(rows), strict=True):
         squares = [
             np.sum((near.whitening[k % len(near.whitening)] @ (row - c)) ** 2) for k, c in enumerate(near.centres)
@@ -204,6 +219,8 @@ def test_predict_closes_with_the_next_commands(tmp_path: Path, capsys: pytest.Ca
     assert last.startswith(f"cgid: hint: {path}: 12 of 12 impacts unknown: they are clear, but unlike those of the ")
     name = shlex.quote(str(path))
     for command in (
+        f"cgid calibrate {name} --unit 'm/s^2' --scene tail_beam -o site.toml",
+        f"cgid predict {name} --unit 'm/s^2' --model site.npz",
         f"cgid events {name} --unit 'm/s^2' -o events.csv",
         "fill in its label column",
         "cgid train events.csv -o mine.npz",
@@ -213,8 +230,8 @@ def test_predict_closes_with_the_next_commands(tmp_path: Path, capsys: pytest.Ca
     assert run(["predict", str(path), "--unit", "m/s^2", "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[-1]["kind"] == "hint"
-    assert lines[-1]["cause"] == "features"
-    assert lines[-1]["commands"][2] == "cgid train events.csv -o mine.npz"
+    assert lines[-1]["cause"] == "shape"
+    assert "cgid train events.csv -o mine.npz" in lines[-1]["commands"]
     # Numbers as a user writes them, and no mass for a model that is trained without it.
     assert run(["predict", str(path), "--unit", "m/s^2", "--rate", "25600", "--mass", "2.5"]) == 0
     last = capsys.readouterr().err.splitlines()[-1]
@@ -257,8 +274,8 @@ def test_a_live_stream_has_its_hint_once(tmp_path: Path, capsys: pytest.CaptureF
 
 def test_a_labelled_dataset_trains_itself() -> None:
     batch = ringing_batch(10, noise=1e-3)
-    diagnosis = Diagnosis(VIBRATIONS, BEAM_RATE, "mine.h5", labelled=True)
-    diagnosis.add(identify_frames(10 * batch.signals, BEAM_RATE, VIBRATIONS, pre_trigger=200))
+    diagnosis = Diagnosis(BEAM, BEAM_RATE, "mine.h5", labelled=True)
+    diagnosis.add(identify_frames(10 * batch.signals, BEAM_RATE, BEAM, pre_trigger=200))
     hint = diagnosis.hint()
     assert hint is not None
     assert hint.commands == ("cgid train mine.h5 -o mine.npz", "cgid predict mine.h5 --model mine.npz")

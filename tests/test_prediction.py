@@ -186,8 +186,8 @@ def test_what_is_shown_in_a_notebook_is_short() -> None:
     assert list(shown) == list(shown.values())
     assert str(scene) == repr(scene)
     assert "at no m/s" in repr(replace(impacts, velocity=np.empty((0, 1))))
-    assert repr(model).startswith("Model(network: coal, gangue from level_63_hz, ")
-    assert "trained on 63775 vibrations of acceleration [m/s^2] at 25600 Hz, accuracy 0.701" in repr(model)
+    assert repr(model).startswith("Model(network: coal, gangue from beam_peak_force, ")
+    assert "trained on 90127 vibrations of acceleration [m/s^2] at 25600 Hz, accuracy 0.850" in repr(model)
     answer = next(iter(cgid.identify_recording(recording, cgid.load_model())))
     assert repr(answer) == "Answer(coal at 0.005005 s: p(coal) 0.680, p(gangue) 0.320, novelty 0.115)"
     assert repr(cgid.find_impacts(signal)[0]).startswith(f"Event('{SAMPLE}', samples 1001 to 1034 at 200000 Hz")

@@ -377,7 +377,7 @@ class ThroughBeam:
     """A beam to look through: from vibrations to features of the contact force.
 
     A recorder with another sampling rate is supposed to have the same anti-alias filter, at the same share of its rate
-    or, if it is faster, at the same frequency: whichever explains the samples better.
+    or, if it is faster, at the same frequency: whichever force is more like a pulse.
 
     Parameters
     ----------
@@ -418,7 +418,8 @@ class ThroughBeam:
         inverted, contact = self._looked(vibrations, rate / own)
         if rate > own * (1 + _SAME_RATE):
             other, of_other = self._looked(vibrations, 1.0)
-            better = np.flatnonzero(other.misfit < inverted.misfit)
+            # A wrong filter distorts the force rather than leaving a rest: the pulse fits it worse.
+            better = np.flatnonzero(of_other.misfit < contact.misfit)
             if better.size:
                 inverted = inverted.replaced(better, other.rows(better))
                 contact = contact.replaced(better, of_other.rows(better))

@@ -358,12 +358,12 @@ class Diagnosis:
                 (*self._corrected("--unit", "m/s^2"), *self._training()),
             )
         reason = "they are clear, but unlike those of the training, as on another beam, mount or sensor"
-        if cause == "shape" and model.beam is not None:
+        if cause == "shape" and model.beam is not None and not self._labelled:
             return (
-                "they are clear, but the modes of the model's beam do not explain them: it is another beam, or it has "
-                "changed",
-                "learn the modes of this beam from the recording, with a scene of its size, and train on the result",
-                self._calibration(),
+                "they are clear, but unlike those of the training: the modes of the model's beam do not explain them, "
+                "it is another beam, or it has changed",
+                "learn the modes of this beam with a scene of its size and train on them, or label impacts",
+                (*self._calibration(), *self._training()),
             )
         if cause == "shape":
             reason = "they are no single pulses like those of the training, as where the sensor rings or filters"

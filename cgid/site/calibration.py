@@ -105,7 +105,18 @@ def table_beside(path: Path) -> Path:
 
 
 def usable_blows(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]]:
-    """Return the impacts that can teach, and how many cannot, by reason."""
+    """Return the impacts that can teach, and how many cannot, by reason.
+
+    Parameters
+    ----------
+    events : iterable of Event
+        Detected impacts of a recording.
+
+    Returns
+    -------
+    tuple of list and dict
+        The usable impacts, and the number of overlapping, clipped and cut ones.
+    """
     kept, lost = [], {"overlapping": 0, "clipped": 0, "cut": 0}
     for event in events:
         flaw = next((name for name in lost if getattr(event, name)), None)
