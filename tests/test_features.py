@@ -614,6 +614,15 @@ def test_smooth_pulses_have_finite_features(samples, kind):
     assert found[0, 0] > 0
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_a_shape_that_nothing_determines_is_reported_without_nan(kind):
+    t = np.arange(300.0)
+    # The fit ends at a shape whose standard deviation is 16,000: as a restitution that overflows.
+    bells = [(0.5, 120, 2), (0.25, 123, 1), (0.25, 120, 1), (1, 134, 1)]
+    samples = 1e-6 * sum(a * np.exp(-0.5 * ((t - centre) / spread) ** 2) for a, centre, spread in bells)
+    assert np.isfinite(extract_array(samples.astype(kind), 1e5)).all()
+
+
 JUNK = st.one_of(
     arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(6, 40)), elements=st.integers(-3, 9).map(float)),
     arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(6, 40)), elements=st.floats(-1e12, 1e12)),

@@ -112,7 +112,8 @@ class Profiled:
             squares.append(
                 np.where(narrow, top.cost[:, None] / variance[:, None] - 2 * np.log(width * _HERMITE[1]), np.inf)
             )
-            steps = deviation * _HERMITE[0]
+            # What does not count stays finite: a shape that nothing determines would overflow as a restitution.
+            steps = np.where(narrow, deviation, 0.0) * _HERMITE[0]
             shapes.append(shape + steps)
             slopes = covariance[:, None, :, 3] / covariance[:, None, 3:4, 3]
             away.append(_away(top.parameters[:, None], shape, best) + steps[:, :, None] * slopes)
