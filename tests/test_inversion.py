@@ -201,7 +201,7 @@ def test_the_search_maximises_the_evidence_of_a_gaussian(height: float) -> None:
     found, place, level = inversion._search(inversion.transformed(sample[None]), weight, np.zeros(1), None)
 
     def evidence(place: int, height: float) -> float:
-        response = dense(inversion, inversion._grid[0][place], inversion._grid[1][place])
+        response = dense(inversion, inversion._grid.x[place], inversion._grid.y[place])
         covariance = np.eye(inversion.n_samples) + height**2 * response @ response.T
         quadratic = sample @ sample - sample @ np.linalg.solve(covariance, sample)
         return 0.5 * quadratic - 0.5 * np.linalg.slogdet(covariance)[1]
@@ -209,7 +209,7 @@ def test_the_search_maximises_the_evidence_of_a_gaussian(height: float) -> None:
     assert evidence(place[0], level[0]) == pytest.approx(found[0], rel=1e-3, abs=0.02)
     levels = inversion._coarse(0.0)[1]
     own = int(np.argmin(np.abs(levels - level[0])))
-    best = max(evidence(other, h) for other in range(len(inversion._grid[0])) for h in levels[max(own - 1, 0) :][:3])
+    best = max(evidence(other, h) for other in range(len(inversion._grid.x)) for h in levels[max(own - 1, 0) :][:3])
     assert best <= found[0] + max(0.02, 1e-3 * found[0])
 
 
@@ -220,7 +220,7 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
     samples = inversion.transformed(sample[None])
     _, place, level = inversion._search(samples, weight, np.zeros(1), None)
-    x, y = (side[place] for side in inversion._grid[:2])
+    x, y = inversion._grid.x[place], inversion._grid.y[place]
     found = inversion._refined(samples, weight, x, y, level)
     x, y, force = found["x"][0], found["y"][0], found["coefficients"][0]
     step = 1e-5

@@ -32,9 +32,9 @@ _WIDTHS, _BEYOND = (25e-6, 1.6e-3), 2.0
 #: Pulses of the table by ln width, shape and touch; every so many are tried first.
 _NODES, _EVERY = (48, _SHAPES.size, 45), (2, 5, 2)
 #: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table.
-_KEPT, _FEW, _MORE = 7, 3, 10
+_KEPT, _FEW, _MORE = 6, 3, 7
 #: Steps with exact pulses.
-_STEPS = 2
+_STEPS = 1
 #: Prior mean and deviation of the shape, and of the touch [samples].
 _SHAPE_PRIOR, _TOUCH_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows at a time.

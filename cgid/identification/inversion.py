@@ -38,9 +38,14 @@ _FEWEST_BINS, _LOUDNESS = 17, (1e-12, 1e11)
 _PLACE_DEVIATION = 0.1
 #: Rows, modes or places at a time: their responses fit into the cache of a processor.
 _ROWS = 64
-#: The start is sought with the samples below this frequency [Hz], the modes up to so much above it, so many shapes and
-#: places of a wider grid [m], at every second sample.
-_LOW, _LOW_MODES, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 1.3, 6, 0.05, 2
+#: The start is sought below this frequency [Hz], with so many shapes and places of a wider grid [m], at every second
+#: sample; the place below this frequency, with so many shapes.
+_LOW, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 6, 0.05, 2
+_TOP, _GRID_SHAPES = 1e4, 9
+#: Shapes in the first step from the grid, and in slopes.
+_LEADING = 10
+#: Share of the amplitude by which mixtures of modes may differ from the modes, on the way to the force and to a place.
+_SAME, _NEARLY = 3e-4, 3e-3
 #: Exponents of coloured noise, f^-a, for which there is a grid of its own.
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
@@ -208,6 +213,48 @@ class Inverted(Rowwise):
     unexplained: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class _Few:
+    """A part of the tables of a beam that finds where to begin.
+
+    Attributes
+    ----------
+    kept : ndarray of int, (n_kept,)
+        Numbers of the coefficients.
+    table : ndarray, (n_modes, n_shapes, n_kept)
+        Of the modes and shapes that are kept.
+    x, y : ndarray, (n_places,) [m]
+    at : ndarray, (n_places, n_modes)
+    """
+
+    kept: NDArray[np.intp]
+    table: Singles
+    x: Floats
+    y: Floats
+    at: Singles
+
+    def powers(self, root: Singles) -> tuple[Floats, Singles]:
+        """Return what coefficients times `root` tell of a force at each place: powers and the directions they are of.
+
+        Shapes (n_places, n_shapes) and (n_places, n_shapes, n_shapes).
+        """
+        n_shapes = self.table.shape[1]
+        table = (self.table * root).reshape(len(self.table), -1)
+        gram = np.empty((len(self.at), n_shapes, n_shapes), np.float32)
+        for first in range(0, len(self.at), _ROWS):
+            part = slice(first, first + _ROWS)
+            response = (self.at[part] @ table).reshape(-1, n_shapes, self.kept.size)
+            gram[part] = response @ response.transpose(0, 2, 1)
+        power, rotation = np.linalg.eigh(gram.astype(np.float64))
+        return np.maximum(power, 0.0), np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
+
+    def heard(self, samples: Singles) -> Singles:
+        """Return the products of responses and samples (n, n_kept), (n_places, n_shapes, n)."""
+        n_modes, n_shapes, n_kept = self.table.shape
+        by_mode = self.table.reshape(-1, n_kept) @ samples.T
+        return (self.at @ by_mode.reshape(n_modes, -1)).reshape(len(self.at), n_shapes, -1)
+
+
 class Inversion:
     """The tables of one beam, and the inversion of accelerations through them.
 
@@ -262,13 +309,35 @@ class Inversion:
         return out
 
     @cached_property
-    def _grid(self) -> tuple[Floats, Floats, Singles]:
-        """Places of the grid, x and y (n_places,), and their weights (n_places, n_modes)."""
-        return self.beam.grid(GRID)
-
-    @cached_property
     def _colour_tables(self) -> dict[tuple[float, float | None], tuple[Singles, Floats, Singles, Singles, Singles]]:
         return {}
+
+    @cached_property
+    def _all(self) -> tuple[Beam, Singles]:
+        """The beam and its table of all frequencies and shapes in as few weights as tell the same."""
+        return _compressed(self.beam, self._table, _SAME)
+
+    @cached_property
+    def _leading(self) -> Singles:
+        """The table of the first shapes, which lead to the place."""
+        _, table = self._all
+        few = table.reshape(len(table), len(self.beam.deviations), -1)[:, :_LEADING]
+        return np.ascontiguousarray(few).reshape(len(table), -1)
+
+    def _few(self, top: float, most: int, apart: float) -> _Few:
+        """Return the part of the tables below a frequency [Hz], of the first shapes and a grid of places."""
+        n_bins = self.bins.stop - self.bins.start
+        n_low = min(max(int(top * self.n_samples / self.beam.sampling_rate), 16), n_bins)
+        kept = np.concatenate([np.arange(n_low), n_bins + np.arange(n_low)])
+        n_shapes = min(most, len(self.beam.deviations))
+        table = self._table.reshape(len(self._table), -1, 2 * n_bins)[:, :n_shapes][:, :, kept]
+        beam, table = _compressed(self.beam, table.reshape(len(table), -1), _NEARLY)
+        return _Few(kept, table.reshape(len(table), n_shapes, -1), *beam.grid(apart))
+
+    @cached_property
+    def _grid(self) -> _Few:
+        """The tables of the grid on which the place is sought."""
+        return self._few(_TOP, _GRID_SHAPES, GRID)
 
     def _coarse(self, exponent: float, limit: float | None = None) -> tuple[Singles, Floats, Singles, Singles, Singles]:
         """Return the rotation of the shapes at each place of the grid, `_shares`, and the weight of each coefficient.
@@ -278,20 +347,9 @@ class Inversion:
         """
         key = exponent, limit
         if key not in self._colour_tables:
-            weight = self._law(exponent) * self._heard(limit)
-            _, _, at = self._grid
-            n_shapes, table = (
-                len(self.beam.deviations),
-                self._table * np.tile(np.sqrt(weight), len(self.beam.deviations)),
-            )
-            gram = np.empty((len(at), n_shapes, n_shapes), np.float32)
-            for first in range(0, len(at), _ROWS):
-                part = slice(first, first + _ROWS)
-                response = (at[part] @ table).reshape(-1, n_shapes, weight.size)
-                gram[part] = response @ response.transpose(0, 2, 1)
-            power, rotation = np.linalg.eigh(gram.astype(np.float64))
-            turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
-            self._colour_tables[key] = turned, *_shares(np.maximum(power, 0.0)), weight
+            weight = (self._law(exponent) * self._heard(limit))[self._grid.kept]
+            power, rotation = self._grid.powers(np.sqrt(weight))
+            self._colour_tables[key] = rotation, *_shares(power), weight
         return self._colour_tables[key]
 
     def _heard(self, limit: float | None) -> Singles:
@@ -326,7 +384,7 @@ class Inversion:
         begun = self._start(sought, start, weight)
         samples = self.transformed(_cut(sought.frames, begun, self.n_samples) / sought.noise[:, None])
         _, place, level = self._search(samples, weight, exponent, sought.limit)
-        found = self._refined(samples, weight, self._grid[0][place], self._grid[1][place], level)
+        found = self._refined(samples, weight, self._grid.x[place], self._grid.y[place], level)
         if sought.clipped is not None and sought.clipped.any():
             rows = np.flatnonzero(sought.clipped.any(axis=1))
             before = {name: array[rows] for name, array in found.items()}
@@ -375,20 +433,11 @@ class Inversion:
         return found
 
     @cached_property
-    def _low(self) -> tuple[NDArray[np.intp], Singles, Singles, Singles, Singles, Singles]:
-        """The tables that find the start: coefficients, responses, weights of places, and rotation, shares, costs."""
-        n_bins = self.bins.stop - self.bins.start
-        n_low = min(max(int(_LOW * self.n_samples / self.beam.sampling_rate), 16), n_bins)
-        kept = np.concatenate([np.arange(n_low), n_bins + np.arange(n_low)])
-        frequency = np.abs(self.beam.poles) / (2 * np.pi)
-        modes = np.flatnonzero(frequency <= max(_LOW_MODES * _LOW, frequency.min()))
-        n_shapes = min(_LOW_SHAPES, len(self.beam.deviations))
-        table = self._table.reshape(len(frequency), -1, 2 * n_bins)[modes, :n_shapes][:, :, kept]
-        at = np.ascontiguousarray(self.beam.grid(_LOW_GRID)[2][:, modes])
-        response = (at @ table.reshape(modes.size, -1)).reshape(len(at), n_shapes, kept.size)
-        power, rotation = np.linalg.eigh((response @ response.transpose(0, 2, 1)).astype(np.float64))
-        turned = np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
-        return kept, np.ascontiguousarray(table), at, turned, *_shares(np.maximum(power, 0.0))[1:]
+    def _low(self) -> tuple[_Few, Singles, Singles, Singles]:
+        """The tables that find the start: part of all, rotation, shares, costs."""
+        few = self._few(_LOW, _LOW_SHAPES, _LOW_GRID)
+        power, rotation = few.powers(np.ones(few.kept.size, np.float32))
+        return few, rotation, *_shares(power)[1:]
 
     def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
@@ -396,18 +445,17 @@ class Inversion:
         steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
         if steps.size == 1:
             return np.asarray(first)
-        kept, table, at, turned, share, cost = self._low
-        samples = self.transformed(_cut(sought.frames, first, self.n_samples) / sought.noise[:, None])[:, kept]
-        half = kept.size // 2
+        few, turned, share, cost = self._low
+        samples = self.transformed(_cut(sought.frames, first, self.n_samples) / sought.noise[:, None])[:, few.kept]
+        half = few.kept.size // 2
         spectrum = samples[:, :half] + 1j * samples[:, half:]
         turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, half + 1)) / self.n_samples)
         shifted = (spectrum[:, None] * turn).reshape(-1, half)
-        trusted = np.repeat(weight[:, kept], steps.size, axis=0)
+        trusted = np.repeat(weight[:, few.kept], steps.size, axis=0)
         shifted = np.concatenate([shifted.real, shifted.imag], axis=1).astype(np.float32) * trusted
-        heard = table.reshape(-1, kept.size) @ shifted.T
-        told = np.square(turned @ (at @ heard.reshape(len(table), -1)).reshape(len(at), table.shape[1], -1))
+        told = np.square(turned @ few.heard(shifted))
         best: NDArray[np.floating] = np.full(len(shifted), -np.inf, np.float32)
-        for first_place in range(0, len(at), _ROWS):
+        for first_place in range(0, len(few.at), _ROWS):
             part = slice(first_place, first_place + _ROWS)
             best = np.maximum(best, (share[part] @ told[part] - cost[part]).max(axis=(0, 1)))
         evidence = best.reshape(len(start), steps.size).astype(np.float64)
@@ -421,20 +469,17 @@ class Inversion:
         self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None
     ) -> tuple[Floats, NDArray[np.intp], Floats]:
         """Return the evidence of the best place of the grid, its number, and the best level of the force, each (n,)."""
-        n, n_shapes = len(samples), len(self.beam.deviations)
+        n, few = len(samples), self._grid
+        samples, weight = samples[:, few.kept], weight[:, few.kept]
         nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
         out = np.full(n, -np.inf), np.zeros(n, np.intp), np.ones(n)
-        _, _, at = self._grid
-        flat = self._table.reshape(-1, samples.shape[1])
         for number in np.unique(nearest).tolist():
             rows = np.flatnonzero(nearest == number)
             turned, levels, share, cost, law = self._coarse(_COLOURS[number], limit)
             # The law has a mean weight of 1; the level of the noise is that of its middle.
             heard_at = law > 0
             scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
-            heard = flat @ (samples[rows] * weight[rows] / np.sqrt(scale)[:, None]).T
-            at_places = (at @ heard.reshape(len(self.beam.poles), -1)).reshape(len(at), n_shapes, rows.size)
-            told = np.square(turned @ at_places)
+            told = np.square(turned @ few.heard(samples[rows] * weight[rows] / np.sqrt(scale)[:, None]))
             evidence = share @ told
             evidence -= cost
             of_levels = evidence.max(axis=0)
@@ -450,27 +495,31 @@ class Inversion:
         root = np.sqrt(weight)
         heard = samples * root
         coloured = bool((weight != 1).any())
-        prior = np.eye(n_shapes) / level[:, None, None] ** 2
         prior_place = np.eye(2) / _PLACE_DEVIATION**2
+        beam, table = self._all
         for step in range(_STEPS):
-            at = np.concatenate(self.beam.weights(x, y))
-            ways = (at @ self._table).reshape(3, n, n_shapes, -1)
+            # The first shapes are enough for slopes, and for the first step.
+            at = beam.weights(x, y)
+            own = (at[0] @ (table if step else self._leading)).reshape(n, -1, samples.shape[1])
+            ways = (np.concatenate(at[1:]) @ self._leading).reshape(2, n, -1, samples.shape[1])
             if coloured:
-                ways *= root[:, None]
-            own = ways[0]
+                own *= root[:, None]
+            prior = np.eye(own.shape[1]) / level[:, None, None] ** 2
             gram = (own @ own.transpose(0, 2, 1)).astype(np.float64)
             vector = (own @ heard[:, :, None])[:, :, 0].astype(np.float64)
             force = np.linalg.solve(gram + prior, vector[:, :, None])[:, :, 0]
             single = force.astype(np.float32)
-            slopes = (single[:, None] @ ways[1:])[:, :, 0].transpose(1, 0, 2)
+            slopes = (single[:, None, : ways.shape[2]] @ ways)[:, :, 0].transpose(1, 0, 2)
+            if coloured:
+                slopes *= root[:, None]
             cross = (own @ slopes.transpose(0, 2, 1)).astype(np.float64)
             inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + prior_place
             left = heard - (single[:, None] @ own)[:, 0]
-            pull = (slopes @ left[:, :, None])[:, :, 0].astype(np.float64)
             # The place after the coefficients are projected out, with their prior.
             through = np.linalg.solve(gram + prior, cross)
             curvature = inner - cross.transpose(0, 2, 1) @ through
             if step < _STEPS - 1:
+                pull = (slopes @ left[:, :, None])[:, :, 0].astype(np.float64)
                 move = np.linalg.solve(curvature, pull[:, :, None])[:, :, 0].clip(-_LONGEST_STEP, _LONGEST_STEP)
                 x, y = (x + move[:, 0]).clip(x_low, x_high), (y + move[:, 1]).clip(y_low, y_high)
         # The coefficients after the place is projected out, without their prior.
@@ -493,6 +542,20 @@ class Inversion:
             "unexplained": np.maximum(rest - told, 0)
             / np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300),
         }
+
+
+def _compressed(beam: Beam, table: Singles, share: float) -> tuple[Beam, Singles]:
+    """Return a beam and its table with the principal mixtures of the modes in their place.
+
+    The modes beyond the band are heard alike, so fewer mixtures tell the same but for a share of the amplitude.
+    """
+    loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2)))[:, None]
+    own = (table * loud).astype(np.float32)
+    power, mixes = np.linalg.eigh((own @ own.T).astype(np.float64))
+    kept = np.cumsum(power) > share**2 * power.sum()
+    mixes = mixes[:, kept][:, ::-1]
+    participation = np.tensordot(mixes / np.maximum(loud, 1e-300), beam.participation, (0, 0))
+    return replace(beam, participation=participation), np.ascontiguousarray(mixes.T.astype(np.float32) @ own)
 
 
 def _shares(power: Floats) -> tuple[Floats, Singles, Singles]:

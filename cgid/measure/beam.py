@@ -88,15 +88,15 @@ class Beam:
             sides.append(np.linspace(low, high, n))
             own.append(lagrange(self.participation.shape[axis + 1], low, high, sides[-1])[0])
         x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
-        at = (own[0] @ self.participation @ own[1].T).reshape(len(self.poles), -1)
+        at = (own[0] @ self.participation @ own[1].T).reshape(len(self.participation), -1)
         return x, y, np.ascontiguousarray(at.T, dtype=np.float32)
 
     def weights(self, x: Floats, y: Floats) -> tuple[Singles, Singles, Singles]:
         """Return the participation of the modes at places (n,) [m] and its slopes in x and y, each (n, n_modes)."""
-        _, n_x, n_y = self.participation.shape
+        n_modes, n_x, n_y = self.participation.shape
         along, along_slope = lagrange(n_x, self.region[0], self.region[1], x)
         across, across_slope = lagrange(n_y, self.region[2], self.region[3], y)
-        with_y, with_slope = ((side @ self._by_y).reshape(-1, n_x, len(self.poles)) for side in (across, across_slope))
+        with_y, with_slope = ((side @ self._by_y).reshape(-1, n_x, n_modes) for side in (across, across_slope))
         both = np.stack([along, along_slope], axis=1) @ with_y
         last = along[:, None] @ with_slope
         return both[:, 0].astype(np.float32), both[:, 1].astype(np.float32), last[:, 0].astype(np.float32)
@@ -277,13 +277,14 @@ def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
     over_a_sample = grown**FINE
     state = np.zeros((len(pole), len(forces)), complex)
     out = np.empty((len(pole), len(forces), n_samples))
+    n_driven = min(forces.shape[1] // FINE, n_samples)
     longer = np.concatenate([forces, np.zeros((len(forces), 1))], axis=1)
-    for sample in range(n_samples):
+    for sample in range(n_driven):
+        own = longer[:, sample * FINE : (sample + 1) * FINE + 1]
         out[:, :, sample] = (amplitude[:, None] * state).real
-        state *= over_a_sample[:, None]
-        if (sample + 1) * FINE <= forces.shape[1]:
-            own = longer[:, sample * FINE : (sample + 1) * FINE + 1]
-            state += points @ own.T
-            if beam.derivatives == 2:
-                out[:, :, sample] += own[:, 0]
+        if beam.derivatives == 2:
+            out[:, :, sample] += own[:, 0]
+        state = state * over_a_sample[:, None] + points @ own.T
+    free = (amplitude[:, None] * np.exp(np.outer(pole / beam.sampling_rate, np.arange(n_samples - n_driven))))[:, None]
+    out[:, :, n_driven:] = state.real[:, :, None] * free.real - state.imag[:, :, None] * free.imag
     return out
