@@ -247,7 +247,7 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
 
 
 def sought(colour: Colour, noise: np.ndarray) -> Sought:
-    return Sought(np.zeros((len(noise), 1)), noise, colour.coefficients, colour.innovation)
+    return Sought(np.zeros((len(noise), 1)), noise, colour.coefficients, colour.innovation).by_sensor()
 
 
 @pytest.mark.parametrize("rho", [0.8, -0.5, 0.97])

@@ -239,7 +239,7 @@ def identify_frames(
     Parameters
     ----------
     frames : ndarray, (n_signals, n_samples)
-        In the unit of the model.
+        In the unit of the model; (n_signals, n_sensors, n_samples) if it looks through a beam with several sensors.
     sampling_rate : float [Hz]
     model : Model
     question : Question, optional
@@ -264,8 +264,8 @@ def identify_frames(
         As in `identify`, except that a frame without an impact gets an answer with a problem.
     """
     known = known_columns(model.known, len(frames), drop_height)
-    if frames.shape[1] < MINIMUM_FRAME:
-        short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[1]}"
+    if frames.shape[-1] < MINIMUM_FRAME:
+        short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         return [unmeasured(short)] * len(frames)
     measured = extract_array(
         frames,

@@ -376,6 +376,8 @@ def clipped_samples(frames: Floats) -> NDArray[np.bool_] | None:
 class ThroughBeam:
     """A beam to look through: from vibrations to features of the contact force.
 
+    Of a beam with several sensors, the vibrations of one blow follow each other as rows, in the order of the sensors.
+
     A recorder with another sampling rate is supposed to have the same anti-alias filter, at the same share of its rate
     or, if it is faster, at the same frequency: whichever force is more like a pulse.
 
@@ -388,7 +390,12 @@ class ThroughBeam:
         self.beam = beam
         self.inversion = Inversion(beam)
         self.fit = ContactFit(self.inversion)
-        self._ringing: dict[int, Ringing] = {}
+        self._ringing: dict[tuple[int, int], Ringing] = {}
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, and of vibrations of one blow."""
+        return self.beam.n_sensors
 
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
         """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
@@ -453,15 +460,45 @@ class ThroughBeam:
             frames = self.resampled(frames, rate, filters)
             quiet, first = quiet * own / rate, first * own / rate
             limit = _TOP * min(rate, own)
-        start = np.stack([np.maximum(np.floor(first - REACH * own), np.floor(quiet)), np.ceil(first) + 1], axis=1)
+        clear = self._clearest(vibrations)
+        start = np.stack(
+            [np.maximum(np.floor(first - REACH * own), np.floor(quiet))[clear], np.ceil(first)[clear] + 1], axis=1
+        )
         start[:, 0] = np.minimum(start[:, 0], start[:, 1])
         noise = self._noise(frames, quiet, vibrations, limit)
-        if limit is not None:
-            return Sought(frames, noise, limit=limit), start.astype(np.intp)
-        colour = colour_of(frames, quiet, np.zeros(len(frames)), 1)
-        clipped = clipped_samples(frames)
-        frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
-        return Sought(frames, noise, colour.coefficients, colour.innovation, error, clipped), start.astype(np.intp)
+        found = Sought(frames, noise, limit=limit)
+        if limit is None:
+            colour = colour_of(frames, quiet, np.zeros(len(frames)), 1)
+            clipped = clipped_samples(frames)
+            frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
+            found = Sought(frames, noise, colour.coefficients, colour.innovation, error, clipped)
+        return self._together(found, vibrations), start.astype(np.intp)
+
+    def _clearest(self, vibrations: VibrationBatch) -> NDArray[np.intp]:
+        """Return the row of each blow whose sensor hears it best, (n,)."""
+        if self.n_sensors == 1:
+            return np.arange(len(vibrations.samples))
+        clear = vibrations.peak / np.maximum(vibrations.noise, 1e-300)
+        best = np.argmax(clear.reshape(-1, self.n_sensors), axis=1)
+        return np.asarray(np.arange(best.size) * self.n_sensors + best)
+
+    def _together(self, found: Sought, vibrations: VibrationBatch) -> Sought:
+        """Return rows of vibrations as blows; a sensor without an impact tells nothing of one that others hear."""
+        if self.n_sensors == 1:
+            return found.by_sensor()
+        fields = {name: getattr(found, name) for name in found.__dataclass_fields__}
+        silent = np.zeros(len(found.noise), bool)
+        silent[list(vibrations.problems())] = True
+        silent &= ~np.repeat(silent.reshape(-1, self.n_sensors).all(axis=1), self.n_sensors)
+        fields["noise"] = np.where(silent, np.inf, found.noise)
+        if found.coefficients is not None:
+            fields["coefficients"] = np.where(silent[:, None], 0.0, found.coefficients)
+        return Sought(
+            **{
+                name: part.reshape(-1, self.n_sensors, *part.shape[1:]) if isinstance(part, np.ndarray) else part
+                for name, part in fields.items()
+            }
+        )
 
     def _settled(
         self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: Colour
@@ -474,11 +511,11 @@ class ThroughBeam:
         if not rows.size:
             return frames, noise, None
         frames, noise, error = frames.copy(), noise.copy(), None
-        lengths = np.minimum(quiet[rows], _MOST_QUIET) // 32 * 32
-        for n_quiet in np.unique(lengths).tolist():
-            if n_quiet not in self._ringing:
-                self._ringing[n_quiet] = Ringing(self.inversion, n_quiet)
-            ringing, own = self._ringing[n_quiet], rows[lengths == n_quiet]
+        lengths, sensors = np.minimum(quiet[rows], _MOST_QUIET) // 32 * 32, rows % self.n_sensors
+        for n_quiet, sensor in sorted(set(zip(lengths.tolist(), sensors.tolist(), strict=True))):
+            if (n_quiet, sensor) not in self._ringing:
+                self._ringing[n_quiet, sensor] = Ringing(self.inversion, n_quiet, sensor)
+            ringing, own = self._ringing[n_quiet, sensor], rows[(lengths == n_quiet) & (sensors == sensor)]
             before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in own])
             found, level, own_error, rings = ringing.after(before, colour.innovation[own])
             error = np.zeros((len(frames), own_error.shape[1])) if error is None else error

@@ -4,7 +4,8 @@ The way from a contact force to an accelerometer is linear once the place is kno
 shapes, and each shape rings every mode of the beam; the place only weighs the modes. So for a place the samples are a
 linear Gaussian model in some 16 unknowns, whose evidence has a closed form. It is computed on a grid of places, from
 tables that are made once. From the best one Gauss-Newton steps lead to the place itself, which stays an unknown of the
-model: the uncertainty of the force includes that of the place.
+model: the uncertainty of the force includes that of the place. The samples of several sensors, each over its own noise,
+are samples of one model.
 
 Signals and tables are discrete Fourier transforms, in which coloured noise is a weight for each frequency. A `Beam` is
 plain arrays, so that a model file can hold it; `cgid.scene.through_beam` makes it from a scene.
@@ -46,6 +47,8 @@ _TOP, _GRID_SHAPES = 1e4, 9
 _LEADING = 10
 #: Share of the amplitude by which mixtures of modes may differ from the modes, on the way to the force and to a place.
 _SAME, _NEARLY = 3e-4, 3e-3
+#: Powers of the noise of sensors over that of the quietest for which there is a grid of its own: 1, one ratio, two.
+_RATIO, _FAINTEST = 8.0, 2
 #: Exponents of coloured noise, f^-a, for which there is a grid of its own.
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
@@ -61,6 +64,8 @@ class Ringing:
     inversion : Inversion
     n_quiet : int
         Samples before touch that are looked at.
+    sensor : int
+        Which of the beam's sensors.
     """
 
     #: Ages of the earlier blow [s], powers of the ringing over that of the noise, and gain of evidence that it takes.
@@ -68,12 +73,12 @@ class Ringing:
     #: The tables go on for so many samples longer than the inversion, because the touch is not known yet.
     LATER = 64
 
-    def __init__(self, inversion: Inversion, n_quiet: int) -> None:
+    def __init__(self, inversion: Inversion, n_quiet: int, sensor: int = 0) -> None:
         beam, self.n_quiet, self.n_samples = inversion.beam, n_quiet, inversion.n_samples + self.LATER
         time = np.arange(n_quiet + self.n_samples) / beam.sampling_rate
         frequency = np.abs(beam.poles) / (2 * np.pi)
         loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(gain(beam.filters, frequency))
-        loud *= np.abs(beam.poles) ** (beam.derivatives - 1)
+        loud *= np.abs(beam.poles) ** (beam.derivatives - 1) * np.abs(beam.shares[sensor])
         self._tables = []
         for age in self.AGES:
             size = loud * np.exp(beam.poles.real * age)
@@ -150,17 +155,19 @@ class Rowwise:
 class Sought(Rowwise):
     """Vibrations whose force is sought.
 
+    The axis of sensors may be left out where the beam has one.
+
     Attributes
     ----------
-    frames : ndarray, (n, n_samples)
+    frames : ndarray, (n, n_sensors, n_samples)
         At the sampling rate of the beam, without baseline; zeros where the frame has ended.
-    noise : ndarray, (n,)
-        Standard deviation of the noise.
-    coefficients, innovation : ndarray, (n, ORDER) and (n,), optional
+    noise : ndarray, (n, n_sensors)
+        Standard deviation of the noise; infinite for a sensor that tells nothing.
+    coefficients, innovation : ndarray, (n, n_sensors, ORDER) and (n, n_sensors), optional
         Of the colour of the noise, as in `cgid.measure.colour.Colour`; white by default.
-    error : ndarray, (n, n_coefficients), optional
+    error : ndarray, (n, n_sensors, n_coefficients), optional
         Power of further errors over that of the noise.
-    clipped : ndarray of bool, (n, n_samples), optional
+    clipped : ndarray of bool, (n, n_sensors, n_samples), optional
         Samples that only bound the motion: it went at least as far.
     limit : float, optional
         Frequency up to which the samples tell [Hz].
@@ -173,6 +180,18 @@ class Sought(Rowwise):
     error: Floats | None = None
     clipped: NDArray[np.bool_] | None = None
     limit: float | None = None
+
+    def by_sensor(self) -> Sought:
+        """Return the same with an axis of sensors."""
+        if self.noise.ndim == 2:
+            return self
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return Sought(**{n: part[:, None] if isinstance(part, np.ndarray) else part for n, part in fields.items()})
+
+    @property
+    def level(self) -> Floats:
+        """Standard deviation of the noise of the quietest sensor, (n,)."""
+        return np.asarray(self.noise.min(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +210,7 @@ class Inverted(Rowwise):
     information, vector : ndarray, (n, n_shapes, n_shapes) and (n, n_shapes)
         The likelihood of coefficients c after the place is projected out: `-c information c / 2 + vector c`.
     noise : ndarray, (n,)
-        Standard deviation of the noise [unit of the samples].
+        Standard deviation of the noise of the quietest sensor [unit of the samples].
     evidence : ndarray, (n,)
         Logarithm of the evidence over that of noise alone, per sample.
     misfit : ndarray, (n,)
@@ -286,30 +305,41 @@ class Inversion:
         found = np.fft.rfft(samples, axis=-1, norm="ortho")[..., self.bins] * np.sqrt(2)
         return np.concatenate([found.real, found.imag], axis=-1).astype(np.float32)
 
+    def _stacked(self, samples: Floats, level: Floats) -> Singles:
+        """Return `transformed` of samples (n, n_sensors, n_samples) over a level (n,), those of each sensor in turn."""
+        return self.transformed(samples / level[:, None, None]).reshape(len(samples), -1)
+
+    def _each(self, of_one: NDArray[Any]) -> NDArray[Any]:
+        """Return the same coefficients for every sensor."""
+        return np.tile(of_one, self.beam.n_sensors)
+
     @cached_property
     def _table(self) -> Singles:
-        """Transformed responses of each mode to each shape for participation 1, (n_modes, n_shapes * n_coefficients).
+        """Transformed responses of each mode to each shape for participation 1.
+
+        Shape (n_modes, n_shapes * n_coefficients), the coefficients of each sensor in turn.
 
         Raises `BadData` if they leave the range of single precision, which no true beam does.
         """
-        n_modes = len(self.beam.poles)
-        out = np.empty((n_modes, len(self.forces) * 2 * (self.bins.stop - self.bins.start)), np.float32)
+        n_modes, n_each = len(self.beam.poles), 2 * (self.bins.stop - self.bins.start)
+        out = np.empty((n_modes, len(self.forces), self.beam.n_sensors, n_each), np.float32)
         for first in range(0, n_modes, _ROWS):
             part = slice(first, first + _ROWS)
             own = replace(self.beam, poles=self.beam.poles[part])
             with np.errstate(over="ignore"):
                 found = self.transformed(respond(own, self.forces, self.n_samples))
-            out[part] = found.reshape(len(found), -1)
+                shares = self.beam.shares.T[part, None, :, None].astype(np.float32)
+                np.multiply(found[:, :, None], shares, out=out[part])
         loudest = float(np.abs(self.beam.participation).max()) * max(float(out.max()), -float(out.min()))
         if not _LOUDNESS[0] < loudest < _LOUDNESS[1]:
             raise BadData(
                 f"a beam must ring between {_LOUDNESS[0]:g} and {_LOUDNESS[1]:g} for a force of 1 N, got {loudest:g}; "
                 "train the model again"
             )
-        return out
+        return out.reshape(n_modes, -1)
 
     @cached_property
-    def _colour_tables(self) -> dict[tuple[float, float | None], tuple[Singles, Floats, Singles, Singles, Singles]]:
+    def _colour_tables(self) -> dict[tuple[Any, ...], tuple[Singles, Floats, Singles, Singles, Singles]]:
         return {}
 
     @cached_property
@@ -328,9 +358,9 @@ class Inversion:
         """Return the part of the tables below a frequency [Hz], of the first shapes and a grid of places."""
         n_bins = self.bins.stop - self.bins.start
         n_low = min(max(int(top * self.n_samples / self.beam.sampling_rate), 16), n_bins)
-        kept = np.concatenate([np.arange(n_low), n_bins + np.arange(n_low)])
+        kept = np.add.outer(np.arange(2 * self.beam.n_sensors) * n_bins, np.arange(n_low)).ravel()
         n_shapes = min(most, len(self.beam.deviations))
-        table = self._table.reshape(len(self._table), -1, 2 * n_bins)[:, :n_shapes][:, :, kept]
+        table = self._table.reshape(len(self._table), len(self.beam.deviations), -1)[:, :n_shapes][:, :, kept]
         beam, table = _compressed(self.beam, table.reshape(len(table), -1), _NEARLY)
         return _Few(kept, table.reshape(len(table), n_shapes, -1), *beam.grid(apart))
 
@@ -339,15 +369,21 @@ class Inversion:
         """The tables of the grid on which the place is sought."""
         return self._few(_TOP, _GRID_SHAPES, GRID)
 
-    def _coarse(self, exponent: float, limit: float | None = None) -> tuple[Singles, Floats, Singles, Singles, Singles]:
+    def _coarse(
+        self, exponent: float, limit: float | None = None, fainter: tuple[int, ...] = ()
+    ) -> tuple[Singles, Floats, Singles, Singles, Singles]:
         """Return the rotation of the shapes at each place of the grid, `_shares`, and the weight of each coefficient.
 
         The rotation diagonalises what the samples tell of the coefficients in noise of power f^-exponent, (n_places,
-        n_shapes, n_shapes).
+        n_shapes, n_shapes). The power of the noise of each sensor is that of the quietest times `_RATIO` to the power
+        of `fainter`.
         """
-        key = exponent, limit
+        key = exponent, limit, fainter
         if key not in self._colour_tables:
-            weight = (self._law(exponent) * self._heard(limit))[self._grid.kept]
+            weight = self._each(self._law(exponent) * self._heard(limit))
+            for sensor, part in enumerate(np.split(weight, self.beam.n_sensors) if any(fainter) else ()):
+                part *= _RATIO ** -fainter[sensor]
+            weight = weight[self._grid.kept]
             power, rotation = self._grid.powers(np.sqrt(weight))
             self._colour_tables[key] = rotation, *_shares(power), weight
         return self._colour_tables[key]
@@ -376,57 +412,65 @@ class Inversion:
         -------
         Inverted
         """
-        parts = [slice(first, first + _ROWS) for first in range(0, max(len(start), 1), _ROWS)]
+        sought = sought.by_sensor()
+        n_rows = max(_ROWS // self.beam.n_sensors, 1)
+        parts = [slice(first, first + n_rows) for first in range(0, max(len(start), 1), n_rows)]
         return Inverted.joined([self._inverted(sought.rows(part), start[part]) for part in parts])
 
     def _inverted(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
         weight, exponent = self._weights(sought)
         begun = self._start(sought, start, weight)
-        samples = self.transformed(_cut(sought.frames, begun, self.n_samples) / sought.noise[:, None])
+        samples = self._stacked(_cut(sought.frames, begun, self.n_samples), sought.level)
         _, place, level = self._search(samples, weight, exponent, sought.limit)
         found = self._refined(samples, weight, self._grid.x[place], self._grid.y[place], level)
         if sought.clipped is not None and sought.clipped.any():
-            rows = np.flatnonzero(sought.clipped.any(axis=1))
+            rows = np.flatnonzero(sought.clipped.any(axis=(1, 2)))
             before = {name: array[rows] for name, array in found.items()}
             own = self._unclipped(before, sought.rows(rows), begun[rows], weight[rows], level[rows])
             for name, array in found.items():
                 array[rows] = own[name]
         del found["predicted"]
-        return Inverted(start=begun, noise=sought.noise, **found)
+        return Inverted(start=begun, noise=sought.level, **found)
 
     def _weights(self, sought: Sought) -> tuple[Singles, Floats]:
-        """Return the weight of each coefficient, (n, n_coefficients), and the exponents of the noise, (n,)."""
-        n, n_bins = len(sought.noise), self.bins.stop - self.bins.start
-        weight, exponent = np.ones((n, 2 * n_bins)), np.zeros(n)
+        """Return the weight of each coefficient over `Sought.level`, (n, n_coefficients), and exponents of noise, (n,).
+        """
+        (n, n_sensors), n_bins = sought.noise.shape, self.bins.stop - self.bins.start
+        weight, exponent = np.ones((n, n_sensors, 2 * n_bins)), np.zeros((n, n_sensors))
         if sought.coefficients is not None and sought.innovation is not None and sought.coefficients.any():
             frequency = np.arange(self.bins.start, self.bins.stop) / self.n_samples
             lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
-            rows = np.flatnonzero(sought.coefficients.any(axis=1))
-            power = (sought.innovation / sought.noise)[rows, None] ** 2
+            rows = np.nonzero(sought.coefficients.any(axis=2))
+            power = (sought.innovation / sought.noise)[rows][:, None] ** 2
             power = power / np.abs(1 - sought.coefficients[rows] @ lag) ** 2
             exponent[rows] = -np.polynomial.polynomial.polyfit(np.log(frequency), np.log(power).T, 1)[1]
             weight[rows] = np.tile(1 / power, 2)
         if sought.error is not None:
             weight /= 1 + weight * sought.error
-        return (weight * self._heard(sought.limit)).astype(np.float32), exponent
+        weight *= np.square(sought.level[:, None] / sought.noise)[:, :, None] * self._heard(sought.limit)
+        # A sensor that tells nothing has no colour either.
+        told = np.isfinite(sought.noise)
+        exponent = np.sum(exponent, axis=1, where=told) / told.sum(axis=1)
+        return weight.reshape(n, -1).astype(np.float32), exponent
 
     def _unclipped(
         self, found: dict[str, Any], sought: Sought, begun: NDArray[np.intp], weight: Singles, level: Floats
     ) -> dict[str, Any]:
         """Return what is found where clipped samples are as far out as the beam says, but at least as recorded."""
         assert sought.clipped is not None
-        recorded = _cut(sought.frames, begun, self.n_samples) / sought.noise[:, None]
+        recorded = _cut(sought.frames, begun, self.n_samples) / sought.level[:, None, None]
         bounds = _cut(sought.clipped, begun, self.n_samples) > 0
         for _ in range(_UNCLIPPING):
-            spectrum = np.zeros((len(begun), self.n_samples // 2 + 1), complex)
-            half = found["predicted"].shape[1] // 2
-            spectrum[:, self.bins] = (found["predicted"][:, :half] + 1j * found["predicted"][:, half:]) / np.sqrt(2)
-            expected = np.fft.irfft(spectrum, self.n_samples, axis=1, norm="ortho")
+            spectrum = np.zeros((*recorded.shape[:2], self.n_samples // 2 + 1), complex)
+            spectrum[:, :, self.bins] = _complex(found["predicted"], self.beam.n_sensors) / np.sqrt(2)
+            expected = np.fft.irfft(spectrum, self.n_samples, axis=2, norm="ortho")
             further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
             samples = np.where(bounds, further, recorded)
-            found = self._refined(self.transformed(samples), weight, found["x"], found["y"], level)
+            samples_of = self.transformed(samples).reshape(len(samples), -1)
+            found = self._refined(samples_of, weight, found["x"], found["y"], level)
         # The bounded samples are no measurements: they take their share of the energy out of what is known.
-        share = 1 - np.sum(samples**2, axis=1, where=bounds) / np.maximum(np.sum(samples**2, axis=1), 1e-300)
+        whole = np.sum(samples**2, axis=(1, 2))
+        share = 1 - np.sum(samples**2, axis=(1, 2), where=bounds) / np.maximum(whole, 1e-300)
         share = np.maximum(share, _LEAST_SHARE)
         found["information"] *= share[:, None, None]
         found["vector"] *= share[:, None]
@@ -446,13 +490,12 @@ class Inversion:
         if steps.size == 1:
             return np.asarray(first)
         few, turned, share, cost = self._low
-        samples = self.transformed(_cut(sought.frames, first, self.n_samples) / sought.noise[:, None])[:, few.kept]
-        half = few.kept.size // 2
-        spectrum = samples[:, :half] + 1j * samples[:, half:]
-        turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, half + 1)) / self.n_samples)
-        shifted = (spectrum[:, None] * turn).reshape(-1, half)
+        samples = self._stacked(_cut(sought.frames, first, self.n_samples), sought.level)[:, few.kept]
+        spectrum = _complex(samples, self.beam.n_sensors)
+        turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, spectrum.shape[2] + 1)) / self.n_samples)
+        later = spectrum[:, None] * turn[:, None]
         trusted = np.repeat(weight[:, few.kept], steps.size, axis=0)
-        shifted = np.concatenate([shifted.real, shifted.imag], axis=1).astype(np.float32) * trusted
+        shifted = np.stack([later.real, later.imag], axis=3).astype(np.float32).reshape(trusted.shape) * trusted
         told = np.square(turned @ few.heard(shifted))
         best: NDArray[np.floating] = np.full(len(shifted), -np.inf, np.float32)
         for first_place in range(0, len(few.at), _ROWS):
@@ -470,14 +513,16 @@ class Inversion:
     ) -> tuple[Floats, NDArray[np.intp], Floats]:
         """Return the evidence of the best place of the grid, its number, and the best level of the force, each (n,)."""
         n, few = len(samples), self._grid
+        fainter = self._fainter(weight)
         samples, weight = samples[:, few.kept], weight[:, few.kept]
         nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
         out = np.full(n, -np.inf), np.zeros(n, np.intp), np.ones(n)
-        for number in np.unique(nearest).tolist():
-            rows = np.flatnonzero(nearest == number)
-            turned, levels, share, cost, law = self._coarse(_COLOURS[number], limit)
-            # The law has a mean weight of 1; the level of the noise is that of its middle.
-            heard_at = law > 0
+        kinds, kind = np.unique(np.column_stack([nearest, fainter]), axis=0, return_inverse=True)
+        for number, (colour, *of_sensors) in enumerate(kinds.tolist()):
+            rows = np.flatnonzero(kind.ravel() == number)
+            turned, levels, share, cost, law = self._coarse(_COLOURS[colour], limit, tuple(of_sensors))
+            # The law has a mean weight of 1; the level of the noise is that of its middle, at the quietest sensors.
+            heard_at = (law > 0) & np.repeat(np.equal(of_sensors, 0), law.size // len(of_sensors))
             scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
             told = np.square(turned @ few.heard(samples[rows] * weight[rows] / np.sqrt(scale)[:, None]))
             evidence = share @ told
@@ -487,6 +532,14 @@ class Inversion:
             out[0][rows], out[2][rows] = of_levels[own, np.arange(rows.size)], levels[own]
             out[1][rows] = np.argmax(evidence[:, own, np.arange(rows.size)], axis=0)
         return out
+
+    def _fainter(self, weight: Singles) -> NDArray[np.intp]:
+        """Return how many times `_RATIO` louder the noise of each sensor is than that of the quietest, (n, n_sensors).
+        """
+        n_sensors = self.beam.n_sensors
+        power = weight.reshape(len(weight), n_sensors, -1).mean(axis=2, dtype=np.float64)
+        ratio = np.maximum(power, 1e-300) / np.maximum(power.max(axis=1, keepdims=True), 1e-300)
+        return np.minimum(np.round(-np.log(ratio) / np.log(_RATIO)), _FAINTEST).astype(np.intp)
 
     def _refined(self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats) -> dict[str, Any]:
         """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid."""
@@ -537,7 +590,7 @@ class Inversion:
             "coefficients": force,
             "information": gram - back @ cross.transpose(0, 2, 1),
             "vector": vector - np.einsum("nki,ni->nk", back, push),
-            "evidence": gained / self.n_samples,
+            "evidence": gained / (self.beam.n_sensors * self.n_samples),
             "misfit": rest / told,
             "unexplained": np.maximum(rest - told, 0)
             / np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300),
@@ -569,10 +622,16 @@ def _shares(power: Floats) -> tuple[Floats, Singles, Singles]:
     return levels, share.astype(np.float32), cost.astype(np.float32)
 
 
+def _complex(coefficients: Singles, n_sensors: int) -> NDArray[np.complexfloating]:
+    """Return real and imaginary parts, those of each sensor in turn, as complex (n, n_sensors, n_frequencies)."""
+    parts = coefficients.reshape(len(coefficients), n_sensors, 2, -1)
+    return np.asarray(parts[:, :, 0] + 1j * parts[:, :, 1])
+
+
 def _cut(frames: NDArray[Any], start: NDArray[np.intp], n_samples: int) -> Floats:
     """Return the samples of each row from its start on, zeros where the frame has ended."""
-    out = np.zeros((len(frames), n_samples))
-    for row, first in enumerate(np.clip(start, 0, frames.shape[1]).tolist()):
-        part = frames[row, first : first + n_samples]
-        out[row, : part.size] = part
+    out = np.zeros((*frames.shape[:-1], n_samples))
+    for row, first in enumerate(np.clip(start, 0, frames.shape[-1]).tolist()):
+        part = frames[row, ..., first : first + n_samples]
+        out[row, ..., : part.shape[-1]] = part
     return out

@@ -156,13 +156,14 @@ def _inside(frames: NDArray[np.floating], rate: float, model: Model, pre_trigger
 
 
 def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Floats:
-    """Return the amplitude at the start of each vibration over that before it."""
-    before = frames[:, :pre_trigger].astype(np.float64)
-    middle = before.mean(axis=1, keepdims=True)
-    start = frames[:, pre_trigger : pre_trigger + max(round(_START_TIME * sampling_rate), 2)] - middle
-    noise = np.sqrt(np.mean((before - middle) ** 2, axis=1))
-    signal = np.sqrt(np.mean(start**2, axis=1))
-    return np.asarray(np.divide(signal, noise, out=np.full(len(frames), np.inf), where=noise > 0))
+    """Return the amplitude at the start of each vibration over that before it, at the sensor that hears it best."""
+    before = frames[..., :pre_trigger].astype(np.float64)
+    middle = before.mean(axis=-1, keepdims=True)
+    start = frames[..., pre_trigger : pre_trigger + max(round(_START_TIME * sampling_rate), 2)] - middle
+    noise = np.sqrt(np.mean((before - middle) ** 2, axis=-1))
+    signal = np.sqrt(np.mean(start**2, axis=-1))
+    found = np.asarray(np.divide(signal, noise, out=np.full(noise.shape, np.inf), where=noise > 0))
+    return found.reshape(len(frames), -1).max(axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,6 +30,8 @@ GRID = 0.025
 RATES = (2 * TOUCH / FORCE_TIME, 5e5)
 #: Most modes, places of the grid, and samples of all responses together (a quarter of a gigabyte in single precision).
 MOST_MODES, MOST_PLACES, MOST_NUMBERS = 1024, 1 << 14, 1 << 26
+#: Most sensors; least and largest share of a participation that a sensor hears best.
+MOST_SENSORS, _SHARES = 16, (1e-6, 1e6)
 #: Most shapes, poles of filters, and nodes in a direction.
 _MOST_SHAPES, _MOST_FILTERS, _MOST_NODES = 64, 32, 512
 #: Moduli of poles and of filters over the sampling rate, least imaginary part of a pole over its modulus, and limits of
@@ -61,10 +63,12 @@ class Beam:
         Principal shapes of contact forces, `FINE` points to a sample, before the filters.
     deviations : ndarray, (n_shapes,) [1]
         Standard deviation of the coefficient of each, for a force of peak 1.
+    sensors : ndarray, (n_sensors, n_modes) [1], optional
+        Shares of `participation` that each of several sensors hears; by default there is one, which hears all.
     """
 
-    #: Names of the arrays in a model file.
-    ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations")
+    #: Names of the arrays in a model file; `sensors` only where there are several.
+    ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations", "sensors")
 
     sampling_rate: float
     poles: NDArray[np.complex128]
@@ -74,6 +78,17 @@ class Beam:
     derivatives: int
     shapes: Floats
     deviations: Floats
+    sensors: Floats | None = None
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, whose samples are looked at together."""
+        return 1 if self.sensors is None else len(self.sensors)
+
+    @property
+    def shares(self) -> Floats:
+        """Shares of `participation` that each sensor hears, (n_sensors, n_modes)."""
+        return np.ones((1, len(self.poles))) if self.sensors is None else self.sensors
 
     @property
     def n_samples(self) -> int:
@@ -117,6 +132,7 @@ class Beam:
             "beam.filters": np.stack([self.filters.real, self.filters.imag]),
             "beam.shapes": self.shapes,
             "beam.deviations": self.deviations,
+            "beam.sensors": np.empty(0) if self.sensors is None else self.sensors,
         }
         # A file holds no empty array.
         return {name: array for name, array in found.items() if array.size}
@@ -128,9 +144,9 @@ class Beam:
         if not own:
             return None
         own.setdefault("filters", np.empty((2, 0)))
-        names = cls.ARRAYS
+        names = cls.ARRAYS if "sensors" in own else cls.ARRAYS[:-1]
         if own.keys() != set(names) or any(own[name].dtype.kind != "f" for name in names):
-            raise BadData(f"a beam must have the arrays {', '.join(names)} of real numbers")
+            raise BadData(f"a beam must have the arrays {', '.join(cls.ARRAYS[:-1])} of real numbers")
         for name in names:
             validation.real(f"beam.{name}", own[name])
         if own["scalars"].shape != (2,):
@@ -140,7 +156,7 @@ class Beam:
             derivatives=own["scalars"][1].item(),
             poles=_complex("poles", own["poles"]),
             filters=_complex("filters", own["filters"]),
-            **{name: own[name] for name in ("participation", "region", "shapes", "deviations")},
+            **{name: own[name] for name in names if name not in ("scalars", "poles", "filters")},
         )
         beam.check()
         return replace(beam, derivatives=int(beam.derivatives))
@@ -168,18 +184,21 @@ class Beam:
             and (np.abs(self.shapes).max(axis=1, initial=0.0) > _NUMBERS[0]).all()
             and (np.abs(self.shapes) < _NUMBERS[1]).all()
             and _inside(self.deviations, *_NUMBERS)
+            and self.shares.ndim == 2
+            and self.shares.shape[1] == n_modes
+            and _inside(np.abs(self.shares).max(axis=1, initial=0.0), *_SHARES)
         )
         if not sound:
             raise BadData("the arrays of a beam must fit each other, with poles that decay; train the model again")
-        counts = (n_shapes, len(self.filters), *self.participation.shape[1:])
-        most = (_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES, _MOST_NODES)
+        counts = (n_shapes, len(self.filters), *self.participation.shape[1:], self.n_sensors)
+        most = (_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES, _MOST_NODES, MOST_SENSORS)
         few = all(one <= limit for one, limit in zip(counts, most, strict=True))
-        if not few or not bounded(n_modes, n_shapes, self.n_samples, self.region):
+        if not few or not bounded(n_modes, n_shapes, self.n_sensors * self.n_samples, self.region):
             raise BadData(
                 f"a beam must have at most {MOST_MODES} modes, {_MOST_SHAPES} shapes, {_MOST_NODES} nodes in a "
-                f"direction, {MOST_NUMBERS} samples of all responses and {MOST_PLACES} places, got {n_modes} modes, "
-                f"{n_shapes} shapes, {' x '.join(map(str, counts[2:]))} nodes, {n_modes * n_shapes * self.n_samples} "
-                f"samples and a region of {' x '.join(f'{side:g} m' for side in np.diff(self.region)[::2])}"
+                f"direction, {MOST_SENSORS} sensors, {MOST_NUMBERS} samples of all responses and {MOST_PLACES} places, "
+                f"got {n_modes} modes, {n_shapes} shapes, {' x '.join(map(str, counts[2:4]))} nodes, {self.n_sensors} "
+                f"sensors, {n_modes * n_shapes * self.n_sensors * self.n_samples} samples and a region of {' x '.join(f'{side:g} m' for side in np.diff(self.region)[::2])}"
             )
 
 

@@ -220,16 +220,18 @@ def extract_array(
 
     A peak must exceed `detection_limit` standard deviations of the noise before touch; lower it for impacts found in a
     recording by other means. `equalisation` corrects the sensor's response first; it does not apply to pulses.
-    `beam` is the one that vibrates, for features that look through it (such as `beam_peak_force`).
+    `beam` is the one that vibrates, for features that look through it (such as `beam_peak_force`). Of a beam with
+    several sensors, samples are (n_signals, n_sensors, n_samples), and there are no other features.
     """
     names = choose(features)
-    frames, rate = frames_of(samples, pre_trigger), require_rate(sampling_rate)
+    each = 1 if beam is None else beam.n_sensors
+    frames, rate = frames_of(_as_rows(samples, each, names), pre_trigger), require_rate(sampling_rate)
     validation.choice("invalid", invalid, ("raise", "nan"))
     require_supported(names, rate, frames.shape[1])
     if equalisation is not None and kind_of(names) == "pulse":
         raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
     _require_beam(names, beam)
-    out = np.full((len(frames), len(names)), np.nan)
+    out = np.full((len(frames) // each, len(names)), np.nan)
     most = _WINDOWED_SAMPLES if kind_of(names) == "window" else _SAMPLES
     n_rows = max(min(most // frames.shape[1], _ROWS), 1)
     make = partial(
@@ -241,13 +243,13 @@ def extract_array(
         detection_limit=detection_limit,
         beam=beam,
     )
-    for first in range(0, len(frames), n_rows):
-        part = frames[first : first + n_rows]
+    for first in range(0, len(out), n_rows):
+        part = frames[first * each : (first + n_rows) * each]
         if equalisation is not None:
             part = equalisation.apply(part, rate)
-        found, sound, batches = _sound(part, names, make)
+        found, sound, batches = _sound(part, names, make, each)
         if found and invalid == "raise":
-            _raise_first(found, first, len(part), len(frames))
+            _raise_first(found, first, len(part) // each, len(out))
         out[first + sound] = _measured(batches, names, sound.size)
     return out
 
@@ -260,19 +262,52 @@ def problems_of(
     pre_trigger: int | None = None,
     detection_limit: float = DETECTION_LIMIT,
 ) -> dict[int, str]:
-    """Map each row of frames that cannot be measured to the broken rule, its value and the remedy."""
-    names = tuple(names)
-    return _problems(_batches(frames, sampling_rate, names, pre_trigger, True, detection_limit), names)
+    """Map each row of frames that cannot be measured to the broken rule, its value and the remedy.
+
+    Of frames (n_signals, n_sensors, n_samples) no sensor can be measured.
+    """
+    names, each = tuple(names), 1 if frames.ndim == 2 else frames.shape[1]
+    rows = frames.reshape(-1, frames.shape[-1])
+    return _of_all(_problems(_batches(rows, sampling_rate, names, pre_trigger, True, detection_limit), names), each)
+
+
+def _as_rows(samples: ArrayLike, each: int, names: tuple[str, ...]) -> ArrayLike:
+    """Return samples as rows, those of the `each` sensors of a signal after each other."""
+    if each == 1:
+        return samples
+    if not all(FEATURES[name].beam for name in names):
+        raise InvalidValue(
+            f"features must all look through the beam where it has {each} sensors, got "
+            f"{next(name for name in names if not FEATURES[name].beam)}; leave it out"
+        )
+    frames = validation.plain("samples", samples)
+    if frames.ndim != 3 or frames.shape[1] != each:
+        raise BadData(
+            f"samples must be (n_signals, {each}, n_samples), one row for each of the {each} sensors of the beam, got "
+            f"shape {frames.shape}; give the channels of one recording, or take a model of one sensor"
+        )
+    return frames.reshape(-1, frames.shape[2])
+
+
+def _of_all(found: dict[int, str], each: int) -> dict[int, str]:
+    """Return the problems of signals all of whose sensors, in `each` successive rows, have one."""
+    if each == 1:
+        return found
+    return {row // each: found[row] for row in found if row % each == 0 and found.keys() >= {*range(row, row + each)}}
 
 
 def _sound(
-    frames: NDArray[np.floating], names: tuple[str, ...], make: Callable[[NDArray[np.floating]], Batches]
+    frames: NDArray[np.floating],
+    names: tuple[str, ...],
+    make: Callable[[NDArray[np.floating]], Batches],
+    each: int,
 ) -> tuple[dict[int, str], NDArray[np.intp], Batches]:
-    """Return the problems by row, the rows without a problem, and the batches of these rows."""
+    """Return the problems by signal, the signals without a problem, and the batches of these."""
     batches = make(frames)
-    found = _problems(batches, names)
-    sound = np.delete(np.arange(len(frames)), np.fromiter(found, np.intp))
-    return found, sound, make(frames[sound]) if found else batches
+    found = _of_all(_problems(batches, names), each)
+    sound = np.delete(np.arange(len(frames) // each), np.fromiter(found, np.intp))
+    rows = (sound[:, None] * each + np.arange(each)).ravel()
+    return found, sound, make(frames[rows]) if found else batches
 
 
 def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:

@@ -65,8 +65,13 @@ EARLY_BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000))
 class Beam(Protocol):
     """A beam whose modes are known: `cgid.identification.contact.ThroughBeam`."""
 
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, and of vibrations of one blow."""
+        ...
+
     def measured(self, vibrations: VibrationBatch) -> Mapping[str, Floats]:
-        """Return what it tells of the contact forces, by feature."""
+        """Return what it tells of the contact forces, by feature; the vibrations of one blow follow each other."""
 
 
 class VibrationBatch(Frames):

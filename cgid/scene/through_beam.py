@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import eigh
 
 from cgid.errors import InvalidValue
-from cgid.measure.beam import FINE, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, nodes, points_of
+from cgid.measure.beam import FINE, MOST_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, nodes, points_of
 from cgid.physics.modes import MeasuredModes
 from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import beam_modes, draw
+from cgid.scene.impacts import BeamModes, beam_modes, draw
 from cgid.scene.plan import highest_frequency
-from cgid.scene.schema import Scene
+from cgid.scene.schema import Scene, parse_scene
 from cgid.validation import Floats
 
 #: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
@@ -25,7 +27,7 @@ _GOLDEN = 0.6180339887498949
 _NODES_A_WAVE, _NODES = 4.0, 7
 
 
-def beam_of(scene: Scene, n_shapes: int = N_SHAPES) -> Beam:
+def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[float, float]] = ()) -> Beam:
     """Return the beam of a scene as arrays, with the principal shapes of its contact forces.
 
     Parameters
@@ -34,6 +36,9 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES) -> Beam:
         With a tail beam and one sampling rate.
     n_shapes : int
         Number of principal shapes.
+    sensors : iterable of tuple of two floats, optional [m]
+        Points (x, y) of sensors that record together, each with the scene's sensor chain; by default there is one, at
+        the scene's own point.
 
     Returns
     -------
@@ -42,7 +47,10 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES) -> Beam:
     Raises
     ------
     InvalidValue
-        The scene has no beam, records a force, or draws the band of its recorder.
+        The scene has no beam, records a force, or draws the band of its recorder; or it has measured modes, whose
+        table has one sensor.
+    BadData
+        A sensor is not on the beam.
     """
     if scene.tail_beam is None or scene.sensor.quantity == "force":
         raise InvalidValue(
@@ -51,7 +59,9 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES) -> Beam:
     modes, chain = beam_modes(scene), scene.sensor.filters
     rate = scene.sampling.sampling_rate
     poles = -2 * np.pi * modes.frequency * (modes.damping_ratio - 1j * np.sqrt(1 - modes.damping_ratio**2))
-    participation, region = _participation(scene)
+    at_sensors = _at_sensors(scene, list(sensors))
+    best = np.abs(at_sensors).max(axis=0) if len(at_sensors) > 1 else at_sensors[0]
+    participation, region = _participation(scene, replace(modes, at_sensor=best))
     beam = Beam(
         sampling_rate=rate,
         poles=poles,
@@ -61,6 +71,7 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES) -> Beam:
         derivatives=DERIVATIVES[scene.sensor.quantity],
         shapes=np.zeros((0, points_of(rate))),
         deviations=np.zeros(0),
+        sensors=at_sensors / np.where(best == 0, 1, best) if len(at_sensors) > 1 else None,
     )
     forces = contact_forces(scene)
     heard = filtered(beam, forces)
@@ -102,10 +113,33 @@ def contact_forces(scene: Scene) -> Floats:
     return np.concatenate(found)
 
 
-def _participation(scene: Scene) -> tuple[Floats, Floats]:
+def moved(scene: Scene, point: tuple[float, float]) -> Scene:
+    """Return a scene with its sensor at another point (x, y) [m] of the beam.
+
+    Raises `InvalidValue` if its modes are measured, and `BadData` if the point is not on the beam.
+    """
+    if scene.tail_beam is None or scene.tail_beam.modes is not None:
+        raise InvalidValue(
+            f"scene {scene.name}: must have the dimensions of a beam to move its sensor, measured modes are those of one "
+            "point; leave sensors out, or give length, width, thickness and edges in place of modes"
+        )
+    content = json.loads(scene.text)
+    content["tail_beam"]["sensor_point"] = dict(zip("xy", map(float, point), strict=True))
+    return parse_scene(content, source=f"scene {scene.name} with its sensor elsewhere", folder=scene.folder)
+
+
+def _at_sensors(scene: Scene, points: list[tuple[float, float]]) -> Floats:
+    """Return the shapes of the modes at sensors, (n_sensors, n_modes)."""
+    if not 0 <= len(points) <= MOST_SENSORS:
+        raise InvalidValue(f"sensors must be at most {MOST_SENSORS} points, got {len(points)}; leave some out")
+    scenes = [moved(scene, point) for point in points] or [scene]
+    return np.stack([beam_modes(one).at_sensor for one in scenes])
+
+
+def _participation(scene: Scene, modes: BeamModes) -> tuple[Floats, Floats]:
     """Return the participation of the modes at Chebyshev nodes of the places of blows, and the region of these."""
     assert scene.tail_beam is not None
-    modes, point = beam_modes(scene), scene.tail_beam.impact_point
+    point = scene.tail_beam.impact_point
     gain = scene.sensor.gain or 1.0
     if isinstance(modes.modes, MeasuredModes) or point is None or scene.panel is None:
         at = modes.participation({"x": np.zeros(1)})[0] * gain
