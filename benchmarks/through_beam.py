@@ -2,6 +2,7 @@
 
     python benchmarks/through_beam.py                                  # the shipped model, 4096 impacts a case
     python benchmarks/through_beam.py MODEL -n 8192 --cases tail_beam quarters
+    python benchmarks/through_beam.py --cases sensors                  # one, two and three accelerometers
     python benchmarks/through_beam.py --cases independent              # beams of finite elements
 
 The impacts are from a seed that no training uses. An impact that cannot be measured counts as wrong, and as unknown.
@@ -25,13 +26,26 @@ from cgid.measure.beam import nodes
 from cgid.measure.features import extract_array
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
+from cgid.scene.through_beam import beam_of, moved
 from cgid.signals import Batch
 
 SEED = 777_000_003
 #: Sampling rates [kHz] with the edge of the anti-alias filter [kHz].
 RATES = ((12.8, 5.0), (48.0, 18.75), (51.2, 20.0), (102.4, 40.0))
+#: Places of accelerometers [m]: that of the scene and others; the middle line of the beam is y = .7 m.
+SENSORS = {
+    "off the middle line": ((0.5, 0.45),),
+    "another": ((1.1, 1.0),),
+    "both": ((0.5, 0.45), (1.1, 1.0)),
+    "both and a third": ((0.5, 0.45), (1.1, 1.0), (0.9, 0.2)),
+    "on the middle line": ((0.5, 0.7),),
+    "two on the middle line": ((0.5, 0.7), (1.1, 0.7)),
+    "one on, one off the middle line": ((0.5, 0.7), (1.1, 1.0)),
+}
 #: How long before an impact another one strikes [s].
 GAPS = (10e-3, 30e-3)
+#: A place that is wrong by more is far off [m].
+FAR = 0.05
 _CHUNK = 256
 
 
@@ -86,10 +100,36 @@ def after_another(batches: Iterator[Batch], gap: float) -> Iterator[Batch]:
         before = batch
 
 
+def together(points: Sequence[tuple[float, float]], n: int) -> Iterator[Batch]:
+    """Yield the same impacts as several accelerometers record them, signals (n, n_sensors, n_samples).
+
+    Each has white noise of its own, as loud as that of the scene.
+    """
+    own = changed()
+    quiet = changed(sensor__noise_density=None, sensor__bits=None)
+    noise = float(own.sensor.noise_level(np.zeros(1), own.sampling.sampling_rate)[0])
+    random, scenes = np.random.default_rng(SEED), [moved(quiet, point) for point in points]
+    for batches in zip(*(synthesise(scene, n, SEED) for scene in scenes), strict=True):
+        first = batches[0]
+        assert all((one.parameters["peak_force"] == first.parameters["peak_force"]).all() for one in batches)
+        signals = np.stack([one.signals for one in batches], axis=1)
+        signals = signals + random.normal(0, noise, signals.shape)
+        yield replace(first, signals=signals if len(points) > 1 else signals[:, 0])
+
+
+def several(model: Model, n: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the answers from accelerometers at other points of the beam."""
+    scene = changed()
+    for name, points in SENSORS.items():
+        through = replace(model)
+        through.__dict__["beam"] = ThroughBeam(beam_of(scene, sensors=points))
+        yield f"{len(points)}, {name}", judged(through, together(points, n))
+
+
 def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
     """Return what a model answers for labelled batches."""
     assert model.beam is not None
-    rows: list[Any] = []
+    found: list[Any] = []
     spent = 0.0
     for batch in batches:
         start = time.process_time()
@@ -104,14 +144,15 @@ def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
         likely[sound] = model.probabilities(inputs)
         novelty = np.full(len(batch), np.inf)
         novelty[sound] = model.novelty(inputs, guards)
-        looked, contact = model.beam.look(VibrationBatch(batch.signals, batch.sampling_rate, batch.pre_trigger))
+        rows = batch.signals.reshape(-1, batch.signals.shape[-1])
+        looked, contact = model.beam.look(VibrationBatch(rows, batch.sampling_rate, batch.pre_trigger))
         told = batch.parameters
         apart = np.hypot(looked.x - told["impact_x"], looked.y - told["impact_y"])
         force = np.abs(np.log(contact.peak / told["peak_force"]))
-        energy = np.square(batch.signals).sum(axis=1)
+        energy = np.square(batch.signals).reshape(len(batch), -1).sum(axis=1)
         hit = np.array(model.labels)[likely.argmax(axis=1)] == batch.labels
-        rows.append(np.column_stack([hit & sound, novelty > 1, likely.max(axis=1), apart, force, energy]))
-    hit, unknown, sure, apart, force, energy = np.concatenate(rows).T
+        found.append(np.column_stack([hit & sound, novelty > 1, likely.max(axis=1), apart, force, energy]))
+    hit, unknown, sure, apart, force, energy = np.concatenate(found).T
     return {
         "n": len(hit),
         "accuracy": hit.mean(),
@@ -119,6 +160,7 @@ def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
         "unknown": unknown.mean(),
         "calibration": calibration(sure, hit),
         "place": np.median(apart),
+        "far": np.mean(apart > FAR),
         "peak": np.median(force),
         "us": 1e6 * spent / len(hit),
         "quarters": [hit[part].mean() for part in np.array_split(np.argsort(energy), 4)],
@@ -180,13 +222,15 @@ def batches_of(made: dict[str, Any]) -> Iterator[Batch]:
 def printed(rows: list[tuple[str, dict[str, Any]]]) -> None:
     """Print the table."""
     print(
-        "| impacts | number | accuracy | answered | unknown | calibration error | place, median | peak, median | us |"
+        "| impacts | number | accuracy | answered | unknown | calibration error | place, median | far off | "
+        "peak, median | us |"
     )
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for name, row in rows:
         print(
             f"| {name} | {row['n']} | {row['accuracy']:.3f} | {row['answered']:.3f} | {row['unknown']:.3f} | "
-            f"{row['calibration']:.3f} | {1e3 * row['place']:.1f} mm | {row['peak']:.1%} | {row['us']:.0f} |"
+            f"{row['calibration']:.3f} | {1e3 * row['place']:.1f} mm | {row['far']:.3f} | {row['peak']:.1%} | "
+            f"{row['us']:.0f} |"
         )
 
 
@@ -195,8 +239,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="default-acceleration")
     parser.add_argument("-n", "--signals", type=int, default=4096)
-    kinds = ["tail_beam", "rates", "noise", "ringing", "independent"]
-    parser.add_argument("--cases", nargs="+", default=kinds[:-1], choices=kinds)
+    kinds = ["tail_beam", "rates", "noise", "ringing", "sensors", "independent"]
+    parser.add_argument("--cases", nargs="+", default=kinds[:4], choices=kinds)
     parser.add_argument("--variants", nargs="+", default=["0.001 mindlin", "0.01 mindlin", "0.1 mindlin", "plain"])
     arguments = parser.parse_args()
     model = load_model(arguments.model)
@@ -207,6 +251,8 @@ def main() -> None:
             if kind == "tail_beam":
                 quarters = ", ".join(f"{share:.3f}" for share in rows[-1][1]["quarters"])
                 print(f"accuracy by quarter of the signal's energy, weakest first: {quarters}\n")
+    if "sensors" in arguments.cases:
+        rows += several(model, arguments.signals)
     if "independent" in arguments.cases:
         rows += independent(model, arguments.signals, arguments.variants)
     printed(rows)

@@ -486,19 +486,13 @@ class ThroughBeam:
         """Return rows of vibrations as blows; a sensor without an impact tells nothing of one that others hear."""
         if self.n_sensors == 1:
             return found.by_sensor()
-        fields = {name: getattr(found, name) for name in found.__dataclass_fields__}
         silent = np.zeros(len(found.noise), bool)
         silent[list(vibrations.problems())] = True
         silent &= ~np.repeat(silent.reshape(-1, self.n_sensors).all(axis=1), self.n_sensors)
-        fields["noise"] = np.where(silent, np.inf, found.noise)
+        found.noise[silent] = np.inf
         if found.coefficients is not None:
-            fields["coefficients"] = np.where(silent[:, None], 0.0, found.coefficients)
-        return Sought(
-            **{
-                name: part.reshape(-1, self.n_sensors, *part.shape[1:]) if isinstance(part, np.ndarray) else part
-                for name, part in fields.items()
-            }
-        )
+            found.coefficients[silent] = 0.0
+        return found.changed(lambda array: array.reshape(-1, self.n_sensors, *array.shape[1:]))
 
     def _settled(
         self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: Colour

@@ -13,6 +13,7 @@ plain arrays, so that a model file can hold it; `cgid.scene.through_beam` makes 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -134,8 +135,12 @@ class Rowwise:
 
     def rows(self, rows: NDArray[np.intp] | slice) -> Self:
         """Return some of the rows."""
+        return self.changed(lambda array: array[rows])
+
+    def changed(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
+        """Return the same with each array changed."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return type(self)(**{n: part[rows] if isinstance(part, np.ndarray) else part for n, part in fields.items()})
+        return type(self)(**{n: change(part) if isinstance(part, np.ndarray) else part for n, part in fields.items()})
 
     def replaced(self, rows: NDArray[np.intp], other: Self) -> Self:
         """Return all rows, some of them those of another."""
@@ -183,10 +188,7 @@ class Sought(Rowwise):
 
     def by_sensor(self) -> Sought:
         """Return the same with an axis of sensors."""
-        if self.noise.ndim == 2:
-            return self
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return Sought(**{n: part[:, None] if isinstance(part, np.ndarray) else part for n, part in fields.items()})
+        return self if self.noise.ndim == 2 else self.changed(lambda array: array[:, None])
 
     @property
     def level(self) -> Floats:
@@ -433,8 +435,7 @@ class Inversion:
         return Inverted(start=begun, noise=sought.level, **found)
 
     def _weights(self, sought: Sought) -> tuple[Singles, Floats]:
-        """Return the weight of each coefficient over `Sought.level`, (n, n_coefficients), and exponents of noise, (n,).
-        """
+        """Return the weight of each coefficient over `Sought.level`, (n, n_coefficients), and noise exponents, (n,)."""
         (n, n_sensors), n_bins = sought.noise.shape, self.bins.stop - self.bins.start
         weight, exponent = np.ones((n, n_sensors, 2 * n_bins)), np.zeros((n, n_sensors))
         if sought.coefficients is not None and sought.innovation is not None and sought.coefficients.any():
@@ -534,12 +535,11 @@ class Inversion:
         return out
 
     def _fainter(self, weight: Singles) -> NDArray[np.intp]:
-        """Return how many times `_RATIO` louder the noise of each sensor is than that of the quietest, (n, n_sensors).
-        """
+        """Return the powers of `_RATIO` by which each sensor is noisier than the quietest, (n, n_sensors)."""
         n_sensors = self.beam.n_sensors
         power = weight.reshape(len(weight), n_sensors, -1).mean(axis=2, dtype=np.float64)
         ratio = np.maximum(power, 1e-300) / np.maximum(power.max(axis=1, keepdims=True), 1e-300)
-        return np.minimum(np.round(-np.log(ratio) / np.log(_RATIO)), _FAINTEST).astype(np.intp)
+        return np.asarray(np.minimum(np.round(-np.log(ratio) / np.log(_RATIO)), _FAINTEST).astype(np.intp))
 
     def _refined(self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats) -> dict[str, Any]:
         """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid."""

@@ -163,7 +163,7 @@ def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: 
     noise = np.sqrt(np.mean((before - middle) ** 2, axis=-1))
     signal = np.sqrt(np.mean(start**2, axis=-1))
     found = np.asarray(np.divide(signal, noise, out=np.full(noise.shape, np.inf), where=noise > 0))
-    return found.reshape(len(frames), -1).max(axis=1)
+    return np.asarray(found.reshape(len(frames), -1).max(axis=1))
 
 
 @dataclass(frozen=True, kw_only=True)

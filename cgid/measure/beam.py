@@ -194,11 +194,12 @@ class Beam:
         most = (_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES, _MOST_NODES, MOST_SENSORS)
         few = all(one <= limit for one, limit in zip(counts, most, strict=True))
         if not few or not bounded(n_modes, n_shapes, self.n_sensors * self.n_samples, self.region):
+            n_samples, sides = n_modes * n_shapes * self.n_sensors * self.n_samples, np.diff(self.region)[::2]
             raise BadData(
                 f"a beam must have at most {MOST_MODES} modes, {_MOST_SHAPES} shapes, {_MOST_NODES} nodes in a "
                 f"direction, {MOST_SENSORS} sensors, {MOST_NUMBERS} samples of all responses and {MOST_PLACES} places, "
                 f"got {n_modes} modes, {n_shapes} shapes, {' x '.join(map(str, counts[2:4]))} nodes, {self.n_sensors} "
-                f"sensors, {n_modes * n_shapes * self.n_sensors * self.n_samples} samples and a region of {' x '.join(f'{side:g} m' for side in np.diff(self.region)[::2])}"
+                f"sensors, {n_samples} samples and a region of {' x '.join(f'{side:g} m' for side in sides)}"
             )
 
 

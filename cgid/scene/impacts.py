@@ -77,6 +77,10 @@ def beam_modes(scene: Scene) -> BeamModes:
     return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
 
 
+#: The modes of a panel, which do not depend on where its sensor is; cached.
+_panel_modes = lru_cache(maxsize=16)(TailBeam.modes)
+
+
 @lru_cache(maxsize=16)
 def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float) -> BeamModes:
     if panel is None:
@@ -84,7 +88,7 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
         return _learned(section, BeamModes(section.measured, np.asarray(section.measured.shape_sensor)))
     assert section.sensor_point is not None
     try:
-        modes = panel.modes(highest)
+        modes = _panel_modes(panel, highest)
     except InvalidValue as error:
         raise InvalidValue(
             f"tail_beam: {error}; that frequency follows from sensor.anti_alias.frequency, or else from "

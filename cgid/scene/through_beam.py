@@ -120,8 +120,8 @@ def moved(scene: Scene, point: tuple[float, float]) -> Scene:
     """
     if scene.tail_beam is None or scene.tail_beam.modes is not None:
         raise InvalidValue(
-            f"scene {scene.name}: must have the dimensions of a beam to move its sensor, measured modes are those of one "
-            "point; leave sensors out, or give length, width, thickness and edges in place of modes"
+            f"scene {scene.name}: must have the dimensions of a beam to move its sensor, measured modes are those of "
+            "one point; leave sensors out, or give length, width, thickness and edges in place of modes"
         )
     content = json.loads(scene.text)
     content["tail_beam"]["sensor_point"] = dict(zip("xy", map(float, point), strict=True))

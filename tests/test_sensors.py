@@ -1,0 +1,221 @@
+"""Several accelerometers of one beam, against dense covariances, one accelerometer, and what truly happened."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid.errors import BadData, InvalidValue
+from cgid.identification.answers import identify_frames
+from cgid.identification.contact import ThroughBeam
+from cgid.identification.inversion import Inversion, Inverted, Sought
+from cgid.identification.model import Model
+from cgid.identification.rows import BEAM_FEATURES
+from cgid.identification.training import train
+from cgid.measure.beam import Beam, filtered, lagrange, respond
+from cgid.measure.features import extract_array
+from cgid.measure.vibration import VibrationBatch
+from cgid.scene import load_scene, synthesise, varied
+from cgid.scene.impacts import beam_modes
+from cgid.scene.through_beam import _at_sensors, beam_of, moved
+from cgid.signals import Batch
+from tests.hostile_models import beam_arrays
+from tests.test_inversion import basis, eight_modes
+
+SEED, N = 2024, 96
+#: Off the middle line of the beam (y = .7 m), and on it.
+OFF, ON = ((0.5, 0.45), (1.1, 1.0)), ((0.5, 0.7), (1.1, 0.7))
+
+
+def of_sensors(*shares: float) -> Inversion:
+    """The small beam of eight modes with sensors that hear some modes more than others."""
+    order = np.arange(1, 9)
+    sensors = np.stack([np.cos(share * order) for share in shares])
+    return Inversion(replace(eight_modes().beam, sensors=sensors))
+
+
+def dense(inversion: Inversion, x: float, y: float) -> np.ndarray:
+    """Samples of each shape at a place, (n_sensors, n_samples, n_shapes), of the frequencies that tell."""
+    beam = inversion.beam
+    along = lagrange(beam.participation.shape[1], *beam.region[:2], np.array([x]))[0][0]
+    across = lagrange(beam.participation.shape[2], *beam.region[2:], np.array([y]))[0][0]
+    at = np.einsum("mxy,x,y->m", beam.participation, along, across)
+    forces = filtered(beam, beam.shapes * beam.deviations[:, None])
+    samples = np.einsum("sm,m,mkt->stk", beam.shares, at, respond(beam, forces, inversion.n_samples))
+    own = basis(inversion)
+    return own.T @ (own @ samples)
+
+
+@pytest.mark.parametrize("louder", [1.0, 3.0])
+def test_the_samples_of_two_sensors_are_one_gaussian(louder: float) -> None:
+    """Evidence and what is told of the force, against dense covariances in time; the second sensor may be louder."""
+    inversion, random, n = of_sensors(0.3, 1.7), np.random.default_rng(3), 30.0
+    own = basis(inversion)
+    noise = np.array([1.0, louder])
+    blow = dense(inversion, 0.927, 0.302) @ random.normal(size=4)
+    frames = n * blow / np.std(blow) + noise[:, None] * (random.normal(size=(2, len(own))) @ own)
+    found = inversion.invert(Sought(frames[None], noise[None]), np.array([[3, 3]]))
+    assert found.start[0] == 0
+    assert found.x[0] == pytest.approx(0.927, abs=3e-3)
+    assert found.y[0] == pytest.approx(0.302, abs=1e-3)
+    x, y, force, step = found.x[0], found.y[0], found.coefficients[0], 1e-5
+    both = (dense(inversion, x, y) / noise[:, None, None]).reshape(-1, 4)
+    sides = [
+        (dense(inversion, x + a, y + b) - dense(inversion, x - a, y - b)) @ force / (2 * step) / noise[:, None]
+        for a, b in ((step, 0.0), (0.0, step))
+    ]
+    slopes = np.stack([side.ravel() for side in sides], axis=1)
+    sample = (frames / noise[:, None]).ravel()
+    free = np.eye(sample.size) + 0.1**2 * slopes @ slopes.T
+    information, vector = both.T @ np.linalg.solve(free, both), both.T @ np.linalg.solve(free, sample)
+    np.testing.assert_allclose(found.information[0], information, rtol=2e-3, atol=1e-4 * np.abs(information).max())
+    np.testing.assert_allclose(found.vector[0], vector, rtol=2e-3, atol=1e-4 * np.abs(vector).max())
+    levels = inversion._coarse(0.0)[1]
+    gains = []
+    for level in levels:
+        covariance = np.eye(sample.size) + level**2 * both @ both.T
+        quadratic = sample @ sample - sample @ np.linalg.solve(covariance, sample)
+        gains.append(0.5 * quadratic - 0.5 * np.linalg.slogdet(covariance)[1])
+    assert found.evidence[0] * sample.size == pytest.approx(max(gains), rel=1e-3)
+
+
+def test_a_sensor_twice_is_one_with_less_noise() -> None:
+    """Two records of the same samples, of noise .5 and 1 / sqrt(12), tell what one of noise .25 tells."""
+    one, random = eight_modes(), np.random.default_rng(5)
+    two = Inversion(replace(one.beam, sensors=np.ones((2, 8))))
+    places = zip(random.uniform(0.82, 0.98, 20), random.uniform(0.22, 0.38, 20), strict=True)
+    blows = np.stack([dense(one, x, y)[0] @ random.normal(size=4) for x, y in places])
+    own = basis(one)
+    frames = 20 * blows / np.std(blows, axis=1, keepdims=True) + random.normal(size=(20, len(own))) @ own
+    start = np.full((20, 2), 3)
+    single = one.invert(Sought(frames, np.full(20, 0.25)), start)
+    for parts in ((8.0, 8.0), (4.0, 12.0), (1e-12, 16.0)):
+        noise = np.tile(np.array(parts) ** -0.5, (20, 1))
+        both = two.invert(Sought(np.stack([frames, frames], axis=1), noise), start)
+        np.testing.assert_allclose(both.x, single.x, atol=1e-4)
+        np.testing.assert_allclose(both.y, single.y, atol=1e-4)
+        np.testing.assert_allclose(both.place_deviation, single.place_deviation, rtol=2e-2)
+        scale = both.noise[:, None] * both.coefficients
+        expected = single.noise[:, None] * single.coefficients
+        np.testing.assert_allclose(scale, expected, atol=1e-2 * np.abs(expected).max())
+
+
+@functools.cache
+def beam_at(*points: tuple[float, float]) -> ThroughBeam:
+    return ThroughBeam(beam_of(load_scene("tail_beam"), sensors=points))
+
+
+def alone(number: int) -> ThroughBeam:
+    """One of the sensors that are off the middle line."""
+    beam = beam_at(*OFF).beam
+    return ThroughBeam(
+        replace(beam, participation=beam.participation * beam.shares[number][:, None, None], sensors=None)
+    )
+
+
+def features_of(signals: np.ndarray, batch: Batch, beam: ThroughBeam) -> np.ndarray:
+    return extract_array(
+        signals, batch.sampling_rate, BEAM_FEATURES, pre_trigger=batch.pre_trigger, beam=beam, invalid="nan"
+    )
+
+
+@functools.cache
+def looked(points: tuple[tuple[float, float], ...]) -> tuple[Batch, Inverted, np.ndarray]:
+    """Impacts of the shipped scene at several sensors, each with its own noise; what is found, and the features."""
+    scene, random = load_scene("tail_beam"), np.random.default_rng(1)
+    noise = float(scene.sensor.noise_level(np.zeros(1), scene.sampling.sampling_rate)[0])
+    quiet = varied(scene, noise_density=None, bits=None)
+    batches = [next(iter(synthesise(moved(quiet, point), N, SEED))) for point in points]
+    signals = np.stack([batch.signals for batch in batches], axis=1)
+    batch = replace(batches[0], signals=signals + random.normal(0, noise, signals.shape))
+    rows = VibrationBatch(batch.signals.reshape(-1, signals.shape[2]), batch.sampling_rate, batch.pre_trigger)
+    return batch, beam_at(*points).look(rows)[0], features_of(batch.signals, batch, beam_at(*points))
+
+
+def far(points: tuple[tuple[float, float], ...]) -> np.ndarray:
+    batch, inverted, _ = looked(points)
+    return np.hypot(inverted.x - batch.parameters["impact_x"], inverted.y - batch.parameters["impact_y"])
+
+
+def test_two_sensors_on_the_middle_line_cannot_tell_a_side() -> None:
+    """But the force is right on either side, and two sensors off that line find the place."""
+    assert np.median(far(OFF)) < 1e-3
+    assert np.mean(far(OFF) < 0.02) > 0.97
+    batch, inverted, values = looked(ON)
+    mirrored = np.abs(inverted.y + batch.parameters["impact_y"] - 1.4) < 5e-3
+    assert 0.25 < np.mean(mirrored) < 0.75
+    assert np.mean(mirrored | (far(ON) < 0.02)) > 0.95
+    for points in (ON, OFF):
+        batch, _, values = looked(points)
+        assert np.median(np.abs(np.log(values[:, 0] / batch.parameters["peak_force"]))) < 0.01
+
+
+def test_two_sensors_tell_more_than_one() -> None:
+    """Deviations of the peak as of measurements that are independent."""
+    batch, _, both = looked(OFF)
+    single = [features_of(batch.signals[:, k], batch, alone(k))[:, 3] for k in range(2)]
+    expected = np.sqrt(1 / (single[0] ** -2 + single[1] ** -2))
+    assert np.median(both[:, 3] / expected) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_dead_sensor_is_left_out() -> None:
+    """A cable that fell off gives zeros: the answers are those of the other sensor."""
+    batch, _, _ = looked(OFF)
+    signals, pair = batch.signals.copy(), beam_at(*OFF)
+    signals[:, 1] = 0.0
+    both, one = features_of(signals, batch, pair), features_of(signals[:, 0], batch, alone(0))
+    assert np.median(np.abs(np.log(both[:, 0] / one[:, 0]))) < 1e-3
+    assert np.median(np.abs(np.log(both[:, 3] / one[:, 3]))) < 0.02
+    signals[:5] = 0.0
+    found = features_of(signals, batch, pair)
+    assert np.isnan(found[:5]).all()
+    assert np.isfinite(found[5:]).all()
+    with pytest.raises(BadData, match=r"signal 0: no impact: all samples are 0.*\(5 of signals 0 to 95 "):
+        extract_array(signals, batch.sampling_rate, BEAM_FEATURES, pre_trigger=batch.pre_trigger, beam=pair)
+
+
+def test_the_first_sensor_is_the_beam_itself() -> None:
+    """A sensor at the scene's point hears what that of the scene does, and others what the shapes there say."""
+    scene, both = load_scene("tail_beam"), beam_at(*OFF).beam
+    assert all((at == own).all() for at, own in zip(_at_sensors(scene, [OFF[0]]), _at_sensors(scene, []), strict=True))
+    for number, point in enumerate(OFF):
+        modes = beam_modes(moved(scene, point))
+        x, y = np.array([0.9, 1.3]), np.array([0.3, 1.1])
+        true = modes.participation({"impact_x": x, "impact_y": y})
+        found = both.weights(x, y)[0] * both.shares[number]
+        np.testing.assert_allclose(found, true, atol=1e-3 * np.abs(true).max())
+
+
+def test_a_model_of_two_sensors(tmp_path: Path) -> None:
+    batch, _, _ = looked(OFF)
+    model = train([batch], beam=beam_at(*OFF).beam).model
+    path = tmp_path / "pair.npz"
+    path.write_bytes(model.to_bytes())
+    loaded = Model.load(path)
+    assert loaded.to_bytes() == path.read_bytes()
+    assert loaded.beam is not None and loaded.beam.n_sensors == 2
+    answers = identify_frames(batch.signals[:20], batch.sampling_rate, loaded, pre_trigger=batch.pre_trigger)
+    labels = [max(answer.probabilities, key=lambda label: answer.probabilities[label]) for answer in answers]
+    assert np.mean(np.array(labels) == batch.labels[:20]) > 0.7
+    with pytest.raises(BadData, match=r"must be \(n_signals, 2, n_samples\), one row for each of the 2 sensors"):
+        identify_frames(batch.signals[:, 0], batch.sampling_rate, loaded, pre_trigger=batch.pre_trigger)
+
+
+def test_what_sensors_must_be() -> None:
+    scene = load_scene("tail_beam")
+    with pytest.raises(BadData, match=r"sensor_point.x must lie on the beam, between 0 and 1.6 m, it can be 9 m"):
+        beam_of(scene, sensors=[(0.5, 0.45), (9.0, 0.1)])
+    with pytest.raises(InvalidValue, match="sensors must be at most 16 points, got 17"):
+        beam_of(scene, sensors=[(0.5, 0.45)] * 17)
+    with pytest.raises(InvalidValue, match="must all look through the beam where it has 2 sensors, got level_total"):
+        extract_array(np.zeros((1, 2, 99)), 8e3, ["level_total"], beam=ThroughBeam(of_sensors(1, 2).beam))
+    arrays = beam_arrays(sensors=np.ones((2, 3)))
+    found = Beam.from_arrays(arrays)
+    assert found is not None and found.n_sensors == 2
+    for wrong in (np.ones((2, 4)), np.ones(3), np.zeros((2, 3)), np.full((2, 3), 1e9), np.ones((17, 3))):
+        with pytest.raises(BadData):
+            Beam.from_arrays(arrays | {"beam.sensors": wrong})
