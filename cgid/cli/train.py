@@ -312,6 +312,7 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
             slicing=slicing,
             reading=Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"]),
             level_free=options["level_free"],
+            augment=True,
             progress=progress,
         )
     rows, synthetic = _with_synthetic(others, rows, options) if others else (rows, None)

@@ -233,7 +233,7 @@ class Model:
         """
         distance = self.distance(inputs)
         if guards is None and not self.guards:
-            return distance
+            guards = np.empty((len(inputs), 0))
         guards = None if guards is None else validation.plain("guards", guards)
         rows = len(inputs), len(self.guards)
         if guards is None or guards.shape != rows or not np.isfinite(guards).all():
@@ -244,15 +244,21 @@ class Model:
         novelty = np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
         return novelty if self.contrast is None else np.maximum(novelty, self._contrast(inputs, guards))
 
+    def drowned(self, inputs: Floats) -> Floats:
+        """Return the part of the novelty of windows that is due to noise, (n_windows,); 0 if nothing taught that."""
+        if self.contrast is None or self.kind != "window":
+            return np.zeros(len(inputs))
+        return self._contrast(inputs, np.empty((len(inputs), 0)))
+
     def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
         assert self.contrast is not None
-        rows = np.hstack([np.asarray(inputs, np.float64)[:, : len(self.features)], guards])
-        return _in_blocks(self.contrast.novelty, rows, self.contrast.network.width)
+        own = np.asarray(inputs, np.float64)[:, : len(self.inputs) - len(self.known)]
+        return _in_blocks(self.contrast.novelty, np.hstack([own, guards]), self.contrast.scorer.width)
 
     @cached_property
     def contrast(self) -> Contrast | None:
         """What tells the training from anything else; None if the training had no strangers."""
-        return Contrast.from_arrays(self.arrays, len(self.features) + len(self.guards))
+        return Contrast.from_arrays(self.arrays, len(self.inputs) - len(self.known) + len(self.guards))
 
     @cached_property
     def beam(self) -> ThroughBeam | None:

@@ -31,7 +31,9 @@ from cgid.identification.grouped import (
     choose_candidate,
     final,
     in_blocks_of_time,
+    groups_of_a_label,
     judge,
+    noise_guard,
     require_groups,
 )
 from cgid.identification.metrics import evaluate, evaluate_recordings, evaluate_sets
@@ -456,9 +458,11 @@ def _left_out(
         lesson = together
     judged = judge(lesson, progress, crew)
     choice = choose_candidate(lesson, crew)
+    own = rows[rows.is_recorded]
     recorded = {
         "by": rows.slicing.by,
         "n_groups": len(np.unique(rows.group)),
+        "groups_of_a_label": groups_of_a_label(rows),
         "n_recordings": len(rows.sources),
         "class_weights": lesson.weights,
         "candidates": _comparison(lesson.candidates, choice, judged.chosen),
@@ -470,10 +474,11 @@ def _left_out(
     return _trained(
         rows,
         final(lesson, choice, crew),
-        (rows.labels, judged.probabilities),
-        evaluate_recordings(rows, judged.probabilities),
-        {**record, "n_train": len(rows.labels), "recorded": recorded},
+        (own.labels, judged.probabilities),
+        evaluate_recordings(own, judged.probabilities),
+        {**record, "n_train": len(own.labels), "recorded": recorded},
         features=lesson.candidates[choice.best].features,
+        contrast=noise_guard(lesson, choice, crew),
     )
 
 
