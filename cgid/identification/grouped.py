@@ -23,7 +23,9 @@ from cgid.identification.classifier import ImpactClassifier, best_temperature, n
 from cgid.identification.events import EVENT_TIME
 from cgid.identification.families import Contrast, Neighbourhood, softmax
 from cgid.identification.metrics import paired_difference
+from cgid.identification.model import FEWEST_GROUPS
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
+from cgid.identification.windows import CLEAR
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -161,7 +163,10 @@ def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     # After n rows that all were right, the next one is wrong with this probability (Laplace).
     doubt = 1 / (len(truth) + 2)
     temperature = best_temperature(scores[best], truth, weights, doubt)
-    return Choice(best, accuracies, temperature ** (1 - 1 / groups_of_a_label(rows)))
+    # A fold leaves out one of n groups of a label, so its model is less certain than that of all. What few groups do
+    # not determine goes as one over their number, and so does the logarithm of the temperature, unless doubt sets it.
+    n_groups = np.inf if hits[best].all() else np.mean(list(groups_of_labels(rows).values()))
+    return Choice(best, accuracies, float(temperature ** (1 - 1 / n_groups)))
 
 
 def smallest_as_good(
@@ -178,15 +183,21 @@ def smallest_as_good(
     return min(good, key=lambda k: len(candidates[k].features))
 
 
-def groups_of_a_label(rows: Rows) -> float:
-    """Return the number of groups in which a label lies, in the mean over the labels.
+def groups_of_labels(rows: Rows) -> dict[str, int]:
+    """Return the number of groups in which each label was recorded."""
+    labels, group = rows.labels[rows.group >= 0], rows.group[rows.group >= 0]
+    return {str(label): len(np.unique(group[labels == label])) for label in np.unique(labels)}
 
-    A fold leaves out one of n groups of a label, so its model is less certain than that of all groups. What few groups
-    do not determine of a label goes as one over their number, and so does the logarithm of the temperature: that of
-    n - 1 groups to the power of (n - 1) / n is that of n.
-    """
-    own = rows.group >= 0
-    return float(np.mean([len(np.unique(rows.group[own & (rows.labels == one)])) for one in np.unique(rows.labels)]))
+
+def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
+    """Return a warning if a label has too few groups for an interval that holds beyond them, else nothing."""
+    label = min(counts, key=lambda one: counts[one])
+    if counts[label] >= FEWEST_GROUPS:
+        return []
+    return [
+        f"label {label} has {counts[label]} groups of recordings (days, supports); with fewer than {FEWEST_GROUPS} of "
+        "each label the next day may be much worse than the intervals say; add recordings of other days"
+    ]
 
 
 def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
@@ -221,13 +232,17 @@ def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassi
 
 
 def noise_guard(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> Contrast | None:
-    """Return what tells windows drowned in noise, which clear ones of held-out groups pass; None without copies."""
+    """Return what tells windows drowned in noise, which none of held-out groups is; None without noisy copies.
+
+    Its limit is what recorded windows keep, but no less noise than that of copies that teach their label.
+    """
     if not np.isfinite(lesson.rows.snr).any():
         return None
     only = replace(lesson, candidates=(lesson.candidates[choice.best],))
     folds = list(leave_groups_out(lesson.rows.labels, lesson.rows.group, lesson.seed))
     scores = np.concatenate(list(crew.each(_noise_scores, only, folds)))
-    return replace(_contrast(only, lesson.rows), limit=float(np.quantile(scores, Neighbourhood.INSIDE)))
+    limit = max(float(np.quantile(scores, Neighbourhood.INSIDE)), -CLEAR * np.log(10) / 10)
+    return replace(_contrast(only, lesson.rows), limit=limit)
 
 
 # -- one fold, in any process -----------------------------------------------------------------------------

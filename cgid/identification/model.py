@@ -50,6 +50,8 @@ LARGEST_FILE = 64 << 20
 _LONGEST_MESSAGE = 400
 #: A beam is looked through at sampling rates from this share of the training's on.
 LOWEST_SHARE = 0.5
+#: Fewest groups of recordings of a label whose spread shows how much the next one may differ (assumed).
+FEWEST_GROUPS = 5
 #: Limit of the numbers held in memory during prediction.
 _MOST_HELD = 1 << 20
 
@@ -149,6 +151,12 @@ class Model:
     def quantity(self) -> str:
         """Quantity of the training signals."""
         return quantity_of(self.unit)
+
+    @property
+    def is_of_few(self) -> bool:
+        """Whether a label was recorded in so few groups that the next day may be much worse than the intervals say."""
+        recorded = self.training.get("recorded", {})
+        return bool(recorded.get("fewest_groups", FEWEST_GROUPS) < FEWEST_GROUPS)
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -312,6 +312,8 @@ def check_training(model: Model) -> None:
                 raise BadData(f"{name} must be numbers of shape {shape} up to {_LARGEST_NUMBER:g}")
     if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
         raise BadData("confusion must count at least one impact")
+    if "fewest_groups" in recorded:
+        validation.count("fewest_groups", recorded["fewest_groups"])
     for weights in (training.get("class_weights"), recorded.get("class_weights")):
         if isinstance(weights, Mapping):
             numbers = validation.positive("class_weights", list(weights.values()))

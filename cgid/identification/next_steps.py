@@ -174,8 +174,8 @@ class Hint:
 
     Attributes
     ----------
-    cause : one word for programs: noise, drowned, amplitude, duration, sampling_rate, clipped, cut_off, overlapping, vibration,
-        shape, upside_down, features, coverage or unmeasured
+    cause : one word for programs: noise, drowned, amplitude, duration, sampling_rate, clipped, cut_off, overlapping,
+        vibration, shape, upside_down, features, coverage or unmeasured
     reason : in words
     advice : what to do
     commands : the next commands, in order
