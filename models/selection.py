@@ -10,7 +10,7 @@ import argparse
 import pickle
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -26,7 +26,6 @@ from cgid import shipped, validation
 from cgid.errors import InvalidValue
 from cgid.identification.card import plain, table
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.grouped import preferred
 from cgid.identification.metrics import evaluate, paired_difference
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, linear_columns, measure
@@ -118,6 +117,15 @@ def select(
         rows.append({**row, "difference": difference, "standard_error": error})
     best = preferred([row["accuracy"] for row in rows], MARGIN)
     return [{**row, "chosen": k == best} for k, row in enumerate(rows)]
+
+
+def preferred(accuracies: Sequence[float], margin: float) -> int:
+    """Return the best of some candidates; a later one must be better than an earlier one by the margin."""
+    best = 0
+    for k, accuracy in enumerate(accuracies):
+        if accuracy > accuracies[best] + margin:
+            best = k
+    return best
 
 
 def _judge(

@@ -34,6 +34,7 @@ from cgid.identification.grouped import (
     judge,
     leave_groups_out,
     require_groups,
+    smallest_as_good,
 )
 from cgid.identification.labelled_recordings import Reading, record
 from cgid.identification.manifest import read_manifest
@@ -43,7 +44,7 @@ from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for, 
 from cgid.identification.share import wilson_interval
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.training import train
-from cgid.identification.windows import Grid, RunningVote, measure_windows, windows_of
+from cgid.identification.windows import CLEAR, Grid, NoisyCopies, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
@@ -852,6 +853,97 @@ def test_leave_one_recording_out_on_real_bulk(real_data: Path, tmp_path: Path) -
         classifier.fit(rows.features[~fold], rows.labels[~fold])
         hits.append(classifier.predict(rows.features[fold]) == rows.labels[fold])
     assert np.concatenate(hits).mean() >= 0.87
+
+
+# -- few recordings, and noise ----------------------------------------------------------------------------
+
+
+def test_noisy_copies_are_as_noisy_as_they_say_whatever_the_blocks() -> None:
+    windows = np.random.default_rng(3).normal(size=(5, 2, 4000)) * np.array([1.0, 30.0])[:, None]
+    copies = [*NoisyCopies((1, 2)).of(windows)]
+    again = NoisyCopies((1, 2))
+    for (snr, noisy), (same, equal) in zip(copies, [*again.of(windows[:2]), *again.of(windows[2:])], strict=True):
+        assert (snr == same).all() and (noisy == equal).all()
+    for window, (snr, noisy) in zip(windows, copies, strict=True):
+        assert (snr >= CLEAR).tolist() == [True, True, False]
+        gain = (noisy * window).sum(axis=2) / (window**2).sum(axis=1)  # noise and window are independent
+        noise = (noisy - gain[:, :, None] * window).var(axis=2)
+        clear = snr > 0
+        told = 10 * np.log10(gain**2 * window.var(axis=1) / noise)
+        np.testing.assert_allclose(told[clear], np.repeat(snr[clear, None], 2, axis=1), atol=1.5)
+        assert (np.abs(20 * np.log10(gain[clear])) < 4).all()
+
+
+def test_noisy_copies_neither_judge_nor_count(folder: Path, recorded: Rows) -> None:
+    noisy = record(read_manifest(folder / "good.csv"), NAMES, augment=True)
+    own = noisy[noisy.is_recorded]
+    np.testing.assert_array_equal(own.features, recorded.features)
+    assert len(noisy.labels) == 4 * len(own.labels) and noisy.left_out == 0
+    assert (noisy[~noisy.is_clear].snr < CLEAR).all()
+    training = train(noisy, features=NAMES)
+    assert training.metrics["n_impacts"] == training.model.training["n_train"] == len(own.labels)
+    assert training.test_probabilities.shape == (len(own.labels), 2)
+
+
+@pytest.mark.parametrize("n_channels", [1, 2])
+def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, capsys: Any) -> None:
+    """Bands of a rustle are clear at 30 dB, and drowned where noise is as strong; the model says why."""
+    rows = []
+    for number in range(6):
+        label = ("coal", "gangue")[number % 2]
+        np.save(tmp_path / f"{number}.npy", flow(label, number, n_channels=n_channels))
+        rows.append(f"{number}.npy,{label},{RATE},g\n")
+    (tmp_path / "m.csv").write_text("path,label,rate,unit\n" + "".join(rows))
+    channels = [option for number in range(n_channels) for option in ("--channel", str(number + 1))]
+    bands = ",".join(f"window_relative_mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres[2:20])
+    arguments = ["train", str(tmp_path / "m.csv"), "-o", str(tmp_path / "m.npz"), "--by", "window", *channels]
+    assert run([*arguments, "--features", bands]) == 0
+    said = capsys.readouterr()
+    assert "for recordings like these" in said.out
+    assert "label coal has 3 groups of recordings (days, supports); with fewer than 5" in said.err
+    assert "With fewer than 5 groups of a label the next day may be much worse" in (tmp_path / "m.md").read_text()
+    clear, white = flow("coal", 77, 2.0, n_channels), np.random.default_rng(8).normal(size=(n_channels, 2 * RATE))
+    for share, is_drowned in ((1e-3, False), (1.0, True)):
+        np.save(tmp_path / "new.npy", clear + white * clear.std() * share**0.5)
+        predict = ["predict", str(tmp_path / "new.npy"), "--model", str(tmp_path / "m.npz"), "--rate", str(RATE)]
+        assert run([*predict, "--unit", "g", "--vote", "0", "--json", *channels]) == 0
+        said = capsys.readouterr()
+        assert "the model knows few recordings of each label" in said.err
+        lines = [json.loads(line) for line in said.out.splitlines()]
+        windows = [line for line in lines if line["kind"] == "window"]
+        assert {line["label"] == "unknown" for line in windows} == {is_drowned}
+        hints = [line["cause"] for line in lines if line["kind"] == "hint"]
+        assert hints == (["drowned"] * is_drowned)
+    harm = Model.load(tmp_path / "m.npz")
+    with pytest.raises(BadData, match=r"contrast\.mean must have shape"):
+        replace(harm, arrays={**harm.arrays, "contrast.mean": np.zeros(3)})
+    recorded = {**harm.training["recorded"], "fewest_groups": "many"}
+    with pytest.raises(InvalidValue, match="fewest_groups must be"):
+        replace(harm, training={**harm.training, "recorded": recorded})
+
+
+def test_the_smallest_set_that_is_as_good_is_taken() -> None:
+    """Of 8 groups the large set gains all in one, which is chance; or a fifth in each, which is not."""
+    group = np.repeat(np.arange(8), 10)
+    sets = [Candidate(name=str(n), features=tuple("x" * n), family="linear") for n in (9, 2, 4)]
+    small = np.tile(np.arange(10) < 7, 8)
+    lucky, better = small | (group == 3), np.tile(np.arange(10) < 9, 8)
+    lucky[50] = False
+    for large, taken in ((lucky, 1), (better, 0)):
+        hits = np.stack([large, small, small])
+        assert smallest_as_good(sets, hits.mean(axis=1).tolist(), hits, group) == taken
+
+
+@pytest.mark.long
+def test_few_recordings_are_as_sure_as_they_are_right(real_data: Path, tmp_path: Path) -> None:
+    """The first two recordings of each material of the ramp teach, the third judges: as it is, and in white noise."""
+    from benchmarks.ramp import fold
+
+    files = sorted((real_data / "bulk_ramp").glob("*_[123].wav"))
+    for cells in fold(files, "3", 1, tmp_path):
+        assert float(cells[5]) <= 0.08
+        assert float(cells[6]) >= float(cells[7]) - 0.01
+        assert cells[-1] == "5 of 5"
 
 
 # -- reference runs ---------------------------------------------------------------------------------------

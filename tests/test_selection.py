@@ -13,14 +13,13 @@ from cgid.errors import InvalidValue
 from cgid.identification.card import write_card
 from cgid.identification.classifier import FAMILIES as EXPORTABLE
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.grouped import preferred
 from cgid.identification.metrics import paired_difference
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
 from cgid.identification.training import train
 from cgid.scene import Scene, synthesise
 from models.domain_shift import domain_shift_table
-from models.selection import FAMILIES, MARGIN, Family, select, selection_section, selection_table
+from models.selection import FAMILIES, MARGIN, Family, preferred, select, selection_section, selection_table
 from tests import few
 
 FEATURES = ("peak_force", "width_50", "tilt")

@@ -439,6 +439,12 @@ def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, qu
             f"this one; give --sensor NAME if it is one of {known}",
             err=True,
         )
+    if model.is_of_few:
+        say(
+            f"cgid: warning: {source}: the model knows few recordings of each label; its probabilities hold for "
+            "recordings like those, the next day may be much worse",
+            err=True,
+        )
     low, high = model.sampling_rates
     if not model.covers(sampling_rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"

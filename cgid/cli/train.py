@@ -312,6 +312,7 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
             slicing=slicing,
             reading=Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"]),
             level_free=options["level_free"],
+            augment=True,
             progress=progress,
         )
     rows, synthetic = _with_synthetic(others, rows, options) if others else (rows, None)
@@ -367,7 +368,8 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     if as_json:
         print_json({"model": str(path), **metrics})
         return
-    say(f"accuracy {_share(metrics)}")
+    like = " for recordings like these" if "recorded" in about else ""
+    say(f"accuracy {_share(metrics)}{like}")
     for vote in metrics.get("running", []):
         told = f"{_share(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
         say(f"running vote over {vote['time']:g} s {told}")

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from cgid.errors import CannotCreate
 from cgid.files import check_new, write_together
 from cgid.identification.detection import VIBRATION_DEAD_TIME
-from cgid.identification.model import Model
+from cgid.identification.model import FEWEST_GROUPS, Model
 from cgid.signals import KNOWN
 from cgid.terminal import counted, printable
 
@@ -26,6 +26,7 @@ PICTURES = ("confusion", "reliability", "roc")
 #: Most features that a card lists.
 _MOST_NAMES = 60
 _SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs", "window": "recordings in windows"}
+_FEW = f"With fewer than {FEWEST_GROUPS} groups of a label the next day may be much worse than the intervals say."
 #: Characters that Markdown or HTML interprets within a line; an underscore only at the edge of a word.
 _MARKS = re.compile(r"[\\`*\[\]<>&|~]|\b_|_\b|(?<=_)_|_(?=_)")
 
@@ -110,7 +111,7 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = (), further:
 def _sections(model: Model, pictures: tuple[str, ...], further: Sequence[Section]) -> Iterator[Section]:
     training = model.training
     recorded = training.get("recorded")
-    judgement = _judgement(model) + ([] if recorded is None else ["", *_votes(training)])
+    judgement = _judgement(model) + ([] if recorded is None else ["", *_votes(model)])
     if pictures:
         judgement += ["", *(f"![{plain(picture)}]({quote(picture)})" for picture in pictures)]
     yield f"On {'windows' if model.kind == 'window' else 'impacts'} it has not seen", judgement
@@ -211,8 +212,9 @@ def _judgement(model: Model) -> list[str]:
     ]
 
 
-def _votes(training: Record) -> list[str]:
+def _votes(model: Model) -> list[str]:
     """Return the accuracy of rows, running votes and whole recordings."""
+    training = model.training
     metrics = training["metrics"]
     recordings = metrics.get("recordings")
     judged = [
@@ -238,7 +240,9 @@ def _votes(training: Record) -> list[str]:
     return [
         *table(("decision on", "right", "95 % interval", "number"), shares),
         "",
-        "Votes are means of logarithms of probabilities. The intervals count groups, not what lies in them.",
+        "Votes are means of logarithms of probabilities. The intervals count groups, not what lies in them, and hold "
+        "for recordings like these: of their support, sensor, bodies and days.",
+        *(["", _FEW] if model.is_of_few else []),
         *(["", *table(("recording", "label", "vote", "rows", "right"), votes)] if votes else []),
     ]
 
@@ -332,6 +336,8 @@ def _limits_of_recordings(model: Model) -> list[str]:
         "is answered with *unknown*: farther out than 99.9 % of what lies in groups left out. At another sampling rate",
         "it is less often right than it says.",
     ]
+    if "contrast.limit" in model.arrays:
+        lines.append("A window with more noise than the clear ones of the training have is *unknown*, too.")
     chosen = next(row["name"] for row in model.training["recorded"]["candidates"] if row["chosen"])
     if not chosen.endswith("level-free"):
         lines.append(

@@ -22,7 +22,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
-from cgid.identification.families import Contrast, Neighbourhood, Network, Standardiser, softmax, squares
+from cgid.identification.families import Contrast, Linear, Neighbourhood, Network, Standardiser, softmax, squares
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -149,6 +149,26 @@ def contrast_of(known: Floats, strangers: Floats, linear: tuple[int, ...], seed:
         ).fit(standardiser.apply(inputs), stranger)
         found = Contrast(standardiser, Network(Network.export(network), inputs.shape[1], 2), 0.0)
         return replace(found, limit=float(np.quantile(found.scores(known), Neighbourhood.INSIDE)))
+
+
+#: Powers over that of noise [dB] beyond which more or less makes no difference; ridge of the regression, per row.
+_NOISE_RANGE, _NOISE_RIDGE = (-10.0, 25.0), 0.2
+
+
+def noise_contrast(copies: Floats, snr: Floats, linear: tuple[int, ...]) -> Contrast:
+    """Return what tells how much noise a window holds: its score is ln of the power of noise over that of the window.
+
+    A ridge regression (Hoerl & Kennard 1970) on noisy copies (n, n_inputs) with a known power over that of their noise
+    [dB]. Its limit is 0, for the caller to set.
+    """
+    standardiser = Standardiser.fit(copies, linear)
+    inputs, wanted = standardiser.apply(copies), -np.clip(snr, *_NOISE_RANGE) * np.log(10) / 10
+    middle = inputs.mean(axis=0)
+    centred = inputs - middle
+    ridge = _NOISE_RIDGE * len(inputs) * np.eye(inputs.shape[1])
+    slopes = cho_solve(cho_factor(centred.T @ centred + ridge), centred.T @ (wanted - wanted.mean()))
+    arrays = {"coefficients": slopes[None], "intercepts": np.array([wanted.mean() - middle @ slopes])}
+    return Contrast(standardiser, Linear(arrays, inputs.shape[1], 2), 0.0)
 
 
 class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]

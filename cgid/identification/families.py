@@ -374,14 +374,15 @@ class Network(Family):
 
 @dataclass(frozen=True)
 class Contrast:
-    """Novelty against anything else: a network that tells the training from strangers.
+    """Novelty against anything else: a network that tells the training from strangers, or a line drowned windows.
 
     The distance to the training does not know what else there is; among many laws, lumps and noises it forgives too
-    much. The score of a network trained on both is the logarithm of the ratio of their densities, up to a constant.
+    much. The score of a network trained on both is the logarithm of the ratio of their densities, up to a constant;
+    that of a line is the logarithm of the power of noise over that of the window.
     """
 
     standardiser: Standardiser
-    network: Network
+    scorer: Network | Linear
     limit: float
 
     #: Scores above the limit that make the novelty e times as large.
@@ -400,18 +401,19 @@ class Contrast:
             if name not in own or own[name].shape != shape:
                 raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}")
         standardiser = Standardiser.from_arrays(arrays, cls.PREFIX)
-        network = Network({name: a for name, a in own.items() if name in Network.AXES}, n_features, 2)
-        return cls(standardiser, network, float(own["limit"][0]))
+        kind = Linear if "coefficients" in own else Network
+        scorer = kind({name: a for name, a in own.items() if name in kind.AXES}, n_features, 2)
+        return cls(standardiser, scorer, float(own["limit"][0]))
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays of a model."""
-        own = {**self.network.arrays, "limit": np.array([self.limit])}
+        own = {**self.scorer.arrays, "limit": np.array([self.limit])}
         return self.standardiser.arrays(self.PREFIX) | {self.PREFIX + name: array for name, array in own.items()}
 
     def scores(self, features: Floats) -> Floats:
-        """Return ln of the odds that rows are strangers, up to a constant."""
-        return self.network.scores(self.standardiser.apply(features))
+        """Return ln of the odds that rows are strangers, up to a constant, or of the power of noise."""
+        return self.scorer.scores(self.standardiser.apply(features))
 
     def novelty(self, features: Floats) -> Floats:
         """Return the novelty of rows of features and guards, 1 at the limit."""

@@ -19,17 +19,18 @@ from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
-from cgid.identification.classifier import ImpactClassifier, best_temperature
+from cgid.identification.classifier import ImpactClassifier, best_temperature, noise_contrast
 from cgid.identification.events import EVENT_TIME
-from cgid.identification.families import Neighbourhood, softmax
+from cgid.identification.families import Contrast, Neighbourhood, softmax
+from cgid.identification.metrics import paired_difference
+from cgid.identification.model import FEWEST_GROUPS
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
+from cgid.identification.windows import CLEAR
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
 #: Most folds: up to this number of groups each is a fold; more groups share this many folds.
 MOST_FOLDS = 20
-#: A later candidate must be better by this accuracy: with few recordings, smaller differences mean little.
-MARGIN = 0.01
 #: Fewest blocks of time of a single recording; more, up to `MOST_FOLDS`, where a label would lie in too few of them.
 FEWEST_BLOCKS = 8
 #: Impacts on two channels within this time are one blow [s].
@@ -154,23 +155,49 @@ def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     scores = np.zeros((len(lesson.candidates), len(truth), len(labels)))
     for fold, answers in zip(folds, crew.each(_scores_of_all, lesson, folds), strict=True):
         scores[:, fold] = answers
-    judged = np.any(folds, axis=0)
+    judged = np.any(folds, axis=0) & rows.is_clear
     scores, truth, weights = scores[:, judged], truth[judged], _row_weights(rows.labels[judged], lesson.weights)
     hits = np.argmax(scores, axis=2) == truth
     accuracies = tuple(float(np.average(own, weights=weights)) for own in hits)
-    best = preferred(accuracies, MARGIN)
+    best = smallest_as_good(lesson.candidates, accuracies, hits, rows.group[judged])
     # After n rows that all were right, the next one is wrong with this probability (Laplace).
     doubt = 1 / (len(truth) + 2)
-    return Choice(best, accuracies, best_temperature(scores[best], truth, weights, doubt))
+    temperature = best_temperature(scores[best], truth, weights, doubt)
+    # A fold leaves out one of n groups of a label, so its model is less certain than that of all. What few groups do
+    # not determine goes as one over their number, and so does the logarithm of the temperature, unless doubt sets it.
+    n_groups = np.inf if hits[best].all() else np.mean(list(groups_of_labels(rows).values()))
+    return Choice(best, accuracies, float(temperature ** (1 - 1 / n_groups)))
 
 
-def preferred(accuracies: Sequence[float], margin: float) -> int:
-    """Return the best of some candidates; a later one must be better than an earlier one by the margin."""
-    best = 0
-    for k, accuracy in enumerate(accuracies):
-        if accuracy > accuracies[best] + margin:
-            best = k
-    return best
+def smallest_as_good(
+    candidates: Sequence[Candidate], accuracies: Sequence[float], hits: NDArray[np.bool_], group: NDArray[np.integer]
+) -> int:
+    """Return the candidate of the fewest features that is not worse than the best by more than one standard error.
+
+    The error is that of the difference over groups (Breiman et al. 1984, the one-standard-error rule): a choice among
+    large sets by few groups learns the groups. `hits` are (n_candidates, n_rows).
+    """
+    best = int(np.argmax(accuracies))
+    errors = [paired_difference(hits[best], own, group)[1] for own in hits]
+    good = [k for k, own in enumerate(accuracies) if accuracies[best] - own <= errors[k]]
+    return min(good, key=lambda k: len(candidates[k].features))
+
+
+def groups_of_labels(rows: Rows) -> dict[str, int]:
+    """Return the number of groups in which each label was recorded."""
+    labels, group = rows.labels[rows.group >= 0], rows.group[rows.group >= 0]
+    return {str(label): len(np.unique(group[labels == label])) for label in np.unique(labels)}
+
+
+def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
+    """Return a warning if a label has too few groups for an interval that holds beyond them, else nothing."""
+    label = min(counts, key=lambda one: counts[one])
+    if counts[label] >= FEWEST_GROUPS:
+        return []
+    return [
+        f"label {label} has {counts[label]} groups of recordings (days, supports); with fewer than {FEWEST_GROUPS} of "
+        "each label the next day may be much worse than the intervals say; add recordings of other days"
+    ]
 
 
 def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
@@ -189,7 +216,7 @@ def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew:
             probabilities[fold] = answers
             if progress is not None:
                 progress(1)
-    return Judged(probabilities[rows.group >= 0], tuple(chosen))
+    return Judged(probabilities[rows.is_recorded], tuple(chosen))
 
 
 def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassifier:
@@ -202,6 +229,20 @@ def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassi
     classifier.temperature_ = choice.temperature
     classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
     return classifier
+
+
+def noise_guard(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> Contrast | None:
+    """Return what tells windows drowned in noise, which none of held-out groups is; None without noisy copies.
+
+    Its limit is what recorded windows keep, but no less noise than that of copies that teach their label.
+    """
+    if not np.isfinite(lesson.rows.snr).any():
+        return None
+    only = replace(lesson, candidates=(lesson.candidates[choice.best],))
+    folds = list(leave_groups_out(lesson.rows.labels, lesson.rows.group, lesson.seed))
+    scores = np.concatenate(list(crew.each(_noise_scores, only, folds)))
+    limit = max(float(np.quantile(scores, Neighbourhood.INSIDE)), -CLEAR * np.log(10) / 10)
+    return replace(_contrast(only, lesson.rows), limit=limit)
 
 
 # -- one fold, in any process -----------------------------------------------------------------------------
@@ -226,8 +267,21 @@ def _distances(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
     (candidate,) = lesson.candidates
     with threadpool_limits(1):
         without = _fitted(lesson, candidate, ~fold, rejects=True)
-        novelty = without.novelty(lesson.rows.inputs(candidate.features)[fold])
+        novelty = without.novelty(lesson.rows.inputs(candidate.features)[fold & lesson.rows.is_clear])
     return novelty * without.neighbourhood_.limit
+
+
+def _noise_scores(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+    """Return how drowned the recorded rows of a fold seem to the other rows, for the only candidate."""
+    with threadpool_limits(1):
+        own = lesson.rows[fold & lesson.rows.is_recorded].inputs(lesson.candidates[0].features)
+        return _contrast(lesson, lesson.rows[~fold]).scores(own)
+
+
+def _contrast(lesson: Lesson, rows: Rows) -> Contrast:
+    features = lesson.candidates[0].features
+    copies = rows[np.isfinite(rows.snr)]
+    return noise_contrast(copies.inputs(features), copies.snr, linear_columns(features * rows.n_channels))
 
 
 def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
@@ -238,7 +292,7 @@ def _fitted(
     lesson: Lesson, candidate: Candidate, chosen: NDArray[np.bool_] | None = None, *, rejects: bool = False
 ) -> ImpactClassifier:
     """Return a candidate trained on the chosen rows, or on all."""
-    rows = adapted(lesson.rows if chosen is None else lesson.rows[chosen])
+    rows = adapted(lesson.rows[lesson.rows.is_clear if chosen is None else chosen & lesson.rows.is_clear])
     classifier = ImpactClassifier(
         candidate.family,
         linear=linear_columns(candidate.features * rows.n_channels),

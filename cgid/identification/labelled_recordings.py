@@ -25,7 +25,7 @@ from cgid.identification.manifest import Annotation, Manifest
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
 from cgid.identification.silence import Silence, silence_of
-from cgid.identification.windows import Grid, measure_windows, windows_of
+from cgid.identification.windows import Grid, NoisyCopies, measure_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
@@ -273,13 +273,15 @@ def record(
     slicing: Slicing | None = None,
     reading: Reading | None = None,
     level_free: bool = False,
+    augment: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts.
 
     By default these are all of `cgid.identification.rows.sets_for` that can be measured on every recording. Where the
     slicing leaves it open, the features say whether rows are impacts or windows, else what the recordings hold
-    (`cgid.identification.silence`); `Rows.notes` says which. `progress` receives the number of rows measured.
+    (`cgid.identification.silence`); `Rows.notes` says which. If `augment`, windows have noisy copies (`Rows.snr`), from
+    which a model learns what noise does, and when a window is drowned. `progress` receives the number of rows measured.
 
     Raises `BadData` if no recording yields a row or files of different groups are equal, `InvalidValue` for a bad
     choice, and if strict the error of the first unreadable recording.
@@ -294,14 +296,14 @@ def record(
     names = _names(features, files, slicing, level_free)
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
-    cutting = _Cutting(names, slicing, files[0].unit, equalisations_of(references))
+    cutting = _Cutting(names, slicing, files[0].unit, equalisations_of(references), augment)
     measured: list[tuple[AnnotatedFile, list[Piece]]] = []
     for file in files:
         try:
             measured.append((file, list(_pieces(file, cutting, progress))))
         except CgidError as error:
             reading.note(error, failures)
-    if not any(np.isfinite(part).all(axis=1).any() for _, own in measured for _, _, part in own):
+    if not any(np.isfinite(part).all(axis=1).any() for _, own in measured for _, _, part, _ in own):
         said = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
             f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
@@ -349,9 +351,10 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
     """Return the complete rows of all files, and warnings of the damage of files and of annotations without a row."""
     recordings = [file.recording for file, _ in measured]
     pieces = [piece for _, own in measured for piece in own]
-    features = np.concatenate([part for _, _, part in pieces])
+    features = np.concatenate([part for _, _, part, _ in pieces])
+    snr = np.concatenate([part for _, _, _, part in pieces])
     complete = np.isfinite(features).all(axis=1)
-    annotations = list(compress((one for one, times, _ in pieces for _ in times), complete))
+    annotations = list(compress((one for one, times, _, _ in pieces for _ in times), complete))
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
     rates = [recording.sampling_rate for recording in recordings]
@@ -373,8 +376,9 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
         sampling_rates=(min(rates), max(rates)),
         n_channels=len(recordings[0].channels) if cutting.slicing.by == "window" else 1,
         slicing=cutting.slicing,
-        time=np.concatenate([times for _, times, _ in pieces])[complete],
-        left_out=int((~complete).sum()),
+        time=np.concatenate([times for _, times, _, _ in pieces])[complete],
+        snr=snr[complete] if cutting.augment and cutting.slicing.by == "window" else np.empty(0),
+        left_out=int((~complete & (snr == np.inf)).sum()),
         warnings=tuple(warnings),
     )
 
@@ -439,17 +443,18 @@ class _Cutting:
     slicing: Slicing
     unit: str
     equalisations: Equalisations
+    augment: bool = False
 
 
-#: Annotation, times and features of some rows.
-Piece = tuple[Annotation, Floats, Floats]
+#: Annotation, times and features of some rows, and their power over that of added noise [dB].
+Piece = tuple[Annotation, Floats, Floats, Floats]
 
 
 def _pieces(file: AnnotatedFile, cutting: _Cutting, progress: Callable[[int], object] | None) -> Iterator[Piece]:
     for piece in (_windows if cutting.slicing.by == "window" else _impacts)(file, cutting):
         yield piece
         if progress is not None:
-            progress(len(piece[1]))
+            progress(int(np.sum(piece[3] == np.inf)))
 
 
 def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
@@ -457,9 +462,14 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
     rate, slicing = file.recording.sampling_rate, cutting.slicing
     for annotation, blocks in annotated_blocks(file, cutting.unit):
         equalisation = cutting.equalisations.get(annotation.sensor)
+        copies = NoisyCopies((int(file.digest[:8], 16), round(annotation.start * rate)))
         for first, windows in windows_of(blocks, rate, slicing.window_time, slicing.hop_time):
             times = annotation.start + first / rate
-            yield annotation, times, measure_windows(windows, rate, cutting.names, equalisation)
+            features = measure_windows(windows, rate, cutting.names, equalisation)
+            yield annotation, times, features, np.full(len(times), np.inf)
+            for time, (snr, noisy) in zip(times, copies.of(windows) if cutting.augment else (), strict=False):
+                features = measure_windows(noisy, rate, cutting.names, equalisation)
+                yield annotation, np.full(len(snr), time), features, snr
 
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
@@ -501,4 +511,4 @@ def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting
                 equalisation=cutting.equalisations[annotation.sensor][channel] if annotation.sensor else None,
             )
             features[[bool(event.problem) for event in some]] = np.nan
-            yield annotation, np.array([event.time for event in some]), features
+            yield annotation, np.array([event.time for event in some]), features, np.full(len(some), np.inf)

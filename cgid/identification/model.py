@@ -50,6 +50,8 @@ LARGEST_FILE = 64 << 20
 _LONGEST_MESSAGE = 400
 #: A beam is looked through at sampling rates from this share of the training's on.
 LOWEST_SHARE = 0.5
+#: Fewest groups of recordings of a label whose spread shows how much the next one may differ (assumed).
+FEWEST_GROUPS = 5
 #: Limit of the numbers held in memory during prediction.
 _MOST_HELD = 1 << 20
 
@@ -151,6 +153,12 @@ class Model:
         return quantity_of(self.unit)
 
     @property
+    def is_of_few(self) -> bool:
+        """Whether a label was recorded in so few groups that the next day may be much worse than the intervals say."""
+        recorded = self.training.get("recorded", {})
+        return bool(recorded.get("fewest_groups", FEWEST_GROUPS) < FEWEST_GROUPS)
+
+    @property
     def measured(self) -> tuple[str, ...]:
         """Features to measure: those of the classifier, then the guards."""
         return self.features + self.guards
@@ -233,7 +241,7 @@ class Model:
         """
         distance = self.distance(inputs)
         if guards is None and not self.guards:
-            return distance
+            guards = np.empty((len(inputs), 0))
         guards = None if guards is None else validation.plain("guards", guards)
         rows = len(inputs), len(self.guards)
         if guards is None or guards.shape != rows or not np.isfinite(guards).all():
@@ -244,15 +252,21 @@ class Model:
         novelty = np.asarray(np.maximum(distance, np.max(guards / np.array(self.guard_limits), axis=1, initial=0.0)))
         return novelty if self.contrast is None else np.maximum(novelty, self._contrast(inputs, guards))
 
+    def drowned(self, inputs: Floats) -> Floats:
+        """Return the part of the novelty of windows that is due to noise, (n_windows,); 0 if nothing taught that."""
+        if self.contrast is None or self.kind != "window":
+            return np.zeros(len(inputs))
+        return self._contrast(inputs, np.empty((len(inputs), 0)))
+
     def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
         assert self.contrast is not None
-        rows = np.hstack([np.asarray(inputs, np.float64)[:, : len(self.features)], guards])
-        return _in_blocks(self.contrast.novelty, rows, self.contrast.network.width)
+        own = np.asarray(inputs, np.float64)[:, : len(self.inputs) - len(self.known)]
+        return _in_blocks(self.contrast.novelty, np.hstack([own, guards]), self.contrast.scorer.width)
 
     @cached_property
     def contrast(self) -> Contrast | None:
         """What tells the training from anything else; None if the training had no strangers."""
-        return Contrast.from_arrays(self.arrays, len(self.features) + len(self.guards))
+        return Contrast.from_arrays(self.arrays, len(self.inputs) - len(self.known) + len(self.guards))
 
     @cached_property
     def beam(self) -> ThroughBeam | None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.identification.families import BY_NAME, Contrast, Network, Standardiser
+from cgid.identification.families import BY_NAME, Contrast, Linear, Network, Standardiser
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.beam import Beam
@@ -312,6 +312,8 @@ def check_training(model: Model) -> None:
                 raise BadData(f"{name} must be numbers of shape {shape} up to {_LARGEST_NUMBER:g}")
     if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
         raise BadData("confusion must count at least one impact")
+    if "fewest_groups" in recorded:
+        validation.count("fewest_groups", recorded["fewest_groups"])
     for weights in (training.get("class_weights"), recorded.get("class_weights")):
         if isinstance(weights, Mapping):
             numbers = validation.positive("class_weights", list(weights.values()))
@@ -342,7 +344,7 @@ def _check_arrays(model: Model) -> None:
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
     known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
     known |= {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
-    known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, "limit")}
+    known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
     for name, array in arrays.items():
         if name not in known:
             raise BadData(f"array {name!r} must be left out, a model of family {model.family} has no such array")

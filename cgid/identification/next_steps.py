@@ -43,7 +43,7 @@ _UNMARKED = 0.25
 
 
 #: Causes that are no input or guard of a model.
-_TESTED = ("noise", "amplitude", "duration", "sampling_rate", "vibration")
+_TESTED = ("noise", "drowned", "amplitude", "duration", "sampling_rate", "vibration")
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,9 @@ class Cause:
 
     Attributes
     ----------
-    name : an input or guard of the model; else noise, amplitude, duration, sampling_rate or vibration
-    value : of the input or guard, as measured. Noise: amplitude of the impact over that before it. Amplitude and
+    name : an input or guard of the model; else noise, drowned, amplitude, duration, sampling_rate or vibration
+    value : of the input or guard, as measured. Noise: amplitude of the impact over that before it. Drowned: the part of
+        the novelty of a window that is due to noise. Amplitude and
         duration: how many times as large as those of the training. Sampling rate: the one at which the impact lies
         inside [Hz]. Vibration: how deep a pulse swings below its baseline, over its peak
     low, high : range of an input or guard in the training
@@ -69,11 +70,13 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
     """Return the cause for each row outside of the training, from inputs (n, n_inputs) and guards (n, n_guards)."""
     limits = np.array(model.guard_limits)
     amplitudes, durations = (_scale_of(model, inputs, guards, symbol) for symbol in ("U", "s"))
-    foremost, (low, high) = model.foremost(inputs), model.usual(_DEVIATIONS)
+    foremost, (low, high), drowned = model.foremost(inputs), model.usual(_DEVIATIONS), model.drowned(inputs)
     found = []
     for row, own in enumerate(guards):
         scale, name = min((abs(np.log(x[row])), n) for x, n in ((amplitudes, "amplitude"), (durations, "duration")))
-        if own.size and (own / limits).max() > 1:
+        if drowned[row] > 1:
+            found.append(Cause("drowned", float(drowned[row])))
+        elif own.size and (own / limits).max() > 1:
             guard = int(np.argmax(own / limits))
             found.append(Cause(model.guards[guard], float(own[guard]), 0.0, model.guard_limits[guard]))
         elif scale < np.inf:
@@ -172,8 +175,8 @@ class Hint:
 
     Attributes
     ----------
-    cause : one word for programs: noise, amplitude, duration, sampling_rate, clipped, cut_off, overlapping, vibration,
-        shape, upside_down, features, coverage or unmeasured
+    cause : one word for programs: noise, drowned, amplitude, duration, sampling_rate, clipped, cut_off, overlapping,
+        vibration, shape, upside_down, features, coverage or unmeasured
     reason : in words
     advice : what to do
     commands : the next commands, in order
@@ -311,6 +314,8 @@ class Diagnosis:
         if cause == "noise":
             told = f"only {middle:.2g} times as strong as what is before them" if causes else "not clear of the noise"
             return f"they are too weak, {told}", "record nearer to the impacts, or with less noise", ()
+        if cause == "drowned":
+            return "they are drowned in noise that the training does not have", "record nearer, or with less noise", ()
         if cause == "clipped":
             return "they are clipped at the limit of the recorder", "record with a larger range", ()
         if cause == "cut_off":

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.contact import ThroughBeam
-from cgid.identification.windows import WINDOW_TIME, columns_of, require_times
+from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_times
 from cgid.measure.beam import Beam
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.spectra import THIRD_OCTAVES
@@ -115,6 +115,9 @@ class Rows:
         How recordings are cut into windows; None for rows of scenes and datasets.
     time : ndarray, (n_rows,) [s]
         Start of a window, or time of an impact, in its recording.
+    snr : ndarray, (n_rows,) [dB]
+        Power of a window over that of the noise added to a copy of it; infinite for a row as recorded. Empty without
+        copies.
     references : mapping of str to ndarray, (n_channels, n_bands)
         Reference spectra of the sensors.
     beam : Beam or None
@@ -144,6 +147,7 @@ class Rows:
     n_channels: int = 1
     slicing: Slicing | None = None
     time: Floats = field(default_factory=lambda: np.empty(0))
+    snr: Floats = field(default_factory=lambda: np.empty(0))
     references: Mapping[str, Floats] = field(default_factory=dict)
     beam: Beam | None = None
     left_out: int = 0
@@ -158,8 +162,19 @@ class Rows:
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
         """Return the rows of a mask."""
-        columns = {name: getattr(self, name) for name in ("features", "labels", "group", "source", "known", "time")}
+        names = ("features", "labels", "group", "source", "known", "time", "snr")
+        columns = {name: getattr(self, name) for name in names}
         return replace(self, **{name: column[chosen] for name, column in columns.items() if len(column)})
+
+    @property
+    def is_recorded(self) -> NDArray[np.bool_]:
+        """Which rows are as recorded, and neither synthetic nor noisy copies: these judge."""
+        return np.asarray((self.group >= 0) & (self.snr == np.inf) if len(self.snr) else self.group >= 0)
+
+    @property
+    def is_clear(self) -> NDArray[np.bool_]:
+        """Which rows teach the labels: all but copies that are drowned in noise."""
+        return np.asarray(self.snr >= CLEAR) if len(self.snr) else np.ones(len(self.labels), bool)
 
     def only(self, names: tuple[str, ...]) -> Rows:
         """Return the same rows with some of the features."""
@@ -181,7 +196,7 @@ Sets = Mapping[str, tuple[str, ...]]
 
 @cache
 def _sets(kind: Kind) -> Sets:
-    """Return the feature sets of a kind by name; the first is preferred unless another is clearly better.
+    """Return the feature sets of a kind by name; of equal ones the first is preferred.
 
     In a set whose name ends in "level-free" the gain of the sensor cancels.
     """
@@ -198,12 +213,11 @@ def _sets(kind: Kind) -> Sets:
     plain = set(own) - starting("mel", "relative", "even", "level")
     shape = plain - {"window_level", "window_peak"}  # free of the gain
     wanted = {
-        # First, because in practice no gain stays the same for long.
+        "mel bands, level-free": starting("relative_mel", "mel_deviation"),
+        "mel bands and shape, level-free": starting("relative_mel", "mel_deviation") | shape,
+        "mel bands and shape": starting("mel") | plain,
         "even bands and shape, level-free": starting("relative_even", "even_deviation") | shape,
         "even bands and shape": starting("even") | plain,
-        "mel bands and shape": starting("mel") | plain,
-        "mel bands": starting("mel"),
-        "mel bands and shape, level-free": starting("relative_mel", "mel_deviation") | shape,
     }
     return {name: tuple(feature for feature in own if feature in some) for name, some in wanted.items()}
 

@@ -30,9 +30,12 @@ from cgid.identification.grouped import (
     candidates_for,
     choose_candidate,
     final,
+    groups_of_labels,
     in_blocks_of_time,
     judge,
+    noise_guard,
     require_groups,
+    warnings_of_few,
 )
 from cgid.identification.metrics import evaluate, evaluate_recordings, evaluate_sets
 from cgid.identification.model import Model
@@ -456,24 +459,27 @@ def _left_out(
         lesson = together
     judged = judge(lesson, progress, crew)
     choice = choose_candidate(lesson, crew)
+    own, counts = rows[rows.is_recorded], groups_of_labels(rows)
     recorded = {
         "by": rows.slicing.by,
         "n_groups": len(np.unique(rows.group)),
+        "fewest_groups": min(counts.values()),
         "n_recordings": len(rows.sources),
         "class_weights": lesson.weights,
         "candidates": _comparison(lesson.candidates, choice, judged.chosen),
         "failures": [str(error) for error in rows.failures],
-        "warnings": list(rows.warnings),
+        "warnings": [*rows.warnings, *warnings_of_few(counts)],
         "level_free": level_free,
         **adaptation,
     }
     return _trained(
         rows,
         final(lesson, choice, crew),
-        (rows.labels, judged.probabilities),
-        evaluate_recordings(rows, judged.probabilities),
-        {**record, "n_train": len(rows.labels), "recorded": recorded},
+        (own.labels, judged.probabilities),
+        evaluate_recordings(own, judged.probabilities),
+        {**record, "n_train": len(own.labels), "recorded": recorded},
         features=lesson.candidates[choice.best].features,
+        contrast=noise_guard(lesson, choice, crew),
     )
 
 
