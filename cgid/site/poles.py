@@ -39,8 +39,13 @@ LEAST_DAMPING, MOST_DAMPING = 2e-5, 0.15
 _STABLE = 0.4
 #: Orders without a better fit that end the search, rounds of a fit, and the gain that ends it.
 _PATIENCE, _ROUNDS, _AT_REST = 4, 30, 1e-2
+#: Poles of least squares are refined if they are worth this share of their parameters.
+_AT_FIRST = 0.25
 #: A band's energy has decayed where it is below this multiple of its end.
 _DECAYED = 1.5
+#: Poles are one mode if their frequencies are closer than this share of the wider's distance from the axis, and this
+#: distances differ by this factor.
+_ONE, _UNLIKE = 0.6, 1.5
 #: The largest relative deviation of the damping of a mode that is reported.
 _MOST_UNSURE = 0.35
 
@@ -159,28 +164,30 @@ class _Band:
     # -- least squares at every order ---------------------------------------------------------------------
 
     def starts(self, max_order: int) -> list[Complexes]:
-        """Return the poles of every order from 1 on, and hold the chart."""
+        """Return sets of poles to start from, of every order from 1 on, and hold the chart."""
         angle = _CIRCLE * np.pi * (self.line - self.centre) / self.half
         largest = min(max_order, self.line.size // 4)
         powers = np.exp(1j * np.outer(angle, np.arange(largest + 1)))
         rows, out, before = [], [], np.empty(0, complex)
         for order in range(1, largest + 1):
-            own = self._roots(powers[:, : order + 1])
-            own = own[self._are_inside(own)]
-            near = np.abs(own[:, None] - before).min(axis=1, initial=np.inf)
+            clear, every = self._roots(powers[:, : order + 1])
+            near = np.abs(clear[:, None] - before).min(axis=1, initial=np.inf)
             bin_width = 2 * np.pi / (self.n_samples * self.step)
-            stable = near < _STABLE * np.maximum(-own.real, 0.1 * bin_width)
-            size = np.abs(own)
-            rows.append(np.stack([np.full(own.size, order), size / (2 * np.pi), -own.real / size, stable], axis=1))
-            out.append(own)
-            before = own
-        self.chart = np.concatenate(rows) if rows else self.chart
-        core = (self.chart[:, 1] >= self.core[0]) & (self.chart[:, 1] < self.core[1])
-        self.chart = self.chart[core]
+            stable = near < _STABLE * np.maximum(-clear.real, 0.1 * bin_width)
+            size = np.abs(clear)
+            rows.append(np.stack([np.full(size.size, order), size / (2 * np.pi), -clear.real / size, stable], axis=1))
+            out += [clear, every]
+            before = clear
+        chart = np.concatenate([self.chart, *rows])
+        self.chart = chart[(chart[:, 1] >= self.core[0]) & (chart[:, 1] < self.core[1])]
         return out
 
-    def _roots(self, powers: Complexes) -> Complexes:
-        """Return the poles of one order [1/s]: least squares of `denominator bins - numerators`."""
+    def _roots(self, powers: Complexes) -> tuple[Complexes, Complexes]:
+        """Return the poles of one order [1/s]: least squares of `denominator bins - numerators`, twice.
+
+        With 1 as the lowest coefficient poles that only noise calls for grow, and go (Cauberghe et al. 2005), but in
+        much noise others do, too. With 1 as the highest all decay.
+        """
         basis = np.linalg.qr(powers)[0]
         n = powers.shape[1]
         matrix = np.zeros((n, n), complex)
@@ -188,14 +195,15 @@ class _Band:
             own = decay[:, None] * powers
             own = own - basis @ (basis.conj().T @ own)
             matrix += own.conj().T @ own
-        # The highest coefficient is 1: poles that only noise calls for then grow, and go.
-        try:
-            rest = np.linalg.solve(matrix[:-1, :-1], -matrix[:-1, -1])
-        except np.linalg.LinAlgError:
-            return np.empty(0, complex)
-        roots = np.roots(np.append(rest, 1.0)[::-1])
-        roots = roots[np.abs(roots) > 1e-12]
-        return np.asarray(1j * self.centre + self.half * np.log(roots) / (_CIRCLE * np.pi))
+        found = []
+        for fixed in (0, n - 1):
+            free = np.delete(np.arange(n), fixed)
+            rest = np.linalg.lstsq(matrix[np.ix_(free, free)], -matrix[free, fixed], rcond=None)[0]
+            roots = np.roots(np.insert(rest, fixed, 1.0)[::-1])
+            roots = roots[(np.abs(roots) > 1e-12) & np.isfinite(roots)]
+            pole = 1j * self.centre + self.half * np.log(roots) / (_CIRCLE * np.pi)
+            found.append(pole[self._are_inside(pole)])
+        return found[0], found[1]
 
     def _are_inside(self, pole: Complexes) -> NDArray[np.bool_]:
         """Return which poles can be modes in or near the band."""
@@ -210,7 +218,7 @@ class _Band:
         """Return the modes in the core of the band."""
         best, worse = _Fit(self, np.empty(0, complex)), 0
         for start in self.starts(max_order):
-            first = self._pruned(_Fit(self, start), refine=False)
+            first = self._pruned(_Fit(self, start), _AT_FIRST, refine=False)
             if best.is_near(first.pole):
                 continue
             fit = self._pruned(_refined(first))
@@ -220,17 +228,31 @@ class _Band:
                 worse += 1
             if worse == _PATIENCE:
                 break
-        return self._reported(best)
+        return self._reported(self._joined(best))
 
-    def _pruned(self, fit: _Fit, *, refine: bool = True) -> _Fit:
-        """Return a fit without the poles that are not worth their parameters."""
+    def _joined(self, fit: _Fit) -> _Fit:
+        """Return a fit with one pole for each pair that is one mode which does not decay exponentially.
+
+        Such a mode, in a joint that slips, looks like two at one frequency with different dampings. Half of
+        what they are apart is added to the deviations of the one.
+        """
+        while (pair := _double(fit.pole)) is not None:
+            gain = fit.gains()
+            weak, kept = sorted(pair, key=lambda k: gain[k])
+            apart = (fit.pole[weak] - fit.pole[kept]) / 2
+            fit.blur[kept] += abs(apart.real) + 1j * abs(apart.imag)
+            fit = self._pruned(_refined(fit.without(weak)))
+        return fit
+
+    def _pruned(self, fit: _Fit, share: float = 1.0, *, refine: bool = True) -> _Fit:
+        """Return a fit without the poles that gain less than a share of what their parameters cost."""
         while fit.pole.size:
             inside = self._are_inside(fit.pole)
             gain = np.where(inside, fit.gains(), 0.0)
             worst = int(np.argmin(gain))
-            if gain[worst] > fit.price:
+            if gain[worst] > share * fit.price:
                 return fit
-            fit = _Fit(self, np.delete(fit.pole, worst))
+            fit = fit.without(worst)
             fit = _refined(fit) if refine else fit
         return fit
 
@@ -238,7 +260,7 @@ class _Band:
         """Return the modes of a fit in the core of the band."""
         frequency = np.abs(fit.pole) / (2 * np.pi)
         deviation = fit.deviation()
-        kept = (frequency >= self.core[0]) & (frequency < self.core[1]) & (deviation[1] < _MOST_UNSURE)
+        kept = (frequency >= self.core[0]) & (frequency < self.core[1]) & ((deviation[1] < _MOST_UNSURE) | (fit.blur != 0))
         amplitude, own = fit.amplitudes(self.step)
         near = np.abs(np.log(self.chart[:, 1][:, None] / frequency[kept])) < np.maximum(
             0.5 * -fit.pole.real[kept] / np.abs(fit.pole[kept]), 1e-3
@@ -275,14 +297,17 @@ class _Fit:
     Attributes
     ----------
     pole : ndarray of complex, (n_poles,) [1/s]
+    blur : ndarray of complex, (n_poles,) [1/s]
+        Further standard deviations of real and imaginary part, because a mode does not decay exponentially.
     coefficients : ndarray of complex, (n_poles + background, n_decays)
     left : ndarray of complex, (n_bins, n_decays)
     power : float
         Sum of squares of what is left.
     """
 
-    def __init__(self, band: _Band, pole: Complexes) -> None:
+    def __init__(self, band: _Band, pole: Complexes, blur: Complexes | None = None) -> None:
         self.band, self.pole = band, pole
+        self.blur = np.zeros(pole.size, complex) if blur is None else blur
         inverse = 1 / (1j * band.line[:, None] - pole)
         # Columns of norm 1, so that orders of magnitude do not matter.
         self.scale = 1 / np.maximum(np.linalg.norm(inverse, axis=0), 1e-300)
@@ -292,6 +317,10 @@ class _Fit:
         self.coefficients = self.inverse @ (self.q.conj().T @ band.bins)
         self.left = band.bins - self.basis @ self.coefficients
         self.power = float(np.sum(np.square(np.abs(self.left))))
+
+    def without(self, k: int) -> _Fit:
+        """Return the fit without one pole, the others where they are."""
+        return _Fit(self.band, np.delete(self.pole, k), np.delete(self.blur, k))
 
     def is_near(self, pole: Complexes) -> bool:
         """Return whether some poles, as many as the fit's, lie within a part of their distance from the axis of them."""
@@ -362,7 +391,7 @@ class _Fit:
             scatter = np.sqrt(n_decays / (n_decays - 1) * np.square(each).sum(axis=0) / np.diag(bound))
             larger = np.maximum(scatter, 1.0)
             bound = bound * np.outer(larger, larger)
-        return np.asarray(bound)
+        return np.asarray(bound + np.diag(np.square(np.concatenate([self.blur.real, self.blur.imag]))))
 
     def deviation(self) -> Floats:
         """Return the standard deviations of ln frequency and ln damping ratio, (2, n_poles)."""
@@ -398,6 +427,16 @@ class _Fit:
         return (factor * self.scale * parts.T), np.sqrt(own + by_pole) * size
 
 
+def _double(pole: Complexes) -> tuple[int, int] | None:
+    """Return two poles at nearly one frequency with different dampings, if there are such."""
+    for k in range(pole.size):
+        for other in range(k):
+            wide, narrow = sorted((-pole[k].real, -pole[other].real), reverse=True)
+            if abs(pole[k].imag - pole[other].imag) < _ONE * wide and wide > _UNLIKE * narrow:
+                return other, k
+    return None
+
+
 def _refined(fit: _Fit) -> _Fit:
     """Return the fit of maximum likelihood near a fit (Levenberg 1944, Marquardt 1963)."""
     damping, n = 1e-3, fit.pole.size
@@ -411,8 +450,11 @@ def _refined(fit: _Fit) -> _Fit:
         while damping < 1e8:
             step = np.linalg.solve(curvature + damping * np.diag(weight), pull)
             moved = fit.pole + step[:n] + 1j * step[n:]
-            moved = np.minimum(moved.real, -1e-9 * np.abs(moved.imag)) + 1j * moved.imag
-            better = _Fit(fit.band, moved)
+            beyond = 4 * fit.band.half
+            moved = fit.band.centre * 1j + np.clip(moved.imag - fit.band.centre, -beyond, beyond) * 1j + np.clip(
+                moved.real, -beyond, -1e-9 * fit.band.centre
+            )
+            better = _Fit(fit.band, moved, fit.blur)
             if better.power <= fit.power:
                 break
             damping, better = 10 * damping, None

@@ -29,6 +29,8 @@ from cgid.validation import Floats
 CONTACT, _AFTER = 2e-3, 0.5e-3
 #: A tap ends so long before the onset of the next [s]: an onset may be found late.
 _BEFORE_NEXT = 1e-3
+#: A blow makes the second differences of a response grow this many times within this time [s].
+_JUMP, _JUMP_TIME = 3.0, 2e-3
 #: Two blows within this time are a double tap [s].
 DOUBLE = 0.1
 #: Shortest decay [s], and its least part of the median one.
@@ -253,7 +255,17 @@ def _events(response: Floats, sampling_rate: float, source: str) -> list[Event]:
     events = detector.feed(response) + detector.finish()
     if not events:
         raise BadData(f"{source}: a recording of taps must hold one, {detector.why_silent()}")
-    return events
+    return [event for event in events if _jump(response, event.onset, sampling_rate) > _JUMP] or events
+
+
+def _jump(response: Floats, onset: int, sampling_rate: float) -> float:
+    """Return by how much the second differences grow at an onset: a few modes that beat are no blow."""
+    n = max(round(_JUMP_TIME * sampling_rate), 4)
+    bends = np.diff(response[:, max(onset - 2 * n, 0) : onset + n], n=2, axis=1)
+    before, behind = bends[:, : -n - n // 2], bends[:, -n:]
+    if before.shape[1] < n // 4:
+        return np.inf
+    return float(np.max(np.sqrt(np.mean(behind**2, axis=1) / np.maximum(np.mean(before**2, axis=1), 1e-300))))
 
 
 def _force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, list[Event]]:
