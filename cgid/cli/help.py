@@ -22,6 +22,7 @@ _OPTIONS = {
     "Gangue share": "--window --gangue --gangue-cost --dilution-cost",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
+    "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
@@ -37,7 +38,7 @@ _EXCEPTIONS = {
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
     "Models": "train",
-    "Datasets and scenes": "generate check calibrate verify export",
+    "Datasets and scenes": "generate check tap calibrate verify export",
     "Studies": "ceiling reproduce",
 }
 #: One line for the start file of each shell.

@@ -25,6 +25,7 @@ from cgid.cli.output import drop, heard, open_missing, say, say_error
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.studies import ceiling, check, reproduce
+from cgid.cli.tap import tap
 from cgid.cli.train import train
 from cgid.cli.verify import verify
 from cgid.errors import CgidError, MissingExtra
@@ -58,6 +59,7 @@ for command in (
     check,
     ceiling,
     calibrate,
+    tap,
     events,
     train,
     predict,

@@ -10,6 +10,7 @@ from cgid.plots.figure import (
     plain,
     png,
     require_matplotlib,
+    stabilisation_picture,
     survey_picture,
 )
 from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, recording_picture, share_figure, written
@@ -30,6 +31,7 @@ __all__ = [
     "recording_picture",
     "require_matplotlib",
     "share_figure",
+    "stabilisation_picture",
     "survey_picture",
     "written",
 ]

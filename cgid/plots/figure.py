@@ -250,3 +250,33 @@ def modes_picture(before: Any, after: Any) -> bytes:
         axes.grid(alpha=0.3)
     upper.legend(fontsize="small")
     return png(figure)
+
+
+def stabilisation_picture(test: Any) -> bytes:
+    """Return the poles of all orders of a tap test's model, and the modes with their dampings, as PNG.
+
+    Parameters
+    ----------
+    test : TapTest
+        With two deviations of the dampings as bars.
+
+    Returns
+    -------
+    bytes
+    """
+    figure = require_matplotlib()(figsize=(10, 7), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    order, frequency, _, stable = test.poles.chart.T
+    for wanted, colour, label in ((0, "0.8", "of this order alone"), (1, "C0", "as in the order before")):
+        rows = stable == wanted
+        upper.plot(frequency[rows] / 1e3, order[rows], ".", color=colour, ms=4, label=label)
+    for mode in test.frequency / 1e3:
+        upper.axvline(mode, color="C3", lw=0.6, zorder=0)
+    upper.set(ylabel="order of the model in its band")
+    upper.legend(fontsize="small", loc="upper right")
+    own = 100 * test.damping_ratio
+    spread = np.exp(2 * test.damping_ratio_deviation)
+    lower.errorbar(test.frequency / 1e3, own, (own - own / spread, own * spread - own), fmt=".", color="C3", capsize=2)
+    lower.set(xlabel="frequency [kHz]", ylabel="damping ratio [%]\n(2 std. deviations)", yscale="log")
+    lower.grid(alpha=0.3)
+    return png(figure)

@@ -1,0 +1,230 @@
+"""`cgid tap`: the modes of a beam from a recording of taps on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cgid.cli.calibrate import _share
+from cgid.cli.help import Command
+from cgid.cli.options import PATH, SCENE, Reading, reading_options
+from cgid.cli.output import print_json, say
+from cgid.errors import BadData, InvalidValue
+from cgid.terminal import counted
+
+if TYPE_CHECKING:
+    from cgid.site.tapping import TapTest
+    from cgid.validation import Floats
+
+
+@click.command(
+    cls=Command,
+    short_help="Find the modes of a beam in a recording of taps on it.",
+    example="cgid tap taps.wav --channel 1 --hammer 2 -o modes.csv --plot modes.png",
+)
+@click.argument("recording", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="Write the modes to this table (.csv).")
+@click.option("--hammer", metavar="CHANNEL", help="Read the force of the hammer from this channel: its name or number.")
+@click.option(
+    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Look for natural frequencies from LOW to HIGH [Hz] only."
+)
+@click.option(
+    "--max-order",
+    type=int,
+    default=24,
+    show_default=True,
+    help="Try at most this many modes in each of the narrow bands that are fitted one by one.",
+)
+@click.option(
+    "--contact", type=float, default=2.0, show_default=True, help="Say how long a hammer without channel stays on [ms]."
+)
+@click.option("--taps", "table", type=PATH, help="Use only the taps of this table (.csv) with a column 'time [s]'.")
+@click.option(
+    "--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected where the taps say more."
+)
+@click.option(
+    "--start-error",
+    default="1 %",
+    show_default=True,
+    help="Say how far the scene's natural frequencies may be off (one standard deviation).",
+)
+@click.option("--plot", "picture", type=PATH, help="Draw the modes of all orders of the model, and the spectrum, as PNG.")
+@click.option("--overwrite", is_flag=True, help="Replace existing files.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@reading_options
+def tap(
+    recording: str,
+    output: str,
+    hammer: str | None,
+    band: tuple[float, float] | None,
+    max_order: int,
+    contact: float,
+    table: str | None,
+    scene_name: str | None,
+    start_error: str,
+    picture: str | None,
+    overwrite: bool,
+    as_json: bool,
+    reading: Reading,
+) -> None:
+    """Find natural frequencies, damping ratios and participations of a beam in a RECORDING of taps on it.
+
+    Tap some five to ten times at one place with a second or more between taps, with any hammer; an accelerometer on the
+    beam records. With an instrumented hammer, name its channel by --hammer: then participations are in 1/kg. The table
+    is one for tail_beam.modes of a scene and, with --scene, for tail_beam.learned.
+    """
+    from cgid.files import check_new
+    from cgid.site.tapping import read_times, save_learned, tap_test
+
+    path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
+    drawing = None
+    if picture is not None:
+        from cgid.plots import require_matplotlib
+
+        drawing = check_new(Path(picture), "a picture", (".png",), overwrite=overwrite)
+        require_matplotlib()
+    modes = None if scene_name is None else _modes_of(scene_name)
+    error = _share("--start-error", start_error)
+    if not 0 < error <= 0.1:
+        raise InvalidValue(f"--start-error must be above 0 and at most 10 %, got {error:g}")
+    times = None if table is None else read_times(table)
+    response, force, rate, quantity = _read(recording, hammer, reading)
+    test = tap_test(
+        response,
+        rate,
+        hammer=force,
+        quantity=quantity,
+        band=band or None,
+        max_order=max_order,
+        contact=contact * 1e-3,
+        times=times,
+        source=recording,
+    )
+    known = None
+    if modes is None:
+        test.save(path, overwrite=overwrite)
+    else:
+        from cgid.site.tapping import matched
+
+        learned, known = matched(test, *modes, error)
+        save_learned(learned, path, overwrite=overwrite)
+    if drawing is not None:
+        from cgid.files import write_whole
+        from cgid.plots import stabilisation_picture
+
+        write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
+    _say(test, path, scene_name, known, as_json)
+
+
+def _modes_of(name: str) -> tuple[Floats, Floats]:
+    """Return natural frequencies and damping ratios of a scene's beam."""
+    import numpy as np
+
+    from cgid.scene import load_scene
+    from cgid.scene.impacts import beam_modes
+
+    scene = load_scene(name)
+    if scene.tail_beam is None:
+        raise InvalidValue(f"scene {scene.name}: must have a [tail_beam] to be compared with taps; add it")
+    modes = scene.tail_beam.learned_modes or beam_modes(scene)
+    if (np.diff(modes.frequency) < 0).any():
+        raise InvalidValue(f"scene {scene.name}: natural frequencies must ascend to be matched; take out its learned modes")
+    return modes.frequency, modes.damping_ratio
+
+
+def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floats | None, float, str]:
+    """Return the response (n_channels, n), the hammer's force or None, their rate and the response's quantity."""
+    import numpy as np
+
+    from cgid.identification.labelled_recordings import unit_of
+    from cgid.recordings import is_dataset, open_recording
+    from cgid.site.tapping import factor_of
+    from cgid.units import UNITS, quantity_of
+
+    if path == "-":
+        raise InvalidValue("stdin: a recording of taps must be a file, it is read more than once; save it first")
+    if is_dataset(path):
+        raise InvalidValue(f"{path}: taps must be a recording, this is a dataset of impacts; record taps on the beam")
+    chain: dict[str, Any] = {"variable": reading.variable, "sampling_rate": reading.sampling_rate, **reading.chain}
+    force, own = None, None
+    if hammer is not None:
+        own = open_recording(path, channel=hammer, **chain)
+        unit = unit_of(own)
+        if quantity_of(unit) != "force" or len(own.channels) > 1:
+            raise BadData(f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; see --unit")
+        force = _samples(own)[0] * UNITS["force"][unit]
+    channels: Any = reading.channel or None
+    if own is not None and channels is None:
+        every = open_recording(path, **chain)
+        channels = [one.name for one in every.channels if one.name != own.channels[0].name]
+        if not channels:
+            raise BadData(f"{path}: a recording of taps must have a channel besides the hammer's, got none; record both")
+    recording = open_recording(path, channel=channels, unit=reading.unit, **chain)
+    if own is not None and own.channels[0].name in [one.name for one in recording.channels]:
+        raise InvalidValue(f"{path}: --hammer and --channel must be different channels, got {hammer} for both")
+    quantity, factor = factor_of(unit_of(recording), path)
+    response = _samples(recording) * (-factor if reading.invert else factor)
+    for warning in recording.warnings:
+        say(f"cgid: warning: {warning}", err=True)
+    return np.asarray(response, np.float64), force, recording.sampling_rate, quantity
+
+
+def _samples(recording: Any) -> Any:
+    """Return all samples of a recording, (n_channels, n)."""
+    import numpy as np
+
+    return np.concatenate([block.astype(np.float64) for block in recording.blocks()], axis=1)
+
+
+def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool) -> None:
+    """Print what was found, and what to do with it."""
+    content = _content(test, path, known)
+    if as_json:
+        print_json(content)
+        return
+    unit = "1/kg" if test.absolute else "of the largest"
+    say(
+        f"{path}: {counted(test.frequency.size, 'mode')} from {test.band[0]:.4g} to {test.band[1]:.5g} Hz, "
+        f"{len(test.used)} of {counted(len(test.taps), 'tap')} used, {test.duration:.3g} s of each"
+    )
+    for one in content["taps"]:
+        if one["flaw"]:
+            say(f"tap at {one['time']:.4g} s not used: {one['flaw']}")
+    say(f"{'frequency [Hz]':>20}{'damping ratio [%]':>22}{f'participation [{unit}]':>32}")
+    for mode in content["modes"]:
+        own = [mode[f"{name}_deviation"] for name in ("frequency", "damping_ratio", "participation")]
+        say(
+            f"{mode['frequency']:>12.6g} +- {mode['frequency'] * own[0]:<8.2g}"
+            f"{100 * mode['damping_ratio']:>10.4g} +- {100 * mode['damping_ratio'] * own[1]:<8.2g}"
+            f"{mode['participation']:>16.4g} +- {abs(mode['participation']) * own[2]:<8.2g}"
+        )
+    if known is None:
+        say(
+            f'cgid: hint: name the table in a scene, modes = "{path.name}" and learned = "{path.name}" below '
+            "[tail_beam] in place of its panel, then cgid check support.toml",
+            err=True,
+        )
+    else:
+        say(f"{int(known.sum())} of {known.size} modes of {scene} corrected")
+        say(
+            f'cgid: hint: put learned = "{path.name}" below [tail_beam] of {scene}, then cgid calibrate shift.wav '
+            "--scene with it teaches the other modes",
+            err=True,
+        )
+
+
+def _content(test: TapTest, path: Path, known: Any) -> dict[str, Any]:
+    names = ("frequency", "damping_ratio", "participation")
+    columns = [*names, *(f"{name}_deviation" for name in names)]
+    rows = zip(*(getattr(test, name).tolist() for name in columns), test.poles.orders.tolist(), strict=True)
+    return {
+        "output": str(path),
+        "duration": test.duration,
+        "band": list(test.band),
+        "absolute": test.absolute,
+        "n_matched": None if known is None else int(known.sum()),
+        "taps": [{"time": one.time, "used": not one.flaw, "flaw": one.flaw} for one in test.taps],
+        "modes": [dict(zip([*columns, "orders"], row, strict=True)) for row in rows],
+    }

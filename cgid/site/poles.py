@@ -1,0 +1,474 @@
+"""Poles of free decays: natural frequencies and damping ratios of what rings after a tap, with deviations.
+
+After the force has ended, every decay is a sum of the same damped exponentials. Its discrete Fourier transform over
+any stretch is then exactly a sum of simple poles, without leakage. Band by band, each decay is such a sum over the modes
+of the band and a polynomial for everything else: modes of other bands, their mirror images, what is left of the force.
+
+1. Least squares for a common denominator (LSCF: Guillaume, Verboven & Vanlanduit 1998) gives poles at every order of
+   the model; those that return from order to order are stable.
+2. From the poles of some orders maximum likelihood in white noise, the amplitudes projected out (Golub & Pereyra 1973),
+   gives the estimates; Schwarz's criterion chooses among the orders.
+3. Their covariance is the larger of the Cramer-Rao bound and of the scatter of the pulls of single taps (Huber 1967):
+   with the second a beam that is not the same from tap to tap does not look better known than it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.validation import Floats
+
+Complexes = NDArray[np.complex128]
+
+#: A band: width of its core over its frequency, and the most [Hz]; what is fitted beyond it on either side.
+_WIDTH, _WIDEST, _MARGIN = 0.25, 500.0, 0.3
+#: Fewest bins of a band, and most: more samples or fewer are then transformed.
+_FEWEST_BINS, _MOST_BINS = 48, 400
+#: Degree of the polynomial for what rings outside of a band.
+_DEGREE = 8
+#: The band fills this share of the circle of the discrete model.
+_CIRCLE = 0.85
+#: Damping ratios that are sought.
+LEAST_DAMPING, MOST_DAMPING = 2e-5, 0.15
+#: A pole is stable if it is no farther from one of the order before than this share of its distance from the axis, or
+#: of a bin.
+_STABLE = 0.4
+#: Orders without a better fit that end the search, rounds of a fit, and the gain that ends it.
+_PATIENCE, _ROUNDS, _AT_REST = 4, 30, 1e-2
+#: Poles of least squares are refined if they are worth this share of their parameters.
+_AT_FIRST = 0.25
+#: A band's energy has decayed where it is below this multiple of its end.
+_DECAYED = 1.5
+#: Poles are one mode if their frequencies are closer than this share of the wider's distance from the axis, and this
+#: distances differ by this factor.
+_ONE, _UNLIKE = 0.6, 1.5
+#: The largest relative deviation of the damping of a mode that is reported.
+_MOST_UNSURE = 0.35
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Poles:
+    """Modes that ring in some decays.
+
+    Attributes
+    ----------
+    pole : ndarray of complex, (n_modes,) [1/s]
+        `-damping_ratio w + j w sqrt(1 - damping_ratio^2)` with `w = 2 pi frequency`, by ascending frequency.
+    deviation : ndarray, (2, n_modes)
+        Standard deviations of ln frequency and ln damping ratio.
+    amplitude : ndarray of complex, (n_decays, n_modes)
+        Each decay is the sum of `Re(amplitude exp(pole t))` from its first sample on.
+    amplitude_deviation : ndarray, (n_decays, n_modes)
+        Standard deviation of the amplitudes, noise and poles together; of complex numbers.
+    orders : ndarray of int, (n_modes,)
+        Number of orders of the model at which least squares found the mode.
+    chart : ndarray, (n, 4)
+        Every pole of every order: order, frequency [Hz], damping ratio, and 1 if it is stable.
+    """
+
+    pole: Complexes
+    deviation: Floats
+    amplitude: Complexes
+    amplitude_deviation: Floats
+    orders: NDArray[np.intp]
+    chart: Floats
+
+    @property
+    def frequency(self) -> Floats:
+        """Natural frequencies [Hz]."""
+        return np.asarray(np.abs(self.pole) / (2 * np.pi))
+
+    @property
+    def damping_ratio(self) -> Floats:
+        """Shares of critical damping."""
+        return np.asarray(-self.pole.real / np.abs(self.pole))
+
+
+def poles_of(decays: Floats, sampling_rate: float, band: tuple[float, float], max_order: int) -> Poles:
+    """Return the modes that ring in some decays of one body.
+
+    Parameters
+    ----------
+    decays : ndarray, (n_decays, n_samples)
+        Free decays; the channels of several sensors are further decays.
+    sampling_rate : float [Hz]
+    band : tuple of float [Hz]
+        Lowest and highest natural frequency that is sought.
+    max_order : int
+        Largest number of modes in one of the bands that are fitted one by one.
+
+    Returns
+    -------
+    Poles
+        Possibly without any.
+    """
+    decays = decays - decays.mean(axis=1, keepdims=True)
+    found, charts = [], []
+    for core in _cores(band, decays.shape[1] / sampling_rate):
+        fit = _Band(decays, sampling_rate, core)
+        found.append(fit.modes(max_order))
+        charts.append(fit.chart)
+    pole = np.concatenate([part.pole for part in found])
+    order = np.argsort(np.abs(pole))
+    return Poles(
+        pole=pole[order],
+        deviation=np.concatenate([part.deviation for part in found], axis=1)[:, order],
+        amplitude=np.concatenate([part.amplitude for part in found], axis=1)[:, order],
+        amplitude_deviation=np.concatenate([part.amplitude_deviation for part in found], axis=1)[:, order],
+        orders=np.concatenate([part.orders for part in found])[order],
+        chart=np.concatenate(charts),
+    )
+
+
+def _cores(band: tuple[float, float], duration: float) -> Iterator[tuple[float, float]]:
+    """Yield adjoining bands [Hz]."""
+    low, highest = band
+    while low < highest:
+        width = max(min(_WIDTH * low, _WIDEST), _FEWEST_BINS / (1 + 2 * _MARGIN) / duration)
+        high = low + width
+        if highest - high < 0.3 * width:
+            high = highest
+        yield low, high
+        low = high
+
+
+class _Band:
+    """The decays in one band: bins of their transform.
+
+    Attributes
+    ----------
+    line : ndarray, (n_bins,)
+        Frequencies of the bins [rad/s].
+    bins : ndarray of complex, (n_bins, n_decays)
+        Transform of the decays, over the square root of their length.
+    chart : see `Poles`
+    """
+
+    def __init__(self, decays: Floats, sampling_rate: float, core: tuple[float, float]) -> None:
+        self.core, self.step = core, 1 / sampling_rate
+        margin = _MARGIN * (core[1] - core[0])
+        low, high = max(core[0] - margin, 0.3 * core[0]), min(core[1] + margin, 0.497 * sampling_rate)
+        self.n_samples = _n_ringing(decays, sampling_rate, (low, high))
+        spectrum = np.fft.rfft(decays[:, : self.n_samples], axis=1).T / np.sqrt(self.n_samples)
+        frequency = np.fft.rfftfreq(self.n_samples, self.step)
+        kept = np.flatnonzero((frequency >= low) & (frequency <= high))
+        self.line, self.bins = 2 * np.pi * frequency[kept], spectrum[kept]
+        self.centre, self.half = np.pi * (low + high), np.pi * (high - low)
+        self.background = np.polynomial.chebyshev.chebvander((self.line - self.centre) / self.half, _DEGREE)
+        self.chart = np.empty((0, 4))
+
+    # -- least squares at every order ---------------------------------------------------------------------
+
+    def starts(self, max_order: int) -> list[Complexes]:
+        """Return sets of poles to start from, of every order from 1 on, and hold the chart."""
+        angle = _CIRCLE * np.pi * (self.line - self.centre) / self.half
+        largest = min(max_order, self.line.size // 4)
+        powers = np.exp(1j * np.outer(angle, np.arange(largest + 1)))
+        rows, out, before = [], [], np.empty(0, complex)
+        for order in range(1, largest + 1):
+            clear, every = self._roots(powers[:, : order + 1])
+            near = np.abs(clear[:, None] - before).min(axis=1, initial=np.inf)
+            bin_width = 2 * np.pi / (self.n_samples * self.step)
+            stable = near < _STABLE * np.maximum(-clear.real, 0.1 * bin_width)
+            size = np.abs(clear)
+            rows.append(np.stack([np.full(size.size, order), size / (2 * np.pi), -clear.real / size, stable], axis=1))
+            out += [clear, every]
+            before = clear
+        chart = np.concatenate([self.chart, *rows])
+        self.chart = chart[(chart[:, 1] >= self.core[0]) & (chart[:, 1] < self.core[1])]
+        return out
+
+    def _roots(self, powers: Complexes) -> tuple[Complexes, Complexes]:
+        """Return the poles of one order [1/s]: least squares of `denominator bins - numerators`, twice.
+
+        With 1 as the lowest coefficient poles that only noise calls for grow, and go (Cauberghe et al. 2005), but in
+        much noise others do, too. With 1 as the highest all decay.
+        """
+        basis = np.linalg.qr(powers)[0]
+        n = powers.shape[1]
+        matrix = np.zeros((n, n), complex)
+        for decay in self.bins.T:
+            own = decay[:, None] * powers
+            own = own - basis @ (basis.conj().T @ own)
+            matrix += own.conj().T @ own
+        found = []
+        for fixed in (0, n - 1):
+            free = np.delete(np.arange(n), fixed)
+            rest = np.linalg.lstsq(matrix[np.ix_(free, free)], -matrix[free, fixed], rcond=None)[0]
+            roots = np.roots(np.insert(rest, fixed, 1.0)[::-1])
+            roots = roots[(np.abs(roots) > 1e-12) & np.isfinite(roots)]
+            pole = 1j * self.centre + self.half * np.log(roots) / (_CIRCLE * np.pi)
+            found.append(pole[self._are_inside(pole)])
+        return found[0], found[1]
+
+    def _are_inside(self, pole: Complexes) -> NDArray[np.bool_]:
+        """Return which poles can be modes in or near the band."""
+        ratio = -pole.real / np.abs(pole)
+        reach = 0.15 * self.half
+        inside = (ratio > LEAST_DAMPING) & (ratio < MOST_DAMPING)
+        return inside & (pole.imag > self.line[0] - reach) & (pole.imag < self.line[-1] + reach)
+
+    # -- maximum likelihood -------------------------------------------------------------------------------
+
+    def modes(self, max_order: int) -> Poles:
+        """Return the modes in the core of the band."""
+        best, worse = _Fit(self, np.empty(0, complex)), 0
+        for start in self.starts(max_order):
+            first = self._pruned(_Fit(self, start), _AT_FIRST, refine=False)
+            if best.is_near(first.pole):
+                continue
+            fit = self._pruned(_refined(first))
+            if fit.criterion < best.criterion:
+                best, worse = fit, 0
+            else:
+                worse += 1
+            if worse == _PATIENCE:
+                break
+        return self._reported(self._joined(best))
+
+    def _joined(self, fit: _Fit) -> _Fit:
+        """Return a fit with one pole for each pair that is one mode which does not decay exponentially.
+
+        Such a mode, in a joint that slips, looks like two at one frequency with different dampings. Half of
+        what they are apart is added to the deviations of the one.
+        """
+        while (pair := _double(fit.pole)) is not None:
+            gain = fit.gains()
+            weak, kept = sorted(pair, key=lambda k: gain[k])
+            apart = (fit.pole[weak] - fit.pole[kept]) / 2
+            fit.blur[kept] += abs(apart.real) + 1j * abs(apart.imag)
+            fit = self._pruned(_refined(fit.without(weak)))
+        return fit
+
+    def _pruned(self, fit: _Fit, share: float = 1.0, *, refine: bool = True) -> _Fit:
+        """Return a fit without the poles that gain less than a share of what their parameters cost."""
+        while fit.pole.size:
+            inside = self._are_inside(fit.pole)
+            gain = np.where(inside, fit.gains(), 0.0)
+            worst = int(np.argmin(gain))
+            if gain[worst] > share * fit.price:
+                return fit
+            fit = fit.without(worst)
+            fit = _refined(fit) if refine else fit
+        return fit
+
+    def _reported(self, fit: _Fit) -> Poles:
+        """Return the modes of a fit in the core of the band."""
+        frequency = np.abs(fit.pole) / (2 * np.pi)
+        deviation = fit.deviation()
+        kept = (frequency >= self.core[0]) & (frequency < self.core[1]) & ((deviation[1] < _MOST_UNSURE) | (fit.blur != 0))
+        amplitude, own = fit.amplitudes(self.step)
+        near = np.abs(np.log(self.chart[:, 1][:, None] / frequency[kept])) < np.maximum(
+            0.5 * -fit.pole.real[kept] / np.abs(fit.pole[kept]), 1e-3
+        )
+        return Poles(
+            pole=fit.pole[kept],
+            deviation=deviation[:, kept],
+            amplitude=amplitude[:, kept],
+            amplitude_deviation=own[:, kept],
+            orders=np.array([np.unique(self.chart[row, 0]).size for row in near.T], np.intp),
+            chart=np.empty((0, 4)),
+        )
+
+
+def _n_ringing(decays: Floats, sampling_rate: float, band: tuple[float, float]) -> int:
+    """Return over how many samples a band rings: later ones hold nothing but noise, and cost time."""
+    n = decays.shape[1]
+    spectrum = np.fft.fft(decays, axis=1)
+    frequency = np.fft.fftfreq(n, 1 / sampling_rate)
+    spectrum[:, (frequency < band[0]) | (frequency > band[1])] = 0
+    power = np.square(np.abs(np.fft.ifft(spectrum, axis=1))).sum(axis=0)
+    count = max(n // 50, 1)
+    level = power[: n // count * count].reshape(-1, count).mean(axis=1)
+    over = np.flatnonzero(level > _DECAYED * np.median(level[-max(level.size // 8, 1) :]))
+    width = band[1] - band[0]
+    fewest, most = (int(np.ceil(bins * sampling_rate / width)) for bins in (_FEWEST_BINS, _MOST_BINS))
+    ringing = int(1.2 * count * (over[-1] + 1)) if over.size else 0
+    return min(max(ringing, fewest), max(most, fewest), n)
+
+
+class _Fit:
+    """Poles in a band, with the amplitudes that follow.
+
+    Attributes
+    ----------
+    pole : ndarray of complex, (n_poles,) [1/s]
+    blur : ndarray of complex, (n_poles,) [1/s]
+        Further standard deviations of real and imaginary part, because a mode does not decay exponentially.
+    coefficients : ndarray of complex, (n_poles + background, n_decays)
+    left : ndarray of complex, (n_bins, n_decays)
+    power : float
+        Sum of squares of what is left.
+    """
+
+    def __init__(self, band: _Band, pole: Complexes, blur: Complexes | None = None) -> None:
+        self.band, self.pole = band, pole
+        self.blur = np.zeros(pole.size, complex) if blur is None else blur
+        inverse = 1 / (1j * band.line[:, None] - pole)
+        # Columns of norm 1, so that orders of magnitude do not matter.
+        self.scale = 1 / np.maximum(np.linalg.norm(inverse, axis=0), 1e-300)
+        self.basis = np.concatenate([inverse * self.scale, band.background], axis=1)
+        self.q, self.r = np.linalg.qr(self.basis)
+        self.inverse = np.linalg.pinv(self.r, rcond=1e-13)
+        self.coefficients = self.inverse @ (self.q.conj().T @ band.bins)
+        self.left = band.bins - self.basis @ self.coefficients
+        self.power = float(np.sum(np.square(np.abs(self.left))))
+
+    def without(self, k: int) -> _Fit:
+        """Return the fit without one pole, the others where they are."""
+        return _Fit(self.band, np.delete(self.pole, k), np.delete(self.blur, k))
+
+    def is_near(self, pole: Complexes) -> bool:
+        """Return whether some poles, as many as the fit's, lie within a part of their distance from the axis of them."""
+        if pole.size != self.pole.size:
+            return False
+        apart = np.abs(np.sort_complex(pole * -1j) - np.sort_complex(self.pole * -1j))
+        return bool(np.all(apart < _STABLE * np.abs(np.sort_complex(self.pole * -1j).imag)))
+
+    @property
+    def freedom(self) -> float:
+        """Complex degrees of freedom of what is left."""
+        n_bins, n_decays = self.band.bins.shape
+        return max(n_decays * (n_bins - self.basis.shape[1]) - self.pole.size, 1.0)
+
+    @property
+    def price(self) -> float:
+        """Gain in twice the log likelihood that a further pole must bring (Schwarz 1978)."""
+        n_bins, n_decays = self.band.bins.shape
+        return 2 * (1 + n_decays) * float(np.log(2 * n_bins * n_decays))
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's criterion, but for a constant; less is better."""
+        number = 2 * self.band.bins.size
+        return number * float(np.log(max(self.power, 1e-300))) + self.pole.size * self.price
+
+    @property
+    def noise(self) -> float:
+        """Variance of a complex bin."""
+        return self.power / self.freedom
+
+    def gains(self) -> Floats:
+        """Return what twice the log likelihood would lose without each pole, (n_poles,)."""
+        own = np.square(np.abs(self.inverse)).sum(axis=1)[: self.pole.size]
+        power = np.square(np.abs(self.coefficients[: self.pole.size])).sum(axis=1)
+        return np.asarray(2 * power / own / max(self.noise, 1e-300))
+
+    def _bends(self) -> Complexes:
+        """Return how the basis changes with each pole [s], (n_bins, n_poles)."""
+        return self.basis[:, : self.pole.size] / (1j * self.band.line[:, None] - self.pole)
+
+    def jacobian(self) -> Complexes:
+        """Return the slopes of the fit in real and imaginary parts of the poles, (2 n_poles, n_bins, n_decays).
+
+        The amplitudes follow (Kaufman 1975).
+        """
+        bends = self._bends()
+        bends = bends - self.q @ (self.q.conj().T @ bends)
+        slopes = bends.T[:, :, None] * self.coefficients[: self.pole.size, None, :]
+        return np.concatenate([slopes, 1j * slopes])
+
+    def equations(self) -> tuple[Floats, Floats]:
+        """Return the curvature (n, n) of the poles' parts and the pull of each decay (n_decays, n)."""
+        slopes = self.jacobian()
+        flat = slopes.reshape(len(slopes), -1)
+        curvature = (flat.conj() @ flat.T).real
+        pulls = np.einsum("pkj,kj->jp", slopes.conj(), self.left).real
+        return curvature, pulls
+
+    def covariance(self) -> Floats:
+        """Return the covariance of real and imaginary parts of the poles, (2 n_poles, 2 n_poles) [1/s^2]."""
+        curvature, pulls = self.equations()
+        inverse = _inverse(curvature)
+        bound = 0.5 * self.noise * inverse
+        n_decays = len(pulls)
+        if n_decays > 1:
+            each = pulls @ inverse
+            scatter = np.sqrt(n_decays / (n_decays - 1) * np.square(each).sum(axis=0) / np.diag(bound))
+            larger = np.maximum(scatter, 1.0)
+            bound = bound * np.outer(larger, larger)
+        return np.asarray(bound + np.diag(np.square(np.concatenate([self.blur.real, self.blur.imag]))))
+
+    def deviation(self) -> Floats:
+        """Return the standard deviations of ln frequency and ln damping ratio, (2, n_poles)."""
+        size, n = np.abs(self.pole), self.pole.size
+        if not n:
+            return np.empty((2, 0))
+        covariance = self.covariance()
+        out = np.empty((2, n))
+        for k, pole in enumerate(self.pole):
+            own = covariance[np.ix_([k, n + k], [k, n + k])]
+            of_size = np.array([pole.real, pole.imag]) / size[k] ** 2
+            of_ratio = np.array([1 / pole.real, 0.0]) - of_size
+            out[:, k] = [np.sqrt(of_size @ own @ of_size), np.sqrt(of_ratio @ own @ of_ratio)]
+        return out
+
+    def amplitudes(self, step: float) -> tuple[Complexes, Floats]:
+        """Return the amplitudes of the decays at their first sample and their deviations, (n_decays, n_poles)."""
+        n, band = self.pole.size, self.band
+        if not n:
+            return np.empty((band.bins.shape[1], 0), complex), np.empty((band.bins.shape[1], 0))
+        # A sum over n samples of exp(s t) is (1 - exp(s n step)) / (1 - exp((s - j w) step)), near w = Im s it is
+        # (1 - exp(s n step)) / ((j w - s) step) and something smooth. Half of a cosine is in its mirror image.
+        factor = 2 * step * np.sqrt(band.n_samples) / (1 - np.exp(self.pole * band.n_samples * step))
+        own = self.noise * np.square(np.abs(self.inverse)).sum(axis=1)[:n]
+        moved = self.inverse @ (self.q.conj().T @ self._bends())
+        covariance, parts = self.covariance(), self.coefficients[:n]
+        by_pole = np.empty((parts.shape[1], n))
+        for decay in range(parts.shape[1]):
+            slope = moved[:n] * parts[:, decay]
+            both = np.concatenate([slope, 1j * slope], axis=1)
+            by_pole[decay] = np.einsum("ap,pq,aq->a", both, covariance, both.conj()).real
+        size = np.abs(factor) * self.scale
+        return (factor * self.scale * parts.T), np.sqrt(own + by_pole) * size
+
+
+def _double(pole: Complexes) -> tuple[int, int] | None:
+    """Return two poles at nearly one frequency with different dampings, if there are such."""
+    for k in range(pole.size):
+        for other in range(k):
+            wide, narrow = sorted((-pole[k].real, -pole[other].real), reverse=True)
+            if abs(pole[k].imag - pole[other].imag) < _ONE * wide and wide > _UNLIKE * narrow:
+                return other, k
+    return None
+
+
+def _refined(fit: _Fit) -> _Fit:
+    """Return the fit of maximum likelihood near a fit (Levenberg 1944, Marquardt 1963)."""
+    damping, n = 1e-3, fit.pole.size
+    if not n:
+        return fit
+    for _ in range(_ROUNDS):
+        curvature, pulls = fit.equations()
+        weight = np.maximum(np.diag(curvature), 1e-300)
+        pull = pulls.sum(axis=0)
+        better = None
+        while damping < 1e8:
+            step = np.linalg.solve(curvature + damping * np.diag(weight), pull)
+            moved = fit.pole + step[:n] + 1j * step[n:]
+            beyond = 4 * fit.band.half
+            moved = fit.band.centre * 1j + np.clip(moved.imag - fit.band.centre, -beyond, beyond) * 1j + np.clip(
+                moved.real, -beyond, -1e-9 * fit.band.centre
+            )
+            better = _Fit(fit.band, moved, fit.blur)
+            if better.power <= fit.power:
+                break
+            damping, better = 10 * damping, None
+        if better is None:
+            return fit
+        gain = (fit.power - better.power) / max(better.noise, 1e-300)
+        fit, damping = better, max(damping / 10, 1e-9)
+        if gain < _AT_REST:
+            return fit
+    return fit
+
+
+def _inverse(matrix: Floats) -> Floats:
+    """Return the inverse of a positive matrix whose rows have different units."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale))
+

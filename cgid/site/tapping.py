@@ -1,0 +1,544 @@
+"""A tap test: taps of a hammer on a beam, recorded by an accelerometer on it, and the modes that ring after them.
+
+A recording is cut at its taps. What follows a tap, from the end of the blow to the next tap, is a free decay; `poles`
+finds the modes in all decays together. With an instrumented hammer, the decay also gives the participation of a mode,
+`shape(tap) shape(sensor) / modal mass`: its amplitude over the Laplace transform of the force at the mode's own pole.
+That is the estimate H1 at the pole, and neither windows nor leakage come in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.files import check_new, read_cells, write_whole
+from cgid.identification.detection import ImpactDetector
+from cgid.identification.events import Event
+from cgid.physics.modes import COLUMNS, LEARNED_COLUMNS, LearnedModes
+from cgid.site.poles import Poles, poles_of
+from cgid.terminal import counted
+from cgid.units import UNITS, quantity_of
+from cgid.validation import Floats
+
+#: How long a hammer stays on where no hammer channel says it, and after its force has gone [s]: its filter rings.
+CONTACT, _AFTER = 2e-3, 0.5e-3
+#: A tap ends so long before the onset of the next [s]: an onset may be found late.
+_BEFORE_NEXT = 1e-3
+#: A blow makes the second differences of a response grow this many times within this time [s].
+_JUMP, _JUMP_TIME = 3.0, 2e-3
+#: Two blows within this time are a double tap [s].
+DOUBLE = 0.1
+#: Shortest decay [s], and its least part of the median one.
+SHORTEST, _LEAST_PART = 30e-3, 0.5
+#: Longest decay that is used [samples].
+_LONGEST = 1 << 18
+#: A clipped response holds its extreme for three samples, at least at this share of the largest deviation.
+_CLIPPED_SHARE = 0.5
+#: A tap of a table is the one found within this time [s].
+_NEAR = 0.1
+#: Lowest natural frequency in periods of a decay, highest in sampling rates.
+_PERIODS, _HIGHEST = 5.0, 0.4
+#: Derivatives of the displacement that a sensor gives.
+_DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
+#: A mode of a scene fits one of the taps within this many deviations; a second one within it leaves both open.
+_FITTING = 3.0
+#: Largest table of taps [bytes].
+_LARGEST_FILE = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tap:
+    """A tap in a recording.
+
+    Attributes
+    ----------
+    time : float [s]
+        Of its onset.
+    start, stop : int
+        Samples of its free decay.
+    flaw : str
+        Why it is not used; empty if it is.
+    """
+
+    time: float
+    start: int
+    stop: int
+    flaw: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TapTest:
+    """Modes of a beam from taps; fields of modes are (n_modes,), by ascending frequency.
+
+    Attributes
+    ----------
+    frequency : ndarray [Hz]
+        Undamped natural frequencies.
+    damping_ratio : ndarray
+    participation : ndarray [1/kg]
+        Shape at the tap times shape at the first sensor over modal mass; without a hammer, size over the largest.
+    frequency_deviation, damping_ratio_deviation, participation_deviation : ndarray
+        Standard deviations of the logarithms of these (of a participation, over its size).
+    absolute : bool
+        Whether participations are in 1/kg.
+    taps : tuple of Tap
+        In order of time.
+    duration : float [s]
+        Of each decay that was used.
+    band : tuple of float [Hz]
+        In which modes were sought.
+    poles : Poles
+    """
+
+    frequency: Floats
+    damping_ratio: Floats
+    participation: Floats
+    frequency_deviation: Floats
+    damping_ratio_deviation: Floats
+    participation_deviation: Floats
+    absolute: bool
+    taps: tuple[Tap, ...]
+    duration: float
+    band: tuple[float, float]
+    poles: Poles
+
+    @property
+    def used(self) -> list[Tap]:
+        """The taps whose decays were used."""
+        return [tap for tap in self.taps if not tap.flaw]
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the modes as a table that `tail_beam.modes` of a scene reads, and `tail_beam.learned` beside it.
+
+        Only the product of the shapes is known: both are its root, for a modal mass of 1 kg.
+        """
+        size = np.sqrt(np.abs(self.participation))
+        columns = {
+            "frequency": self.frequency,
+            "damping_ratio": self.damping_ratio,
+            "modal_mass": np.ones(size.size),
+            "shape_impact": np.copysign(size, self.participation),
+            "shape_sensor": size,
+            "participation": np.ones(size.size),
+            **{name: getattr(self, name) for name in list(LEARNED_COLUMNS)[3:]},
+        }
+        scale = "in 1/kg" if self.absolute else "without a hammer over the largest: signals have no scale"
+        return _save(path, columns, f"shape_impact * shape_sensor is the participation, {scale}", overwrite)
+
+
+def save_learned(modes: LearnedModes, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write the modes of a scene, as taps corrected them, as a table for `tail_beam.learned`."""
+    columns = {name: getattr(modes, name) for name in LEARNED_COLUMNS}
+    return _save(path, columns, "a line for each mode of the scene, in its order", overwrite)
+
+
+def _save(path: str | Path, columns: dict[str, Floats], note: str, overwrite: bool) -> Path:
+    path = check_new(Path(path), "a table of modes", (".csv",), overwrite=overwrite)
+    units = COLUMNS | LEARNED_COLUMNS
+    lines = [
+        f"# Written by cgid tap: {note}; deviations are those of logarithms",
+        ",".join(f"{name} [{units[name]}]" for name in columns),
+        *(",".join(f"{float(value)!r}" for value in row) for row in zip(*columns.values(), strict=True)),
+    ]
+    write_whole(path, ("\n".join(lines) + "\n").encode(), overwrite=overwrite)
+    return path
+
+
+def tap_test(
+    response: Floats,
+    sampling_rate: float,
+    *,
+    hammer: Floats | None = None,
+    quantity: str = "acceleration",
+    band: tuple[float, float] | None = None,
+    max_order: int = 24,
+    contact: float = CONTACT,
+    times: Sequence[float] | None = None,
+    source: str = "signal",
+) -> TapTest:
+    """Return the modes of a beam from a recording of taps on it.
+
+    Parameters
+    ----------
+    response : ndarray, (n_channels, n_samples)
+        Motion of the beam in SI units.
+    sampling_rate : float [Hz]
+    hammer : ndarray, (n_samples,), optional
+        Force of the hammer [N], in either direction.
+    quantity : {"acceleration", "velocity", "displacement"}
+        Of the response.
+    band : tuple of float, optional [Hz]
+        Lowest and highest natural frequency; by default five periods of a decay, and 0.4 of the sampling rate.
+    max_order : int
+        Largest number of modes in each of the narrow bands that are fitted one by one.
+    contact : float [s]
+        How long the hammer stays on, where there is no hammer channel.
+    times : sequence of float, optional [s]
+        Use only the taps at these times.
+    source : str
+        Name of the recording in errors.
+
+    Returns
+    -------
+    TapTest
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule.
+    BadData
+        There is no usable tap, or no mode rings after it; the message says why.
+    """
+    quantity = validation.choice("quantity", quantity, tuple(_DERIVATIVES))
+    max_order = validation.count("max_order", max_order)
+    contact = validation.number("contact", contact, "s", validation.not_negative)
+    force, hits = None, None
+    if hammer is not None:
+        force, hits = _force(hammer, sampling_rate, source)
+    events = hits if hits is not None else _events(response, sampling_rate, source)
+    taps = _judged(response, sampling_rate, events, contact, times, source)
+    kept = [tap for tap in taps if not tap.flaw]
+    if not kept:
+        raise BadData(f"{source}: at least one tap must be usable, of {_listed(taps)}; {_cure(taps)}")
+    length = min(min(tap.stop - tap.start for tap in kept), _LONGEST)
+    low, high = _band(band, length / sampling_rate, sampling_rate, source)
+    decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in kept])
+    poles = poles_of(decays, sampling_rate, (low, high), max_order)
+    if not poles.pole.size:
+        raise BadData(
+            f"{source}: a mode must ring after the taps, none is found between {low:.4g} and {high:.4g} Hz in "
+            f"{counted(len(kept), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
+            "moves, or change --band"
+        )
+    participation, own = _participation(poles, kept, force, hits, sampling_rate, _DERIVATIVES[quantity])
+    return TapTest(
+        frequency=poles.frequency,
+        damping_ratio=poles.damping_ratio,
+        participation=participation,
+        frequency_deviation=poles.deviation[0],
+        damping_ratio_deviation=poles.deviation[1],
+        participation_deviation=own,
+        absolute=force is not None,
+        taps=tuple(taps),
+        duration=length / sampling_rate,
+        band=(low, high),
+        poles=poles,
+    )
+
+
+def read_times(path: str | Path) -> list[float]:
+    """Return the times [s] of a table of taps: a CSV file with a column `time [s]`, other columns ignored."""
+    lines = read_cells(path, "the table of taps", _LARGEST_FILE)
+    if not lines or "time [s]" not in lines[0][1] or len(lines) < 2:
+        raise BadData(f"{path}: a table of taps must have the column 'time [s]' and a line a tap; name its unit, too")
+    column, out = lines[0][1].index("time [s]"), []
+    for number, cells in lines[1:]:
+        cell = cells[column] if column < len(cells) else ""
+        try:
+            out.append(float(validation.not_negative("time", float(cell), "s")))
+        except ValueError:
+            raise BadData(f"{path}, line {number}: time must be a number of at least 0 s, got {cell!r}") from None
+    return out
+
+
+# -- taps -------------------------------------------------------------------------------------------------
+
+
+def _events(response: Floats, sampling_rate: float, source: str) -> list[Event]:
+    """Return the blows that the sensors hear; raises `BadData` if there is none."""
+    detector = ImpactDetector(sampling_rate, len(response), kind="vibration", joint=True)
+    events = detector.feed(response) + detector.finish()
+    if not events:
+        raise BadData(f"{source}: a recording of taps must hold one, {detector.why_silent()}")
+    return [event for event in events if _jump(response, event.onset, sampling_rate) > _JUMP] or events
+
+
+def _jump(response: Floats, onset: int, sampling_rate: float) -> float:
+    """Return by how much the second differences grow at an onset: a few modes that beat are no blow."""
+    n = max(round(_JUMP_TIME * sampling_rate), 4)
+    bends = np.diff(response[:, max(onset - 2 * n, 0) : onset + n], n=2, axis=1)
+    before, behind = bends[:, : -n - n // 2], bends[:, -n:]
+    if before.shape[1] < n // 4:
+        return np.inf
+    return float(np.max(np.sqrt(np.mean(behind**2, axis=1) / np.maximum(np.mean(before**2, axis=1), 1e-300))))
+
+
+def _force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, list[Event]]:
+    """Return the force during blows, 0 between them, and the blows; raises `BadData` if there is none."""
+    for sign in (1.0, -1.0):
+        detector = ImpactDetector(sampling_rate, kind="pulse")
+        hits = detector.feed(sign * hammer) + detector.finish()
+        if hits and not detector.is_upside_down():
+            break
+    else:
+        raise BadData(f"{source}: the hammer channel must hold a tap, {detector.why_silent(unit='N')}")
+    baseline = np.median(hammer)
+    force = np.zeros(hammer.size)
+    lead = max(round(_AFTER * sampling_rate), 2)
+    for hit in hits:
+        part = slice(max(hit.onset - lead, 0), hit.end + lead)
+        force[part] = sign * (hammer[part] - baseline)
+    return force, hits
+
+
+def _judged(
+    response: Floats,
+    sampling_rate: float,
+    events: list[Event],
+    contact: float,
+    times: Sequence[float] | None,
+    source: str,
+) -> list[Tap]:
+    """Return the taps with their decays and flaws."""
+    n = response.shape[1]
+    limits = response.max(axis=1), response.min(axis=1)
+    nexts = [event.onset for event in events[1:]] + [n]
+    taps = []
+    for event, following in zip(events, nexts, strict=True):
+        known = event.pre_trigger is None  # a pulse of a hammer ends where it ends
+        start = (event.end + round(_AFTER * sampling_rate)) if known else event.onset + round(contact * sampling_rate)
+        stop = following - (round(_BEFORE_NEXT * sampling_rate) if following < n else 0)
+        apart = (following - event.onset) / sampling_rate
+        flaw = ""
+        if event.onset < 2 or (event.cut and event.onset < n // 2 and following == n and event.end < n):
+            flaw = "cut off by the start of the recording"
+        elif following < n and apart < DOUBLE:
+            flaw = f"double tap, another blow follows after {1e3 * apart:.3g} ms"
+        elif not known and event.overlapping and _alone(event, events, sampling_rate):
+            flaw = "double tap, another blow follows within some milliseconds"
+        elif _is_clipped(response[:, event.onset : max(stop, event.onset + 1)], *limits) or (known and event.clipped):
+            flaw = "clipped"
+        taps.append(Tap(time=event.onset / sampling_rate, start=start, stop=stop, flaw=flaw))
+    taps = _required(taps, times, source)
+    return _long_enough(taps, sampling_rate, n)
+
+
+def _alone(event: Event, events: list[Event], sampling_rate: float) -> bool:
+    """Return whether no other event lies within the frame of one, so that it can only overlap with a hidden blow."""
+    reach = len(np.atleast_2d(event.samples)[0])
+    return all(other is event or abs(other.onset - event.onset) > reach for other in events)
+
+
+def _is_clipped(part: Floats, highest: Floats, lowest: Floats) -> bool:
+    """Return whether a channel (n_channels, n) holds an extreme of the recording for three samples."""
+    for row, most, least in zip(part, highest, lowest, strict=True):
+        limit = _CLIPPED_SHARE * max(abs(most), abs(least))
+        for extreme in (most, least):
+            at = row == extreme
+            if abs(extreme) >= limit and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
+                return True
+    return False
+
+
+def _required(taps: list[Tap], times: Sequence[float] | None, source: str) -> list[Tap]:
+    """Return the taps, those that the user does not want with a flaw; raises `BadData` where there is none."""
+    if times is None:
+        return taps
+    wanted = set()
+    for time in times:
+        near = min(range(len(taps)), key=lambda k: abs(taps[k].time - time))
+        if abs(taps[near].time - time) > _NEAR:
+            raise BadData(
+                f"{source}: a tap must lie within {_NEAR:g} s of {time:g} s, the nearest is at {taps[near].time:.4g} s; "
+                "correct the table of taps"
+            )
+        wanted.add(near)
+    return [tap if k in wanted else _flawed(tap, tap.flaw or "not in the table of taps") for k, tap in enumerate(taps)]
+
+
+def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
+    """Return the taps, those with too short a decay with a flaw."""
+    free = np.array([(tap.stop - tap.start) / sampling_rate for tap in taps if not tap.flaw])
+    needed = max(SHORTEST, _LEAST_PART * float(np.median(free))) if free.size else SHORTEST
+    out = []
+    for tap in taps:
+        own = max(tap.stop - tap.start, 0) / sampling_rate
+        if not tap.flaw and own < needed:
+            behind = "the end of the recording" if tap.stop == n else "the next tap"
+            tap = _flawed(tap, f"too near {behind}, {own:.3g} s where {needed:.3g} s are needed")
+        out.append(tap)
+    return out
+
+
+def _flawed(tap: Tap, flaw: str) -> Tap:
+    return Tap(time=tap.time, start=tap.start, stop=tap.stop, flaw=flaw)
+
+
+def _listed(taps: Sequence[Tap]) -> str:
+    """Return how many taps there are, with what is wrong with the first."""
+    count = {flaw: sum(tap.flaw.split(",")[0] == flaw for tap in taps) for flaw in (t.flaw.split(",")[0] for t in taps)}
+    reasons = ", ".join(f"{number} {flaw}" for flaw, number in count.items() if flaw)
+    return f"{counted(len(taps), 'tap')}: {reasons}"
+
+
+def _cure(taps: Sequence[Tap]) -> str:
+    flaws = " ".join(tap.flaw for tap in taps)
+    cures = {
+        "clipped": "record with a larger range, or tap more softly",
+        "double": "tap again, and lift the hammer at once",
+        "too near": "leave a second or more between taps, and after the last",
+    }
+    return "; ".join(cure for word, cure in cures.items() if word in flaws) or "record again, some samples before a tap"
+
+
+def _band(
+    band: tuple[float, float] | None, duration: float, sampling_rate: float, source: str
+) -> tuple[float, float]:
+    """Return the band in which modes are sought [Hz]."""
+    least, most = _PERIODS / duration, 0.49 * sampling_rate
+    if band is None:
+        return least, _HIGHEST * sampling_rate
+    low, high = band
+    if not low < high:
+        raise InvalidValue(f"band must be two ascending frequencies, got {low:g} and {high:g} Hz")
+    if low < 1 / duration or high > most:
+        raise BadData(
+            f"{source}: band must lie between one period of the decays ({1 / duration:.3g} Hz) and 0.49 of the sampling "
+            f"rate ({most:.5g} Hz), got {low:g} to {high:g} Hz; leave more time between taps, or change --band"
+        )
+    return low, high
+
+
+# -- participation ----------------------------------------------------------------------------------------
+
+
+def _participation(
+    poles: Poles,
+    taps: Sequence[Tap],
+    force: Floats | None,
+    hits: Sequence[Event] | None,
+    sampling_rate: float,
+    derivatives: int,
+) -> tuple[Floats, Floats]:
+    """Return the participations at the first sensor and the standard deviations of their logarithms, (n_modes,)."""
+    n_taps, pole = len(taps), poles.pole
+    # Of q'' + 2 z w q' + w^2 q = p f: the decay is p Re(s^d F(s) exp(s t) / (j Im s)).
+    unit = pole**derivatives / (1j * pole.imag)
+    amplitude, noise = poles.amplitude[:n_taps] / unit, poles.amplitude_deviation[:n_taps] / np.abs(unit)
+    if force is None or hits is None:
+        return _relative(np.abs(amplitude), noise)
+    transform = np.stack([_transform(force, hits, pole, tap, sampling_rate) for tap in taps])
+    weight = np.square(np.abs(transform))
+    total = weight.sum(axis=0)
+    each = (amplitude / transform).real
+    mean = np.sum(weight * each, axis=0) / total
+    own = np.sqrt(np.sum(np.square(noise * np.abs(transform)), axis=0)) / total / np.sqrt(2)
+    if n_taps > 1:
+        scatter = np.sqrt(n_taps / (n_taps - 1) * np.sum(np.square(weight * (each - mean)), axis=0)) / total
+        own = np.maximum(own, scatter)
+    return mean, np.minimum(own / np.maximum(np.abs(mean), 1e-300), 1.0)
+
+
+def _transform(force: Floats, hits: Sequence[Event], pole: Floats, tap: Tap, sampling_rate: float) -> Floats:
+    """Return the Laplace transforms of all force before a decay at the poles, from its first sample on, (n_modes,)."""
+    out, lead = np.zeros(pole.size, complex), max(round(_AFTER * sampling_rate), 2)
+    for hit in hits:
+        part = np.arange(max(hit.onset - lead, 0), min(hit.end + lead, force.size))
+        ago = (tap.start - part[-1]) / sampling_rate
+        if hit.onset < tap.start and ago * np.abs(pole.real).min(initial=0.0) < 50:
+            ago_each = (tap.start - part) / sampling_rate
+            out += np.exp(ago_each[:, None] * pole).T @ force[part] / sampling_rate
+    return out
+
+
+def _relative(amplitude: Floats, noise: Floats) -> tuple[Floats, Floats]:
+    """Return the sizes of modes over that of the largest, from taps of unknown strength, and their deviations."""
+    strength = amplitude[:, int(np.argmax(amplitude.sum(axis=0)))]
+    weight = np.square(strength)[:, None]
+    each = amplitude / strength[:, None]
+    mean = np.sum(weight * each, axis=0) / weight.sum()
+    own = np.sqrt(np.sum(np.square(noise * strength[:, None]), axis=0)) / weight.sum()
+    n = len(amplitude)
+    if n > 1:
+        own = np.maximum(own, np.sqrt(n / (n - 1) * np.sum(np.square(weight * (each - mean)), axis=0)) / weight.sum())
+    return mean, np.minimum(own / np.maximum(mean, 1e-300), 1.0)
+
+
+# -- modes of a scene -------------------------------------------------------------------------------------
+
+
+def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error: float) -> tuple[LearnedModes, Floats]:
+    """Return the modes of a scene, corrected where taps have found them.
+
+    Modes keep their order. One step of the whole beam, such as a stiffer steel, is allowed for.
+
+    Parameters
+    ----------
+    test : TapTest
+    frequency, damping_ratio : ndarray, (n_modes,)
+        Of the scene, ascending.
+    start_error : float
+        Standard deviation of the scene's frequencies, relative; its damping ratios have ten times as much.
+
+    Returns
+    -------
+    tuple of LearnedModes and ndarray of bool, (n_modes,)
+        The modes, and which of them were found.
+    """
+    found, own = np.log(test.frequency), np.log(frequency)
+    shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error
+    pairs = min((_aligned(found, own + shift, start_error) + (shift,) for shift in shifts), key=lambda one: one[0])
+    place = {k: i for i, k in pairs[1] if _is_sure(found, own + pairs[2], i, k, start_error)}
+    mine = np.array(sorted(place), np.intp)
+    theirs = np.array([place[k] for k in mine.tolist()], np.intp)
+    n = own.size
+    columns = {
+        "frequency": (frequency, test.frequency),
+        "damping_ratio": (damping_ratio, test.damping_ratio),
+        "frequency_deviation": (np.full(n, start_error), test.frequency_deviation),
+        "damping_ratio_deviation": (np.full(n, min(10 * start_error, 0.3)), test.damping_ratio_deviation),
+    }
+    corrected = {}
+    for name, (before, after) in columns.items():
+        corrected[name] = np.array(before, float)
+        corrected[name][mine] = after[theirs]
+    known = np.zeros(n, bool)
+    known[mine] = True
+    modes = LearnedModes(**corrected, participation=np.ones(n), participation_deviation=np.zeros(n))
+    return modes, known
+
+
+def _aligned(found: Floats, own: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:
+    """Return the cost and the pairs (found, own) of the best alignment that keeps both orders.
+
+    A pair costs its squared distance; a mode of the taps without a partner `_FITTING` squared.
+    """
+    distance = np.square((found[:, None] - own) / error)
+    cost = np.zeros((found.size + 1, own.size + 1))
+    cost[1:, 0] = _FITTING**2 * np.arange(1, found.size + 1)
+    for i in range(found.size):
+        best = np.minimum(cost[i, 1:] + _FITTING**2, cost[i, :-1] + distance[i])
+        cost[i + 1, 1:] = np.minimum.accumulate(np.append(cost[i + 1, 0], best))[1:]
+    pairs, i, k = [], found.size, own.size
+    while i and k:
+        if cost[i, k] == cost[i, k - 1]:
+            k -= 1
+        elif cost[i, k] == cost[i - 1, k] + _FITTING**2:
+            i -= 1
+        else:
+            i, k = i - 1, k - 1
+            pairs.append((i, k))
+    return float(cost[-1, -1]), pairs
+
+
+def _is_sure(found: Floats, own: Floats, i: int, k: int, error: float) -> bool:
+    """Return whether a pair fits, and no neighbour of either would fit nearly as well."""
+    apart = abs(found[i] - own[k])
+    others = np.abs(np.delete(own, k) - found[i]).min(initial=np.inf)
+    return bool(apart < _FITTING * error and others > 2 * apart + 0.5 * error)
+
+
+def factor_of(unit: str, source: str) -> tuple[str, float]:
+    """Return quantity and factor to SI of a response's unit; raises `BadData` if it is not of motion."""
+    quantity = quantity_of(unit)
+    if quantity not in _DERIVATIVES:
+        raise BadData(
+            f"{source}: the response must be an acceleration, velocity or displacement, got {quantity} [{unit}]; "
+            "choose with --channel, and name the channel of the force with --hammer"
+        )
+    return quantity, UNITS[quantity][unit]
