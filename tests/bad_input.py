@@ -916,7 +916,12 @@ CASES = (
         65,
         ("one recording", "folder"),
     ),
-    Case("training on a stream", ("train", "caving.toml", "-o", "new.npz"), 65, ("stream", "cgid generate")),
+    Case(
+        "features of a stream",
+        ("train", "caving.toml", "--features", "decay_time", "-o", "new.npz"),
+        65,
+        ("stream", "cgid generate"),
+    ),
     Case("ceiling of a stream", ("ceiling", "caving.toml"), 65, ("stream", "take [stream] out")),
     Case(
         "jobs for a table",

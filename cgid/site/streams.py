@@ -8,6 +8,7 @@ rocks bounce. A model of acceleration therefore also trains on streams (`rows_of
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -22,11 +23,13 @@ from cgid.identification.confusion import Confusion, Heard, logit
 from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
-from cgid.identification.rows import Rows, through
+from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
+from cgid.identification.training import Training, train
 from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.stream import record
+from cgid.scene.through_beam import beam_of, has_beam
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -39,6 +42,8 @@ _RATES, _NOISES = (0.5, 1.5), (0.3, 10.0)
 _LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
 #: A found impact belongs to the strongest blow that touches from this long before it to this long after it [s].
 _BEFORE, _AFTER = 4e-3, 1.5e-3
+#: Impacts found a rock, about; and streams, at least, to train on and to finish with.
+_IMPACTS_A_ROCK, _FEWEST_STREAMS = 1.6, 8
 #: At most this share of the impacts in streams of its own may be unknown to a model by a guard.
 UNKNOWN_SHARE = 0.035
 
@@ -72,7 +77,7 @@ def labels_of(scene: Scene) -> tuple[str, ...]:
 
 def is_streamable(scene: Scene) -> bool:
     """Return whether a model can be finished on streams of a scene: it has a stream, a beam and two labels."""
-    return scene.stream is not None and scene.tail_beam is not None and len(labels_of(scene)) == 2
+    return scene.stream is not None and has_beam(scene) and len(labels_of(scene)) == 2
 
 
 def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
@@ -97,23 +102,38 @@ def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
 
 def _variation(scene: Scene, number: int, share: float, rng: np.random.Generator) -> Scene:
     content = json.loads(scene.text)
-    stream, sensor, beam = content["stream"], content["sensor"], content.get("tail_beam", {})
-    arrivals = stream["arrivals"]
-    duration = scene.stream.duration if scene.stream is not None else DURATION
-    rate = arrivals.get("rate") or len(arrivals["times"]) / duration
-    mean = float(np.mean(rate["values"])) if isinstance(rate, dict) else float(rate)
+    stream, sensor = content["stream"], content["sensor"]
     stream["duration"] = DURATION
-    stream["arrivals"] = {"rate": mean * _factor(rng, _RATES)}
+    stream["arrivals"] = {"rate": _rate_of(scene) * _factor(rng, _RATES)}
     stream["mixture"] = {"times": [0.0], labels_of(scene)[1]: [share]}
-    factor, everywhere = _factor(rng, _NOISES), number % 2 == 1
+    factor = _factor(rng, _NOISES)
     if number % 4 >= 2 and sensor.get("noise_density"):
         sensor["noise_density"] *= factor
-    if everywhere and beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
-        beam["impact_point"] = {
-            "x": _uniform(beam["length"], _LENGTHWISE),
-            "y": _uniform(beam["width"], _CROSSWISE),
-        }
+    if number % 2 == 1:
+        _spread(content["tail_beam"])
     return parse_scene(content | {"name": f"{scene.name}, stream {number}"})
+
+
+def whole_beam(scene: Scene) -> Beam:
+    """Return the beam of a scene to look through, as far as rocks bounce; raises as `beam_of`."""
+    content = json.loads(scene.text)
+    _spread(content.get("tail_beam", {}))
+    return beam_of(parse_scene(content))
+
+
+def _spread(beam: dict[str, Any]) -> None:
+    """Let blows fall all over a beam of known size."""
+    if beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
+        beam["impact_point"] = {"x": _uniform(beam["length"], _LENGTHWISE), "y": _uniform(beam["width"], _CROSSWISE)}
+
+
+def _rate_of(scene: Scene) -> float:
+    """Return the mean number of rocks a second [Hz]."""
+    assert scene.stream is not None
+    arrivals = scene.stream.arrivals
+    if arrivals.rate is None:
+        return len(arrivals.times or ()) / scene.stream.duration
+    return float(np.mean(arrivals.rate.values))
 
 
 def _factor(rng: np.random.Generator, limits: tuple[float, float]) -> float:
@@ -221,6 +241,48 @@ def _blow_of(found: Floats, touch: Floats, peak: Floats) -> NDArray[np.intp]:
     first, last = np.searchsorted(touch, found - _BEFORE), np.searchsorted(touch, found + _AFTER)
     blows = [a + int(np.argmax(peak[a:b])) if b > a else -1 for a, b in zip(first, last, strict=True)]
     return np.array(blows, np.intp)
+
+
+def train_on_streams(
+    scene: Scene,
+    n_impacts: int,
+    seed: int = 0,
+    *,
+    progress: Callable[[int], object] | None = None,
+    crew: Workers = ALONE,
+    **settings: Any,
+) -> Training:
+    """Train a model on simulated streams of a scene, and finish it on others.
+
+    Parameters
+    ----------
+    scene : Scene
+        See `is_streamable`.
+    n_impacts : int
+        About how many impacts to train on, rounded up to whole streams.
+    seed : int
+    progress : callable, optional
+        Receives the number of impacts of each stream.
+    crew : Workers
+    **settings
+        Of `cgid.identification.training.train`, such as `family`.
+
+    Returns
+    -------
+    Training
+        Judged on impacts of rocks that did not train.
+    """
+    each = _IMPACTS_A_ROCK * _rate_of(scene) * DURATION
+    n_streams = max(math.ceil(n_impacts / each), _FEWEST_STREAMS)
+    n_further = max(n_streams // 3, _FEWEST_STREAMS)
+    beam, names = whole_beam(scene), (*BEAM_FEATURES, *BEAM_GUARDS)
+    scenes = variations(scene, n_streams, seed)
+    streams = rows_of_streams(scenes, seed, names, beam, progress=progress, crew=crew)
+    rows = Rows.joined([stream.rows for stream in streams])
+    training = train(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS, seed=seed, crew=crew, **settings)
+    further = variations(scene, n_further, seed + 1)
+    others = rows_of_streams(further, seed + 1, names, beam, progress=progress, crew=crew)
+    return replace(training, model=finished(training.model, others))
 
 
 def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
