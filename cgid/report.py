@@ -271,7 +271,8 @@ def _turns(report: Report) -> Iterator[str]:
         what = "Shut the window" if turn.shut else "Going on pays again"
         told = (
             f"{what} at {turn.time:.2f} s{where}: share of gangue {turn.share.share:.0%} "
-            f"({turn.share.low:.0%} to {turn.share.high:.0%}), going on costs {turn.cost:+.2g} coal an impact"
+            f"({turn.share.low:.0%} to {turn.share.high:.0%}), {turn.evidence:.1%} sure; going on costs "
+            f"{turn.cost:+.2g} coal a rock"
         )
         yield f'<p class="turn">{_text(told)}</p>'
 

@@ -13,8 +13,9 @@ train. The card also compares the families (`models/selection.py`), and says how
 (`models/domain_shift.py`).
 
 The model of acceleration looks through the beam of `tail_beam` at the contact force. It trains on blows all over that
-beam (`EVERYWHERE`), in many noises (`BEAM_RIGS`), and is judged on those of the scene. Its card compares it with a
-model of force on the same impacts (`models/beside_force.py`).
+beam (`EVERYWHERE`), in many noises (`BEAM_RIGS`), and on impacts as found in streams like `caving`, where rocks
+bounce, overlap and ring. It is judged on the blows of `tail_beam`, and finished on further streams
+(`cgid.site.streams`). Its card compares it with a model of force on the same impacts (`models/beside_force.py`).
 """
 
 import argparse
@@ -31,10 +32,12 @@ from selection import select, selection_section
 from cgid import shipped
 from cgid.identification.card import Section, check_model_output, write_model
 from cgid.identification.model import Model
-from cgid.identification.rows import DEFAULT_FEATURES, DEFAULT_GUARDS, Rows, measure
+from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS, Rows, measure
 from cgid.identification.training import train
+from cgid.measure.beam import Beam
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.through_beam import beam_of
+from cgid.site.streams import StreamRows, finished, rows_of_streams, variations
 
 HERE = Path(__file__).parent
 #: Where blows fall on the tail beam in the training of the model of acceleration: not only where the window opens.
@@ -111,6 +114,12 @@ def acceleration_scenes(n: int) -> list[tuple[Scene, int]]:
     return [(own, 2 * n // 5), (noisy, 4 * n // 5), (everywhere, n)]
 
 
+def streams(n_streams: int, seed: int, beam: Beam) -> list[StreamRows]:
+    """Return the impacts that are found in streams like `caving`."""
+    scenes = variations(load_scene(shipped.scene_path("caving")), n_streams, seed)
+    return rows_of_streams(scenes, seed, (*BEAM_FEATURES, *BEAM_GUARDS), beam)
+
+
 def strangers(n: int, seed: int) -> Rows:
     """Return rows of anything, on the rig of `reference` and on many others."""
     anything = shipped_scene("anything")
@@ -118,11 +127,24 @@ def strangers(n: int, seed: int) -> Rows:
     return measure(scenes, (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
 
 
+def streams_section(told: dict[str, Any]) -> list[str]:
+    """Return the lines about the streams that finished a model."""
+    answers = " and ".join(f"{rate:.2f} of {label}" for label, rate in told["answers_a_rock"].items())
+    return [
+        f"In {told['n_streams']} streams like `caving`, not trained on, {told['n_found']} impacts were found, "
+        f"{told['unknown_share']:.1%} of them unknown: {answers} answered a rock. The share corrects for what the "
+        f"model answers to either; its variance is {told['overdispersion']:.2f} times that of independent answers, "
+        f"and it scatters by {told['scatter']:.3f} from stream to stream."
+    ]
+
+
 def sections(model: Model) -> list[Section]:
     """Return the sections of the card about the comparisons in the record of a model."""
     told, found = model.training, []
     if "domain_shift" in told:
         found.append(("Domain shift", domain_shift_table(told["domain_shift"])))
+    if "streams" in told:
+        found.append(("On streams", streams_section(told["streams"])))
     if "beside_force" in told:
         found.append(("What is lost against the force", force_table(told["beside_force"])))
     if "selection" in told:
@@ -139,6 +161,7 @@ def main() -> None:
     parser.add_argument("--family", default="network")
     parser.add_argument("--drop-height", action="store_true", help="the model also gets the drop height")
     parser.add_argument("--acceleration", action="store_true", help="the model of a tail beam's vibration")
+    parser.add_argument("--streams", type=int, default=120, help="for acceleration; half as many finish the model")
     parser.add_argument("--selection", type=int, default=10_000, help="of each scene, to compare families on; 0: none")
     arguments = parser.parse_args()
     if arguments.acceleration and arguments.drop_height:
@@ -160,16 +183,27 @@ def main() -> None:
         few = chain.from_iterable(synthesise(scene, round(share * n), seed) for scene, n, seed in seeded)
         told["selection"] = select(measure(few, known=known, beam=beam), n_folds=3, seed=arguments.seed)
     batches = chain.from_iterable(synthesise(scene, n, seed) for scene, n, seed in seeded)
-    others = None if arguments.acceleration else strangers(arguments.signals, arguments.seed + 100)
+    others: Rows | None = None
+    data: Any = batches
+    if beam is not None:
+        frames = measure(batches, (*BEAM_FEATURES, *BEAM_GUARDS), beam=beam)
+        found = streams(arguments.streams, arguments.seed + 10, beam)
+        data = Rows.joined([frames, *(stream.rows for stream in found)])
+    else:
+        others = strangers(arguments.signals, arguments.seed + 100)
     training = train(
-        batches,
+        data,
+        features=None if beam is None else BEAM_FEATURES,
+        guards=None if beam is None else BEAM_GUARDS,
         known=known,
         family=arguments.family,
         seed=arguments.seed,
         judged_on=scenes[0].sha256,
         strangers=others,
-        beam=beam,
     )
+    if beam is not None:
+        further = streams(arguments.streams // 2, arguments.seed + 11, beam)
+        training = replace(training, model=finished(training.model, further))
     told["domain_shift"] = domain_shift(training.model)
     if arguments.acceleration:
         rival = force_model(scenes[0], arguments.signals, arguments.seed)

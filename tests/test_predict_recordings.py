@@ -271,7 +271,7 @@ def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None
     turns = [one for one in whole if isinstance(one, Turn)]
     assert [share.time for share in shares] == pytest.approx(np.arange(2.0, 31.0, 2.0))
     assert [turn.shut for turn in turns] == [True]
-    first_over = next(share for share in shares if share.share > 0.4)
+    first_over = next(share for share in shares if share.above >= 0.95)
     assert turns[0].share is first_over or turns[0].share == first_over
 
 
@@ -292,6 +292,8 @@ def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) ->
         ({"share_time": 0.0}, "window must be above 0"),
         ({"share_time": 1e-6}, "window must be at least 0.05 s, got 1e-06 s"),
         ({"dilution_cost": -1.0}, "dilution_cost must be above 0"),
+        ({"evidence": 0.3}, "evidence must lie between 0.5 and 1"),
+        ({"hold": -1.0}, "hold must be 0 or more"),
     ],
 )
 def test_settings_of_shares_are_checked(settings, says, default_model: Model) -> None:
@@ -316,7 +318,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     shares = [row for row in of_kind(rows, "share") if row["channel"] == "1"]
     assert [row["to_s"] for row in shares] == pytest.approx([0.08, 0.16, 0.24, 0.32])
     assert shares[1]["gangue_share"] < 0.35 < 0.6 < shares[3]["gangue_share"]
-    assert all(row["low"] < row["gangue_share"] < row["high"] for row in shares)
+    assert all(row["low"] <= row["gangue_share"] <= row["high"] for row in shares)
     (summary,) = of_kind(rows, "summary")
     assert (summary["impacts"], summary["duration_s"]) == (32, pytest.approx(0.32))
     assert sum(summary["labels"].values()) == 32
@@ -330,7 +332,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     )
     assert sum(row["channel"] == "1" for row in table) == 16
     text = err.splitlines()
-    assert sum(line.startswith(f"{two_channels} channel 1: gangue share 0.") for line in text) == 4
+    assert sum(line.startswith(f"{two_channels} channel 1: gangue share ") for line in text) == 4
     assert text[-1].startswith(f"{two_channels}: 32 impacts: ")
 
 
@@ -341,10 +343,11 @@ def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture
     rows = lines_of(capsys)
     (shut,) = of_kind(rows, "shut")
     assert 0.28 < shut["time_s"] <= 0.56
-    assert shut["cost"] == pytest.approx(2 * shut["gangue_share"] - 1)
+    assert 0 < shut["cost"] <= 2 * shut["gangue_share"] - 1 + 1e-6  # the expected share lies nearer to the middle
+    assert 0.95 <= shut["evidence"] <= 1
     assert not of_kind(rows, "open")
     before = [row for row in of_kind(rows, "share") if row["to_s"] < shut["time_s"]]
-    assert all(row["gangue_share"] < 0.5 for row in before)
+    assert all(row["low"] < 0.5 for row in before)
     assert run(arguments) == 0
     assert sum(line.startswith("SHUT ") for line in capsys.readouterr().err.splitlines()) == 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +11,12 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from cgid.errors import InvalidValue
+from cgid.errors import BadData, InvalidValue
+from cgid.identification.confusion import Confusion, Heard
 from cgid.identification.question import Question
 from cgid.identification.share import (
     FEWEST_IMPACTS,
+    Believed,
     CavingWatch,
     Share,
     ShareWindow,
@@ -25,8 +28,8 @@ from cgid.identification.share import (
 SEPARATION = 1.5
 
 
-def share_of(probabilities, **settings) -> Share:
-    window = ShareWindow(1e6, **settings)
+def share_of(probabilities, trained_share=0.5, confusion=None, **settings) -> Share:
+    window = ShareWindow(1e6, answers=confusion or Believed(trained_share=trained_share), **settings)
     for time, probability in enumerate(probabilities):
         window.add(float(time), probability)
     return window.at(float(len(probabilities)))
@@ -47,7 +50,9 @@ def test_impacts_without_doubt_give_a_beta_density(gangue: int, coal: int) -> No
     starts = np.linspace(0, 0.05, 2001)
     ends = density.ppf(np.minimum(starts + 0.95, 1))
     shortest = np.argmin(ends - density.ppf(starts))
-    assert found.share == pytest.approx(density.mean(), abs=1e-3)
+    assert found.mean == pytest.approx(density.mean(), abs=1e-3)
+    assert found.share == pytest.approx(gangue / (gangue + coal), abs=4e-3)
+    assert ShareWindow(1.0).at(0.0).above != found.above == pytest.approx(density.sf(0.5), abs=2e-3)
     assert found.low == pytest.approx(density.ppf(starts[shortest]), abs=8e-3)
     assert found.high == pytest.approx(ends[shortest], abs=8e-3)
     assert found.n_impacts == gangue + coal
@@ -62,7 +67,7 @@ def test_mean_is_that_of_the_likelihood_integrated() -> None:
         return float(np.prod(1 - q + q * ratio))
 
     exact = quad(lambda q: q * likelihood(q), 0, 1)[0] / quad(likelihood, 0, 1)[0]
-    assert share_of(probabilities, trained_share=trained).share == pytest.approx(exact, abs=1e-5)
+    assert share_of(probabilities, trained_share=trained).mean == pytest.approx(exact, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +168,6 @@ def test_nothing_told_is_nothing_known(probabilities) -> None:
     ("length", "settings", "says"),
     [
         (0.0, {}, "window must be above 0, got 0 s"),
-        (1.0, {"trained_share": 1.0}, "trained_share must lie between 0 and 1"),
         (1.0, {"weight": 0.0}, "weight must lie above 0 and up to 1, got 0"),
         (1.0, {"weight": 1.5}, "weight must lie above 0 and up to 1, got 1.5"),
     ],
@@ -171,6 +175,8 @@ def test_nothing_told_is_nothing_known(probabilities) -> None:
 def test_settings_that_make_no_window(length, settings, says) -> None:
     with pytest.raises(InvalidValue, match=says):
         ShareWindow(length, **settings)
+    with pytest.raises(InvalidValue, match="trained_share must lie between 0 and 1"):
+        Believed(trained_share=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +186,7 @@ def futures() -> tuple[np.ndarray, np.ndarray]:
     found, coming = [], []
     for share in rng.random(2500):
         _, probabilities = drawn(rng, share, 25)
-        found.append(share_of(probabilities).share)
+        found.append(share_of(probabilities).mean)
         coming.append((rng.random(200) < share).mean())
     return np.array(found), np.array(coming)
 
@@ -211,23 +217,40 @@ def test_no_other_threshold_costs_less(futures, dilution_cost: float) -> None:
     assert own < paid(1.0) - 0.02  # and than to draw all
 
 
-def state(share: float, n_impacts: int = 50, time: float = 1.0) -> Share:
-    return Share(time=time, start=0.0, share=share, low=0.0, high=1.0, n_impacts=n_impacts)
+def state(share: float, n_impacts: int = 50, time: float = 1.0, above: float = 0.5) -> Share:
+    return Share(time=time, start=0.0, share=share, low=0.0, high=1.0, mean=share, above=above, n_impacts=n_impacts)
 
 
-def test_turns_are_said_when_they_come_and_only_then() -> None:
-    rule = Shutting(1.0)
-    shares = [0.2, 0.49, 0.51, 0.6, 0.4, 0.45, 0.7]
-    turns = [rule.watch(state(share, time=float(k))) for k, share in enumerate(shares)]
-    assert [(t.time, t.shut) for t in turns if t] == [(2.0, True), (4.0, False), (6.0, True)]
-    assert turns[2].cost == pytest.approx(0.51 - 0.49)
+def test_turns_are_said_when_they_are_sure_and_the_last_one_was_held() -> None:
+    rule = Shutting(1.0, evidence=0.9, hold=2.0)
+    above = [0.2, 0.89, 0.91, 0.05, 0.05, 0.99, 0.99, 0.5, 0.1]
+    turns = [rule.watch(state(0.6, time=float(k), above=a)) for k, a in enumerate(above)]
+    assert [(t.time, t.shut) for t in turns if t] == [(2.0, True), (4.0, False), (6.0, True), (8.0, False)]
+    assert [t.evidence for t in turns if t] == pytest.approx([0.91, 0.95, 0.99, 0.9])
+    assert turns[2].cost == pytest.approx(0.6 - 0.4)
 
 
 def test_few_impacts_decide_nothing() -> None:
     rule = Shutting(3.0)
-    assert rule.watch(state(0.9, FEWEST_IMPACTS - 1)) is None
-    assert rule.watch(state(float("nan"), 0)) is None
-    assert rule.watch(state(0.9, FEWEST_IMPACTS)).shut
+    assert rule.watch(state(0.9, FEWEST_IMPACTS - 1, above=0.99)) is None
+    assert rule.watch(state(float("nan"), 0, above=float("nan"))) is None
+    assert rule.watch(state(0.9, FEWEST_IMPACTS, above=0.99)).shut
+
+
+def test_a_share_near_the_threshold_does_not_flap() -> None:
+    """A thousand windows at the very threshold, each half new: without evidence and hold a turn at every third."""
+    rng = np.random.default_rng(4)
+    _, probabilities = drawn(rng, 0.5, 40_000)
+    turns = []
+    for settings in ({"evidence": 0.5}, {"evidence": 0.95, "hold": 10.0}):
+        window, rule, found = ShareWindow(10.0), Shutting(1.0, **settings), 0
+        for k in range(1000):
+            for n in range(40):
+                window.add(k * 5 + n / 8, probabilities[40 * k + n])
+            found += rule.watch(window.at(k * 5 + 5.0)) is not None
+        turns.append(found)
+    assert turns[0] > 200
+    assert turns[1] < turns[0] / 5
 
 
 def test_caving_window_is_shut_close_to_the_best_time() -> None:
@@ -240,7 +263,8 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
         times = np.sort(rng.uniform(0, 60, int(rate * 60)))
         share = 1 / (1 + np.exp(-(times - middle) / 4))
         gangue, probabilities = drawn(rng, share, times.size)
-        window, rule, shut_at = ShareWindow(5.0), Shutting(dilution_cost), 60.0
+        rule, shut_at = Shutting(dilution_cost, evidence=0.5), 60.0
+        window = ShareWindow(5.0, threshold=rule.threshold)
         place = 0
         for end in np.arange(1.0, 61.0):
             while place < times.size and times[place] <= end:
@@ -261,14 +285,143 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
     assert lost < 0.7 * best_fixed
 
 
-def test_cost_must_be_above_zero() -> None:
-    with pytest.raises(InvalidValue, match="dilution_cost must be above 0"):
-        Shutting(0.0)
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ((0.0,), "dilution_cost must be above 0"),
+        ((float("nan"),), "dilution_cost must be finite"),
+        ((1.0, 1.0), "evidence must lie between 0.5 and 1"),
+        ((1.0, 0.2), "evidence must lie between 0.5 and 1"),
+        ((1.0, 0.9, -1.0), "hold must be 0 or more, got -1 s"),
+    ],
+)
+def test_settings_that_make_no_rule(settings, says: str) -> None:
+    with pytest.raises(InvalidValue, match=says):
+        Shutting(*settings)
+
+
+# -- a model that makes mistakes, and says which ----------------------------------------------------------
+
+
+def answered(rng, gangue, quality=1.0, bounces=True):
+    """Return logits and labels of answers to rocks: gangue bounces less, and a bounce looks like coal."""
+    n = 1 + (rng.poisson(np.where(gangue, 0.3, 0.9)) if bounces else np.zeros(gangue.size, int))
+    rock = np.repeat(np.arange(gangue.size), n)
+    first = np.append(True, np.diff(rock) > 0)
+    middle = np.where(gangue[rock] & first, quality, np.where(first, -quality, -1.2))
+    return rng.normal(middle, 0.9), gangue[rock], rock
+
+
+def confusion_of(rng, n_streams=60, n_rocks=300, **settings) -> Confusion:
+    streams = []
+    for share in (np.arange(n_streams) + 0.5) / n_streams:
+        gangue = rng.random(n_rocks) < share
+        logits, second, rock = answered(rng, gangue, **settings)
+        counts = int(np.sum(~gangue)), int(np.sum(gangue))
+        streams.append(Heard(logits=logits, second=second, time=rock * 0.2, n_rocks=counts, share=share))
+    found = Confusion.of_streams(streams)
+    assert found is not None
+    return found
+
+
+def test_share_is_that_of_rocks_whatever_bounces() -> None:
+    rng = np.random.default_rng(21)
+    confusion = confusion_of(rng)
+    assert confusion.abundance == pytest.approx(1.3 / 1.9, abs=0.03)
+    errors, held = [], []
+    for share in np.tile(np.arange(0, 1.01, 0.1), 25):
+        logits, _, _ = answered(rng, rng.random(80) < share)
+        found = share_of(1 / (1 + np.exp(-logits)), confusion=confusion)
+        errors.append(found.share - share)
+        held.append(found.low <= share <= found.high)
+    assert abs(np.mean(errors)) < 0.02
+    assert 0.92 < np.mean(held) <= 1.0
+    believed = [share_of(1 / (1 + np.exp(-answered(rng, rng.random(80) < 0.8)[0]))).share - 0.8 for _ in range(20)]
+    assert np.mean(believed) < -0.1  # bounces would have been taken for coal
+
+
+def test_streams_that_differ_widen_the_interval() -> None:
+    rng = np.random.default_rng(22)
+    streams = []
+    for number in range(40):
+        share = (number + 0.5) / 40
+        gangue = rng.random(500) < share
+        logits, second, rock = answered(rng, gangue)
+        counts = int(np.sum(~gangue)), int(np.sum(gangue))
+        logits += rng.normal(0, 0.4)  # a day of its own
+        streams.append(Heard(logits=logits, second=second, time=rock * 0.2, n_rocks=counts, share=share))
+    found = Confusion.of_streams(streams)
+    assert found is not None
+    assert found.scatter > 3 * confusion_of(rng).scatter
+    logits, _, _ = answered(rng, rng.random(2000) < 0.4)
+    probabilities = 1 / (1 + np.exp(-logits))
+    share = share_of(probabilities, confusion=found)
+    alone = share_of(probabilities, confusion=replace(found, scatter=0.0))
+    expected = np.hypot((alone.high - alone.low) / 3.92, found.scatter)
+    assert (share.high - share.low) / 3.92 == pytest.approx(expected, rel=0.08)
+
+
+def test_every_rock_twice_is_known_from_the_scatter() -> None:
+    rng = np.random.default_rng(23)
+
+    def repeated(times: int) -> Confusion:
+        streams = []
+        for share in np.linspace(0.1, 0.9, 50):
+            gangue = rng.random(400) < share
+            logits, second, rock = answered(rng, gangue, bounces=False)
+            own = {"logits": np.repeat(logits, times), "second": np.repeat(second, times)}
+            counts = int(np.sum(~gangue)), int(np.sum(gangue))
+            streams.append(Heard(**own, time=np.repeat(rock, times) * 0.2, n_rocks=counts, share=share))
+        found = Confusion.of_streams(streams)
+        assert found is not None
+        return found
+
+    assert repeated(1).overdispersion == pytest.approx(1.0, abs=0.15)
+    assert repeated(3).overdispersion == pytest.approx(3.0, rel=0.15)
+
+
+def test_labels_exchanged_are_the_other_share() -> None:
+    rng = np.random.default_rng(24)
+    confusion = confusion_of(rng)
+    logits, _, _ = answered(rng, rng.random(60) < 0.3)
+    probabilities = 1 / (1 + np.exp(-logits))
+    one, other = (
+        share_of(probabilities, confusion=confusion),
+        share_of(1 - probabilities, confusion=confusion.turned()),
+    )
+    assert (one.share, one.low, one.high) == pytest.approx((1 - other.share, 1 - other.high, 1 - other.low), abs=8e-3)
+
+
+def test_too_few_answers_are_no_confusion() -> None:
+    logits = np.linspace(-3, 3, 120)
+    assert Confusion.counted(logits, logits > 1, (60, 60)) is None
+    found = Confusion.counted(np.append(logits, np.nan), np.append(logits > 0, True), (60, 60))
+    assert found is not None
+    assert found.rates.shape == (2, 1 + found.edges.size)
+    assert Confusion.from_arrays(found.arrays).rates.tolist() == found.rates.tolist()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"share.edges": np.array([1.0, 0.0])}, "share.edges must ascend"),
+        ({"share.rates": np.ones((2, 5))}, "share.rates be"),
+        ({"share.rates": np.array([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])}, "above 0"),
+        ({"share.spread": np.array([0.5, 0.1])}, "overdispersion of at least 1"),
+        ({"share.spread": np.array([1.0, 1.5])}, "scatter in"),
+        ({"share.spread": np.array([1.0])}, "arrays of a share must be share.edges, share.rates, share.spread"),
+    ],
+)
+def test_arrays_that_are_no_confusion(changed, says: str) -> None:
+    sound = Confusion(edges=np.array([0.0, 1.0]), rates=np.ones((2, 3))).arrays
+    assert Confusion.from_arrays(sound) is not None
+    with pytest.raises(BadData, match=says):
+        Confusion.from_arrays(sound | changed)
 
 
 # -- a recording's shares ---------------------------------------------------------------------------------
 
-MODEL: Any = SimpleNamespace(labels=("coal", "gangue"), training={})
+MODEL: Any = SimpleNamespace(labels=("coal", "gangue"), training={}, confusion=None, conformal=None)
 
 
 def answer(time: float, channel: str = "1") -> Any:

@@ -97,13 +97,16 @@ class AnswerLines:
         self._note("share", source, f"{name}: gangue share {told} {span}, {answers}", content)
 
     def turn(self, source: str, name: str, turn: Turn, dilution_cost: float) -> None:
-        """Print that going on begins to cost more than shutting, or less again."""
-        word = "SHUT" if turn.shut else "OPEN"
-        says = f"going on costs {turn.cost:.2f} coal an impact" if turn.shut else "going on pays again"
-        limit = f"{1 / (1 + dilution_cost):.2f} is the limit where a drawn gangue costs {dilution_cost:g} coal"
-        message = f"{word} {turn.time:.6g} s: {says} (gangue share {turn.share.share:.2f}, {limit})  {name}"
-        content = {"time_s": turn.time, "cost": turn.cost, "dilution_cost": dilution_cost, **_estimate(turn.share)}
-        self._note(word.lower(), source, message, content)
+        """Print that going on costs more than shutting, or less again."""
+        word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
+        share, limit = turn.share, 1 / (1 + dilution_cost)
+        costs = f"going on is expected to cost {turn.cost:.2f} coal a rock" if turn.shut else "going on pays again"
+        message = (
+            f"{word} {turn.time:.6g} s: {costs} (gangue share {share.share:.2f}, {turn.evidence:.1%} sure that it is "
+            f"{side} {limit:.2f}, the limit where a drawn gangue costs {dilution_cost:g} coal)  {name}"
+        )
+        content = {"time_s": turn.time, "cost": turn.cost, "dilution_cost": dilution_cost, "evidence": turn.evidence}
+        self._note(word.lower(), source, message, content | _estimate(share))
 
     def summary(self, source: str, tally: RecordingTally, duration: float, start_time: Any = None) -> None:
         """Print the summary of a recording."""

@@ -179,9 +179,9 @@ def monitor(
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
     Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue share of
-    its own, printed ten times within its window and once in a pause. A line SHUT says that going on begins to cost more
-    than it brings: drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again. Nothing is dropped:
-    whoever is slower than the stream says how far behind.
+    its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than it
+    brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
+    after a window at the earliest (--hold). Nothing is dropped: whoever is slower than the stream says how far behind.
     """
     from cgid.identification.question import SHARE_TIME
     from cgid.recordings.chain import Chain

@@ -325,6 +325,14 @@ answering_options = _options(
         type=float,
         help="Say what drawn gangue costs, in units of lost coal, by default 1; it decides when to shut.",
     ),
+    click.option(
+        "--evidence",
+        type=float,
+        help="Say SHUT or OPEN when it is right with this probability, by default 0.95.",
+    ),
+    click.option(
+        "--hold", type=float, help="Keep to SHUT or OPEN at least this long [s], by default as long as the window."
+    ),
     _renamed("--gangue-cost", "--dilution-cost"),
 )
 
@@ -334,14 +342,17 @@ def question_of(
 ) -> tuple[Models, Question]:
     """Return the models and the question; `settings` are the other fields of the question."""
     from cgid import validation
-    from cgid.identification.question import Question
+    from cgid.identification.question import Question, require_evidence
 
     dead_time, by_label = dead_time_in_seconds(milliseconds), dict(_cost(text) for text in costs)
     flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "dilution_cost": ("--dilution-cost", "")}
+    flags |= {"hold": ("--hold", "s")}
     for name, (flag, unit) in flags.items():
-        rule = validation.not_negative if flag == "--vote" else validation.positive
+        rule = validation.not_negative if flag in ("--vote", "--hold") else validation.positive
         if settings[name] is not None:
             settings[name] = float(rule(flag, settings[name], unit))
+    if settings["evidence"] is not None:
+        require_evidence("--evidence", settings["evidence"])
     question = Question(costs=by_label, dead_time=dead_time, **settings)
     return Models(model_path, question), question
 

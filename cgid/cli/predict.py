@@ -306,8 +306,8 @@ def predict(
     left.
 
     Recordings of several impacts have a gangue share over a sliding window, with the interval that holds it with 95 %,
-    a line SHUT where going on begins to cost more than it brings, and a summary; these go to stderr. With --json all of
-    it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
+    a line SHUT where going on surely (--evidence) costs more than it brings, and a summary; these go to stderr. With
+    --json all of it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
     """
     from cgid import shipped
     from cgid.recordings import is_dataset

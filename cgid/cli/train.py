@@ -280,7 +280,13 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     """Return the training on datasets and scenes, and no errors."""
     from cgid.identification.training import train as train_model
 
+    scene = _streamable(data, options)
     with progress_bar(None, "signals") as progress:
+        if scene is not None:
+            from cgid.site.streams import train_on_streams
+
+            own = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share") if name != "features"}
+            return train_on_streams(scene, options["n_signals"], progress=progress, **own), []
         training = train_model(
             _batches(data, options["n_signals"], options["seed"]),
             known=("drop_height",) if options["drop_height"] else (),
@@ -428,6 +434,17 @@ def _beam(data: list[str], features: tuple[str, ...] | None) -> Any:
 
     scene = load_scene(data[0])
     return beam_of(scene) if has_beam(scene) else None
+
+
+def _streamable(data: list[str], options: dict[str, Any]) -> Any:
+    """Return the only scene, if it is one of streams to train on with the default features."""
+    if len(data) != 1 or options["features"] is not None or options["drop_height"] or not _means_scene(data[0]):
+        return None
+    from cgid.scene import load_scene
+    from cgid.site.streams import is_streamable
+
+    scene = load_scene(data[0])
+    return scene if is_streamable(scene) else None
 
 
 def _means_scene(item: str) -> bool:

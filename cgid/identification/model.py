@@ -17,6 +17,7 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_regular
 from cgid.identification.conformal import Conformal
+from cgid.identification.confusion import Confusion
 from cgid.identification.families import BY_NAME, Contrast, Family, Neighbourhood, Standardiser, softmax
 from cgid.identification.model_file import (
     FIELDS,
@@ -132,7 +133,13 @@ class Model:
         check_names(self)
         check_numbers(self)
         check_training(self)
-        _ = self._classifier, self.conformal, self.contrast, self.beam  # their constructors check the arrays
+        _ = (
+            self._classifier,
+            self.conformal,
+            self.contrast,
+            self.beam,
+            self.confusion,
+        )  # their constructors check the arrays
 
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4
@@ -277,6 +284,11 @@ class Model:
         from cgid.identification.contact import ThroughBeam
 
         return ThroughBeam(own)
+
+    @cached_property
+    def confusion(self) -> Confusion | None:
+        """What it answers to rocks in streams; None if it was not finished on streams."""
+        return Confusion.from_arrays(self.arrays)
 
     def distance(self, inputs: Floats) -> Floats:
         """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""

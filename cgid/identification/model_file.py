@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
+from cgid.identification.confusion import Confusion
 from cgid.identification.families import BY_NAME, Contrast, Linear, Network, Standardiser
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
@@ -344,6 +345,7 @@ def _check_arrays(model: Model) -> None:
         raise BadData("arrays conformal.scores and conformal.labels must both be there, or none")
     known = shapes.keys() | {"conformal.scores", "conformal.labels", "reference.spectra"}
     known |= {f"family.{name}" for name in BY_NAME[model.family].AXES} | {f"beam.{name}" for name in Beam.ARRAYS}
+    known |= {Confusion.PREFIX + name for name in Confusion.ARRAYS}
     known |= {Contrast.PREFIX + name for name in (*Standardiser.NAMES, *Network.AXES, *Linear.AXES, "limit")}
     for name, array in arrays.items():
         if name not in known:
@@ -353,6 +355,8 @@ def _check_arrays(model: Model) -> None:
         # Without np.abs, which would copy a large array. False for nan.
         if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
+    if n_classes != 2 and any(name.startswith(Confusion.PREFIX) for name in arrays):
+        raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
     if any(FEATURES[name].beam for name in model.measured) != any(name.startswith("beam.") for name in arrays):
         raise BadData("a model must have the arrays of a beam if features look through it, and only then")

@@ -24,6 +24,10 @@ SHARE_TIME = 10.0
 SHORTEST_SHARE_TIME = 0.05
 
 
+#: Default probability of being right before SHUT or OPEN is said.
+EVIDENCE = 0.95
+
+
 @dataclass(frozen=True, kw_only=True)
 class Question:
     """Settings for every impact or window of a recording.
@@ -60,7 +64,11 @@ class Question:
     gangue : tuple of str
         Labels of rocks that must not be drawn; by default "gangue".
     dilution_cost : float, optional
-        Cost of one drawn gangue impact, in lost coal impacts; None: 1.
+        Cost of one drawn gangue rock, in lost coal rocks; None: 1.
+    evidence : float, optional
+        Probability of being right before SHUT or OPEN is said, from .5 to below 1; None: `EVIDENCE`.
+    hold : float, optional [s]
+        Least time between SHUT and OPEN; None: a window.
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -77,6 +85,8 @@ class Question:
     share_step: float | None = None
     gangue: tuple[str, ...] = ()
     dilution_cost: float | None = None
+    evidence: float | None = None
+    hold: float | None = None
 
     def __post_init__(self) -> None:
         self._require_types()
@@ -90,6 +100,8 @@ class Question:
             raise InvalidValue(f"window must be at least {SHORTEST_SHARE_TIME:g} s, got {self.share_length:g} s")
         validation.positive("step", self.step, "s")
         validation.positive("dilution_cost", self.cost_of_dilution)
+        require_evidence("evidence", self.least_evidence)
+        validation.not_negative("hold", self.least_hold, "s")
 
     def _require_types(self) -> None:
         validation.instance("costs", self.costs, Mapping)
@@ -174,13 +186,24 @@ class Question:
 
     @property
     def cost_of_dilution(self) -> float:
-        """Cost of one drawn gangue impact, in lost coal impacts."""
+        """Cost of one drawn gangue rock, in lost coal rocks."""
         return 1.0 if self.dilution_cost is None else self.dilution_cost
+
+    @property
+    def least_evidence(self) -> float:
+        """Probability of being right before SHUT or OPEN is said."""
+        return EVIDENCE if self.evidence is None else self.evidence
+
+    @property
+    def least_hold(self) -> float:
+        """Least time between SHUT and OPEN [s]."""
+        return self.share_length if self.hold is None else self.hold
 
     @property
     def asks_for_shares(self) -> bool:
         """Whether an option asks for shares, so that even a single impact has them."""
-        return bool(self.gangue) or self.share_time is not None or self.dilution_cost is not None
+        decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
+        return bool(self.gangue) or any(one is not None for one in decides)
 
     def separates_gangue(self, model: Model) -> bool:
         """Return whether a model separates gangue from other labels."""
@@ -195,6 +218,14 @@ class Question:
                 "gangue labels must leave another one, got all of the model's: "
                 f"{', '.join(self.gangue_labels)}; leave one out"
             )
+
+
+def require_evidence(name: str, value: float) -> float:
+    """Return a probability of being right; raise `InvalidValue` unless it lies from .5 to below 1."""
+    evidence = validation.number(name, value)
+    if not 0.5 <= evidence < 1:
+        raise InvalidValue(f"{name} must lie between 0.5 and 1 (exclusive), got {evidence:g}; such as 0.95")
+    return evidence
 
 
 def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:

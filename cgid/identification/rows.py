@@ -160,6 +160,32 @@ class Rows:
         """Kind of signal that the features describe."""
         return kind_of(self.names)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Rows]) -> Rows:
+        """Return the rows of some parts with the same features, unit and beam, one after the other.
+
+        They have times if all parts do.
+        """
+        sources = tuple(dict.fromkeys(source for part in parts for source in part.sources))
+        place = {source: number for number, source in enumerate(sources)}
+        own = [np.array([place[source] for source in part.sources], np.intp)[part.source] for part in parts]
+        rates = [rate for part in parts for rate in part.sampling_rates]
+        return replace(
+            parts[0],
+            source=np.concatenate(own),
+            sources=sources,
+            digests=sources,
+            sampling_rates=(min(rates), max(rates)),
+            left_out=sum(part.left_out for part in parts),
+            time=np.concatenate([part.time for part in parts])
+            if all(len(part.time) == len(part.labels) for part in parts)
+            else np.empty(0),
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts])
+                for name in ("features", "labels", "group", "known")
+            },
+        )
+
     def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
         """Return the rows of a mask."""
         names = ("features", "labels", "group", "source", "known", "time", "snr")
@@ -361,14 +387,14 @@ def _measured(
             names,
             pre_trigger=batch.pre_trigger or None,
             invalid="nan",
-            beam=None if beam is None else _through(beam),
+            beam=None if beam is None else through(beam),
         )
     about = replace(batch, signals=np.empty((len(batch), 0)), parameters={})
     return about, features, _known_of(batch) if known else np.empty((len(batch), 0))
 
 
 @lru_cache(maxsize=4)
-def _through(beam: Beam) -> ThroughBeam:
+def through(beam: Beam) -> ThroughBeam:
     """Return the tables of a beam, made once in each process."""
     return ThroughBeam(beam)
 

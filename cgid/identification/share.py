@@ -1,23 +1,26 @@
 """The gangue share over a sliding window of impacts, and when to shut the window.
 
 The mean of the probabilities does not estimate the share. A model trained on as much gangue as coal gives .3 to a coal
-that might well be gangue; among such coal alone, the mean stays at .3. The estimate is therefore by likelihood
-(Saerens, Latinne & Decaestecker 2002). With probability p from a model trained at a share s, an impact is r times as
-likely a gangue as a coal. Its likelihood at a share q is L:
+that might well be gangue; among such coal alone, the mean stays at .3. The estimate is therefore by likelihood: what
+would the model answer at a share q? A model that was finished on streams knows how often rocks of either kind make it
+answer what (`cgid.identification.confusion`), so its mistakes, the bounces and the unknown impacts are in the account.
+Of others the probabilities are believed (Saerens, Latinne & Decaestecker 2002). If rocks of gangue make an answer r
+times as often as those of coal, and M times as many answers in all, its likelihood is
 
-    r = p / (1 - p) * (1 - s) / s
-    L = 1 - q + q r
+    L = (1 - q + q r) / (1 - q + q M)
 
-The product of L over the window, times a uniform prior, is the posterior density of q. It assumes independent impacts
-that the model answers as well as those of its test. If rocks bounce, or on another rig, the interval is too narrow.
+The product of L over the window, to the power of 1 / overdispersion and with a uniform prior, is the posterior density
+of q. It is then spread by the scatter of the estimate from stream to stream. The share is the one of largest density,
+because a mean is pulled to the middle where little is known.
 
-Going on takes the next impact, whatever it is. A gangue costs `dilution_cost`, because it must be carried, washed and
-dumped. Shutting leaves it; a coal left behind costs 1, the unit. Per impact, going on costs
+Going on takes the next rock, whatever it is. A gangue costs `dilution_cost`, because it must be carried, washed and
+dumped. Shutting leaves it; a coal left behind costs 1, the unit. Per rock, going on costs
 
     dilution_cost * q - (1 - q)
 
-more than shutting. This is linear in q, so its expectation needs only the mean of q. Its sign changes at
-q = 1 / (1 + dilution_cost). If the share is known and only rises, waiting beyond that never pays.
+more than shutting. Its sign changes at q = 1 / (1 + dilution_cost), the threshold. SHUT is said where the share is
+above the threshold with a probability of at least `evidence`, OPEN where it is below with this probability; in between
+nothing changes, and after a turn nothing does for a least time (`hold`).
 """
 
 from __future__ import annotations
@@ -26,18 +29,18 @@ from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.identification.answers import Answer
+from cgid.identification.confusion import SUREST, Confusion, logit
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.question import EVIDENCE, Question, require_evidence
 from cgid.validation import Floats
 
-#: Probabilities are kept this far from 0 and 1: a single wrong certain answer would outweigh all others.
-SUREST = 1e-3
 #: Probability of the share to lie in its interval.
 LEVEL = 0.95
 #: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
@@ -55,9 +58,13 @@ class Share:
     start : float [s]
         Begin of the window; impacts after it and up to `time` count.
     share : float
-        Posterior mean; nan without any impact.
+        The most probable one; nan without any impact.
     low, high : float
         Shortest interval of probability `LEVEL`; 0 and 1 without any impact.
+    mean : float
+        The expected one, for expected costs; nan without any impact.
+    above : float
+        Probability that the share is above the threshold of the window; nan without any impact.
     n_impacts : int
         Impacts that were identified.
     n_unknown : int
@@ -74,12 +81,53 @@ class Share:
     n_impacts: int
     n_unknown: int = 0
     channel: str = "1"
+    mean: float = float("nan")
+    above: float = float("nan")
 
     def __repr__(self) -> str:
         where = "" if self.channel == "1" else f" of channel {self.channel}"
         share = f"{self.share:.3f} ({self.low:.3f} to {self.high:.3f})"
         counts = f"{self.n_impacts} identified, {self.n_unknown} unknown"
         return f"Share({share} from {self.start:g} to {self.time:g} s{where}: {counts})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Believed:
+    """Probabilities that are believed, of a model with this share of gangue in its training: like a `Confusion`.
+
+    Raises `InvalidValue` unless the share lies within (0, 1).
+    """
+
+    trained_share: float = 0.5
+    abundance: ClassVar = 1.0
+    overdispersion: ClassVar = 1.0
+    scatter: ClassVar = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.trained_share < 1:
+            raise InvalidValue(f"trained_share must lie between 0 and 1 (exclusive), got {self.trained_share:g}")
+
+    def ratios(self, logits: Floats) -> Floats:
+        """Return how many times as likely gangue is as coal to get such answers, (n,)."""
+        return np.exp(logits) * (1.0 - self.trained_share) / self.trained_share
+
+
+def answers_of(model: Model, gangue: Collection[str]) -> Confusion | Believed:
+    """Return what a model answers to rocks of gangue and of coal, as far as it knows.
+
+    First from streams, then from its calibration impacts; else its probabilities are believed. Of more than two labels
+    they always are.
+    """
+    if len(model.labels) == 2:
+        first = model.labels[0] in gangue
+        own = model.confusion
+        if own is None and model.conformal is not None:
+            scores, second = model.conformal.scores, model.conformal.labels == 1
+            logits = logit(np.where(second, 1.0 - scores, scores))
+            own = Confusion.counted(logits, second, (int(np.sum(~second)), int(np.sum(second))))
+        if own is not None:
+            return own.turned() if first else own
+    return Believed(trained_share=trained_share(model, gangue))
 
 
 class ShareWindow:
@@ -89,11 +137,13 @@ class ShareWindow:
     ----------
     length : float [s]
         Of the window.
-    trained_share : float, in (0, 1)
-        Share of gangue in the training of the model.
+    answers : Confusion or Believed
+        What the model answers to gangue (its second label) and to coal.
     weight : float, in (0, 1]
         Weight of one answer, because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap.
     channel : str
+    threshold : float
+        Share for `Share.above`.
 
     Raises
     ------
@@ -102,23 +152,31 @@ class ShareWindow:
 
     Examples
     --------
-    Four certain impacts give the mean of Beta(1 + 1, 3 + 1).
+    Four certain impacts give the mode and the interval of Beta(1 + 1, 3 + 1).
 
     >>> window = ShareWindow(10.0)
     >>> for time, probability in enumerate([0.0, 0.0, 1.0, 0.0]):
     ...     window.add(float(time), probability)
-    >>> round(window.at(3.0).share, 3)
-    0.333
+    >>> round(window.at(3.0).share, 2)
+    0.25
     """
 
-    def __init__(self, length: float, *, trained_share: float = 0.5, weight: float = 1.0, channel: str = "1") -> None:
+    def __init__(
+        self,
+        length: float,
+        *,
+        answers: Confusion | Believed | None = None,
+        weight: float = 1.0,
+        channel: str = "1",
+        threshold: float = 0.5,
+    ) -> None:
         self.length = validation.number("window", length, "s", validation.positive)
         self.channel = channel
-        if not 0 < trained_share < 1:
-            raise InvalidValue(f"trained_share must lie between 0 and 1 (exclusive), got {trained_share:g}")
         if not 0 < weight <= 1:
             raise InvalidValue(f"weight must lie above 0 and up to 1, got {weight:g}")
-        self._odds, self._weight = trained_share / (1.0 - trained_share), weight
+        self._answers, self._threshold = answers or Believed(), threshold
+        self._weight = weight / self._answers.overdispersion
+        self._blur = _blur(self._answers.scatter)
         self._impacts: deque[tuple[float, float]] = deque()
 
     def add(self, time: float, probability: float) -> None:
@@ -150,17 +208,42 @@ class ShareWindow:
             self._impacts.popleft()
         inside = np.array([probability for when, probability in self._impacts if when <= time])
         known = inside[np.isfinite(inside)]
-        mean, low, high = _estimate(known, self._odds, self._weight)
+        nothing = {"share": float("nan"), "low": 0.0, "high": 1.0}
         return Share(
             time=time,
             start=max(start, 0.0),
-            share=mean,
-            low=low,
-            high=high,
             n_impacts=known.size,
             n_unknown=inside.size - known.size,
             channel=self.channel,
+            **(self._estimate(known) if known.size else nothing),
         )
+
+    def _estimate(self, probabilities: Floats) -> dict[str, float]:
+        """Return what a `Share` says of the share of the rocks behind some answers."""
+        shares, edges = _nodes()
+        breadths = np.diff(edges)
+        # Equal answers are one row: a window of thousands costs no more than the bins of a confusion.
+        ratios, counts = np.unique(self._answers.ratios(logit(probabilities)), return_counts=True)
+        logarithm = counts @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
+        logarithm -= probabilities.size * np.log1p((self._answers.abundance - 1.0) * shares)
+        logarithm *= self._weight
+        masses = np.exp(logarithm - logarithm.max()) * breadths
+        masses /= masses.sum()
+        likely = float(shares[np.argmax(logarithm)])
+        if self._blur is not None:
+            masses = self._blur @ masses
+        # The density has a single maximum (its logarithm is concave in the share of answers, which grows with that of
+        # rocks), so the densest shares are neighbours.
+        densest = np.argsort(-masses / breadths, kind="stable")
+        held = densest[: int(np.searchsorted(np.cumsum(masses[densest]), LEVEL)) + 1]
+        below = np.interp(self._threshold, edges, np.append(0.0, np.cumsum(masses)))
+        return {
+            "share": likely,
+            "low": float(shares[held.min()]),
+            "high": float(shares[held.max()]),
+            "mean": float(masses @ shares),
+            "above": float(np.clip(1.0 - below, 0.0, 1.0)),
+        }
 
 
 def trained_share(model: Model, gangue: Collection[str]) -> float:
@@ -182,27 +265,20 @@ def trained_share(model: Model, gangue: Collection[str]) -> float:
 
 @cache
 def _nodes() -> tuple[Floats, Floats]:
-    """Return shares from 0 to 1, and the width that each represents."""
+    """Return shares from 0 to 1, and the edges of the intervals that they represent."""
     shares = np.sin(np.linspace(0.0, np.pi / 2, _NODES)) ** 2
-    edges = np.concatenate([[0.0], (shares[1:] + shares[:-1]) / 2, [1.0]])
-    return shares, np.diff(edges)
+    return shares, np.concatenate([[0.0], (shares[1:] + shares[:-1]) / 2, [1.0]])
 
 
-def _estimate(probabilities: Floats, trained_odds: float, weight: float) -> tuple[float, float, float]:
-    """Return the mean of the share and its shortest interval."""
-    if not probabilities.size:
-        return float("nan"), 0.0, 1.0
-    shares, breadths = _nodes()
-    sure = np.clip(probabilities, SUREST, 1.0 - SUREST)
-    ratios = sure / (1.0 - sure) / trained_odds
-    logarithm = weight * np.log1p(np.multiply.outer(ratios - 1.0, shares)).sum(axis=0)
-    masses = np.exp(logarithm - logarithm.max())
-    densest = np.argsort(-masses, kind="stable")
-    masses *= breadths
-    masses /= masses.sum()
-    # The density has a single maximum (its logarithm is concave), so the densest shares are neighbours.
-    held = densest[: int(np.searchsorted(np.cumsum(masses[densest]), LEVEL)) + 1]
-    return float(masses @ shares), float(shares[held.min()]), float(shares[held.max()])
+@cache
+def _blur(scatter: float) -> Floats | None:
+    """Return the matrix that spreads a density by a standard deviation, within 0 and 1; None if there is nothing to."""
+    if scatter <= 0:
+        return None
+    shares, edges = _nodes()
+    away = np.subtract.outer(shares, shares) / max(scatter, 1.0 / _NODES)
+    matrix = np.exp(-0.5 * away**2) * np.diff(edges)[:, None]
+    return np.asarray(matrix / matrix.sum(axis=0))
 
 
 #: Fewest impacts for a decision; with fewer, the uniform prior would decide.
@@ -211,49 +287,51 @@ FEWEST_IMPACTS = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """Going on begins to cost more than shutting, or less again.
+    """Going on costs more than shutting, or less again, with the evidence that was asked for.
 
     Attributes
     ----------
     time : end of the first window that shows it [s]
     shut : True: shut the window; False: going on pays again
-    cost : of going on minus shutting [lost coal impacts per impact]
+    cost : expected one of going on minus shutting [lost coal rocks per rock]
+    evidence : probability of being right: that the share is above the threshold, or below
     """
 
     time: float
     shut: bool
     cost: float
+    evidence: float
     share: Share
 
 
 class Shutting:
-    """Watch the share of one channel and report when the expected cost of going on changes sign.
+    """Watch the share of one channel and report when going on costs more than shutting, or pays again.
 
-    Each window of impacts counts by itself. Initially, going on pays. Above the share `threshold`, going on costs more
-    than shutting. Raises `InvalidValue` unless `dilution_cost` [lost coal impacts per drawn gangue] is above 0.
+    Initially, going on pays. Raises `InvalidValue` unless `dilution_cost` [lost coal rocks per drawn gangue] is above
+    0, `evidence` lies from .5 to below 1, and `hold` [s] is not negative.
 
     >>> round(Shutting(3.0).threshold, 3)
     0.25
     """
 
-    def __init__(self, dilution_cost: float = 1.0) -> None:
+    def __init__(self, dilution_cost: float = 1.0, evidence: float = EVIDENCE, hold: float = 0.0) -> None:
         self.dilution_cost = validation.number("dilution_cost", dilution_cost, "", validation.positive)
+        self.evidence = require_evidence("evidence", evidence)
+        self.hold = validation.number("hold", hold, "s", validation.not_negative)
         self.threshold = 1.0 / (1.0 + self.dilution_cost)
-        self._shut = False
+        self._shut, self._since = False, -np.inf
 
     def cost(self, share: Share) -> float:
-        """Return the cost of going on minus shutting [lost coal impacts per impact]; nan without any impact."""
-        return self.dilution_cost * share.share - (1.0 - share.share)
+        """Return the expected cost of going on minus shutting [lost coal rocks per rock]; nan without any impact."""
+        return self.dilution_cost * share.mean - (1.0 - share.mean)
 
     def watch(self, share: Share) -> Turn | None:
-        """Return the turn at this window; None without a change, or with too few impacts."""
-        if share.n_impacts < FEWEST_IMPACTS:
+        """Return the turn at this window; None without one. The share's `above` must be that of `threshold`."""
+        evidence = 1.0 - share.above if self._shut else share.above
+        if share.n_impacts < FEWEST_IMPACTS or share.time < self._since + self.hold or not evidence >= self.evidence:
             return None
-        cost = self.cost(share)
-        if (cost > 0) == self._shut:
-            return None
-        self._shut = not self._shut
-        return Turn(time=share.time, shut=self._shut, cost=cost, share=share)
+        self._shut, self._since = not self._shut, share.time
+        return Turn(time=share.time, shut=self._shut, cost=self.cost(share), evidence=evidence, share=share)
 
 
 class CavingWatch:
@@ -272,15 +350,14 @@ class CavingWatch:
 
     def __init__(self, model: Model, channels: Sequence[str], question: Question, weight: float = 1.0) -> None:
         question.require_gangue(model)
-        share = trained_share(model, question.gangue_labels)
         self._gangue, self._step = question.gangue_labels, question.step
-        self._windows = {
-            name: ShareWindow(question.share_length, trained_share=share, weight=weight, channel=name)
-            for name in channels
-        }
-        self._rules = {name: Shutting(question.cost_of_dilution) for name in channels}
+        rule = question.cost_of_dilution, question.least_evidence, question.least_hold
+        self._rules = {name: Shutting(*rule) for name in channels}
         #: Share above which going on costs more than shutting.
-        self.threshold = Shutting(question.cost_of_dilution).threshold
+        self.threshold = Shutting(*rule).threshold
+        settings: dict[str, Any] = {"answers": answers_of(model, self._gangue), "weight": weight}
+        settings["threshold"] = self.threshold
+        self._windows = {name: ShareWindow(question.share_length, channel=name, **settings) for name in channels}
         self._waiting: deque[Answer] = deque()
         self._steps = 0
         # Channels whose last window was empty and has been returned.

@@ -34,8 +34,9 @@ _WINDOWED_SAMPLES = 1 << 17
 #: How far windows extend after touch, in contact durations and in samples: for quantities read off the samples (the
 #: run above 10 %, once more after its end), and for the fit (its bins and windows).
 _READ, _FITTED = (2.0, 6), (2.25, 54)
-#: Least height of a vibration over the standard deviation of the noise, for features that look through its beam.
-BEAM_LIMIT = 3.0
+#: Features that look through a beam need this many standard deviations less over the noise before a vibration: the
+#: modes find a blow where the samples alone do not show it, as in the ringing of an earlier one.
+BEAM_LEAD = 2.0
 #: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
 
@@ -329,8 +330,8 @@ def _batches(
     beam: Beam | None = None,
 ) -> Batches:
     names = tuple(names)
-    if all(FEATURES[name].beam for name in names):  # the modes find a blow where the samples alone do not show it
-        detection_limit = min(detection_limit, BEAM_LIMIT)
+    if all(FEATURES[name].beam for name in names):
+        detection_limit = max(detection_limit - BEAM_LEAD, 0.0)
     how = (frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
     batches: dict[Kind, PulseBatch | VibrationBatch | WindowBatch] = {}
     for kind in {FEATURES[name].kind for name in names}:

@@ -88,7 +88,7 @@ def has_beam(scene: Scene) -> bool:
         scene.tail_beam is None
         or scene.sensor.quantity == "force"
         or any(scene.draws(name) for name in ("sampling_rate", "anti_alias_frequency"))
-        or scene.sampling.samples < 2
+        or (scene.stream is None and scene.sampling.samples < 2)
     ):
         return False
     rate, n_modes = scene.sampling.sampling_rate, beam_modes(scene).frequency.size

@@ -1,0 +1,187 @@
+"""The gangue share of streams and the decision to shut, against the truth.
+
+    python benchmarks/streams.py [MODEL] [-n 10]
+
+Minutes of `caving` with constant shares from 0 to .5, the same of a changed scene (blows elsewhere on the beam, 10
+rocks a second, another seam), and `caving` itself, whose share rises. No training uses their seeds. The watch is that
+of `cgid monitor`: windows of 10 s, each second, and a drawn gangue costs as much as a lost coal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cgid import shipped
+from cgid.identification.answers import Answer
+from cgid.identification.model import Model
+from cgid.identification.question import Question
+from cgid.identification.share import CavingWatch, Share, Turn
+from cgid.identification.stream import identify_blocks
+from cgid.scene import Scene, load_scene, parse_scene
+from cgid.scene.stream import record
+
+#: Streams of constant shares, and of the rising one.
+SEEDS = 900_000, 910_000
+#: Highest of the constant shares; up to this one SHUT is false, as the limit is .5.
+HIGHEST, FALSE_UP_TO = 0.5, 0.3
+DURATION = 60.0
+#: Costs of drawn gangue for the operators' curve, in lost coal.
+COSTS = (0.5, 1.0, 2.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Answers for a stream, the truth of its rocks, and the processor time an impact [s]."""
+
+    answers: list[Answer]
+    time: np.ndarray
+    gangue: np.ndarray
+    cost: float
+
+    @classmethod
+    def of(cls, scene: Scene, seed: int, number: int, model: Model) -> Stream:
+        """Make a stream and answer for it."""
+        signal, truth = record(scene, seed, number)
+        first = truth["bounce"] == 0
+        begun = time.process_time()
+        steps = identify_blocks([signal.samples[None]], signal.sampling_rate, model, ("1",), Question())
+        answers = [answer for step in steps for answer in step.answers]
+        cost = (time.process_time() - begun) / len(answers)
+        return cls(answers, truth["time"][first], truth["label"][first] == "gangue", cost)
+
+    def watched(self, model: Model, **settings: Any) -> list[Share | Turn]:
+        """Return shares and turns, as `cgid monitor` says them."""
+        watch = CavingWatch(model, ("1",), Question(**settings))
+        return watch.feed(self.answers, DURATION) + watch.finish(DURATION)
+
+    def shares(self, model: Model, length: float) -> Iterator[tuple[Share, float]]:
+        """Yield the shares of windows end to end, and the true shares of the rocks that came in them."""
+        for share in self.watched(model, share_time=length, share_step=length):
+            if isinstance(share, Share) and share.n_impacts:
+                own = self.gangue[(self.time > share.start) & (self.time <= share.time)]
+                yield share, float(own.mean())
+
+    def turns(self, model: Model, **settings: Any) -> list[Turn]:
+        """Return the turns with windows of 10 s, each second."""
+        return [one for one in self.watched(model, share_step=1.0, **settings) if isinstance(one, Turn)]
+
+    def drawn(self, until: float) -> tuple[float, float]:
+        """Return the recovery of coal and the share of gangue among all rocks drawn until a time [s]."""
+        own = self.time <= until
+        return float(np.sum(own & ~self.gangue) / np.sum(~self.gangue)), float(self.gangue[own].mean())
+
+
+def constant(share: float) -> Scene:
+    """Return `caving` with a constant share of gangue."""
+    content = json.loads(load_scene(shipped.scene_path("caving")).text)
+    content["stream"]["mixture"] = {"times": [0.0], "gangue": [share]}
+    return parse_scene(content | {"name": f"caving, {share:.0%} gangue"})
+
+
+def changed(share: float) -> Scene:
+    """Return the same of other places, more rocks of other sizes, and a softer coal with a harder gangue."""
+    content = json.loads(constant(share).text)
+    content["tail_beam"]["impact_point"] = {
+        "x": {"distribution": "uniform", "lowest": "0.8 m", "highest": "1.5 m"},
+        "y": {"distribution": "uniform", "lowest": "0.2 m", "highest": "1.2 m"},
+    }
+    content["stream"]["arrivals"] = {"rate": "10 Hz"}
+    for population in content["populations"]:
+        gangue = population["label"] == "gangue"
+        population["youngs_modulus"]["median"] = "14 GPa" if gangue else "2.5 GPa"
+        population["radius"] |= {"lowest": "15 mm", "highest": "60 mm"}
+        if not gangue:
+            population["restitution"]["mean"] = 0.30
+    return parse_scene(content | {"name": f"another seam, {share:.0%} gangue"})
+
+
+def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> str:
+    """Return the row of constant shares."""
+    errors = [share.share - truth for stream in streams for share, truth in stream.shares(model, DURATION)]
+    windows = [pair for stream in streams for pair in stream.shares(model, 10.0)]
+    held = np.mean([share.low <= truth <= share.high for share, truth in windows])
+    width = np.mean([share.high - share.low for share, _ in windows])
+    unknown = np.mean([answer.label == "unknown" for stream in streams for answer in stream.answers])
+    false = sum(
+        any(turn.shut for turn in stream.turns(model))
+        for stream, share in zip(streams, shares, strict=True)
+        if share <= FALSE_UP_TO + 1e-9
+    )
+    quiet = int(np.sum(shares <= FALSE_UP_TO + 1e-9))
+    alarms = f"{false} of {quiet} ({3600 * false / quiet / DURATION:.0f} an hour)"
+    return (
+        f"| {name} | {len(streams)} | {np.sqrt(np.mean(np.square(errors))):.3f} | {np.mean(errors):+.3f} | "
+        f"{held:.1%} of {len(windows)} | {width:.2f} | {unknown:.1%} | {alarms} | "
+        f"{1e3 * np.mean([stream.cost for stream in streams]):.1f} |"
+    )
+
+
+def rising(model: Model, n: int) -> Iterator[str]:
+    """Yield the table of the decision on `caving`."""
+    scene = load_scene(shipped.scene_path("caving"))
+    streams = [Stream.of(scene, SEEDS[1], number, model) for number in range(n)]
+    assert scene.stream is not None and scene.stream.mixture is not None
+    times, rises = scene.stream.mixture.times, scene.stream.mixture.shares["gangue"]
+    yield "| a drawn gangue costs | limit | true crossing [s] | SHUT, median [s] | delay, median (range) [s] | early |"
+    yield "|---|---|---|---|---|---|"
+    shut: dict[float, np.ndarray] = {}
+    crossings = {}
+    for cost in COSTS:
+        limit = 1 / (1 + cost)
+        crossing = crossings[cost] = float(np.interp(limit, rises, times))
+        turns = [stream.turns(model, dilution_cost=cost) for stream in streams]
+        first = shut[cost] = np.array([min([t.time for t in own if t.shut], default=DURATION) for own in turns])
+        late = first - crossing
+        yield (
+            f"| {cost:g} | {limit:.2f} | {crossing:.1f} | {np.median(first):.1f} | {np.median(late):+.1f} "
+            f"({late.min():+.1f} to {late.max():+.1f}) | {int(np.sum(late < 0))} of {n} |"
+        )
+        again = sum(not turn.shut for own in turns for turn in own)
+        if again:
+            yield f"| | | | | {again} times OPEN again | |"
+    yield ""
+    yield "| shut | recovery of coal | cumulative share of gangue |"
+    yield "|---|---|---|"
+    for at in range(10, 61, 10):
+        yield drawn_row(f"after {at} s", streams, np.full(n, float(at)))
+    for cost in COSTS:
+        yield drawn_row(f"at SHUT, a gangue costs {cost:g}", streams, shut[cost])
+        yield drawn_row(f"at the true crossing of {1 / (1 + cost):.2f}", streams, np.full(n, crossings[cost]))
+
+
+def drawn_row(name: str, streams: list[Stream], until: np.ndarray) -> str:
+    """Return a row of the operators' curve, the mean of streams that are shut at these times [s]."""
+    recovery, share = np.mean([s.drawn(t) for s, t in zip(streams, until.tolist(), strict=True)], axis=0)
+    return f"| {name} | {recovery:.1%} | {share:.1%} |"
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.ACCELERATION_MODEL))
+    parser.add_argument("-n", "--streams", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="number of the first stream of each kind")
+    arguments = parser.parse_args()
+    model = Model.load(arguments.model)
+    shares = HIGHEST * (np.arange(arguments.streams) % 10) / 9
+    print(
+        "| streams | number | RMS error of 60 s | mean error | 10 s intervals that hold | width | unknown | "
+        "false SHUT | ms an impact |\n|---|---|---|---|---|---|---|---|---|"
+    )
+    for name, make in (("caving, constant shares", constant), ("another seam and place", changed)):
+        numbered = enumerate(shares.tolist(), arguments.first)
+        streams = [Stream.of(make(share), SEEDS[0], number, model) for number, share in numbered]
+        print(row(name, streams, shares, model), flush=True)
+    print()
+    print("\n".join(rising(model, arguments.streams)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""What a model answers to rocks of either kind, so that a share can be corrected for the model's mistakes.
+
+A rock strikes, bounces and strikes again; some impacts are missed, some answers are unknown. So the unit is the rock: a
+rock of label k makes the model answer with a probability in bin b, `rates[k, b]` times in the mean. Of the answers at a
+share q of gangue rocks, bin b holds
+
+    phi_b(q) = ((1 - q) rates[0, b] + q rates[1, b]) / sum over all bins
+
+This is the likelihood of an answer. Its maximum over q is the adjusted count of Forman 2008 with every bin as a
+threshold. Bounces, which look like coal, count with what they tell. Answers of one rock are not independent: the
+logarithm of the likelihood is divided by `overdispersion` (McCullagh & Nelder 1989, 4.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import BadData
+from cgid.validation import Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.families import Arrays
+
+#: Probabilities are kept this far from 0 and 1: a single wrong certain answer would outweigh all others.
+SUREST = 1e-3
+#: Answers of the rarer label in a bin, at least; and bins, at most.
+_A_BIN, _MOST_BINS = 25, 24
+#: Answers that are added to each label, spread like those of both: an empty bin rules nothing out.
+_ADDED = 2.0
+#: Windows in which answers scatter together [s].
+_WINDOW = 10.0
+#: Least deviation of the share from stream to stream (assumed): no other place is just like the simulated ones.
+LEAST_SCATTER = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Heard:
+    """What was heard of a recording with known rocks.
+
+    Attributes
+    ----------
+    logits : ndarray, (n,)
+        Of the probability of the second label; nan for unknown impacts.
+    second : ndarray of bool, (n,)
+        Whether the rock has the second label.
+    time : ndarray, (n,) [s]
+    n_rocks : (int, int)
+        Rocks of both labels.
+    share : float
+        Of the second label among the rocks that may come.
+    """
+
+    logits: Floats
+    second: NDArray[np.bool_]
+    time: Floats
+    n_rocks: tuple[int, int]
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Confusion:
+    """How often rocks of two labels make a model answer what.
+
+    Attributes
+    ----------
+    edges : ndarray, (n_bins - 1,)
+        Of the logit of the probability of the second label, ascending.
+    rates : ndarray, (2, n_bins)
+        Answers in each bin a rock of the first and of the second label.
+    overdispersion : float
+        Variance of the answers over that of independent ones, at least 1.
+    scatter : float
+        Standard deviation of the estimated share from stream to stream, with any number of impacts.
+    """
+
+    edges: Floats
+    rates: Floats
+    overdispersion: float = 1.0
+    scatter: float = 0.0
+
+    ARRAYS: ClassVar = ("edges", "rates", "spread")
+    PREFIX: ClassVar = "share."
+
+    def __post_init__(self) -> None:
+        edges, rates = self.edges, self.rates
+        if edges.ndim != 1 or rates.shape != (2, edges.size + 1) or not (np.diff(edges) > 0).all():
+            raise BadData(f"share.edges must ascend and share.rates be (2, {edges.size + 1}), got {rates.shape}")
+        if not (rates > 0).all():
+            raise BadData("share.rates must be above 0")
+        if not (self.overdispersion >= 1 and 0 <= self.scatter < 1):
+            raise BadData(
+                f"share.spread must be an overdispersion of at least 1 and a scatter in [0, 1), got "
+                f"{self.overdispersion:g} and {self.scatter:g}"
+            )
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> Self | None:
+        """Return the confusion in the arrays of a model; None without one. Raise `BadData` if they do not fit."""
+        own = {name: arrays[cls.PREFIX + name] for name in cls.ARRAYS if cls.PREFIX + name in arrays}
+        if not own:
+            return None
+        if len(own) < len(cls.ARRAYS) or own["spread"].shape != (2,):
+            raise BadData(f"arrays of a share must be {', '.join(cls.PREFIX + name for name in cls.ARRAYS)}")
+        overdispersion, scatter = own["spread"].tolist()
+        return cls(edges=own["edges"], rates=own["rates"], overdispersion=overdispersion, scatter=scatter)
+
+    @property
+    def arrays(self) -> dict[str, Floats]:
+        """The arrays in a model file."""
+        own = {"edges": self.edges, "rates": self.rates, "spread": np.array([self.overdispersion, self.scatter])}
+        return {self.PREFIX + name: array for name, array in own.items()}
+
+    @classmethod
+    def counted(cls, logits: Floats, second: NDArray[np.bool_], n_rocks: tuple[float, float]) -> Self | None:
+        """Return the confusion that answers (n,) to rocks show; None with too few to tell.
+
+        `second` says which answers are about the second label, and `n_rocks` how many rocks of each there were.
+        """
+        known = np.isfinite(logits)
+        logits, second = logits[known], second[known]
+        rarer = min(int(second.sum()), int((~second).sum()))
+        n_bins = min(rarer // _A_BIN, _MOST_BINS)
+        if n_bins < 2:
+            return None
+        # Bins hold equally many answers of both labels together, with equal weights of the labels.
+        weights = np.where(second, 1 / second.sum(), 1 / (~second).sum())
+        order = np.argsort(logits, kind="stable")
+        shares = np.cumsum(weights[order]) / weights.sum()
+        edges = np.unique(logits[order][np.searchsorted(shares, np.arange(1, n_bins) / n_bins)])
+        bins = np.searchsorted(edges, logits, side="right")
+        counts = np.stack([np.bincount(bins[second == k], minlength=edges.size + 1) for k in (False, True)])
+        pooled = counts.sum(axis=0) / counts.sum()
+        spread = (counts + _ADDED * pooled) * (counts.sum(axis=1) / (counts.sum(axis=1) + _ADDED))[:, None]
+        return cls(edges=edges, rates=spread / np.asarray(n_rocks)[:, None])
+
+    @classmethod
+    def of_streams(cls, streams: Sequence[Heard]) -> Self | None:
+        """Return the confusion of streams of known shares, with its overdispersion and scatter; None with too few."""
+        plain = cls.counted(
+            np.concatenate([one.logits for one in streams]),
+            np.concatenate([one.second for one in streams]),
+            (sum(one.n_rocks[0] for one in streams), sum(one.n_rocks[1] for one in streams)),
+        )
+        if plain is None:
+            return None
+        inside, errors, told = [], [], []
+        for one in streams:
+            known = np.isfinite(one.logits)
+            window = (one.time[known] // _WINDOW).astype(int)
+            pull = np.bincount(window, plain.slopes(one.logits[known], one.share))
+            counts = np.bincount(window)
+            curvature = plain.information(one.share) * counts
+            error = pull.sum() / curvature.sum()
+            rest = (pull - curvature * error)[counts > 0] ** 2 / curvature[counts > 0]
+            inside.append((rest.sum(), rest.size - 1))
+            errors.append(error)
+            told.append(curvature.sum())
+        rest, degrees = np.sum(inside, axis=0)
+        overdispersion = max(float(rest / max(degrees, 1)), 1.0)
+        excess = np.average(np.square(errors) - overdispersion / np.asarray(told), weights=told)
+        scatter = max(float(np.sqrt(max(excess, 0.0))), LEAST_SCATTER)
+        return cls(edges=plain.edges, rates=plain.rates, overdispersion=overdispersion, scatter=scatter)
+
+    @property
+    def abundance(self) -> float:
+        """Answers a rock of the second label makes for each of one of the first."""
+        return float(self.rates[1].sum() / self.rates[0].sum())
+
+    def ratios(self, logits: Floats) -> Floats:
+        """Return how many times as often rocks of the second label make such answers, (n,)."""
+        return np.asarray((self.rates[1] / self.rates[0])[np.searchsorted(self.edges, logits, side="right")])
+
+    def slopes(self, logits: Floats, share: float) -> Floats:
+        """Return the slope of the log likelihood of each answer at a share of rocks, (n,)."""
+        ratios, abundance = self.ratios(logits), self.abundance
+        whole = (abundance - 1) / (1 + share * (abundance - 1))
+        return np.asarray((ratios - 1) / (1 + share * (ratios - 1)) - whole)
+
+    def information(self, share: float) -> float:
+        """Return the information of one answer about a share of rocks (Fisher 1925): the variance of its slope."""
+        bins = (1 - share) * self.rates[0] + share * self.rates[1]
+        centres = np.append(self.edges, np.inf)  # one logit within each bin, counted from below
+        slopes = self.slopes(np.nextafter(centres, -np.inf), share)
+        return float(bins @ slopes**2 / bins.sum())
+
+    def turned(self) -> Self:
+        """Return the same with the labels exchanged."""
+        return type(self)(
+            edges=-self.edges[::-1],
+            rates=self.rates[::-1, ::-1],
+            overdispersion=self.overdispersion,
+            scatter=self.scatter,
+        )
+
+
+def logit(probabilities: Floats) -> Floats:
+    """Return the logarithm of the odds; probabilities are kept `SUREST` away from 0 and 1; nan stays nan."""
+    sure = np.clip(probabilities, SUREST, 1.0 - SUREST)
+    return np.asarray(np.log(sure / (1.0 - sure)))

@@ -1,0 +1,338 @@
+"""Simulated streams of a scene: rows of impacts as the detector finds them, and what a model answers to their rocks.
+
+An impact in a frame of its own is an ideal. In a stream it follows others that still ring, overlaps with them, and most
+rocks bounce. A model of acceleration therefore also trains on streams (`rows_of_streams`), and is finished on others
+(`finished`): they say how novel its own streams are, and what it answers to rocks of either label.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cgid.errors import InvalidValue
+from cgid.identification.confusion import Confusion, Heard, logit
+from cgid.identification.detection import find_impacts
+from cgid.identification.events import Event, frames_alike
+from cgid.identification.model import Model
+from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
+from cgid.identification.training import Training, train
+from cgid.measure.beam import Beam
+from cgid.measure.features import extract_array
+from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.stream import record
+from cgid.scene.through_beam import beam_of, has_beam
+from cgid.validation import Floats
+from cgid.workers import ALONE, Workers
+
+#: Length of a simulated stream [s].
+DURATION = 60.0
+#: Rocks a second and the density of the noise are those of the scene times a factor within these, log-uniform; the
+#: noise only in every other stream (assumed).
+_RATES, _NOISES = (0.5, 1.5), (0.3, 10.0)
+#: Every other stream has blows all over a beam of known size, but for these shares of its length and width.
+_LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
+#: A found impact belongs to the strongest blow that touches from this long before it to this long after it [s].
+_BEFORE, _AFTER = 4e-3, 1.5e-3
+#: Impacts found a rock, about; and streams, at least, to train on and to finish with.
+_IMPACTS_A_ROCK, _FEWEST_STREAMS = 1.6, 8
+#: At most this share of the impacts in streams of its own may be unknown to a model by a guard.
+UNKNOWN_SHARE = 0.035
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreamRows:
+    """The measured impacts of a simulated stream.
+
+    Attributes
+    ----------
+    rows : Rows
+        Without those that cannot be measured, or belong to no blow.
+    n_found : int
+        Impacts found.
+    n_rocks : (int, int)
+        Rocks of each of the two labels, in alphabetical order.
+    share : float
+        Of the second label among the rocks that may come.
+    """
+
+    rows: Rows
+    n_found: int
+    n_rocks: tuple[int, int]
+    share: float
+
+
+def labels_of(scene: Scene) -> tuple[str, ...]:
+    """Return the labels of the rocks of a scene in alphabetical order."""
+    return tuple(sorted({population.label for population in scene.populations}))
+
+
+def is_streamable(scene: Scene) -> bool:
+    """Return whether a model can be finished on streams of a scene: it has a stream, a beam and two labels."""
+    return scene.stream is not None and has_beam(scene) and len(labels_of(scene)) == 2
+
+
+def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
+    """Return streams like that of a scene, each with a constant mixture, and with other rates, places and noises.
+
+    Shares of the second label fill 0 to 1 evenly.
+
+    Raises
+    ------
+    InvalidValue
+        The scene has no stream, or not two labels.
+    """
+    if scene.stream is None or len(labels_of(scene)) != 2:
+        raise InvalidValue(
+            f"scene {scene.name}: must have a [stream] and rocks of two labels to train on streams, got "
+            f"{', '.join(labels_of(scene))}"
+        )
+    rng = np.random.default_rng([seed, n_streams])
+    shares = rng.permutation((np.arange(n_streams) + rng.random(n_streams)) / n_streams)
+    return [_variation(scene, number, float(share), rng) for number, share in enumerate(shares)]
+
+
+def _variation(scene: Scene, number: int, share: float, rng: np.random.Generator) -> Scene:
+    content = json.loads(scene.text)
+    stream, sensor = content["stream"], content["sensor"]
+    stream["duration"] = DURATION
+    stream["arrivals"] = {"rate": _rate_of(scene) * _factor(rng, _RATES)}
+    stream["mixture"] = {"times": [0.0], labels_of(scene)[1]: [share]}
+    factor = _factor(rng, _NOISES)
+    if number % 4 >= 2 and sensor.get("noise_density"):
+        sensor["noise_density"] *= factor
+    if number % 2 == 1:
+        _spread(content["tail_beam"])
+    return parse_scene(content | {"name": f"{scene.name}, stream {number}"})
+
+
+def whole_beam(scene: Scene) -> Beam:
+    """Return the beam of a scene to look through, as far as rocks bounce; raises as `beam_of`."""
+    content = json.loads(scene.text)
+    _spread(content.get("tail_beam", {}))
+    return beam_of(parse_scene(content))
+
+
+def _spread(beam: dict[str, Any]) -> None:
+    """Let blows fall all over a beam of known size."""
+    if beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
+        beam["impact_point"] = {"x": _uniform(beam["length"], _LENGTHWISE), "y": _uniform(beam["width"], _CROSSWISE)}
+
+
+def _rate_of(scene: Scene) -> float:
+    """Return the mean number of rocks a second [Hz]."""
+    assert scene.stream is not None
+    arrivals = scene.stream.arrivals
+    if arrivals.rate is None:
+        return len(arrivals.times or ()) / scene.stream.duration
+    return float(np.mean(arrivals.rate.values))
+
+
+def _factor(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    return float(np.exp(rng.uniform(*np.log(limits))))
+
+
+def _uniform(length: float, shares: tuple[float, float]) -> dict[str, Any]:
+    return {"distribution": "uniform", "lowest": shares[0] * length, "highest": shares[1] * length}
+
+
+def rows_of_streams(
+    scenes: Sequence[Scene],
+    seed: int,
+    names: tuple[str, ...],
+    beam: Beam,
+    *,
+    progress: Callable[[int], object] | None = None,
+    crew: Workers = ALONE,
+) -> list[StreamRows]:
+    """Simulate streams and measure what the detector finds in them.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        Such as `variations`; each is simulated with its number in the sequence.
+    seed : int
+    names : tuple of str
+        Features and guards.
+    beam : Beam
+        The features look through it.
+    progress : callable, optional
+        Receives the number of impacts of each stream.
+    crew : Workers
+
+    Returns
+    -------
+    list of StreamRows
+    """
+    found = []
+    with closing(crew.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
+        for stream in streams:
+            found.append(stream)
+            if progress is not None:
+                progress(stream.n_found)
+    return found
+
+
+def _measured(settings: tuple[int, tuple[str, ...], Beam], numbered: tuple[int, Scene]) -> StreamRows:
+    """Return the measured impacts of one stream."""
+    (seed, names, beam), (number, scene) = settings, numbered
+    signal, truth = record(scene, seed, number)
+    events = find_impacts(signal, kind="vibration")
+    with threadpool_limits(1):
+        features = _features(events, names, beam)
+    time = np.array([event.time for event in events])
+    blow = _blow_of(time, truth["time"], truth["peak_force"])
+    kept = np.isfinite(features).all(axis=1) & (blow >= 0) & np.array([not event.problem for event in events])
+    first = truth["bounce"] == 0
+    labels = labels_of(scene)
+    counts = [int(np.sum(truth["label"][first] == label)) for label in labels]
+    rows = Rows(
+        names=names,
+        features=features[kept],
+        labels=truth["label"][blow[kept]].astype(str),
+        group=truth["specimen"][blow[kept]],
+        source=np.zeros(int(kept.sum()), np.intp),
+        sources=(scene.sha256,),
+        digests=(scene.sha256,),
+        known=np.empty((int(kept.sum()), 0)),
+        unit=str(signal.unit),
+        sampling_rates=(signal.sampling_rate, signal.sampling_rate),
+        time=time[kept],
+        beam=beam,
+        left_out=int((~kept).sum()),
+    )
+    share = _share_of(scene, labels[1])
+    return StreamRows(rows=rows, n_found=len(events), n_rocks=(counts[0], counts[1]), share=share)
+
+
+def _share_of(scene: Scene, label: str) -> float:
+    """Return the mean share of a label in the mixture of a stream."""
+    assert scene.stream is not None and scene.stream.mixture is not None
+    return float(np.mean(scene.stream.mixture.shares[label]))
+
+
+def _features(events: Sequence[Event], names: tuple[str, ...], beam: Beam) -> Floats:
+    """Return the features of found impacts, (n, n_names); nan where one cannot be measured."""
+    features = np.full((len(events), len(names)), np.nan)
+    for numbers, frames in frames_alike(events):
+        event = events[numbers[0]]
+        features[numbers] = extract_array(
+            frames,
+            event.sampling_rate,
+            names,
+            pre_trigger=event.pre_trigger,
+            invalid="nan",
+            detection_limit=event.detection_limit,
+            beam=through(beam),
+        )
+    return features
+
+
+def _blow_of(found: Floats, touch: Floats, peak: Floats) -> NDArray[np.intp]:
+    """Return the number of the blow that each found impact belongs to, -1 for none, (n,)."""
+    first, last = np.searchsorted(touch, found - _BEFORE), np.searchsorted(touch, found + _AFTER)
+    blows = [a + int(np.argmax(peak[a:b])) if b > a else -1 for a, b in zip(first, last, strict=True)]
+    return np.array(blows, np.intp)
+
+
+def train_on_streams(
+    scene: Scene,
+    n_impacts: int,
+    seed: int = 0,
+    *,
+    progress: Callable[[int], object] | None = None,
+    crew: Workers = ALONE,
+    **settings: Any,
+) -> Training:
+    """Train a model on simulated streams of a scene, and finish it on others.
+
+    Parameters
+    ----------
+    scene : Scene
+        See `is_streamable`.
+    n_impacts : int
+        About how many impacts to train on, rounded up to whole streams.
+    seed : int
+    progress : callable, optional
+        Receives the number of impacts of each stream.
+    crew : Workers
+    **settings
+        Of `cgid.identification.training.train`, such as `family`.
+
+    Returns
+    -------
+    Training
+        Judged on impacts of rocks that did not train.
+    """
+    each = _IMPACTS_A_ROCK * _rate_of(scene) * DURATION
+    n_streams = max(math.ceil(n_impacts / each), _FEWEST_STREAMS)
+    n_further = max(n_streams // 3, _FEWEST_STREAMS)
+    beam, names = whole_beam(scene), (*BEAM_FEATURES, *BEAM_GUARDS)
+    scenes = variations(scene, n_streams, seed)
+    streams = rows_of_streams(scenes, seed, names, beam, progress=progress, crew=crew)
+    rows = Rows.joined([stream.rows for stream in streams])
+    training = train(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS, seed=seed, crew=crew, **settings)
+    further = variations(scene, n_further, seed + 1)
+    others = rows_of_streams(further, seed + 1, names, beam, progress=progress, crew=crew)
+    return replace(training, model=finished(training.model, others))
+
+
+def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
+    """Return a model that knows what it answers to rocks in streams of its own, and takes them for its own.
+
+    Parameters
+    ----------
+    model : Model
+        Of two labels and of features through a beam.
+    streams : sequence of StreamRows
+        Of the features and guards of the model; none of them trained it.
+
+    Returns
+    -------
+    Model
+    """
+    rows = Rows.joined([stream.rows for stream in streams])
+    found = sum(stream.n_found for stream in streams)
+    left = max(1 - UNKNOWN_SHARE * found / len(rows.labels), 0.0)
+    limits = tuple(
+        max(limit, float(np.quantile(rows.columns((name,))[:, 0], left)))
+        for name, limit in zip(model.guards, model.guard_limits, strict=True)
+    )
+    model = replace(model, guard_limits=limits)
+    heard = [_heard(model, stream) for stream in streams]
+    confusion = Confusion.of_streams(heard)
+    if confusion is None:
+        return model
+    unknown = 1 - sum(int(np.isfinite(one.logits).sum()) for one in heard) / found
+    told = {
+        "n_streams": len(streams),
+        "n_found": found,
+        "unknown_share": unknown,
+        "answers_a_rock": dict(zip(model.labels, confusion.rates.sum(axis=1).tolist(), strict=True)),
+        "overdispersion": confusion.overdispersion,
+        "scatter": confusion.scatter,
+    }
+    return replace(model, arrays={**model.arrays, **confusion.arrays}, training={**model.training, "streams": told})
+
+
+def _heard(model: Model, stream: StreamRows) -> Heard:
+    """Return what a model answers to a stream."""
+    rows = stream.rows
+    inputs = rows.inputs(model.features)
+    logits = logit(model.probabilities(inputs)[:, 1])
+    logits[model.novelty(inputs, rows.columns(model.guards)) > 1] = np.nan
+    return Heard(
+        logits=logits,
+        second=np.asarray(rows.labels == model.labels[1]),
+        time=rows.time,
+        n_rocks=stream.n_rocks,
+        share=stream.share,
+    )
