@@ -2,6 +2,7 @@
 
 from cgid.striker.measured import MeasuredPulses
 from cgid.striker.population import population_of
-from cgid.striker.posterior import Strikers, StrikerPopulation
+from cgid.striker.posterior import StrikerPopulation, Strikers
+from cgid.striker.recognition import strikers
 
-__all__ = ["MeasuredPulses", "StrikerPopulation", "Strikers", "population_of"]
+__all__ = ["MeasuredPulses", "StrikerPopulation", "Strikers", "population_of", "strikers"]

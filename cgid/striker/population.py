@@ -24,8 +24,8 @@ from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.striker.posterior import StrikerPopulation
 from cgid.validation import Floats
 
-#: Draws of a scene whose pulses follow from a formula, and of one whose pulses are looked at one by one.
-_MANY, _FEW = 1 << 17, 1 << 15
+#: Draws of a scene whose pulses follow from a formula, of one whose pulses are fitted, and of one with a beam.
+_MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14
 #: Samples of a contact, before it and in all, at which pulses are fitted; noise over the peak; any sampling rate [Hz].
 _SAMPLES, _BEFORE, _FRAME, _NOISE, _RATE = 64, 32, 192, 1e-3, 1e5
 #: Seed of these draws, unlikely to be chosen for the signals.
@@ -43,7 +43,8 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
     scene : Scene
         Of a stream, all its impacts count: rebounds, too.
     n_draws : int, optional
-        By default 131,072 where a formula gives the pulses, else 32,768.
+        By default 131,072 where a formula gives the pulses, else 32,768, behind a
+        beam 16,384.
 
     Returns
     -------
@@ -59,7 +60,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
     if not scene.populations:
         raise InvalidValue(f"scene {scene.name}: must have populations to tell strikers by, it has taps alone")
     plain = _is_plain(scene)
-    wanted = n_draws or (_MANY if plain else _FEW)
+    wanted = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _FEWEST)
     parts: list[dict[str, Floats]] = []
     blocks = _stream(scene) if scene.stream is not None else _frames(scene)
     while sum(part["radius"].size for part in parts) < wanted:
@@ -79,6 +80,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
         log_mass=np.log(4 / 3 * np.pi * held["density"]) + 3 * np.log(held["radius"]),
         group=held["group"].astype(np.intp),
         similar=bool(similar),
+        of_family=set(scene.dissipations) <= {"hunt-crossley", "elastic"},
         name=f"scene {scene.name}",
     )
 
@@ -143,9 +145,7 @@ def _stream(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
 def _of_rocks(asked: Plan, rocks: Rocks) -> _Pulses:
     groups = impacts_of(asked, rocks.columns, np.arange(len(rocks)))
     return [
-        (rows, one)
-        for own, impact in groups
-        for rows, one, _ in impacts_by_coupling(asked, impact, rocks.columns, own)
+        (rows, one) for own, impact in groups for rows, one, _ in impacts_by_coupling(asked, impact, rocks.columns, own)
     ]
 
 

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}
 #: Probabilities whose quantiles are kept.
 LEVELS = np.array([0.005, 0.01, 0.025, *np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995])
 #: Powers of the speed in P0 / T0^2 and in T0.
-_SPEED_POWER, _TIME_POWER = 1.6, -0.2
+SPEED_POWER, TIME_POWER = 1.6, -0.2
 #: Nodes along the shape, and draws looked at from each.
 _NODES, _DRAWS = 12, 48
 #: Extent of the nodes [standard deviations], and distance at which a draw could not have given the pulse.
@@ -129,6 +130,7 @@ class StrikerPopulation:
     log_radius, log_speed, log_mass : of the striker [m], [m/s], [kg]
     group : number of its part of the population; within a part the radius does not depend on the rest
     similar : whether a striker twice as large gives the same pulse, twice as long
+    of_family : whether all pulses are damped-Hertz pulses
     name : of the population
     """
 
@@ -140,6 +142,7 @@ class StrikerPopulation:
     log_mass: Floats
     group: NDArray[np.intp]
     similar: bool = True
+    of_family: bool = True
     name: str = "population"
 
     def __post_init__(self) -> None:
@@ -159,7 +162,7 @@ class StrikerPopulation:
         -------
         Strikers
         """
-        parts = [self._posterior(part) for part in pulses.blocks(_ROWS)]
+        parts = [self._posterior(part) for part in self._seen(pulses).blocks(_ROWS)]
         return Strikers.joined(parts) if parts else Strikers.unknown(np.empty(0, np.str_))
 
     def draws(self, pulses: MeasuredPulses) -> Iterator[tuple[dict[str, Floats], Floats]]:
@@ -174,15 +177,18 @@ class StrikerPopulation:
         tuple of dict of ndarray, (n, n_draws), and ndarray, (n, n_draws)
             The weights of a row sum to 1, or to 0 where the population excludes the pulse.
         """
-        for part in pulses.blocks(_ROWS):
+        for part in self._seen(pulses).blocks(_ROWS):
             found, weight, _ = self._moved(part)
             yield found, weight
+
+    def _seen(self, pulses: MeasuredPulses) -> MeasuredPulses:
+        return pulses.widened() if self.of_family else pulses
 
     def _posterior(self, pulses: MeasuredPulses) -> Strikers:
         found, weight, excluded = self._moved(pulses)
         reason = pulses.problem.astype(object)
-        known = weight.any(axis=1)
-        reason[~known & (reason == "")] = excluded[~known & (reason == "")]
+        empty = ~weight.any(axis=1) & pulses.usable
+        reason[empty] = excluded[empty]
         quantiles = {name: np.exp(_quantiles(values, weight)) for name, values in found.items()}
         return Strikers(quantiles, reason.astype(np.str_))
 
@@ -198,17 +204,19 @@ class StrikerPopulation:
         wide = spread[:, :, None] ** 2 + kernel
         # Draws from farther away than the error of the pulse are moved towards it.
         moved = apart * (spread[:, :, None] / np.sqrt(wide))
-        faster = (moved - apart) / _SPEED_POWER
+        faster = (moved - apart) / SPEED_POWER
         log_speed = table.log_speed[rows] + faster
         later = time[:, :, None] + lag[:, :, None] * moved + rest[:, :, None] * table.jitter[None, None]
         growth = later - table.time[rows]
-        log_radius = table.log_radius[rows] + growth - _TIME_POWER * faster
+        log_radius = table.log_radius[rows] + growth - TIME_POWER * faster
         near = -0.5 * apart**2 / wide
         if not self.similar:
             near -= 0.5 * (growth / _ALIKE) ** 2
         reached = near > -0.5 * _BEYOND**2
         fits = table.radii(table.group[rows], log_radius)
-        fits *= (log_speed >= table.speeds[0]) & (log_speed <= table.speeds[1])
+        # Where all speeds are equal, the error of the pulse moves them apart; it must not where they have bounds.
+        margin = _NARROWEST + _REACH / SPEED_POWER * np.minimum(spread[:, :, None], 2 * _NARROWEST)
+        fits *= (log_speed >= table.speeds[0] - margin) & (log_speed <= table.speeds[1] + margin)
         weight = np.exp(near) * reached * fits * (many * density / np.sqrt(wide[:, :, 0]))[:, :, None]
         n = len(shape)
         weight = weight.reshape(n, -1)
@@ -248,7 +256,7 @@ class StrikerPopulation:
     def prior(self, quantity: str) -> Floats:
         """Return the draws of a quantity without a measurement, (n,), in its unit of `QUANTITIES`."""
         validation.choice("quantity", quantity, QUANTITIES)
-        return np.exp(getattr(self, f"log_{quantity}"))
+        return np.asarray(np.exp(getattr(self, f"log_{quantity}")))
 
 
 class _Table:
@@ -262,7 +270,7 @@ class _Table:
         low, high = low - 1e-3, max(high, low + _NARROWEST) + 1e-3
         self.lowest, self.highest, self.step = low, high, (high - low) / self.n_shapes
         own = self._shape_of(shape)
-        log_peak, log_width = _dimensionless(shape)
+        log_peak, log_width = dimensionless_logarithms(shape)
         time = population.log_width - log_width
         size_free = population.log_peak - log_peak - 2 * time
         order = np.lexsort((size_free, own))
@@ -278,20 +286,21 @@ class _Table:
         grid = np.zeros((self.n_shapes, _CELLS + 1))
         np.add.at(grid, (own[order], cells), 1.0)
         self.ranks = np.cumsum(grid, axis=1)
-        self.speeds = self.log_speed.min() - _NARROWEST, self.log_speed.max() + _NARROWEST
+        self.speeds = self.log_speed.min(), self.log_speed.max()
         self.jitter = np.random.default_rng(0x57).permutation(_normal(_DRAWS))
         self._radii(population.similar)
 
     def _radii(self, similar: bool) -> None:
         """Make the weight of a moved draw by its radius: the density there, over that of what was moved to it."""
         low, high = self.log_radius.min(), self.log_radius.max()
-        margin = max(0.02 * (high - low), _NARROWEST)
+        margin = max(0.02 * (high - low), 5 * _NARROWEST)
         self.smallest, self.ring = low - margin, (high - low + 2 * margin) / _RADII
         places = ((self.log_radius - self.smallest) / self.ring).astype(np.intp)
         n_groups = int(self.group.max()) + 1
         counts = np.bincount(self.group * _RADII + places, minlength=n_groups * _RADII).reshape(n_groups, _RADII)
-        # As narrow as a cell where all are equal; smooth enough to have no noise of draws.
-        kernel = np.exp(-0.5 * (np.arange(-6, 7) / 1.5) ** 2)
+        # Smooth enough to have no noise of draws.
+        blur = max(1.5, _NARROWEST / self.ring)
+        kernel = np.exp(-0.5 * (np.arange(-int(4 * blur), int(4 * blur) + 1) / blur) ** 2)
         smooth = np.stack([np.convolve(row, kernel / kernel.sum(), mode="same") for row in counts.astype(np.float64)])
         density = smooth / np.maximum(smooth.sum(axis=1, keepdims=True), 1e-300)
         if not similar:
@@ -302,10 +311,10 @@ class _Table:
     def radii(self, group: NDArray[np.intp], log_radius: Floats) -> Floats:
         """Return the weight of moved draws by their radius."""
         place = np.clip((log_radius - self.smallest) / self.ring + 1, 0, _RADII + 1).astype(np.intp)
-        return self._weight.reshape(-1)[group * (_RADII + 2) + place]
+        return np.asarray(self._weight.reshape(-1)[group * (_RADII + 2) + place])
 
     def _shape_of(self, shape: Floats) -> NDArray[np.intp]:
-        return np.clip((shape - self.lowest) / self.step, 0, self.n_shapes - 1).astype(np.intp)
+        return np.asarray(np.clip((shape - self.lowest) / self.step, 0, self.n_shapes - 1), np.intp)
 
     def nodes(self, pulses: MeasuredPulses) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Return nodes of the shape and the prior times the likelihood there, (n, n_nodes), and if there are any."""
@@ -349,7 +358,7 @@ def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats,
     c, away = pulses.covariance, shape - pulses.shape[:, None]
     slope = c[:, :2, 2] / c[:, 2:, 2]
     left = c[:, :2, :2] - slope[:, :, None] * c[:, None, :2, 2]
-    log_peak, log_width = _dimensionless(shape)
+    log_peak, log_width = dimensionless_logarithms(shape)
     time = pulses.log_width[:, None] + slope[:, 1:] * away - log_width
     size_free = pulses.log_peak[:, None] + slope[:, :1] * away - log_peak - 2 * time
     width = np.maximum(left[:, 1, 1], 1e-10)
@@ -360,29 +369,22 @@ def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats,
     return size_free, time, spread, lag, rest
 
 
-def _dimensionless(shape: Floats) -> tuple[Floats, Floats]:
+def dimensionless_logarithms(shape: Floats) -> tuple[Floats, Floats]:
     """Return ln of peak and width of the dimensionless pulse; those of s = 0 for a pulse that rises more slowly."""
     grid, peak, width = _logarithms()
     return np.interp(shape, grid, peak), np.interp(shape, grid, width)
 
 
+@cache
 def _logarithms() -> tuple[Floats, Floats, Floats]:
-    global _HELD
-    if _HELD is None:
-        grid = np.linspace(LOWEST_SHAPE, 0.0, 1201)
-        restitution, _, _, peak = dimensionless(grid)
-        # The impulse of m x'' from 1 to -e is 1 + e.
-        _HELD = grid, np.log(peak), np.log((1 + restitution) / peak)
-    return _HELD
-
-
-_HELD: tuple[Floats, Floats, Floats] | None = None
+    grid = np.linspace(LOWEST_SHAPE, 0.0, 1201)
+    restitution, _, _, peak = dimensionless(grid)
+    # The impulse of m x'' from 1 to -e is 1 + e.
+    return grid, np.log(peak), np.log((1 + restitution) / peak)
 
 
 def _normal(n: int) -> Floats:
     """Return n evenly likely numbers of a standard normal distribution."""
-    from statistics import NormalDist
-
     return np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
 
 
@@ -397,7 +399,7 @@ def _quantiles(values: Floats, weight: Floats) -> Floats:
     place = np.clip((values - low[:, None]) / cell[:, None] + 0.5, 0, _POSTERIOR - 1).astype(np.intp)
     place += np.arange(n)[:, None] * _POSTERIOR
     mass = np.bincount(place.ravel(), weight.ravel(), n * _POSTERIOR).reshape(n, _POSTERIOR)
-    below = np.cumsum(mass, axis=1)
+    below: Floats = np.asarray(np.cumsum(mass, axis=1), np.float64)
     below /= np.maximum(below[:, -1:], 1e-300)
     out = np.full((n, LEVELS.size), np.nan)
     # The first cell at which each level is reached.
