@@ -36,6 +36,7 @@ _HOMES = {
     "predict": "cgid.identification.prediction",
     "read_recording": "cgid.recordings",
     "reproduce": "cgid.reproduction",
+    "strikers": "cgid.striker",
     "synthesise": "cgid.scene",
     "train": "cgid.identification.training",
 }

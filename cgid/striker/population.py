@@ -1,0 +1,184 @@
+"""The population of a scene: draws of its impacts, each with the pulse that it gives."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import InvalidValue
+from cgid.identification.estimation import estimate
+from cgid.measure.closest import POINTS, closest
+from cgid.measure.template import relative_times
+from cgid.physics import HertzRangeWarning, Impact
+from cgid.physics.coupled import ModalImpact
+from cgid.scene import Scene
+from cgid.scene.draws import BLOCK
+from cgid.scene.impacts import blows_of, impacts_by_coupling, impacts_of
+from cgid.scene.plan import Plan
+from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
+from cgid.striker.posterior import StrikerPopulation
+from cgid.validation import Floats
+
+#: Draws of a scene whose pulses follow from a formula, of one whose pulses are fitted, and of one with a beam.
+_MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14
+#: Samples of a contact, before it and in all, at which pulses are fitted; noise over the peak; any sampling rate [Hz].
+_SAMPLES, _BEFORE, _FRAME, _NOISE, _RATE = 64, 32, 192, 1e-3, 1e5
+#: Seed of these draws, unlikely to be chosen for the signals.
+_SEED = 0x5EED_0003_C9D1
+#: Populations kept (some 10 MB each).
+_KEPT = 4
+
+
+@lru_cache(maxsize=_KEPT)
+def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation:
+    """Return the population of a scene, as what struck is sought among.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a stream, all its impacts count: rebounds, too.
+    n_draws : int, optional
+        By default 131,072 where a formula gives the pulses, else 32,768, behind a
+        beam 16,384.
+
+    Returns
+    -------
+    StrikerPopulation
+
+    Raises
+    ------
+    InvalidValue
+        The scene has no impacts of spheres, or draws its rig.
+    """
+    if scene.randomise is not None:
+        raise InvalidValue(f"scene {scene.name}: must be one rig to tell strikers by; take [randomise] out")
+    if not scene.populations:
+        raise InvalidValue(f"scene {scene.name}: must have populations to tell strikers by, it has taps alone")
+    plain = _is_plain(scene)
+    wanted = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _FEWEST)
+    parts: list[dict[str, Floats]] = []
+    blocks = _stream(scene) if scene.stream is not None else _frames(scene)
+    while sum(part["radius"].size for part in parts) < wanted:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HertzRangeWarning)
+            values, pulses = next(blocks)
+        parts.append(_described(values, None if plain else pulses, scene.sensor.quantity == "force"))
+    held = {name: np.concatenate([part[name] for part in parts])[:wanted] for name in parts[0]}
+    similar = scene.panel is None and scene.tail_beam is None and scene.impact.gravity is None
+    similar &= getattr(scene.impact.target, "thickness", None) is None
+    return StrikerPopulation(
+        log_peak=held["log_peak"],
+        log_width=held["log_width"],
+        shape=held["shape"],
+        log_radius=np.log(held["radius"]),
+        log_speed=np.log(held["velocity"]),
+        log_mass=np.log(4 / 3 * np.pi * held["density"]) + 3 * np.log(held["radius"]),
+        group=held["group"].astype(np.intp),
+        similar=bool(similar),
+        of_family=set(scene.dissipations) <= {"hunt-crossley", "elastic"},
+        name=f"scene {scene.name}",
+    )
+
+
+#: Rows of a block, and their pulses.
+_Pulses = list[tuple[NDArray[np.intp], Impact | ModalImpact]]
+
+
+def _is_plain(scene: Scene) -> bool:
+    """Return whether each pulse is one of the family, with the stored peak, duration and restitution."""
+    return (
+        scene.tail_beam is None
+        and scene.stream is None
+        and set(scene.dissipations) <= {"hunt-crossley", "elastic"}
+        and scene.impact.gravity is None
+        and getattr(scene.impact.target, "thickness", None) is None
+    )
+
+
+def _frames(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
+    """Yield the impacts of frames, block by block, and their pulses."""
+    asked, labels = Plan(scene=scene, kind="pulses"), {label: k for k, label in enumerate(scene.labels)}
+    block = 0
+    while True:
+        blows = blows_of(asked, _SEED, block)
+        group = np.array([labels[str(one)] for one in blows.labels])
+        values = {**blows.parameters, "group": group}
+        struck = np.isfinite(values["radius"])
+        pulses: _Pulses = [
+            (one.rows, one.pulses)
+            for one in blows.strikes
+            if one.ratio is None and isinstance(one.pulses, Impact | ModalImpact)
+        ]
+        values["struck"] = struck
+        yield values, pulses
+        block += 1
+
+
+def _stream(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
+    """Yield the impacts of streams, rebound by rebound, and their pulses."""
+    asked = Plan(scene=scene, kind="pulses")
+    assert scene.stream is not None
+    number = 0
+    while True:
+        for stretch in arrivals_of(scene.stream).stretches(scene.stream.duration, _SEED, number):
+            rocks = arriving(scene, stretch, 0, _SEED, number)
+            while len(rocks):
+                values = {**rocks.columns, "group": rocks["population"], "struck": np.ones(len(rocks), bool)}
+                pulses = _of_rocks(asked, rocks)
+                delivered = {name: np.empty(len(rocks)) for name in ("restitution", "contact_duration", "peak_force")}
+                for rows, one in pulses:
+                    for name, column in delivered.items():
+                        column[rows] = getattr(one, name)
+                yield {**values, **delivered}, pulses
+                if scene.stream.rebounds is None:
+                    break
+                loud = np.ones(len(rocks), bool)
+                rocks = thrown_back(scene, rocks, delivered["restitution"], delivered["contact_duration"], loud)
+        number += 1
+
+
+def _of_rocks(asked: Plan, rocks: Rocks) -> _Pulses:
+    groups = impacts_of(asked, rocks.columns, np.arange(len(rocks)))
+    return [
+        (rows, one) for own, impact in groups for rows, one, _ in impacts_by_coupling(asked, impact, rocks.columns, own)
+    ]
+
+
+def _described(values: Mapping[str, Any], pulses: _Pulses | None, fitted: bool) -> dict[str, Floats]:
+    """Return strikers and pulses of a block; without pulses, these follow from peak, duration and restitution."""
+    names = ("radius", "velocity", "density", "group")
+    if pulses is None:
+        rows = np.flatnonzero(values["struck"])
+        shape = np.log(np.maximum(values["restitution"][rows], 1e-3))
+        width = values["contact_duration"][rows] / relative_times(shape)[0]
+        log_peak = np.log(values["peak_force"][rows])
+        return {name: values[name][rows] for name in names} | {
+            "log_peak": log_peak,
+            "log_width": np.log(width),
+            "shape": shape,
+        }
+    found: list[dict[str, Floats]] = []
+    for rows, one in pulses:
+        lasts, peak = values["contact_duration"][rows], values["peak_force"][rows]
+        if fitted:
+            force = np.zeros((rows.size, _FRAME))
+            one.add_to_frames(force, _SAMPLES / lasts, _BEFORE * lasts / _SAMPLES)
+            found_here = estimate(force / peak[:, None], _RATE, pre_trigger=_BEFORE, noise=_NOISE)
+            shape = np.log(found_here.restitution)
+            width = found_here.contact_duration * _RATE / _SAMPLES / relative_times(shape)[0]
+            peak = peak * found_here.peak
+        else:
+            force = np.zeros((rows.size, POINTS + 1))
+            one.add_to_frames(force, POINTS / lasts, np.zeros(rows.size))
+            width, shape, _ = closest(force / peak[:, None])
+        own = {"log_peak": np.log(peak), "log_width": np.log(width * lasts), "shape": shape}
+        found.append(own | {name: values[name][rows] for name in names})
+    return {name: np.concatenate([part[name] for part in found]) for name in (*names, "log_peak", "log_width", "shape")}
+
+
+__all__ = ["BLOCK", "population_of"]

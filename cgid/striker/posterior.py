@@ -1,0 +1,413 @@
+"""Mass, radius and speed of what struck, from fitted pulses: the posterior within a population.
+
+A pulse of the damped-Hertz family has the scales `P0 = K L^(3/2)` and `T0 = L / v`. With `K ~ E* R^(1/2)` and
+`L = (m v^2 / K)^(2/5)`, P0 / T0^2 does not depend on the size, and follows from the speed as `v^(8/5)`; T0 is
+proportional to the size (Hertz 1882; Johnson 1985, Contact Mechanics, section 11.4). So a pulse leaves radius, speed
+and modulus undetermined along one direction, which what is known of the population fills.
+
+Draws of the population stand for it. Each that could have given the pulse is moved onto it along these powers: its
+speed until P0 / T0^2 agrees, then its radius until T0 does, at the density of radii there. (Without the powers this is
+the regression adjustment of Beaumont, Zhang and Balding 2002, Genetics 162, 2025.) The draws lie in a table sorted by
+shape and P0 / T0^2, so that an impact looks at some hundred of them, whatever their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, cached_property
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import validation
+from cgid.errors import InvalidValue
+from cgid.measure.template import LOWEST_SHAPE, dimensionless
+from cgid.striker.measured import MeasuredPulses
+from cgid.validation import Floats
+
+#: What is asked of a striker, and its units.
+QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}
+#: Probabilities whose quantiles are kept.
+LEVELS = np.array([0.005, 0.01, 0.025, *np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995])
+#: Powers of the speed in P0 / T0^2 and in T0.
+SPEED_POWER, TIME_POWER = 1.6, -0.2
+#: Nodes along the shape, and draws looked at from each.
+_NODES, _DRAWS = 12, 48
+#: Extent of the nodes [standard deviations], and distance at which a draw could not have given the pulse.
+_REACH, _BEYOND = 3.5, 4.0
+#: Fewest draws to a shape, and fewest and most shapes.
+_PER_SHAPE, _FEWEST_SHAPES, _MOST_SHAPES = 1024, 8, 96
+#: Widest kernel of draws along ln(P0 / T0^2), and along ln(size) where size is no similarity.
+_WIDEST, _ALIKE = 0.25, 0.3
+#: Cells of ln(P0 / T0^2), of ln(radius), and of a posterior.
+_CELLS, _RADII, _POSTERIOR = 512, 256, 160
+#: Smallest width of a population's radii and speeds: equal ones are spread by this share.
+_NARROWEST = 0.01
+#: Impacts at once.
+_ROWS = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Strikers:
+    """What struck, one row an impact.
+
+    Attributes
+    ----------
+    quantiles : dict of ndarray, (n, n_levels)
+        Of mass [kg], radius [m] and speed [m/s], at `LEVELS`; nan where nothing is known.
+    reason : ndarray of str, (n,)
+        Why there is no interval or a wide one; else empty.
+    """
+
+    quantiles: dict[str, Floats]
+    reason: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.reason)
+
+    def quantile(self, quantity: str, probability: float) -> Floats:
+        """Return a quantile of each impact.
+
+        Parameters
+        ----------
+        quantity : {"mass", "radius", "speed"}
+        probability : float, .005 to .995
+
+        Returns
+        -------
+        ndarray, (n,)
+            [kg], [m] or [m/s]; nan where nothing is known.
+        """
+        validation.choice("quantity", quantity, QUANTITIES)
+        at = float(validation.between("probability", probability, LEVELS[0], LEVELS[-1]))
+        after = int(np.clip(np.searchsorted(LEVELS, at), 1, LEVELS.size - 1))
+        share = (at - LEVELS[after - 1]) / (LEVELS[after] - LEVELS[after - 1])
+        low, high = self.quantiles[quantity][:, after - 1], self.quantiles[quantity][:, after]
+        return np.asarray(low ** (1 - share) * high**share)
+
+    def median(self, quantity: str) -> Floats:
+        """Return the median of each impact, (n,), as `quantile`."""
+        return self.quantile(quantity, 0.5)
+
+    def interval(self, quantity: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
+        """Return the equal-tailed interval that contains a quantity with this probability.
+
+        Parameters
+        ----------
+        quantity : {"mass", "radius", "speed"}
+        coverage : float, above 0, up to .99
+
+        Returns
+        -------
+        tuple of two ndarray, (n,)
+            Lower and upper ends.
+        """
+        if not 0 < validation.number("coverage", coverage) <= 0.99:
+            raise InvalidValue(f"coverage must be above 0 and at most 0.99, got {coverage:g}")
+        return self.quantile(quantity, 0.5 - 0.5 * coverage), self.quantile(quantity, 0.5 + 0.5 * coverage)
+
+    @classmethod
+    def joined(cls, parts: list[Strikers]) -> Strikers:
+        """Return the impacts of all parts."""
+        held = {name: np.concatenate([part.quantiles[name] for part in parts]) for name in QUANTITIES}
+        return cls(held, np.concatenate([part.reason for part in parts]))
+
+    @classmethod
+    def unknown(cls, reason: NDArray[np.str_]) -> Strikers:
+        """Return strikers of which nothing is known."""
+        return cls({name: np.full((reason.size, LEVELS.size), np.nan) for name in QUANTITIES}, reason)
+
+
+@dataclass(frozen=True, eq=False)
+class StrikerPopulation:
+    """Draws of a population, each (n,).
+
+    Attributes
+    ----------
+    log_peak, log_width, shape : of the pulse: ln of the peak [N] and of impulse over peak [s], and s = ln e
+    log_radius, log_speed, log_mass : of the striker [m], [m/s], [kg]
+    group : number of its part of the population; within a part the radius does not depend on the rest
+    similar : whether a striker twice as large gives the same pulse, twice as long
+    of_family : whether all pulses are damped-Hertz pulses
+    name : of the population
+    """
+
+    log_peak: Floats
+    log_width: Floats
+    shape: Floats
+    log_radius: Floats
+    log_speed: Floats
+    log_mass: Floats
+    group: NDArray[np.intp]
+    similar: bool = True
+    of_family: bool = True
+    name: str = "population"
+
+    def __post_init__(self) -> None:
+        if self.shape.size < _PER_SHAPE:
+            raise InvalidValue(f"{self.name}: must hold at least {_PER_SHAPE} draws, got {self.shape.size}")
+
+    # -- the posterior ------------------------------------------------------------------------------------
+
+    def posterior(self, pulses: MeasuredPulses) -> Strikers:
+        """Return what struck.
+
+        Parameters
+        ----------
+        pulses : MeasuredPulses
+
+        Returns
+        -------
+        Strikers
+        """
+        parts = [self._posterior(part) for part in self._seen(pulses).blocks(_ROWS)]
+        return Strikers.joined(parts) if parts else Strikers.unknown(np.empty(0, np.str_))
+
+    def draws(self, pulses: MeasuredPulses) -> Iterator[tuple[dict[str, Floats], Floats]]:
+        """Yield the logarithms of mass, radius and speed of weighted draws of the posterior, some impacts at a time.
+
+        Parameters
+        ----------
+        pulses : MeasuredPulses
+
+        Yields
+        ------
+        tuple of dict of ndarray, (n, n_draws), and ndarray, (n, n_draws)
+            The weights of a row sum to 1, or to 0 where the population excludes the pulse.
+        """
+        for part in self._seen(pulses).blocks(_ROWS):
+            found, weight, _ = self._moved(part)
+            yield found, weight
+
+    def _seen(self, pulses: MeasuredPulses) -> MeasuredPulses:
+        return pulses.widened() if self.of_family else pulses
+
+    def _posterior(self, pulses: MeasuredPulses) -> Strikers:
+        found, weight, excluded = self._moved(pulses)
+        reason = pulses.problem.astype(object)
+        empty = ~weight.any(axis=1) & pulses.usable
+        reason[empty] = excluded[empty]
+        quantiles = {name: np.exp(_quantiles(values, weight)) for name, values in found.items()}
+        return Strikers(quantiles, reason.astype(np.str_))
+
+    def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, NDArray[np.object_]]:
+        """Return logarithms of draws moved onto pulses and their weights, (n, n_draws), and why there are none."""
+        table = self._table
+        shape, density, given = table.nodes(pulses)
+        size_free, time, spread, lag, rest = _given_shape(pulses, shape)
+        rows, many = table.around(shape, size_free, spread)
+        apart = table.size_free[rows] - size_free[:, :, None]
+        half = np.abs(apart).max(axis=2, keepdims=True)
+        kernel = np.minimum(0.4 * half, _WIDEST) ** 2
+        wide = spread[:, :, None] ** 2 + kernel
+        # Draws from farther away than the error of the pulse are moved towards it.
+        moved = apart * (spread[:, :, None] / np.sqrt(wide))
+        faster = (moved - apart) / SPEED_POWER
+        log_speed = table.log_speed[rows] + faster
+        later = time[:, :, None] + lag[:, :, None] * moved + rest[:, :, None] * table.jitter[None, None]
+        growth = later - table.time[rows]
+        log_radius = table.log_radius[rows] + growth - TIME_POWER * faster
+        near = -0.5 * apart**2 / wide
+        if not self.similar:
+            near -= 0.5 * (growth / _ALIKE) ** 2
+        reached = near > -0.5 * _BEYOND**2
+        fits = table.radii(table.group[rows], log_radius)
+        # Where all speeds are equal, the error of the pulse moves them apart; it must not where they have bounds.
+        margin = _NARROWEST + _REACH / SPEED_POWER * np.minimum(spread[:, :, None], 2 * _NARROWEST)
+        fits *= (log_speed >= table.speeds[0] - margin) & (log_speed <= table.speeds[1] + margin)
+        weight = np.exp(near) * reached * fits * (many * density / np.sqrt(wide[:, :, 0]))[:, :, None]
+        n = len(shape)
+        weight = weight.reshape(n, -1)
+        total = weight.sum(axis=1, keepdims=True)
+        usable = np.isfinite(total[:, 0]) & (total[:, 0] > 0) & pulses.usable
+        weight = np.where(usable[:, None], weight / np.where(usable[:, None], total, 1.0), 0.0)
+        log_mass = table.log_density[rows] + 3 * log_radius
+        found = {"mass": log_mass, "radius": log_radius, "speed": log_speed}
+        why = self._excluded(pulses, given, reached.any(axis=(1, 2)), size_free.mean(axis=1))
+        return {name: values.reshape(n, -1) for name, values in found.items()}, weight, why
+
+    def _excluded(
+        self, pulses: MeasuredPulses, given: NDArray[np.bool_], reached: NDArray[np.bool_], size_free: Floats
+    ) -> NDArray[np.object_]:
+        """Return why the population excludes each pulse, if it does."""
+        peak, width = np.exp(pulses.log_peak), np.exp(pulses.log_width)
+        high = size_free > np.median(self._table.size_free)
+        found = np.empty(len(peak), object)
+        for row in range(len(peak)):
+            pulse = f"a pulse of {peak[row]:.3g} N and {width[row] * 1e6:.3g} us (impulse over peak)"
+            rule = (
+                f"restitution {np.exp(pulses.shape[row]):.2g} is outside of it"
+                if not given[row]
+                else f"its peak is too {'high' if high[row] else 'low'} for its width"
+                if not reached[row]
+                else "it would be of another size or speed"
+            )
+            found[row] = f"{self.name} has no striker with {pulse}: {rule}; take a population that has"
+        return found
+
+    @cached_property
+    def _table(self) -> _Table:
+        return _Table(self)
+
+    # -- what is known beforehand ---------------------------------------------------------------------------
+
+    def prior(self, quantity: str) -> Floats:
+        """Return the draws of a quantity without a measurement, (n,), in its unit of `QUANTITIES`."""
+        validation.choice("quantity", quantity, QUANTITIES)
+        return np.asarray(np.exp(getattr(self, f"log_{quantity}")))
+
+
+class _Table:
+    """Draws sorted by shape and, within these, by size-free scale."""
+
+    def __init__(self, population: StrikerPopulation) -> None:
+        shape = population.shape
+        n = shape.size
+        self.n_shapes = int(np.clip(n // _PER_SHAPE, _FEWEST_SHAPES, _MOST_SHAPES))
+        low, high = np.quantile(shape, [0.0005, 0.9995])
+        low, high = low - 1e-3, max(high, low + _NARROWEST) + 1e-3
+        self.lowest, self.highest, self.step = low, high, (high - low) / self.n_shapes
+        own = self._shape_of(shape)
+        log_peak, log_width = dimensionless_logarithms(shape)
+        time = population.log_width - log_width
+        size_free = population.log_peak - log_peak - 2 * time
+        order = np.lexsort((size_free, own))
+        counts = np.bincount(own, minlength=self.n_shapes)
+        self.first, self.count = np.cumsum(counts) - counts, counts
+        self.size_free, self.time = size_free[order], time[order]
+        self.log_radius, self.log_speed = population.log_radius[order], population.log_speed[order]
+        self.log_density = population.log_mass[order] - 3 * self.log_radius
+        self.group = population.group[order]
+        # The rank of a size-free scale within its shape, on a grid.
+        self.origin, self.cell = size_free.min() - 1e-6, max(np.ptp(size_free), 1e-3) * (1 + 1e-6) / (_CELLS - 1)
+        cells = ((self.size_free - self.origin) / self.cell).astype(np.intp) + 1
+        grid = np.zeros((self.n_shapes, _CELLS + 1))
+        np.add.at(grid, (own[order], cells), 1.0)
+        self.ranks = np.cumsum(grid, axis=1)
+        self.speeds = self.log_speed.min(), self.log_speed.max()
+        self.jitter = np.random.default_rng(0x57).permutation(_normal(_DRAWS))
+        self._radii(population.similar)
+
+    def _radii(self, similar: bool) -> None:
+        """Make the weight of a moved draw by its radius: the density there, over that of what was moved to it."""
+        low, high = self.log_radius.min(), self.log_radius.max()
+        margin = max(0.02 * (high - low), 5 * _NARROWEST)
+        self.smallest, self.ring = low - margin, (high - low + 2 * margin) / _RADII
+        places = ((self.log_radius - self.smallest) / self.ring).astype(np.intp)
+        n_groups = int(self.group.max()) + 1
+        counts = np.bincount(self.group * _RADII + places, minlength=n_groups * _RADII).reshape(n_groups, _RADII)
+        # Smooth enough to have no noise of draws.
+        blur = max(1.5, _NARROWEST / self.ring)
+        kernel = np.exp(-0.5 * (np.arange(-int(4 * blur), int(4 * blur) + 1) / blur) ** 2)
+        smooth = np.stack([np.convolve(row, kernel / kernel.sum(), mode="same") for row in counts.astype(np.float64)])
+        density = smooth / np.maximum(smooth.sum(axis=1, keepdims=True), 1e-300)
+        if not similar:
+            apart = (np.arange(_RADII)[:, None] - np.arange(_RADII)) * self.ring / _ALIKE
+            density = density / np.maximum(density @ np.exp(-0.5 * apart**2), 1e-300)
+        self._weight = np.concatenate([np.zeros((n_groups, 1)), density, np.zeros((n_groups, 1))], axis=1)
+
+    def radii(self, group: NDArray[np.intp], log_radius: Floats) -> Floats:
+        """Return the weight of moved draws by their radius."""
+        place = np.clip((log_radius - self.smallest) / self.ring + 1, 0, _RADII + 1).astype(np.intp)
+        return np.asarray(self._weight.reshape(-1)[group * (_RADII + 2) + place])
+
+    def _shape_of(self, shape: Floats) -> NDArray[np.intp]:
+        return np.asarray(np.clip((shape - self.lowest) / self.step, 0, self.n_shapes - 1), np.intp)
+
+    def nodes(self, pulses: MeasuredPulses) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Return nodes of the shape and the prior times the likelihood there, (n, n_nodes), and if there are any."""
+        deviation = np.sqrt(pulses.covariance[:, 2, 2])
+        low = np.maximum(pulses.shape - _REACH * deviation, self.lowest)
+        high = np.minimum(pulses.shape + _REACH * deviation, self.highest)
+        given = low < high
+        low, high = np.where(given, low, self.lowest), np.where(given, high, self.highest)
+        shape = low[:, None] + (high - low)[:, None] * ((np.arange(_NODES) + 0.5) / _NODES)
+        away = (shape - pulses.shape[:, None]) / deviation[:, None]
+        likely = np.exp(-0.5 * (away**2 - np.min(away**2, axis=1, keepdims=True)))
+        return shape, likely * given[:, None], given
+
+    def around(self, shape: Floats, size_free: Floats, spread: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """Return the draws around points, (n, n_nodes, n_draws), and how many each of them stands for."""
+        own = self._shape_of(shape)
+        counted = self.count[own]
+        low, high = (self._rank(own, size_free + side * 2.5 * spread) for side in (-1, 1))
+        lacking = np.maximum(_DRAWS - (high - low), 0) / 2
+        low = np.clip(low - lacking, 0, np.maximum(counted - _DRAWS, 0))
+        high = np.clip(np.maximum(high + lacking, low + _DRAWS), 0, counted)
+        low = np.minimum(low, np.maximum(high - _DRAWS, 0))
+        each = np.maximum(high - low, 0) / _DRAWS
+        picks = (low[:, :, None] + each[:, :, None] * (np.arange(_DRAWS) + 0.5)).astype(np.intp)
+        rows = self.first[own][:, :, None] + np.minimum(picks, np.maximum(counted - 1, 0)[:, :, None])
+        return np.minimum(rows, self.size_free.size - 1), np.where(counted > 0, each, 0.0)
+
+    def _rank(self, own: NDArray[np.intp], size_free: Floats) -> Floats:
+        place = np.clip((size_free - self.origin) / self.cell, 0, _CELLS - 1e-6)
+        cell = place.astype(np.intp)
+        flat, start = self.ranks.reshape(-1), own * (_CELLS + 1) + cell
+        below = flat[start]
+        return np.asarray(below + (place - cell) * (flat[start + 1] - below))
+
+
+def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return size-free scale and ln T0 of pulses if their shape were that of nodes, each (n, n_nodes).
+
+    And the deviation of the first, the slope of the second along it, and what deviation this leaves.
+    """
+    c, away = pulses.covariance, shape - pulses.shape[:, None]
+    slope = c[:, :2, 2] / c[:, 2:, 2]
+    left = c[:, :2, :2] - slope[:, :, None] * c[:, None, :2, 2]
+    log_peak, log_width = dimensionless_logarithms(shape)
+    time = pulses.log_width[:, None] + slope[:, 1:] * away - log_width
+    size_free = pulses.log_peak[:, None] + slope[:, :1] * away - log_peak - 2 * time
+    width = np.maximum(left[:, 1, 1], 1e-10)
+    variance = np.maximum(left[:, 0, 0] - 4 * left[:, 0, 1] + 4 * width, 1e-10)
+    lag = (left[:, 0, 1] - 2 * width) / variance
+    rest = np.sqrt(np.maximum(width - lag**2 * variance, 0.0))
+    spread, lag, rest = (np.broadcast_to(one[:, None], shape.shape) for one in (np.sqrt(variance), lag, rest))
+    return size_free, time, spread, lag, rest
+
+
+def dimensionless_logarithms(shape: Floats) -> tuple[Floats, Floats]:
+    """Return ln of peak and width of the dimensionless pulse; those of s = 0 for a pulse that rises more slowly."""
+    grid, peak, width = _logarithms()
+    return np.interp(shape, grid, peak), np.interp(shape, grid, width)
+
+
+@cache
+def _logarithms() -> tuple[Floats, Floats, Floats]:
+    grid = np.linspace(LOWEST_SHAPE, 0.0, 1201)
+    restitution, _, _, peak = dimensionless(grid)
+    # The impulse of m x'' from 1 to -e is 1 + e.
+    return grid, np.log(peak), np.log((1 + restitution) / peak)
+
+
+def _normal(n: int) -> Floats:
+    """Return n evenly likely numbers of a standard normal distribution."""
+    return np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
+
+
+def _quantiles(values: Floats, weight: Floats) -> Floats:
+    """Return quantiles of weighted rows, (n, n_levels), by histograms; nan for rows without weight."""
+    n, known = len(values), weight.any(axis=1)
+    counts = weight > 1e-4 * weight.max(axis=1, keepdims=True)
+    low = np.where(counts, values, np.inf).min(axis=1)
+    high = np.where(counts, values, -np.inf).max(axis=1)
+    low, high = np.where(known, low, 0.0), np.where(known, high, 1.0)
+    cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
+    place = np.clip((values - low[:, None]) / cell[:, None] + 0.5, 0, _POSTERIOR - 1).astype(np.intp)
+    place += np.arange(n)[:, None] * _POSTERIOR
+    mass = np.bincount(place.ravel(), weight.ravel(), n * _POSTERIOR).reshape(n, _POSTERIOR)
+    below: Floats = np.asarray(np.cumsum(mass, axis=1), np.float64)
+    below /= np.maximum(below[:, -1:], 1e-300)
+    out = np.full((n, LEVELS.size), np.nan)
+    # The first cell at which each level is reached.
+    for k, level in enumerate(LEVELS.tolist()):
+        at = np.argmax(below >= level - 1e-12, axis=1)
+        rows = np.arange(n)
+        upper, lower = below[rows, at], np.where(at > 0, below[rows, np.maximum(at - 1, 0)], 0.0)
+        share = (level - lower) / np.maximum(upper - lower, 1e-300)
+        out[:, k] = low + cell * (at + np.clip(share, 0, 1) - 0.5)
+    out[~known] = np.nan
+    return out

@@ -1,0 +1,166 @@
+"""What struck, from samples: forces, or the vibrations of a beam that is looked through."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid.errors import InvalidValue
+from cgid.identification.contact import ThroughBeam
+from cgid.identification.estimation import estimate
+from cgid.measure.frames import DETECTION_LIMIT, frames_of
+from cgid.measure.pulses import PulseBatch
+from cgid.measure.vibration import VibrationBatch
+from cgid.physics import HalfSpace, RigidWall
+from cgid.physics.materials import STEEL, Material
+from cgid.scene import Scene, load_scene
+from cgid.scene.through_beam import beam_of
+from cgid.striker.material import of_material
+from cgid.striker.measured import MeasuredPulses
+from cgid.striker.population import population_of
+from cgid.striker.posterior import StrikerPopulation, Strikers
+from cgid.validation import require_rate
+
+#: Vibrations looked at at once.
+_ROWS = 256
+
+
+def strikers(
+    samples: ArrayLike,
+    sampling_rate: float,
+    among: str | Path | Scene | StrikerPopulation | Material,
+    *,
+    target: HalfSpace | RigidWall = HalfSpace(material=STEEL),  # noqa: B008
+    pre_trigger: int | None = None,
+    **options: Any,
+) -> Strikers:
+    """Tell mass, radius and speed of what struck, with intervals.
+
+    A pulse alone leaves radius, speed and modulus undetermined in one direction; what can have struck fills it.
+
+    Parameters
+    ----------
+    samples : array_like, (n_samples,) or (n_signals, n_samples)
+        One impact a row: forces [N]; or, among the rocks of a scene with a beam and a sensor of motion, what this
+        sensor measures, in its SI unit.
+    sampling_rate : float
+        [Hz].
+    among : str, Path, Scene, StrikerPopulation or Material
+        What can have struck: a scene (a shipped one or a file), draws, or spheres of one material.
+    target : HalfSpace or RIGID
+        What a sphere of one material struck; a scene says it itself.
+    pre_trigger : int, optional
+        Samples before touch, as in `cgid.identification.estimation.estimate`.
+    **options
+        More arguments of `estimate`, for forces: noise, clip_level, bandwidth and others.
+
+    Returns
+    -------
+    Strikers
+        Nan, with the reason, where nothing is known: the fit failed, the pulse is saturated, or the population has no
+        such striker.
+
+    Raises
+    ------
+    BadData
+        Samples are not finite rows of numbers, or a force has no impact.
+    InvalidValue
+        A number breaks its rule, or the scene has no population to tell strikers by.
+
+    Examples
+    --------
+    A blow of 3 kN that lasts half a millisecond, by a ball of steel on steel:
+
+    >>> time = np.arange(2000) / 200e3
+    >>> blow = 3e3 * np.sin(np.pi * np.clip((time - 4e-3) / 0.5e-3, 0, 1)) ** 1.5
+    >>> blow += np.random.default_rng(0).normal(0, 30, 2000)
+    >>> found = strikers(blow, 200e3, Material(density=7850, youngs_modulus=210e9, poisson_ratio=0.3))
+    >>> [round(float(x[0]), 2) for x in (found.median("mass"), *found.interval("mass", 0.95))]
+    [3.6, 3.57, 3.62]
+    """
+    if isinstance(among, Material):
+        return of_material(_of_forces(samples, sampling_rate, pre_trigger, options), among, target)
+    if isinstance(among, str | Path):
+        among = load_scene(among)
+    if isinstance(among, Scene):
+        if among.tail_beam is not None and among.sensor.quantity != "force":
+            if options:
+                raise InvalidValue(
+                    f"{min(options)} is for forces, scene {among.name} looks through its beam; leave it out"
+                )
+            frames = frames_of(samples, pre_trigger).astype(np.float64, copy=False)
+            return population_of(among).posterior(through_beam(frames, sampling_rate, pre_trigger, _beam_of(among)))
+        among = population_of(among)
+    if not isinstance(among, StrikerPopulation):
+        raise InvalidValue(f"among must be a scene, draws or a material, got a {type(among).__name__}")
+    return among.posterior(_of_forces(samples, sampling_rate, pre_trigger, options))
+
+
+@lru_cache(maxsize=4)
+def _beam_of(scene: Scene) -> ThroughBeam:
+    return ThroughBeam(beam_of(scene))
+
+
+def _of_forces(
+    samples: ArrayLike, sampling_rate: float, pre_trigger: int | None, options: dict[str, Any]
+) -> MeasuredPulses:
+    return MeasuredPulses.of_estimates(estimate(samples, sampling_rate, pre_trigger=pre_trigger, **options))
+
+
+def through_beam(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    pre_trigger: int | None,
+    beam: ThroughBeam,
+    detection_limit: float = DETECTION_LIMIT,
+) -> MeasuredPulses:
+    """Return the pulses behind vibrations of a beam; a frame without a blow is not usable.
+
+    Parameters
+    ----------
+    frames : ndarray, (n_signals, n_samples)
+        In the SI unit of the sensor.
+    sampling_rate : float
+        [Hz].
+    pre_trigger : int or None
+        Samples before touch.
+    beam : ThroughBeam
+    detection_limit : float
+        Least height of a vibration over the standard deviation of the noise.
+
+    Returns
+    -------
+    MeasuredPulses
+    """
+    rate, parts = require_rate(sampling_rate), []
+    for first in range(0, max(len(frames), 1), _ROWS):
+        part = np.asarray(frames[first : first + _ROWS], np.float64)
+        batch = VibrationBatch(part, rate, pre_trigger, detection_limit=detection_limit)
+        failed = batch.problems()
+        # A frame of nothing would fail in the inversion: any other stands in for it.
+        sound = np.delete(np.arange(len(part)), np.fromiter(failed, np.intp))
+        if sound.size and failed:
+            filled = part.copy()
+            filled[list(failed)] = part[sound[0]]
+            batch = VibrationBatch(filled, rate, pre_trigger, detection_limit=detection_limit)
+        if sound.size:
+            parts.append(MeasuredPulses.of_contact(beam.look(batch)[1]).without(failed))
+        else:
+            parts.append(MeasuredPulses.failed([failed[row] for row in range(len(part))]))
+    return MeasuredPulses.joined(parts)
+
+
+def forces(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    pre_trigger: int | None,
+    detection_limit: float = DETECTION_LIMIT,
+) -> MeasuredPulses:
+    """Return the pulses of frames of force [N], as `through_beam`; a frame without an impact is not usable."""
+    part = np.asarray(frames, np.float64)
+    batch = PulseBatch(part, require_rate(sampling_rate), pre_trigger, detection_limit=detection_limit)
+    return MeasuredPulses.of_frames(batch)

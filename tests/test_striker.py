@@ -1,0 +1,300 @@
+"""What struck: the posterior against a slow twin, closed forms and truths; what nobody can know stays unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cgid
+from cgid.errors import InvalidValue
+from cgid.identification.estimation import estimate
+from cgid.physics import RIGID, HalfSpace, HuntCrossley, Impact, Sphere, ThinPlate
+from cgid.physics.materials import STEEL, Material
+from cgid.scene import load_scene, parse_scene, synthesise, varied
+from cgid.striker import MeasuredPulses, population_of, strikers
+from cgid.striker.material import of_material
+from cgid.striker.posterior import LEVELS, QUANTITIES
+from cgid.striker.recognition import forces, through_beam
+from tests.bad_input import pulse
+
+RATE = 2e5
+COAL = Material(density=1400.0, youngs_modulus=3.1e9, poisson_ratio=0.3)
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return load_scene("reference")
+
+
+@pytest.fixture(scope="module")
+def population(reference):
+    return population_of(reference)
+
+
+def measured(log_peak, log_width, shape, deviations, correlation=0.0, **fields):
+    """Return pulses with equal errors; peak and width are correlated."""
+    n = len(np.atleast_1d(log_peak))
+    covariance = np.diag(np.square(deviations))
+    covariance[0, 1] = covariance[1, 0] = correlation * deviations[0] * deviations[1]
+    every = {
+        "problem": np.full(n, "", np.str_),
+        "usable": np.ones(n, bool),
+        "strange": np.zeros(n, bool),
+    }
+    arrays = (np.atleast_1d(np.asarray(one, float)) for one in (log_peak, log_width, shape))
+    return MeasuredPulses(*arrays, np.broadcast_to(covariance, (n, 3, 3)), **(every | fields))
+
+
+def frames_of(scene, n, seed=5):
+    batches = list(synthesise(scene, n, seed))
+    truth = {name: np.concatenate([b.parameters[name] for b in batches]) for name in batches[0].parameters}
+    truth |= {"mass": 4 / 3 * np.pi * truth["radius"] ** 3 * truth["density"], "speed": truth["velocity"]}
+    return np.concatenate([b.signals for b in batches]), truth
+
+
+# -- the posterior ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("deviations", [(0.2, 0.1, 0.2), (0.1, 0.1, 0.6), (0.3, 0.3, 0.1)])
+def test_posterior_is_that_of_all_draws_weighted_by_likelihood(population, deviations):
+    """Slow twin: every draw of the population, none moved, its weight the Gaussian of all three numbers."""
+    rng = np.random.default_rng(3)
+    rows = rng.integers(0, population.shape.size, 24)
+    columns = np.stack([population.log_peak, population.log_width, population.shape])
+    seen = measured(*columns[:, rows], deviations, correlation=-0.3)
+    found = population.posterior(seen)
+    inverse = np.linalg.inv(seen.covariance[0])
+    levels = [2, 6, 12, 18, 22]  # from .025 to .975
+    apart = []
+    for row in range(len(rows)):
+        away = columns - np.array([[seen.log_peak[row]], [seen.log_width[row]], [seen.shape[row]]])
+        weight = np.exp(-0.5 * np.einsum("in,ij,jn->n", away, inverse, away))
+        weight /= weight.sum()
+        assert 1 / np.sum(weight**2) > 80, "the twin has too few draws to judge"
+        for name in QUANTITIES:
+            values = getattr(population, f"log_{name}")
+            order = np.argsort(values)
+            share = np.interp(np.log(found.quantiles[name][row, levels]), values[order], np.cumsum(weight[order]))
+            apart.append(share - LEVELS[levels])
+    # A quantile of the twin's n_eff draws errs by some .5 / sqrt(n_eff): .05 for 100.
+    assert np.abs(np.mean(apart, axis=0)).max() < 0.015
+    assert np.abs(apart).max() < 0.13
+    assert np.sqrt(np.mean(np.square(apart))) < 0.03
+
+
+def test_intervals_cover(reference):
+    signals, truth = frames_of(reference, 1536)
+    found = strikers(signals, RATE, reference, pre_trigger=200)
+    known = found.reason == ""
+    assert known.mean() > 0.99
+    for name in QUANTITIES:
+        for coverage in (0.5, 0.8, 0.95):
+            low, high = found.interval(name, coverage)
+            held = np.mean((low <= truth[name])[known] & (truth[name] <= high)[known])
+            assert abs(held - coverage) < 3.5 * np.sqrt(coverage * (1 - coverage) / known.sum()) + 0.005, name
+    # Beside knowing nothing.
+    low, high = found.interval("mass", 0.8)
+    prior = np.quantile(population_of(reference).prior("mass"), [0.1, 0.9])
+    assert np.nanmedian(np.log(high / low)) < 0.13 * np.log(prior[1] / prior[0])
+
+
+def test_pulses_of_other_laws_are_covered_by_their_population():
+    scene = load_scene("rock")
+    signals, truth = frames_of(scene, 768)
+    found = strikers(signals, RATE, population_of(scene, 1 << 14), pre_trigger=200)
+    known = np.isfinite(found.median("mass"))
+    assert known.mean() > 0.98
+    for name in QUANTITIES:
+        low, high = found.interval(name, 0.8)
+        assert abs(np.mean((low <= truth[name])[known] & (truth[name] <= high)[known]) - 0.8) < 0.06, name
+
+
+def test_pulse_of_another_law_is_wide_in_a_population_of_one_law(reference):
+    rock = Impact(
+        sphere=Sphere(material=COAL, radius=0.04),
+        target=HalfSpace(material=STEEL),
+        stiffness="hertz",
+        velocity=5.0,
+        dissipation=cgid.physics.Thornton(yield_pressure=40e6),
+    )
+    frame = np.zeros((1, 1200))
+    rock.add_to_frames(frame, RATE, np.array([2e-3]))
+    frame += np.random.default_rng(0).normal(0, 0.01 * frame.max(), frame.shape)
+    found = strikers(frame, RATE, reference, pre_trigger=300)
+    assert "wide: the pulse is not of the family (misfit" in found.reason[0]
+    low, high = (end[0] for end in found.interval("mass", 0.95))
+    mass = 4 / 3 * np.pi * 0.04**3 * 1400
+    assert low < mass < high and high / low > 2
+
+
+def test_a_row_does_not_depend_on_the_others(population):
+    rng = np.random.default_rng(1)
+    rows = rng.integers(0, population.shape.size, 300)
+    seen = measured(population.log_peak[rows], population.log_width[rows], population.shape[rows], (0.01, 0.01, 0.05))
+    together = population.posterior(seen)
+    for row in (0, 77, 299):
+        alone = population.posterior(seen.rows(slice(row, row + 1)))
+        for name in QUANTITIES:
+            assert alone.quantiles[name] == pytest.approx(together.quantiles[name][row : row + 1], rel=1e-12)
+    assert len(population.posterior(seen.rows(slice(0, 0)))) == 0
+
+
+def test_equal_rocks_are_known(reference):
+    """A population of one rock: nothing is left to be found but what is drawn, and the pulse of another is excluded."""
+    one = varied(reference, radius=0.03, density=1400.0, youngs_modulus=3e9, poisson_ratio=0.3, drop_height=1.0)
+    signals, truth = frames_of(one, 256)
+    found = strikers(signals, RATE, one, pre_trigger=200)
+    assert np.isfinite(found.median("mass")).mean() > 0.98
+    for name in QUANTITIES:
+        assert np.nanmax(np.abs(np.log(found.median(name) / truth[name]))) < 0.06, name
+    assert "scene reference has no striker with a pulse of" in strikers(pulse(), RATE, one).reason[0]
+
+
+# -- the material known -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", [RIGID, HalfSpace(material=STEEL)])
+def test_material_gives_radius_and_speed(target):
+    radius, speed, e = np.array([0.01, 0.03, 0.06]), np.array([2.0, 4.0, 6.0]), np.array([0.3, 0.6, 0.9])
+    blow = Impact(
+        sphere=Sphere(material=COAL, radius=radius),
+        target=target,
+        stiffness="hertz",
+        velocity=speed,
+        dissipation=HuntCrossley(restitution=e, law="exact"),
+    )
+    impulse = (1 + e) * 4 / 3 * np.pi * radius**3 * 1400 * speed  # Newton
+    log_peak, log_width = np.log(blow.peak_force), np.log(impulse / blow.peak_force)
+    found = of_material(measured(log_peak, log_width, np.log(e), (1e-3, 1e-3, 1e-3)), COAL, target)
+    assert found.median("radius") == pytest.approx(radius, rel=2e-4)
+    assert found.median("speed") == pytest.approx(speed, rel=2e-4)
+    assert found.median("mass") == pytest.approx(4 / 3 * np.pi * radius**3 * 1400, rel=6e-4)
+
+
+def test_propagation_agrees_with_draws():
+    deviations = (0.01, 0.015, 0.05)
+    seen = measured(np.log(8e3), np.log(2e-4), np.log(0.5), deviations)
+    found = of_material(seen, COAL)
+    scatter = np.random.default_rng(0).normal(0, deviations, (4000, 3))
+    many = measured(*(np.array([np.log(8e3), np.log(2e-4), np.log(0.5)]) + scatter).T, deviations)
+    for name in QUANTITIES:
+        low, high = np.quantile(of_material(many, COAL).median(name), [0.1, 0.9])
+        own = found.interval(name, 0.8)
+        assert own[0][0] == pytest.approx(low, rel=4e-3) and own[1][0] == pytest.approx(high, rel=4e-3), name
+
+
+# -- what nobody can know -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("log_peak", "log_width", "shape", "says"),
+    [
+        (np.log(1e7), np.log(1e-4), -0.8, "its peak is too high for its width"),
+        (np.log(10.0), np.log(1e-4), -0.8, "its peak is too low for its width"),
+        (np.log(5e6), np.log(2e-3), -0.8, "it would be of another size or speed"),
+        (np.log(8e3), np.log(2e-4), 0.8, "restitution 2.2 is outside of it"),
+    ],
+)
+def test_population_that_excludes_a_pulse_says_so(population, log_peak, log_width, shape, says):
+    found = population.posterior(measured(log_peak, log_width, shape, (0.01, 0.01, 0.03)))
+    assert np.isnan(found.quantiles["mass"]).all()
+    assert says in found.reason[0] and "take a population that has" in found.reason[0]
+
+
+def test_saturated_and_failed_pulses_have_no_interval(reference):
+    blow = Impact(
+        sphere=Sphere(material=COAL, radius=0.05),
+        target=HalfSpace(material=STEEL),
+        stiffness="hertz",
+        velocity=5.0,
+        dissipation=HuntCrossley(restitution=0.4, law="exact"),
+    )
+    good = np.zeros((1, 1000))
+    blow.add_to_frames(good, RATE, np.array([1.3e-3]))
+    good = 9e3 / good.max() * good[0] + np.random.default_rng(0).normal(0, 20, 1000)
+    frames = np.stack([good, np.minimum(good, 2.5e3), np.minimum(good, 6e3), np.zeros(good.size), -good])
+    seen = forces(frames, RATE, 250)
+    found = population_of(reference).posterior(seen)
+    unknown = np.isnan(found.median("mass"))
+    assert unknown.tolist() == [False, True, False, True, True]
+    assert "saturated: the fitted peak is" in found.reason[1]
+    assert "all samples are 0" in found.reason[3] and "no impact" in found.reason[4]
+    whole, cut = (np.log(np.divide(*found.interval("mass", 0.9)[::-1]))[row] for row in (0, 2))
+    assert np.isfinite(cut) and cut > 0.9 * whole
+
+
+def test_misfit_without_end_is_no_measurement(reference):
+    fit = estimate(pulse(), RATE)
+    bad = {name: getattr(fit, name) for name in fit.__dataclass_fields__}
+    for change, says in (
+        ({"misfit": np.array([1e3])}, "not of the family (misfit 1e+03, 400 is the limit)"),
+        ({"converged": np.array([False])}, "the fit of the pulse failed"),
+        ({"peak": np.array([np.nan])}, "the fit of the pulse failed"),
+        ({"covariance": np.full((1, 5, 5), np.inf)}, "the fit of the pulse failed"),
+    ):
+        found = population_of(reference).posterior(MeasuredPulses.of_estimates(type(fit)(**(bad | change))))
+        assert np.isnan(found.median("speed")[0]) and says in found.reason[0]
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda: strikers(pulse(), RATE, 7), "among must be a scene, draws or a material, got a int"),
+        (lambda: strikers(pulse(), RATE, COAL, target=ThinPlate(material=STEEL, thickness=0.01)), "target must be"),
+        (
+            lambda: strikers(pulse(), RATE, Material(density=[1e3, 2e3], youngs_modulus=1e9, poisson_ratio=0.3)),
+            "material must be one material, got 2; take one by one",
+        ),
+        (lambda: Material(density=1e3, youngs_modulus=np.nan, poisson_ratio=0.3), "youngs_modulus must be"),
+        (lambda: strikers(pulse(), RATE, load_scene("randomised")), "take [randomise] out"),
+        (lambda: population_of(load_scene("reference"), 100), "must hold at least 1024 draws, got 100"),
+        (lambda: strikers(pulse(), RATE, COAL).interval("mass", 1.0), "coverage must be above 0 and at most 0.99"),
+        (lambda: strikers(pulse(), RATE, COAL).quantile("weight", 0.5), "quantity must be one of"),
+        (lambda: strikers(pulse(), RATE, load_scene("tail_beam"), noise=1.0), "noise is for forces"),
+    ],
+)
+def test_bad_input_is_named(ask, says):
+    with pytest.raises(InvalidValue) as caught:
+        ask()
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_taps_alone_are_no_population():
+    content = {
+        "name": "taps",
+        "sampling": {"sampling_rate": 1e5, "samples": 64, "pre_trigger": 8},
+        "impact": {"target": "rigid", "stiffness": "hertz", "dissipation": "elastic"},
+        "taps": [{"label": "tap", "shape": "half-sine", "peak_force": "1 kN", "contact_duration": "1 ms"}],
+    }
+    with pytest.raises(InvalidValue, match="it has taps alone"):
+        population_of(parse_scene(content))
+
+
+# -- through a beam -----------------------------------------------------------------------------------
+
+
+@pytest.mark.long
+def test_intervals_cover_through_a_beam():
+    scene = load_scene("tail_beam")
+    signals, truth = frames_of(scene, 768)
+    found = strikers(signals, scene.sampling.sampling_rate, scene, pre_trigger=scene.sampling.pre_trigger)
+    known = np.isfinite(found.median("mass"))
+    assert known.mean() > 0.98
+    for name in QUANTITIES:
+        for coverage in (0.5, 0.8, 0.95):
+            low, high = found.interval(name, coverage)
+            held = np.mean((low <= truth[name])[known] & (truth[name] <= high)[known])
+            assert abs(held - coverage) < 0.07, name
+
+
+def test_a_frame_without_a_blow_is_unknown_through_a_beam():
+    """Frames of nothing beside others, and alone."""
+    from cgid.identification.prediction import load_model
+
+    beam = load_model("default-acceleration").beam
+    frames = np.zeros((2, 4096))
+    seen = through_beam(frames, 25600.0, 128, beam)
+    assert not seen.usable.any() and "no impact" in seen.problem[0]
+    frames[1] = np.random.default_rng(0).normal(0, 1e-3, 4096)
+    frames[1, 300:] += 50 * np.exp(-np.arange(3796) / 800) * np.sin(np.arange(3796))
+    assert through_beam(frames, 25600.0, 128, beam).usable.tolist() == [False, True]
