@@ -32,11 +32,12 @@ _EXCEPTIONS = {
     "features --features": "Task",
     "ceiling --drop-height": "Signals",
     "check --seed": "Task",
+    "export-model --to": "Task",
 }
 #: Heading -> the commands below it.
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
-    "Models": "train",
+    "Models": "train export-model",
     "Datasets and scenes": "generate check calibrate verify export",
     "Studies": "ceiling reproduce",
 }
