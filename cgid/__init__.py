@@ -17,6 +17,7 @@ _HOMES = {
     "HuntCrossley": "cgid.physics",
     "Impact": "cgid.physics",
     "ImpactClassifier": "cgid.identification.classifier",
+    "ImpactFeatures": "cgid.learn",
     "ImpactDetector": "cgid.identification.detection",
     "Material": "cgid.physics.materials",
     "Model": "cgid.identification.model",
@@ -36,6 +37,7 @@ _HOMES = {
     "predict": "cgid.identification.prediction",
     "read_recording": "cgid.recordings",
     "reproduce": "cgid.reproduction",
+    "stream": "cgid.learn",
     "synthesise": "cgid.scene",
     "train": "cgid.identification.training",
 }

@@ -581,8 +581,8 @@ def c_source(model: Model) -> str:
     Examples
     --------
     >>> from cgid import load_model
-    >>> print(c_source(load_model("default"))[:30])
-    /* A model of cgid as one C99 f
+    >>> print(c_source(load_model("default")).splitlines()[3])
+     * For     pulses of force [N] at sampling rates of 24589.4 to 1.01263e+06 Hz
     """
     arrays = _arrays(model)
     n_numbers = sum(array.size for array in arrays.values())
