@@ -14,6 +14,7 @@ import signal
 import threading
 import time
 import warnings
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -92,6 +93,34 @@ class Workers:
         ) as made:
             yield from made
 
+    def each_in_step(
+        self, function: Callable[[Common, Part], Result], common: Common, parts: Iterable[Part]
+    ) -> Generator[Result, None, None]:
+        """Yield as `each` does, in order, but start no more than two parts a process ahead of the reader.
+
+        So `parts` may be endless, and a slow reader does not fill the memory. Local processes only. Raises as `each`.
+        """
+        if self.alone:
+            yield from self.each(function, common, parts)
+            return
+        from concurrent.futures import BrokenExecutor, Future
+
+        from joblib.externals.loky.process_executor import ProcessPoolExecutor
+
+        executor = ProcessPoolExecutor(self.jobs, timeout=300)
+        running: deque[Future[Result]] = deque()
+        try:
+            for part in parts:
+                running.append(executor.submit(_do, function, common, part))
+                if len(running) > 2 * self.jobs:
+                    yield running.popleft().result()
+            while running:
+                yield running.popleft().result()
+        except BrokenExecutor as error:
+            raise _lost() from error
+        finally:
+            executor.shutdown(wait=True, kill_workers=True)
+
     def _here(self, function: Any, common: Any, parts: Iterable[Any], ordered: bool) -> Generator[Any, None, None]:
         """Run the parts in processes of this machine."""
         from concurrent.futures import BrokenExecutor
@@ -108,9 +137,7 @@ class Workers:
             if failures:
                 raise failures[0]
         except BrokenExecutor as error:
-            raise ClusterFailed(
-                "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
-            ) from error
+            raise _lost() from error
         finally:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # joblib warns of cancelled work, which is intended
@@ -179,6 +206,12 @@ class Workers:
                 raise ClusterFailed(
                     f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"
                 )
+
+
+def _lost() -> ClusterFailed:
+    return ClusterFailed(
+        "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
+    )
 
 
 #: The executor that uses only this process.

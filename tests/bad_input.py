@@ -24,7 +24,7 @@ from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan
 from tests.bad_recordings import RECORDING_CASES, make_recordings
-from tests.hostile_models import beam_arrays, with_beam, written
+from tests.hostile_models import beam_arrays, wide_model, with_beam, written
 
 ROOT = Path(__file__).parents[1]
 RATE = 2e5
@@ -148,6 +148,7 @@ def make_files(folder: Path) -> None:
     default = Model.load(folder / "model.npz")
     (folder / "acceleration.npz").write_bytes(replace(default, unit="m/s^2").to_bytes())
     _old_model(folder / "old.npz", default)
+    (folder / "wide.npz").write_bytes(wide_model().to_bytes())
     _beam_models(folder, good)
     scene = load_scene(ROOT / "datasets" / "reference.toml")
     knowing = train(synthesise(scene, 600), features=["peak_force", "width_50"], known=["drop_height"])
@@ -961,6 +962,13 @@ CASES = (
     Case("export exists", ("export", "two.h5", "-o", "truncated.h5"), 73, ("truncated.h5", "--overwrite")),
     Case("export of another name", ("export", "two.h5", "-o", "new.csv"), 73, ("new.csv", ".h5 or .hdf5")),
     Case("export a damaged dataset", ("export", "truncated.h5", "-o", "new.h5"), 65, ("truncated.h5",)),
+    Case("C of no model", ("export-model", "gone.npz", "--to", "c", "-o", "new.c"), 66, ("gone.npz", "no such model")),
+    Case("C of a dataset", ("export-model", "two.h5", "--to", "c", "-o", "new.c"), 65, ("two.h5", "no sound model")),
+    Case("C of another name", ("export-model", "model.npz", "--to", "c", "-o", "new.h"), 73, ("new.h", "end in .c")),
+    Case("C into no folder", ("export-model", "model.npz", "--to", "c", "-o", "no/new.c"), 73, ("no", "make it first")),
+    Case("C of too much", ("export-model", "wide.npz", "--to", "c", "-o", "new.c"), 65, ("1048576", "--features")),
+    Case("a model as nothing", ("export-model", "model.npz", "-o", "new.c"), 2, ("--to",)),
+    Case("a model as Java", ("export-model", "model.npz", "--to", "java", "-o", "new.java"), 2, ("java", "--to")),
     Case(
         "resume a table",
         ("generate", "reference.toml", "--features-only", "-o", "new.csv", "--resume"),

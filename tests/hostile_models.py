@@ -22,6 +22,7 @@ import cgid.identification.contact  # noqa: F401 - loaded here, so that no watch
 from cgid.identification.model import LARGEST_FILE, Model
 from cgid.identification.model_file import signed
 from cgid.measure.beam import points_of
+from cgid.measure.features import choose
 
 GOLDEN = Path(__file__).parent / "golden"
 #: The action of a pickle when it is loaded: it makes this folder, which the tests look for.
@@ -54,6 +55,35 @@ def packed(arrays: Mapping[str, Any]) -> bytes:
     stream = io.BytesIO()
     np.savez(stream, **arrays)
     return stream.getvalue()
+
+
+def wide_model() -> Model:
+    """Return a sound model of windows of 60 channels: too many numbers for a file of C."""
+    features = choose(["window_level_*_hz"])[:20]
+    n = 60 * len(features)
+    return Model(
+        family="linear",
+        labels=("coal", "gangue"),
+        features=tuple(features),
+        unit="m/s^2",
+        sampling_rates=(48000.0, 48000.0),
+        temperature=1.0,
+        neighbourhood_limit=1.0,
+        arrays={
+            "standardiser.logarithmic": np.zeros(n, bool),
+            "standardiser.floor": np.ones(n),
+            "standardiser.mean": np.zeros(n),
+            "standardiser.scale": np.ones(n),
+            "neighbourhood.centres": np.zeros((2, n)),
+            "neighbourhood.whitening": np.zeros((1, n, n)),
+            "family.coefficients": np.zeros((1, n)),
+            "family.intercepts": np.zeros(1),
+        },
+        training={},
+        window_time=0.5,
+        hop_time=0.25,
+        n_channels=60,
+    )
 
 
 def changed(family: str = "linear", header: Mapping[str, Any] | None = None, /, **arrays: Any) -> bytes:

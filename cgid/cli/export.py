@@ -1,11 +1,11 @@
-"""`cgid export`: write a dataset as one plain file for other tools."""
+"""`cgid export` and `export-model`: write a dataset or a model as one plain file for other tools."""
 
 from __future__ import annotations
 
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH
+from cgid.cli.options import MODEL, PATH
 from cgid.cli.output import progress_bar, say
 
 
@@ -30,3 +30,30 @@ def export(data: str, output: str, overwrite: bool) -> None:
     with progress_bar(len(dataset), "signals") as progress:
         path = export_dataset(dataset, output, overwrite=overwrite, progress=progress)
     say(f"{path}: {path.stat().st_size / 1e6:.4g} MB", err=True)
+
+
+@click.command(
+    cls=Command,
+    short_help="Write a model as C for machines without Python.",
+    example="cgid export-model default --to c -o model.c",
+)
+@click.argument("model", type=MODEL)
+@click.option("--to", type=click.Choice(["c"]), required=True, help="Choose the format: c is one C99 file.")
+@click.option("-o", "--output", type=PATH, required=True, help="Write this file, ending in .c.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
+    """Write MODEL, a file or default, default-drop-height or default-acceleration, for machines without Python.
+
+    What it writes answers to features: probabilities, novelty and label, as cgid predict does. It does not measure
+    them. The head of the C file says which values it needs, in which order and unit, and how to compile it.
+    """
+    from pathlib import Path
+
+    from cgid.export_c import c_source
+    from cgid.files import check_new, write_whole
+    from cgid.identification.prediction import load_model
+
+    path = check_new(Path(output), "a model in C", (f".{to}",), overwrite=overwrite)
+    content = c_source(load_model(model)).encode("ascii")
+    write_whole(path, content, overwrite=overwrite)
+    say(f"{path}: {len(content) / 1e3:.4g} kB", err=True)

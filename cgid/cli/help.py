@@ -33,11 +33,12 @@ _EXCEPTIONS = {
     "features --features": "Task",
     "ceiling --drop-height": "Signals",
     "check --seed": "Task",
+    "export-model --to": "Task",
 }
 #: Heading -> the commands below it.
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
-    "Models": "train",
+    "Models": "train export-model",
     "Datasets and scenes": "generate check tap calibrate verify export",
     "Studies": "ceiling reproduce",
 }

@@ -15,7 +15,7 @@ import click
 from cgid import __version__
 from cgid.cli.calibrate import calibrate
 from cgid.cli.events import events
-from cgid.cli.export import export
+from cgid.cli.export import export, export_model
 from cgid.cli.features import features
 from cgid.cli.generate import generate
 from cgid.cli.help import Group
@@ -70,6 +70,7 @@ for command in (
     reproduce,
     verify,
     export,
+    export_model,
 ):
     cli.add_command(command)
 

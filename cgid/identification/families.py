@@ -63,7 +63,8 @@ class Standardiser:
     def apply(self, features: Floats) -> Floats:
         """Return the standardised rows."""
         logs = np.log(np.maximum(features, self.floor), where=self.logarithmic, out=features.copy())
-        return np.asarray((logs - self.mean) / self.scale)
+        with np.errstate(over="ignore"):  # whoever looks at infinite rows says so
+            return np.asarray((logs - self.mean) / self.scale)
 
     def at(self, standardised: float) -> Floats:
         """Return the features (n_features,) whose standardised values are all this one."""
@@ -83,6 +84,11 @@ def softmax(scores: Floats) -> Floats:
         scores = np.stack([np.zeros(len(scores)), scores], axis=1)
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _or_infinite(novelty: Floats) -> Floats:
+    """Return the novelty, infinite where it is no number: there infinities cancelled, and nan would not exceed 1."""
+    return np.where(np.isnan(novelty), np.inf, novelty)
 
 
 @dataclass(frozen=True)
@@ -121,10 +127,10 @@ class Neighbourhood:
         return cls(found.centres, found.whitening, max(limit, 1e-12))
 
     def novelty(self, standardised: Floats) -> Floats:
-        """Return distance over limit; above 1 it is outside the training range."""
+        """Return distance over limit; above 1 it is outside the training range, infinite beyond all numbers."""
         offsets = standardised[None] - self.centres[:, None]
         white = offsets @ np.swapaxes(self.whitening, 1, 2)
-        return np.asarray(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit)
+        return _or_infinite(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit)
 
     def foremost(self, standardised: Floats) -> NDArray[np.intp]:
         """Return the number of the feature that adds most to the squared distance of each row, (n,)."""
@@ -386,7 +392,7 @@ class Contrast:
     limit: float
 
     #: Scores above the limit that make the novelty e times as large.
-    _SCALE = 4.0
+    SCALE: ClassVar[float] = 4.0
     #: Prefix of its arrays in a model.
     PREFIX: ClassVar[str] = "contrast."
 
@@ -417,7 +423,7 @@ class Contrast:
 
     def novelty(self, features: Floats) -> Floats:
         """Return the novelty of rows of features and guards, 1 at the limit."""
-        return np.asarray(np.exp(np.minimum((self.scores(features) - self.limit) / self._SCALE, 100.0)))
+        return _or_infinite(np.exp(np.minimum((self.scores(features) - self.limit) / self.SCALE, 100.0)))
 
 
 #: The families by their names in model files.

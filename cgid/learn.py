@@ -1,0 +1,296 @@
+"""For those who build their own learners: features as a scikit-learn transformer, scenes as endless training data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import count, takewhile
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
+
+from cgid import validation
+from cgid.errors import InvalidValue
+from cgid.measure.features import choose, extract_array
+from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
+from cgid.scene import Scene, load_scene, synthesise
+from cgid.scene.draws import require_seed
+from cgid.scene.synthesis import require_frames
+from cgid.validation import Floats
+from cgid.workers import workers as executor
+
+#: A batch of a training stream: signals (n_signals, n_samples), numbers of the labels (n_signals,), and parameters,
+#: each (n_signals,).
+TrainingBatch = tuple[NDArray[Any], NDArray[np.int64], dict[str, Floats]]
+#: Signals that one worker makes at a time. Those of 256 share the addresses of their random numbers.
+_AT_ONCE = 1024
+
+
+class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
+    """Measures the features of impacts: rows of samples in, a table of features out.
+
+    Each row is measured by itself, so nothing of the training rows is kept but their number of samples.
+
+    Parameters
+    ----------
+    sampling_rate : float
+        [Hz].
+    features : str or iterable of str, optional
+        Names of features or banks, such as `"mel_*_hz"`; by default all features of pulses.
+    pre_trigger : int, optional
+        Samples before touch, as in `cgid.extract`.
+    remove_baseline : bool
+        Whether to subtract the baseline before measuring.
+    detection_limit : float
+        Least height of a pulse over the standard deviation of the noise.
+    invalid : {"nan", "raise"}
+        Treatment of a row that cannot be measured: it has no impact, is cut off or too short. A row of nan keeps the
+        rows of a table together; imputers and histogram gradient boosting accept it. Samples that are not finite are
+        always an error.
+
+    Attributes
+    ----------
+    features_ : tuple of str
+        Names of the columns.
+    n_features_in_ : int
+        Number of samples of a row.
+
+    Examples
+    --------
+    >>> t = np.arange(300) / 1e5
+    >>> pulse = 800 * np.sin(np.pi * np.clip((t - 1e-3) / 1e-3, 0, 1)) ** 1.5
+    >>> measuring = ImpactFeatures(1e5, ["peak_force", "contact_duration"]).fit([pulse])
+    >>> measuring.transform([pulse, 0 * pulse]).round(5).tolist()
+    [[800.0, 0.001], [nan, nan]]
+    >>> measuring.get_feature_names_out().tolist()
+    ['peak_force', 'contact_duration']
+    """
+
+    def __init__(
+        self,
+        sampling_rate: float | None = None,
+        features: str | Iterable[str] | None = None,
+        *,
+        pre_trigger: int | None = None,
+        remove_baseline: bool = True,
+        detection_limit: float = DETECTION_LIMIT,
+        invalid: Literal["nan", "raise"] = "nan",
+    ) -> None:
+        self.sampling_rate = sampling_rate
+        self.features = features
+        self.pre_trigger = pre_trigger
+        self.remove_baseline = remove_baseline
+        self.detection_limit = detection_limit
+        self.invalid = invalid
+
+    def fit(self, X: ArrayLike, y: object = None) -> ImpactFeatures:
+        """Check the settings against rows of samples.
+
+        Parameters
+        ----------
+        X : array_like, (n_signals, n_samples)
+        y : object
+            Ignored.
+
+        Returns
+        -------
+        ImpactFeatures
+            Itself.
+
+        Raises
+        ------
+        InvalidValue
+            A setting breaks its rule, or a feature needs longer rows or another sampling rate.
+        """
+        if self.sampling_rate is None:
+            raise InvalidValue("sampling_rate must be given [Hz], such as ImpactFeatures(sampling_rate=200e3)")
+        validation.choice("invalid", self.invalid, ("nan", "raise"))
+        names = choose(self.features)
+        frames = self._frames(X, reset=True)
+        self._measured(frames[:0], names)
+        self.features_ = names
+        return self
+
+    def transform(self, X: ArrayLike) -> Floats:
+        """Return the features of each row.
+
+        Parameters
+        ----------
+        X : array_like, (n_signals, n_samples)
+
+        Returns
+        -------
+        ndarray, (n_signals, n_features)
+            Or a DataFrame, after `set_output(transform="pandas")`.
+
+        Raises
+        ------
+        BadData
+            A row cannot be measured, if `invalid` is "raise".
+        """
+        check_is_fitted(self)
+        return self._measured(self._frames(X, reset=False), self.features_)
+
+    def get_feature_names_out(self, input_features: ArrayLike | None = None) -> NDArray[np.object_]:
+        """Return the names of the columns.
+
+        Parameters
+        ----------
+        input_features : array_like of str, optional
+            Only checked: one name for each sample.
+
+        Returns
+        -------
+        ndarray of str, (n_features,)
+        """
+        check_is_fitted(self)
+        _check_feature_names_in(self, input_features)
+        return np.array(self.features_, dtype=object)
+
+    def _frames(self, X: ArrayLike, *, reset: bool) -> NDArray[Any]:
+        validation.plain("X", X)
+        return np.asarray(validate_data(self, X, dtype=(np.float64, np.float32), reset=reset))
+
+    def _measured(self, frames: NDArray[Any], names: tuple[str, ...]) -> Floats:
+        if frames.shape[1] < MINIMUM_FRAME and self.invalid == "nan":
+            return np.full((len(frames), len(names)), np.nan)
+        assert self.sampling_rate is not None
+        return extract_array(
+            frames,
+            self.sampling_rate,
+            names,
+            pre_trigger=self.pre_trigger,
+            remove_baseline=self.remove_baseline,
+            invalid=self.invalid,
+            detection_limit=self.detection_limit,
+        )
+
+
+@dataclass(frozen=True)
+class TrainingStream:
+    """Batches of the signals of a scene; made by `cgid.stream`. Each iteration begins again.
+
+    Attributes
+    ----------
+    scene : Scene
+    batch_size, seed, workers, first : int
+    n_signals : int or None
+        Of all batches, the last of which may be smaller; None: without end.
+    shard : tuple of int
+        Number of this part, and number of all parts.
+    """
+
+    scene: Scene
+    batch_size: int
+    seed: int
+    workers: int
+    first: int
+    n_signals: int | None
+    shard: tuple[int, int]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names of the labels, in the order of their numbers."""
+        return self.scene.labels
+
+    def __iter__(self) -> Iterator[TrainingBatch]:
+        part, n_parts = self.shard
+        signals = self.batch_size * max(_AT_ONCE // self.batch_size, 1)
+        places: Iterator[int] = (place * signals for place in count(part, n_parts))
+        if self.n_signals is not None:
+            n = self.n_signals
+            places = takewhile(lambda place: place < n, places)
+        with executor(self.workers) as crew, closing(crew.each_in_step(_batches, self, places)) as made:
+            for batches in made:
+                yield from batches
+
+
+def stream(
+    scene: Scene | str | Path,
+    *,
+    batch_size: int = 64,
+    seed: int = 0,
+    workers: int = 1,
+    n_signals: int | None = None,
+    first: int = 0,
+    shard: tuple[int, int] = (0, 1),
+) -> TrainingStream:
+    """Return batches of fresh signals for a training loop, without a file between.
+
+    Signal k of a seed is always the same, and equals signal k of `cgid.synthesise` and of `cgid generate`: neither the
+    size of the batches nor the number of workers or shards changes it.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        A scene, a scene file, or a shipped scene.
+    batch_size : int
+        Signals of a batch.
+    seed : int
+        From 0 to 2^63 - 1.
+    workers : int
+        Processes that make signals; 1 is this process.
+    n_signals : int, optional
+        Signals of all shards together; by default without end.
+    first : int
+        Number of the first signal, to go on where an earlier stream has ended.
+    shard : tuple of int
+        Number of this part and number of all parts, such as those of a data loader's worker: each batch of 1024 or
+        fewer signals belongs to exactly one shard.
+
+    Returns
+    -------
+    TrainingStream
+        Iterable over tuples: signals, float32 (n_signals, n_samples); numbers of their labels in `labels`, int64
+        (n_signals,); a dict of parameters, each (n_signals,), with the sampling rate [Hz].
+
+    Raises
+    ------
+    InvalidValue
+        A number breaks its rule, or the scene is of continuous recordings.
+
+    Examples
+    --------
+    >>> batches = stream("reference", batch_size=8, n_signals=20)
+    >>> [signals.shape for signals, labels, parameters in batches]
+    [(8, 2048), (8, 2048), (4, 2048)]
+    >>> batches.labels
+    ('coal', 'gangue')
+    """
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    require_frames(scene)
+    require_seed(validation.whole("seed", seed, 0))
+    if not isinstance(shard, tuple) or len(shard) != 2:
+        raise InvalidValue(f"shard must be the number of this part and of all parts, as in (0, 2), got {shard!r}")
+    n_parts = validation.count("number of shards", shard[1])
+    return TrainingStream(
+        scene=scene,
+        batch_size=validation.count("batch_size", batch_size),
+        seed=seed,
+        workers=validation.count("workers", workers),
+        first=validation.whole("first", first, 0),
+        n_signals=None if n_signals is None else validation.count("n_signals", n_signals),
+        shard=(validation.whole("shard", shard[0], 0, n_parts - 1), n_parts),
+    )
+
+
+def _batches(asked: TrainingStream, place: int) -> list[TrainingBatch]:
+    """Return the batches that one worker makes at a time, from the signal at this place of the stream on."""
+    size = asked.batch_size
+    n = size * max(_AT_ONCE // size, 1)
+    if asked.n_signals is not None:
+        n = min(n, asked.n_signals - place)
+    made = list(synthesise(asked.scene, n, asked.seed, first=asked.first + place))
+    names = np.array(asked.labels)
+    signals = np.concatenate([batch.signals for batch in made])
+    labels = np.searchsorted(names, np.concatenate([batch.labels for batch in made])).astype(np.int64)
+    rates = [np.full(len(batch), batch.sampling_rate) for batch in made]
+    columns = {name: np.concatenate([batch.parameters[name] for batch in made]) for name in made[0].parameters}
+    columns["sampling_rate"] = np.concatenate(rates)
+    parts = [slice(start, start + size) for start in range(0, n, size)]
+    return [(signals[part], labels[part], {name: column[part] for name, column in columns.items()}) for part in parts]

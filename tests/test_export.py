@@ -1,0 +1,290 @@
+"""Models as C: compiled with all warnings and sanitizers, against `Model` itself."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import hashlib
+import io
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid import load_model
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue
+from cgid.export_c import c_source
+from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.conformal import COVERAGES, Conformal
+from cgid.identification.families import Standardiser
+from cgid.identification.model import Model
+from cgid.shipped import MODELS, path_of
+from cgid.validation import UNKNOWN
+from tests import few
+from tests.hostile_models import wide_model
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wmissing-prototypes", "-Werror", "-O1")
+SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+#: Labels that C would take for something else, were they not escaped.
+LABELS = ("coal", "grès 7", "шале")
+
+
+def compiled(source: str, folder: Path, *options: str) -> Path:
+    """Compile a file with all warnings as errors and with sanitizers; return the program."""
+    file = folder / "model.c"
+    file.write_text(source, encoding="ascii")
+    program = folder / "model"
+    done = subprocess.run(
+        ["gcc", *STRICT, *SANITIZED, *options, str(file), "-o", str(program), "-lm"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def answers(program: Path, text: str) -> dict[str, np.ndarray]:
+    """Run the program on a CSV; return the columns that it prints."""
+    done = subprocess.run([program], input=text, capture_output=True, encoding="utf-8")
+    assert (done.returncode, done.stderr) == (0, "")
+    head, *lines = csv.reader(io.StringIO(done.stdout))
+    columns = dict(zip(head, map(np.array, zip(*lines, strict=True)), strict=True))
+    return {
+        name: np.array([float(field or "nan") for field in column]) if name[:2] in ("p(", "no") else column
+        for name, column in columns.items()
+    }
+
+
+def as_csv(rows: np.ndarray) -> str:
+    return "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist())
+
+
+def judged(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return label, probabilities and novelty of each row by `Model`, row by row where it refuses one."""
+    n = len(model.inputs)
+    inputs, guards = rows[:, :n], rows[:, n:]
+    novelties = model.novelty(inputs, guards)
+    try:
+        probabilities = model.probabilities(inputs)
+    except BadData:
+        probabilities = np.full((len(rows), len(model.labels)), np.nan)
+        for number, row in enumerate(inputs):
+            try:
+                probabilities[number] = model.probabilities(row[None])[0]
+            except BadData:
+                continue
+    unknown = (novelties > 1) | np.isnan(probabilities[:, 0])
+    labels = np.where(unknown, UNKNOWN, model.decide(np.nan_to_num(probabilities)))
+    return labels, probabilities, novelties
+
+
+def usual_rows(model: Model, n: int, seed: int = 1) -> np.ndarray:
+    """Return rows around the training of a model, some outside of it."""
+    rng = np.random.default_rng(seed)
+    standardiser = Standardiser.from_arrays(model.arrays, "standardiser.")
+    rows = np.array([standardiser.at(place) for place in rng.normal(0, 1, (n, len(model.inputs)))])
+    guards = rng.uniform(0, 1.05, (n, len(model.guards))) * np.array(model.guard_limits)
+    return np.hstack([rows, guards])
+
+
+def odd_rows(model: Model, n: int) -> np.ndarray:
+    """Return rows with values that no measurement gives: 0, denormal and huge numbers, and usual ones between."""
+    rng = np.random.default_rng(2)
+    odd = np.array([0.0, -0.0, 5e-324, -1e-310, 1e-30, -1.0, 1e30, -1e30, 1e154, 1e300, -1e300, 1.7e308])
+    usual = usual_rows(model, n, seed=3)
+    return np.where(rng.random(usual.shape) < 0.3, rng.choice(odd, usual.shape), usual)
+
+
+@functools.cache
+def made(family: str, n_labels: int) -> Model:
+    """Return a small model with guards and prediction sets."""
+    rng = np.random.default_rng(3)
+    labels = np.repeat(LABELS[:n_labels], 300)
+    features = rng.normal(size=(len(labels), 3)) + np.repeat(np.eye(3)[:n_labels], 300, axis=0)
+    features[:, :2] = np.exp(features[:, :2])
+    classifier = ImpactClassifier(family, n_trees=30, n_units=7).fit(features, labels)
+    order = np.searchsorted(classifier.classes_, labels)
+    return Model.from_classifier(
+        classifier,
+        guards={"asymmetry": 2.5},
+        conformal=Conformal.fit(classifier.predict_proba(features[::20]), order[::20]),
+        features=("peak_force", "width_10", "skewness"),
+        unit="N",
+        sampling_rates=(1e5, 2e5),
+        training={},
+    )
+
+
+def named(name: str) -> Model:
+    """Return a shipped model, or a small one of a family and a number of labels."""
+    if name in MODELS:
+        return load_model(name)
+    family, n_labels = name.split()
+    return made(family, int(n_labels))
+
+
+#: One of each kind runs always.
+NAMES = few(["default", "boosting 3", "logistic 2", "linear 3", *MODELS[1:], "network 3", "linear 2", "boosting 2"], 4)
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", NAMES)
+def test_double_precision_gives_the_models_answers(name: str, tmp_path: Path) -> None:
+    model = named(name)
+    rows = np.concatenate([usual_rows(model, 2000), odd_rows(model, 1000)])
+    found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN"), as_csv(rows))
+    labels, probabilities, novelties = judged(model, rows)
+    np.testing.assert_array_equal(found["label"], labels)
+    theirs = np.stack([found[f"p({label})"] for label in model.labels], axis=1)
+    np.testing.assert_allclose(theirs, probabilities, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found["novelty"], novelties, rtol=1e-9)
+    assert set(labels[:2000]) == {*model.labels, UNKNOWN}
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", NAMES)
+def test_single_precision_gives_the_same_labels_where_they_are_clear(name: str, tmp_path: Path) -> None:
+    model = named(name)
+    rows = usual_rows(model, 3000)
+    found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN", "-DCGID_REAL=float"), as_csv(rows))
+    labels, probabilities, novelties = judged(model, rows)
+    best = np.sort(probabilities, axis=1)
+    clear = (best[:, -1] - best[:, -2] > 0.002) & (np.abs(novelties - 1) > 1e-3)
+    assert clear.mean() > 0.98
+    np.testing.assert_array_equal(found["label"][clear], labels[clear])
+
+
+@needs_gcc
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_what_is_no_number_is_unknown(real: str, tmp_path: Path) -> None:
+    """One value after the other is nan, infinite, or missing."""
+    model = load_model("default")
+    row = usual_rows(model, 1)[0]
+    fields = [[repr(value) for value in row.tolist()] for _ in range(3 * len(row))]
+    for number, line in enumerate(fields):
+        line[number % len(row)] = ("nan", "-inf", "")[number // len(row)]
+    text = "".join(",".join(line) + "\n" for line in fields)
+    found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN", f"-DCGID_REAL={real}"), text)
+    assert set(found["label"]) == {UNKNOWN}
+    assert set(found["problem"]) == {"a value is missing or not finite"}
+    assert np.isnan(found["p(coal)"]).all() and np.isnan(found["novelty"]).all()
+
+
+CALLER = """
+#include <stdio.h>
+#define CGID_HEADER
+#include "model.c"
+
+int main(void)
+{
+    static const cgid_real costs[CGID_N_LABELS] = {1, 3};
+    cgid_real p[CGID_N_LABELS];
+    double first;
+    while (scanf("%lf", &first) == 1) {
+        unsigned char held[CGID_N_LABELS];
+        int coverage, by_label;
+        p[0] = first;
+        p[1] = 1 - first;
+        printf("%d", cgid_decide(p, costs));
+        for (by_label = 0; by_label < 2; by_label++) {
+            for (coverage = 0; coverage < CGID_N_COVERAGES; coverage++) {
+                int n = cgid_prediction_set(p, coverage, by_label, held);
+                printf(" %d %d %d", n, held[0], held[1]);
+            }
+        }
+        printf("\\n");
+    }
+    printf("%d %d %d %d\\n", cgid_covers(9.95e4), cgid_covers(2.1e5), cgid_self_test(), (int)sizeof(cgid_answer));
+    return 0;
+}
+"""
+
+
+@needs_gcc
+def test_another_file_calls_it_and_decides_by_cost_and_coverage(tmp_path: Path) -> None:
+    model = made("network", 2)
+    (tmp_path / "caller.c").write_text(CALLER)
+    program = compiled(c_source(model), tmp_path, str(tmp_path / "caller.c"))
+    first = np.linspace(0, 1, 201)
+    done = subprocess.run([program], input="\n".join(map(repr, first.tolist())), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    *lines, last = [[int(field) for field in line.split()] for line in done.stdout.splitlines()]
+    found, probabilities = np.array(lines), np.stack([first, 1 - first], axis=1)
+    assert ["coal" if k == 0 else "grès 7" for k in found[:, 0]] == model.decide(
+        probabilities, {"coal": 1, "grès 7": 3}
+    ).tolist()
+    sets = found[:, 1:].reshape(len(first), 2, len(COVERAGES), 3)
+    for by_label in (False, True):
+        for number, coverage in enumerate(COVERAGES):
+            try:
+                held = model.prediction_set(probabilities, coverage, class_conditional=by_label)
+            except InvalidValue:
+                held = np.ones_like(probabilities, bool)
+            np.testing.assert_array_equal(sets[:, int(by_label), number, 1:], held)
+            np.testing.assert_array_equal(sets[:, int(by_label), number, 0], held.sum(axis=1))
+    assert last == [1, 0, 0, 8 + 3 * 8]
+
+
+@needs_gcc
+def test_columns_are_found_by_name_as_cgid_features_prints_them(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    """`cgid features` piped into the C program answers as `cgid predict`."""
+    model = load_model("default")
+    sample = str(path_of("datasets", "sample.csv"))
+    assert run(["features", sample, "--features", ",".join(model.measured[::-1])]) == 0
+    table = capfd.readouterr().out
+    assert run(["predict", sample]) == 0
+    expected = list(csv.DictReader(io.StringIO(capfd.readouterr().out)))
+    found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN"), table)
+    assert found["label"].tolist() == [row["label"] for row in expected]
+    np.testing.assert_allclose(found["p(coal)"], [float(row["p(coal)"]) for row in expected], atol=1e-4)
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("text", "code", "says"),
+    [
+        ("width_10,skewness\n1,2\n", 65, "line 1: there must be a column peak_force"),
+        ("1,2,3,4\n1,2,3\n", 65, "line 2: there must be a field for each value"),
+        ("1,2,3,many\n", 65, "line 1: there must be a number, got many"),
+        ("# a comment\n\n1,2,3," + "9" * 20000, 65, "line 3: it must be shorter"),
+    ],
+)
+def test_bad_rows_end_with_one_line(text: str, code: int, says: str, tmp_path: Path) -> None:
+    program = compiled(c_source(made("linear", 2)), tmp_path, "-DCGID_MAIN")
+    if "9" * 20000 in text:
+        text += "\n1,2,3,4\n"
+    done = subprocess.run([program], input=text, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (code, f"{says}\n")
+    gone = subprocess.run([program, "gone.csv"], capture_output=True, text=True)
+    assert (gone.returncode, gone.stderr) == (66, "gone.csv: cannot be read (No such file or directory)\n")
+
+
+@needs_gcc
+def test_numbers_beyond_single_precision_are_refused_by_the_compiler(tmp_path: Path) -> None:
+    model = made("linear", 2)
+    large = replace(model, arrays={**model.arrays, "family.intercepts": np.array([1e60])})
+    with pytest.raises(AssertionError, match="beyond single precision"):
+        compiled(c_source(large), tmp_path, "-DCGID_MAIN", "-DCGID_REAL=float")
+    assert compiled(c_source(large), tmp_path, "-DCGID_MAIN").exists()
+    with pytest.raises(AssertionError, match="CGID_REAL must be float or double"):
+        compiled(c_source(model), tmp_path, "-DCGID_MAIN", "-DCGID_REAL=int")
+
+
+def test_the_file_names_the_model_it_was_made_of(tmp_path: Path) -> None:
+    """The digest is that of the file; names and units stand beside the values."""
+    text = c_source(load_model("default"))
+    digest = hashlib.sha256(path_of("models", "default.npz").read_bytes()).hexdigest()
+    assert digest in text
+    assert "  0  fitted_peak [N], peak of" in text and "unexplained [1], " in text
+    assert text.isascii() and max(map(len, text.splitlines())) <= 120
+    drop_height = c_source(load_model("default-drop-height"))
+    assert "drop_height [m], known besides the signal" in drop_height
+    assert "need the beam of the model" in c_source(load_model("default-acceleration"))
+
+
+def test_too_large_a_model_is_refused() -> None:
+    with pytest.raises(InvalidValue, match="must hold at most 1048576 numbers to become a C file, got 14"):
+        c_source(wide_model())

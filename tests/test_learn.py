@@ -1,0 +1,230 @@
+"""The transformer against `extract` and scikit-learn's own checks; training streams against `synthesise`."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.inspection import permutation_importance
+from sklearn.model_selection import GridSearchCV, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.utils.estimator_checks import check_estimator
+
+import cgid
+from cgid import ImpactClassifier, ImpactFeatures, extract, synthesise
+from cgid.errors import BadData, CgidError, ClusterFailed, InvalidValue
+from cgid.learn import TrainingBatch
+from cgid.scene import Scene
+from cgid.workers import workers as executor
+from tests.mortal import fatal
+
+NAMES = ["peak_force", "width_50"]
+
+
+# -- the transformer --------------------------------------------------------------------------------------
+
+
+class OfPulses(ImpactFeatures):
+    """Features of pulses whose heights and lengths follow from the rows: without it, checks would only see nan."""
+
+    def _frames(self, X: Any, *, reset: bool) -> np.ndarray:
+        rows = super()._frames(X, reset=reset)
+        times = np.arange(120) / 120
+        with np.errstate(over="ignore"):
+            heights, lengths = (2 + np.tanh(rows[:, column, None]) for column in (0, -1))
+        pulses = heights * np.sin(np.pi * np.clip((times - 0.2) / (0.2 * lengths), 0, 1)) ** 1.5
+        return np.asarray(pulses + 1e-4 * np.sin(1e3 * times))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("estimator", [ImpactFeatures(2e5), OfPulses(2e5, NAMES)], ids=["features", "of pulses"])
+def test_the_transformer_passes_scikit_learns_own_checks(estimator: ImpactFeatures) -> None:
+    """With no failure that is expected."""
+    results = check_estimator(estimator, on_fail=None, on_skip=None)
+    assert [result["check_name"] for result in results if result["status"] not in ("passed", "skipped")] == []
+    assert [result["check_name"] for result in results if result["status"] == "skipped"] == ["check_array_api_input"]
+    assert len(results) > 40
+
+
+def test_it_checks_finite_numbers() -> None:
+    """So that the checks above are about features, not about nan."""
+    rows = np.random.default_rng(0).normal(size=(50, 4))
+    assert np.isfinite(OfPulses(2e5, NAMES).fit_transform(rows)).all()
+
+
+@pytest.fixture(scope="module")
+def impacts(reference_scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    batches = list(synthesise(reference_scene, 600, seed=3))
+    return np.concatenate([b.signals for b in batches]), np.concatenate([b.labels for b in batches])
+
+
+def test_features_are_those_of_extract(impacts: tuple[np.ndarray, np.ndarray]) -> None:
+    signals, _ = impacts
+    measuring = ImpactFeatures(2e5, NAMES, pre_trigger=200).set_output(transform="pandas")
+    found = measuring.fit_transform(signals)
+    pd.testing.assert_frame_equal(found, extract(signals, 2e5, NAMES, pre_trigger=200))
+    assert measuring.get_feature_names_out().tolist() == NAMES
+
+
+def test_rows_that_cannot_be_measured_are_nan_or_an_error(impacts: tuple[np.ndarray, np.ndarray]) -> None:
+    signals = impacts[0][:3].copy()
+    signals[1] = 0
+    found = ImpactFeatures(2e5, NAMES).fit_transform(signals)
+    assert np.isnan(found).all(axis=1).tolist() == [False, True, False]
+    with pytest.raises(BadData, match="signal 1: no impact"):
+        ImpactFeatures(2e5, NAMES, invalid="raise").fit_transform(signals)
+    with pytest.raises(BadData, match="at least 6 samples"):
+        ImpactFeatures(2e5, NAMES, invalid="raise").fit(signals[:, :5])
+    signals[1, 3] = np.nan
+    with pytest.raises(ValueError, match="contains NaN"):
+        ImpactFeatures(2e5, NAMES).fit(signals)
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({}, "sampling_rate must be given"),
+        ({"sampling_rate": 0.0}, "sampling_rate must"),
+        ({"sampling_rate": 2e5, "features": ["peak"]}, "peak"),
+        ({"sampling_rate": 2e5, "features": []}, "features must be named once each"),
+        ({"sampling_rate": 2e5, "invalid": "drop"}, "invalid must be one of 'nan', 'raise'"),
+        ({"sampling_rate": 2e5, "features": "window_level_*_hz"}, "window_level"),
+        ({"sampling_rate": 2e5, "features": "beam_restitution"}, "beam"),
+        ({"sampling_rate": 2e5, "pre_trigger": 5000}, "pre_trigger"),
+    ],
+)
+def test_bad_settings_are_refused_when_fitting(settings: dict[str, Any], says: str) -> None:
+    with pytest.raises(CgidError, match=says):
+        ImpactFeatures(**settings).fit(np.zeros((2, 2048)))
+
+
+def test_it_serves_pipelines_searches_and_importances(impacts: tuple[np.ndarray, np.ndarray]) -> None:
+    signals, labels = impacts
+    pipeline = make_pipeline(ImpactFeatures(2e5, invalid="raise"), ImpactClassifier("linear"))
+    grid = {
+        "impactfeatures__features": [NAMES, ["peak_force"]],
+        "impactclassifier__family": ["linear", "logistic"],
+    }
+    search = GridSearchCV(pipeline, grid, cv=3, error_score="raise").fit(signals, labels)
+    assert search.best_params_["impactfeatures__features"] == NAMES
+    assert search.best_score_ > 0.7
+    table = ImpactFeatures(2e5, NAMES).fit_transform(signals)
+    classifier = ImpactClassifier("linear").fit(table, labels)
+    importances = permutation_importance(classifier, table, labels, n_repeats=3, random_state=0).importances_mean
+    assert (importances > 0.05).all()
+    again = pickle.loads(pickle.dumps(pipeline))
+    np.testing.assert_array_equal(cross_val_score(again, signals, labels), cross_val_score(pipeline, signals, labels))
+
+
+# -- training streams -------------------------------------------------------------------------------------
+
+
+def joined(batches: list[TrainingBatch]) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    signals, labels, parameters = zip(*batches, strict=True)
+    columns = {name: np.concatenate([part[name] for part in parameters]) for name in parameters[0]}
+    return np.concatenate(signals), np.concatenate(labels), columns
+
+
+def same(found: list[TrainingBatch], expected: list[TrainingBatch]) -> bool:
+    return len(found) == len(expected) and all(
+        np.array_equal(a, c) and np.array_equal(b, d) and all(np.array_equal(p[n], q[n], equal_nan=True) for n in q)
+        for (a, b, p), (c, d, q) in zip(found, expected, strict=True)
+    )
+
+
+@pytest.mark.parametrize("size", [1, 100, 256, 700, 2000])
+def test_batches_are_the_signals_of_synthesise(reference_scene: Scene, size: int) -> None:
+    n = 1500 if size > 1 else 40
+    batches = list(cgid.stream(reference_scene, batch_size=size, seed=7, n_signals=n, first=130))
+    assert [len(signals) for signals, _, _ in batches] == [min(size, n - start) for start in range(0, n, size)]
+    signals, labels, parameters = joined(batches)
+    made = list(synthesise(reference_scene, n, 7, first=130))
+    np.testing.assert_array_equal(signals, np.concatenate([batch.signals for batch in made]))
+    names = np.array(reference_scene.labels)
+    np.testing.assert_array_equal(names[labels], np.concatenate([batch.labels for batch in made]))
+    for name in made[0].parameters:
+        np.testing.assert_array_equal(parameters[name], np.concatenate([batch.parameters[name] for batch in made]))
+    assert (parameters["sampling_rate"] == 2e5).all()
+    assert (signals.dtype, labels.dtype) == (np.float32, np.int64)
+
+
+def test_two_workers_give_the_same_batches(reference_scene: Scene) -> None:
+    alone, together = (
+        list(cgid.stream(reference_scene, batch_size=100, seed=7, n_signals=3333, workers=n)) for n in (1, 2)
+    )
+    assert same(together, alone)
+
+
+def test_shards_share_the_batches_out(reference_scene: Scene) -> None:
+    whole = list(cgid.stream(reference_scene, batch_size=128, seed=7, n_signals=5000))
+    parts = [list(cgid.stream(reference_scene, batch_size=128, seed=7, n_signals=5000, shard=(k, 3))) for k in range(3)]
+    assert [len(part) for part in parts] == [16, 16, 8]
+    units = [part[start : start + 8] for start in (0, 8) for part in parts]
+    assert same([batch for unit in units for batch in unit], whole)
+
+
+def test_a_stream_without_end_begins_again_with_each_loop_and_is_left_at_any_time(reference_scene: Scene) -> None:
+    batches = cgid.stream("reference", batch_size=32, seed=1)
+    assert batches.labels == ("coal", "gangue")
+    first, again = (list(itertools.islice(batches, 40)) for _ in range(2))
+    assert same(again, first)
+    assert same(list(itertools.islice(cgid.stream(reference_scene, batch_size=32, seed=1, first=320), 5)), first[10:15])
+    assert not same(list(itertools.islice(cgid.stream(reference_scene, batch_size=32, seed=2), 40)), first)
+
+
+def test_randomised_sampling_rates_stand_beside_the_signals() -> None:
+    _, _, parameters = joined(list(cgid.stream("randomised", batch_size=512, n_signals=1024)))
+    assert len(np.unique(parameters["sampling_rate"])) == 4
+
+
+def test_a_slow_reader_holds_few_parts() -> None:
+    """Of a stream without end, two parts a process are made ahead, and those running."""
+    asked = []
+
+    def parts() -> Any:
+        for number in itertools.count():
+            asked.append(number)
+            yield number
+
+    with executor(2) as crew:
+        made = crew.each_in_step(pow, 2, parts())
+        assert [next(made) for _ in range(3)] == [1, 2, 4]
+        made.close()
+    assert len(asked) == 7
+
+
+def test_a_killed_worker_is_named(tmp_path: Path) -> None:
+    with executor(2) as crew, pytest.raises(ClusterFailed, match="a worker process was ended from outside"):
+        list(crew.each_in_step(fatal, f"{tmp_path}|1", range(4)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"batch_size": 0}, "batch_size must be a whole number of 1 or more, got 0"),
+        ({"batch_size": 1.5}, "batch_size must be a whole number"),
+        ({"workers": 0}, "workers must be a whole number of 1 or more"),
+        ({"seed": -1}, "seed must be a whole number of 0 or more"),
+        ({"seed": 2**63}, "seed must lie between"),
+        ({"n_signals": 0}, "n_signals must be a whole number of 1 or more"),
+        ({"first": -1}, "first must be a whole number of 0 or more"),
+        ({"shard": (2, 2)}, "shard must be"),
+        ({"shard": (0, 0)}, "number of shards must be a whole number of 1 or more"),
+        ({"shard": 1}, "shard must be the number of this part"),
+        ({"scene": "caving"}, "stream must be left out"),
+        ({"scene": "referense"}, "did you mean 'reference'"),
+    ],
+)
+def test_bad_streams_are_refused_at_once(settings: dict[str, Any], says: str) -> None:
+    with pytest.raises(CgidError, match=says):
+        cgid.stream(**{"scene": "reference", **settings})
+
+
+def test_a_float_seed_is_refused() -> None:
+    with pytest.raises(InvalidValue, match="seed"):
+        cgid.stream("reference", seed=1.5)  # type: ignore[arg-type]
