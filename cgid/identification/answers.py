@@ -194,6 +194,11 @@ def identify_events(
 
     `channels` holds the names of the channels of the recording. Raises as `identify`.
     """
+    if model.beam is not None and model.beam.n_sensors > 1:
+        raise BadData(
+            f"the model must look through its beam with one sensor to answer for a recording, this one has "
+            f"{model.beam.n_sensors}; take a model of one, or cut frames of all channels for identify_frames in Python"
+        )
     sensors = question.heard_by(model, channels)
     answers: dict[int, Answer] = {}
     for sensor in dict.fromkeys(sensors):

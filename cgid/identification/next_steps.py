@@ -44,7 +44,7 @@ _ENOUGH, _CLEARLY = 20, 0.8
 #: The beam has changed where so many of the latest impacts, at least and at most, surely leave more than this share of
 #: their energy unexplained [%] in the median; surely is by so many deviations of a median. Not less than so many times
 #: the median of the training.
-_FEWEST, _LATEST, _CHANGED, _SURE, _OVER_USUAL = 30, 100, 0.5, 4.0, 3.0
+_FEWEST, _LATEST, CHANGED, _SURE, _OVER_USUAL = 30, 100, 0.5, 4.0, 3.0
 #: Share of answers without any mark from which these, and not the marks, decide on the cause.
 _UNMARKED = 0.25
 
@@ -292,7 +292,7 @@ class Diagnosis:
 
     def _changed(self) -> dict[str, _Channel]:
         """Return the channels whose beam has changed."""
-        limit = max(_CHANGED, _OVER_USUAL * self._model.unexplained)
+        limit = max(CHANGED, _OVER_USUAL * self._model.unexplained)
         return {name: channel for name, channel in self._channels.items() if channel.left() > limit}
 
     def hint(self) -> Hint | None:
