@@ -3,6 +3,7 @@
     python benchmarks/through_beam.py                                  # the shipped model, 4096 impacts a case
     python benchmarks/through_beam.py MODEL -n 8192 --cases tail_beam quarters
     python benchmarks/through_beam.py --cases sensors                  # one, two and three accelerometers
+    python benchmarks/through_beam.py --cases changed -n 512           # how often a changed beam is noticed
     python benchmarks/through_beam.py --cases independent              # beams of finite elements
 
 The impacts are from a seed that no training uses. An impact that cannot be measured counts as wrong, and as unknown.
@@ -21,8 +22,9 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.model import Model
+from cgid.identification.next_steps import CHANGED, _Channel
 from cgid.identification.prediction import load_model
-from cgid.measure.beam import nodes
+from cgid.measure.beam import Beam, nodes
 from cgid.measure.features import extract_array
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
@@ -44,6 +46,8 @@ SENSORS = {
 }
 #: How long before an impact another one strikes [s].
 GAPS = (10e-3, 30e-3)
+#: Shares by which modes change, and numbers of impacts after which it may be noticed.
+CHANGES, SIZES = (0.0, 0.001, 0.003, 0.01, 0.03), (30, 100)
 #: A place that is wrong by more is far off [m].
 FAR = 0.05
 _CHUNK = 256
@@ -63,18 +67,23 @@ def changed(**changes: Any) -> Scene:
     return parse_scene(content | {"name": "tail_beam, changed"})
 
 
+def at_rate(rate: float, edge: float) -> Scene:
+    """Return the scene tail_beam at a sampling rate, with the edge of its anti-alias filter, both in kHz."""
+    samples = round(80 * rate)
+    return changed(
+        sampling__sampling_rate=f"{rate} kHz",
+        sampling__samples=samples,
+        sampling__pre_trigger=samples // 16,
+        sensor__anti_alias__frequency=f"{edge} kHz",
+    )
+
+
 def cases(n: int) -> Iterator[tuple[str, str, Callable[[], Iterator[Batch]]]]:
     """Yield the kind and name of each case, and what makes its impacts."""
     own = changed()
     yield "tail_beam", "tail_beam", lambda: synthesise(own, n, SEED)
     for rate, edge in RATES:
-        samples = round(80 * rate)
-        scene = changed(
-            sampling__sampling_rate=f"{rate} kHz",
-            sampling__samples=samples,
-            sampling__pre_trigger=samples // 16,
-            sensor__anti_alias__frequency=f"{edge} kHz",
-        )
+        scene = at_rate(rate, edge)
         yield "rates", f"at {rate:g} kHz", lambda scene=scene: synthesise(scene, n, SEED)
     quiet = {"sensor__noise_density": None, "sensor__range": None, "sensor__bits": None, "sensor__relative_noise": 0.03}
     for name, more in (
@@ -124,6 +133,62 @@ def several(model: Model, n: int) -> Iterator[tuple[str, dict[str, Any]]]:
         through = replace(model)
         through.__dict__["beam"] = ThroughBeam(beam_of(scene, sensors=points))
         yield f"{len(points)}, {name}", judged(through, together(points, n))
+
+
+def changes(model: Model, n: int) -> Iterator[str]:
+    """Yield rows of how often the hint of a changed beam comes, of 30 and of 100 impacts, by the share of the change.
+
+    Frequencies are off by that share, dampings by ten times as much, each mode by its own draw; three beams each.
+    """
+    assert model.beam is not None
+    own, random = model.beam.beam, np.random.default_rng(SEED)
+    beams = [(share, off(own, share, random)) for share in CHANGES for _ in range(3 if share else 1)]
+    quiet = {"sensor__noise_density": None, "sensor__range": None, "sensor__bits": None}
+    scenes = {"tail_beam": changed()}
+    for share in (0.003, 0.03, 0.1, 0.3):
+        scenes[f"white noise, {share:.1%} of the peak"] = changed(**quiet, sensor__relative_noise=share)
+    scenes["pink noise, 3 %"] = changed(**quiet, sensor__relative_noise=0.03, sensor__noise_exponent=1.0)
+    scenes["clipped at .7 of the peak"] = changed(**quiet, sensor__relative_noise=0.003, sensor__relative_range=0.7)
+    for rate, edge in (RATES[0], RATES[2]):
+        scenes[f"at {rate:g} kHz"] = at_rate(rate, edge)
+    scenes["rocks of 8 to 20 cm from .2 to 1 m"] = slow_rocks()
+    for name, scene in scenes.items():
+        batches = list(synthesise(scene, n, SEED))
+        cells = []
+        for share in CHANGES:
+            left = []
+            for beam in (ThroughBeam(beam) for other, beam in beams if other == share):
+                for batch in batches:
+                    seen = VibrationBatch(batch.signals, batch.sampling_rate, batch.pre_trigger)
+                    left.append(beam.measured(seen)["beam_unexplained"])
+            parts = np.split(np.concatenate(left), len(left) // len(batches))
+            noticed = [[is_noticed(random.choice(part, size)) for part in parts for _ in range(500)] for size in SIZES]
+            cells.append(f"{np.median(parts):.2f} % | " + " / ".join(f"{np.mean(one):.3f}" for one in noticed))
+        yield f"| {name} | " + " | ".join(cells) + " |"
+
+
+def is_noticed(unexplained: Any) -> bool:
+    """Return whether the hint comes for impacts that leave these shares of their energy unexplained [%]."""
+    channel = _Channel()
+    channel.unexplained.extend(unexplained.tolist())
+    return channel.left() > CHANGED
+
+
+def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:
+    """Return a beam with its modes off by a share."""
+    size, ratio = np.abs(beam.poles), -beam.poles.real / np.abs(beam.poles)
+    size = size * np.exp(share * random.normal(size=size.size))
+    ratio = np.minimum(ratio * np.exp(10 * share * random.normal(size=size.size)), 0.9)
+    return replace(beam, poles=size * (-ratio + 1j * np.sqrt(1 - ratio**2)))
+
+
+def slow_rocks() -> Scene:
+    """Return the scene tail_beam with rocks that are larger and slower than any that the model knows."""
+    content = json.loads(changed().text)
+    for population in content["populations"]:
+        population["radius"] = {"distribution": "uniform", "lowest": 0.08, "highest": 0.2}
+        population["drop_height"] = {"distribution": "uniform", "lowest": 0.2, "highest": 1.0}
+    return parse_scene(content)
 
 
 def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
@@ -239,7 +304,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="default-acceleration")
     parser.add_argument("-n", "--signals", type=int, default=4096)
-    kinds = ["tail_beam", "rates", "noise", "ringing", "sensors", "independent"]
+    kinds = ["tail_beam", "rates", "noise", "ringing", "sensors", "changed", "independent"]
     parser.add_argument("--cases", nargs="+", default=kinds[:4], choices=kinds)
     parser.add_argument("--variants", nargs="+", default=["0.001 mindlin", "0.01 mindlin", "0.1 mindlin", "plain"])
     arguments = parser.parse_args()
@@ -253,9 +318,15 @@ def main() -> None:
                 print(f"accuracy by quarter of the signal's energy, weakest first: {quarters}\n")
     if "sensors" in arguments.cases:
         rows += several(model, arguments.signals)
+    if "changed" in arguments.cases:
+        print("| impacts | " + " | ".join(f"modes off by {share:.1%} | of 30 / 100" for share in CHANGES) + " |")
+        print("|" + "---|" * (1 + 2 * len(CHANGES)))
+        for line in changes(model, arguments.signals):
+            print(line, flush=True)
     if "independent" in arguments.cases:
         rows += independent(model, arguments.signals, arguments.variants)
-    printed(rows)
+    if rows:
+        printed(rows)
 
 
 if __name__ == "__main__":

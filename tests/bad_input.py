@@ -416,11 +416,13 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
 def _beam_models(folder: Path, good: np.ndarray) -> None:
     """Write a model that looks through a beam, one without the beam, one with a pole that grows, a slow recording."""
     (folder / "through.npz").write_bytes(with_beam())
+    (folder / "pair.npz").write_bytes(with_beam(None, sensors=np.ones((2, 3))))
     model = Model.load(folder / "through.npz")
     arrays = {name: array for name, array in model.arrays.items() if not name.startswith("beam.")}
     (folder / "beamless.npz").write_bytes(written(model.header, arrays))
     poles = beam_arrays()["beam.poles"] * [[-1.0], [1.0]]
     (folder / "growing.npz").write_bytes(with_beam(None, poles=poles))
+    _csv(folder / "vibration.csv", good / 9.81, f"# sampling_rate: {RATE:g} Hz\nacceleration (m/s^2)\n")
     _csv(folder / "slow.csv", good / 9.81, "# sampling_rate: 1500 Hz\nacceleration (m/s^2)\n")
 
 
@@ -530,6 +532,7 @@ CASES = (
     ),
     Case("model that lost its beam", ("predict", "slow.csv", "--model", "beamless.npz"), 65, ("arrays of a beam",)),
     Case("model whose beam grows", ("predict", "slow.csv", "--model", "growing.npz"), 65, ("poles that decay",)),
+    Case("beam of two sensors", ("predict", "vibration.csv", "--model", "pair.npz"), 65, ("one sensor", "has 2;")),
     Case("recording slower than a beam", ("predict", "slow.csv", "--model", "through.npz"), 65, ("at least 2000 Hz",)),
     Case(
         "drop height of no use",

@@ -5,23 +5,25 @@ from __future__ import annotations
 import json
 import shlex
 import tomllib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import resample_poly
+from scipy.stats import binom
 
 from cgid.cli.main import run
-from cgid.identification.answers import identify_frames
+from cgid.identification.answers import Answer, identify_frames
 from cgid.identification.model import Model
-from cgid.identification.next_steps import Diagnosis, Hint
+from cgid.identification.next_steps import Diagnosis, Hint, _Channel
 from cgid.identification.question import Question
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
 from cgid.measure.features import supported
-from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.recordings import parts_of_recording
 from tests.ringing import ringing_batch
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -205,6 +207,97 @@ def test_causes_add_up_to_the_distance() -> None:
         ]
         assert np.sum(offset * gradient) / 2 == pytest.approx(squares[nearest], rel=1e-5)
         assert int(np.argmax(offset * gradient)) == foremost
+
+
+# -- a beam that changes --------------------------------------------------------------------------------
+
+
+def with_modes_off(share: float, seed: int = 1) -> Model:
+    """The model of acceleration; each of its modes is off by this share in frequency, and ten times in damping."""
+    assert BEAM.beam is not None
+    own, random = BEAM.beam.beam, np.random.default_rng(seed)
+    size = np.abs(own.poles) * np.exp(share * random.normal(size=own.poles.size))
+    ratio = -own.poles.real / np.abs(own.poles) * np.exp(10 * share * random.normal(size=own.poles.size))
+    poles = size * (-ratio + 1j * np.sqrt(1 - ratio**2))
+    return replace(BEAM, arrays={**BEAM.arrays, **replace(own, poles=poles).arrays})
+
+
+@cache
+def answers_of(share: float, noise: float | None) -> list[Answer]:
+    """Answers for 160 impacts through modes that are off, with the noise of the scene or a share of the peak."""
+    scene = load_scene("tail_beam")
+    if noise is not None:
+        scene = varied(scene, noise_density=None, range=None, bits=None, relative_noise=noise)
+    batch = next(iter(synthesise(scene, 160, 11)))
+    model = with_modes_off(share)
+    return identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
+
+
+def change_of(answers: list[Answer], model: Model = BEAM) -> Hint | None:
+    """The hint for answers that come every second; it must not come before there are enough."""
+    diagnosis = Diagnosis(model, BEAM_RATE, "my file.csv", ("--unit", "g"))
+    for number, answer in enumerate(answers):
+        diagnosis.add([replace(answer, time=float(number))])
+        if diagnosis.is_clear:
+            assert number >= 29
+            break
+    return diagnosis.hint()
+
+
+@pytest.mark.parametrize("noise", [None, 0.003, 0.03, 0.1, 0.3])
+def test_a_beam_that_has_not_changed_gets_no_hint(noise: float | None) -> None:
+    assert change_of(answers_of(0.0, noise)) is None
+
+
+@pytest.mark.parametrize("noise", [None, 0.003, 0.03])
+def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> None:
+    answers = answers_of(0.01, noise)
+    assert np.mean([answer.label == "unknown" for answer in answers]) < 0.2  # no single impact tells it
+    hint = change_of(answers)
+    assert hint is not None
+    assert hint.cause == "beam"
+    assert hint.text.startswith("the beam has changed, or it is another: the modes of the model's leave ")
+    assert hint.commands == (
+        "cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml",
+        "cgid train site.toml -o site.npz",
+        "cgid predict 'my file.csv' --unit g --model site.npz",
+    )
+    # Disturbed impacts show nothing, and few are not enough.
+    for mark in ("overlapping", "clipped", "cut"):
+        assert change_of([replace(answer, **{mark: True}) for answer in answers]) is None
+    assert change_of(answers[:29]) is None
+    # A model that was trained on such errors finds nothing new in them.
+    middle = float(np.median([answer.unexplained for answer in answers]))
+    used = replace(BEAM, training={**BEAM.training, "median_beam_unexplained": middle})
+    assert change_of(answers, used) is None
+    assert Model.from_bytes(used.to_bytes()).unexplained == middle
+
+
+def test_the_median_lies_above_what_is_said() -> None:
+    """But for a chance of 2e-5, by the binomial distribution of ranks."""
+    random = np.random.default_rng(0)
+    for n in (30, 47, 100):
+        channel = _Channel()
+        channel.unexplained.extend(values := random.permutation(n).astype(float).tolist())
+        rank = sorted(values).index(channel.left()) + 1
+        assert binom.cdf(rank - 1, n, 0.5) < 2e-5 < binom.cdf(rank + 1, n, 0.5)
+    assert np.isnan(_Channel().left())
+
+
+def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, model = tmp_path / "stream.raw", tmp_path / "off.npz"
+    of_the_trained_beam(4.0).astype("<f4").tofile(path)
+    model.write_bytes(with_modes_off(0.01).to_bytes())
+    how = ["--rate", f"{BEAM_RATE:g}", "--channels", "1", "--sample-format", "f32le", "--unit", "m/s^2", "--json"]
+    for arguments, n_hints in ((["--model", str(model)], 1), ([], 0)):
+        assert run(["monitor", str(path), *how, *arguments]) == 0
+        told = capsys.readouterr()
+        found = [line for line in map(json.loads, told.out.splitlines()) if line["kind"] == "hint"]
+        assert len(found) == n_hints
+        assert told.err.count("cgid: hint: ") == n_hints
+        for line in found:
+            assert line["cause"] == "beam"
+            assert line["commands"][0].startswith("cgid calibrate RECORDING ")
 
 
 # -- the line -----------------------------------------------------------------------------------------

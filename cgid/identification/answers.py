@@ -55,6 +55,8 @@ class Answer:
         Whether the recording begins or ends within the impact.
     cause : Cause or None
         What puts it outside of the training range; None where it lies inside or could not be measured.
+    unexplained : float
+        Share of its energy that the model's beam leaves unexplained [%]; nan without a beam or a measurement.
     """
 
     time: float
@@ -70,6 +72,7 @@ class Answer:
     clipped: bool = False
     cut: bool = False
     cause: Cause | None = None
+    unexplained: float = float("nan")
 
     def __repr__(self) -> str:
         told = ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
@@ -191,6 +194,11 @@ def identify_events(
 
     `channels` holds the names of the channels of the recording. Raises as `identify`.
     """
+    if model.beam is not None and model.beam.n_sensors > 1:
+        raise BadData(
+            f"the model must look through its beam with one sensor to answer for a recording, this one has "
+            f"{model.beam.n_sensors}; take a model of one, or cut frames of all channels for identify_frames in Python"
+        )
     sensors = question.heard_by(model, channels)
     answers: dict[int, Answer] = {}
     for sensor in dict.fromkeys(sensors):
@@ -312,6 +320,7 @@ def answers_from(
     probabilities, novelties = vote(model.probabilities(inputs)), model.novelty(inputs, guards)
     outliers = np.flatnonzero(novelties > 1)
     causes = dict(zip(outliers.tolist(), causes_of(model, inputs[outliers], guards[outliers]), strict=True))
+    column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -325,6 +334,7 @@ def answers_from(
             problem=outside or question.doubt(labels) or untrained,
             prediction_set=labels,
             cause=causes.get(row),
+            unexplained=float("nan") if column is None else float(column[row]),
         )
 
 

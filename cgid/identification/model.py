@@ -24,6 +24,7 @@ from cgid.identification.model_file import (
     FORMAT,
     SCHEMA_VERSION,
     STANDARDISER,
+    UNEXPLAINED,
     NewerSchema,
     arrays_of,
     check_names,
@@ -179,6 +180,11 @@ class Model:
     def inputs(self) -> tuple[str, ...]:
         """Inputs of the classifier: the features, channel by channel, then the known quantities."""
         return inputs_of(self.features, self.n_channels) + self.known
+
+    @property
+    def unexplained(self) -> float:
+        """Median share of energy that the beam left unexplained in the training [%]; 0 where the file does not say."""
+        return float(self.training.get(UNEXPLAINED, 0.0))
 
     @property
     def references(self) -> dict[str, Floats]:

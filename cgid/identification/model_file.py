@@ -36,6 +36,9 @@ from cgid.units import quantity_of
 if TYPE_CHECKING:
     from cgid.identification.model import Model
 
+#: Of the training record: the median of the guard of models that look through a beam [%].
+UNEXPLAINED = "median_beam_unexplained"
+
 # -- the archive ------------------------------------------------------------------------------------------
 
 #: Most arrays of a model, and longest directory of its archive [bytes].
@@ -311,6 +314,8 @@ def check_training(model: Model) -> None:
             numbers = validation.not_negative(name, metrics[name])
             if numbers.shape != shape or numbers.max() > _LARGEST_NUMBER:
                 raise BadData(f"{name} must be numbers of shape {shape} up to {_LARGEST_NUMBER:g}")
+    if UNEXPLAINED in training and np.ndim(validation.not_negative(UNEXPLAINED, training[UNEXPLAINED])):
+        raise BadData(f"{UNEXPLAINED} must be one number")
     if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
         raise BadData("confusion must count at least one impact")
     if "fewest_groups" in recorded:

@@ -1,15 +1,18 @@
-"""Why most answers of a recording are unknown, and what to do next.
+"""Why most answers of a recording are unknown, whether its beam has changed, and what to do next.
 
 Each answer outside of the training says what puts it there (`Cause`). A `Diagnosis` counts the answers of a recording,
 channel by channel, and gives one `Hint` where most are unknown. Every cause is tested: the impact stands barely above
 the noise before it; another amplitude or another sampling rate alone would bring it inside; or one measured quantity
 contributes most to its distance from the training.
+
+A model that looks through a beam also tells where the beam has changed too little for single impacts to show it: where
+it is the right one, half of the impacts leave next to nothing unexplained, however loud the noise is.
 """
 
 from __future__ import annotations
 
 import shlex
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -38,6 +41,10 @@ _BOTH_WAYS = 0.4
 _DEVIATIONS = 3.0
 #: A live stream gets its hint when this many answers of a channel are there, and this share of them is unknown.
 _ENOUGH, _CLEARLY = 20, 0.8
+#: The beam has changed where so many of the latest impacts, at least and at most, surely leave more than this share of
+#: their energy unexplained [%] in the median; surely is by so many deviations of a median. Not less than so many times
+#: the median of the training.
+_FEWEST, _LATEST, CHANGED, _SURE, _OVER_USUAL = 30, 100, 0.5, 4.0, 3.0
 #: Share of answers without any mark from which these, and not the marks, decide on the cause.
 _UNMARKED = 0.25
 
@@ -171,12 +178,13 @@ def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: 
 
 @dataclass(frozen=True, kw_only=True)
 class Hint:
-    """Why most answers are unknown, and what helps.
+    """Why most answers are unknown or the beam is not the model's, and what helps.
 
     Attributes
     ----------
     cause : one word for programs: noise, drowned, amplitude, duration, sampling_rate, clipped, cut_off, overlapping,
-        vibration, shape, upside_down, features, coverage or unmeasured
+        vibration, shape, upside_down, features, coverage or unmeasured; or beam, where the beam has changed and answers
+        are known
     reason : in words
     advice : what to do
     commands : the next commands, in order
@@ -211,6 +219,13 @@ class _Channel:
     examples: dict[str, list[Answer]] = field(default_factory=dict)
     latest: float = -np.inf
     problems: Counter[str] = field(default_factory=Counter)
+    unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST))
+
+    def left(self) -> float:
+        """Return what the median of the latest impacts surely leaves unexplained [%]; nan if they are too few."""
+        n = len(self.unexplained)
+        # The rank of a sample that lies below the median but for a chance of 2e-5 (binomial).
+        return sorted(self.unexplained)[int(n / 2 - _SURE / 2 * np.sqrt(n)) - 1] if n >= _FEWEST else float("nan")
 
 
 #: Most examples kept of each cause.
@@ -258,8 +273,11 @@ class Diagnosis:
             channel = self._channels.setdefault(answer.channel, _Channel())
             after, channel.latest = answer.time - channel.latest, answer.time
             channel.n_answers += 1
-            name, marked = _cause_of(answer, self._model.kind == "vibration" and 0 < after < EVENT_TIME)
+            crowded = self._model.kind == "vibration" and 0 < after < EVENT_TIME
+            name, marked = _cause_of(answer, crowded)
             channel.n_unmarked += not marked
+            if np.isfinite(answer.unexplained) and not (crowded or answer.overlapping or answer.clipped or answer.cut):
+                channel.unexplained.append(answer.unexplained)
             if answer.label != UNKNOWN:
                 continue
             channel.n_unknown += 1
@@ -273,13 +291,19 @@ class Diagnosis:
     @property
     def is_clear(self) -> bool:
         """Whether a live stream can have its hint already."""
-        return any(c.n_answers >= _ENOUGH and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
+        unknown = any(c.n_answers >= _ENOUGH and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
+        return unknown or bool(self._changed())
+
+    def _changed(self) -> dict[str, _Channel]:
+        """Return the channels whose beam has changed."""
+        limit = max(CHANGED, _OVER_USUAL * self._model.unexplained)
+        return {name: channel for name, channel in self._channels.items() if channel.left() > limit}
 
     def hint(self) -> Hint | None:
-        """Return the hint; None where at most half of the answers are unknown in each channel."""
+        """Return the hint; None where at most half of the answers are unknown in each channel, and no beam changed."""
         own = {name: c for name, c in self._channels.items() if 2 * c.n_unknown > c.n_answers}
         if not own:
-            return None
+            return self._hint_of_change()
         counts: Counter[str] = Counter()
         for channel in own.values():
             decisive = channel.marks + channel.unmarked
@@ -302,6 +326,25 @@ class Diagnosis:
             channels=() if len(own) == len(self._channels) else tuple(own),
             n_unknown=n_unknown,
             n_answers=n_answers,
+        )
+
+    def _hint_of_change(self) -> Hint | None:
+        """Return the hint of a beam that is no longer that of the model; None where it is."""
+        own = self._changed()
+        if not own:
+            return None
+        latest = np.concatenate([list(channel.unexplained) for channel in own.values()])
+        usual = f", {self._model.unexplained:.2g} % in the training" if self._model.unexplained else ""
+        return Hint(
+            cause="beam",
+            reason="the beam has changed, or it is another: the modes of the model's leave "
+            f"{np.median(latest):.2g} % of the energy of the last {len(latest)} {self._kind}s unexplained (median"
+            f"{usual}), and answers are less often right",
+            advice="learn its modes anew and train on them",
+            commands=self._calibration(),
+            channels=() if len(own) == len(self._channels) else tuple(own),
+            n_unknown=sum(channel.n_unknown for channel in own.values()),
+            n_answers=sum(channel.n_answers for channel in own.values()),
         )
 
     # -- words ----------------------------------------------------------------------------------------

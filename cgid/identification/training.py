@@ -39,7 +39,9 @@ from cgid.identification.grouped import (
 )
 from cgid.identification.metrics import evaluate, evaluate_recordings, evaluate_sets
 from cgid.identification.model import Model
+from cgid.identification.model_file import UNEXPLAINED
 from cgid.identification.rows import (
+    BEAM_GUARDS,
     DEFAULT_FEATURES,
     FEW_FEATURES,
     Rows,
@@ -395,6 +397,7 @@ def _held_out(
         **record,
         **{f"n_{part}_specimens": len(np.unique(specimen[own])) for part, own in parts.items()},
         "n_train": int(training.sum()),
+        **({UNEXPLAINED: float(np.median(rows.columns(BEAM_GUARDS)[training]))} if guards == BEAM_GUARDS else {}),
         **({} if class_weights is None else {"class_weights": class_weights}),
     }
     return _trained(
