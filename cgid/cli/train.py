@@ -20,7 +20,7 @@ from cgid.terminal import counted
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
 
-#: Options for recordings only, and for datasets and scenes only.
+#: Options for recordings only, those for any training but none of a correction, and for datasets and scenes only.
 _OF_RECORDINGS = {
     "by": "--by",
     "window_time": "--window",
@@ -34,6 +34,20 @@ _OF_RECORDINGS = {
     "full_scale": "--full-scale",
     "dead_time": "--dead-time",
     "strict": "--strict",
+}
+_NOT_OF_CORRECTIONS = {
+    "names": "--features",
+    "family": "--family",
+    "class_weights": "--class-weights",
+    "by": "--by",
+    "window_time": "--window",
+    "hop_time": "--hop",
+    "level_free": "--level-free",
+    "test_share": "--test-share",
+    "calibration_share": "--calibration-share",
+    "drop_height": "--drop-height",
+    "n_signals": "--signals",
+    "shuffle_labels": "--shuffle-labels",
 }
 _OF_DATASETS = {
     "test_share": "--test-share",
@@ -86,6 +100,12 @@ _OF_DATASETS = {
     default=50_000,
     show_default=True,
     help="Draw this many signals from a scene.",
+)
+@click.option(
+    "--from",
+    "base",
+    metavar="MODEL",
+    help="Correct this model by ten or more labelled impacts of a site, instead of training one.",
 )
 @click.option(
     "--by",
@@ -152,9 +172,13 @@ def train(
     on both sides of a split; each group in turn judges what was chosen and trained on the others. Scenes and datasets
     beside recordings are used for training, too, with their level and spectrum moved to those of the recordings.
 
+    With --from, ten to fifty labelled impacts correct a model that is there: its bias, its slope and the gain of the
+    sensor, as far as they give evidence. It says how often the model is right on this site.
+
     \b
     cgid events monday.wav tuesday.wav -o events.csv
     cgid train events.csv -o mine.npz
+    cgid train events.csv --from default-acceleration -o site-model.npz
     """  # noqa: D301 - \b keeps the lines of the example apart
     from cgid.identification.card import check_model_output, write_model
     from cgid.measure.features import choose
@@ -165,6 +189,8 @@ def train(
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
+    if (base := options.pop("base")) is not None:
+        return _correct(context, data, base, path, options, plots=plots, as_json=as_json)
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
@@ -332,6 +358,59 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
     for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:
         say(f"cgid: warning: {warning}", err=True)
     return training, list(rows.failures)
+
+
+def _correct(
+    context: click.Context,
+    data: tuple[str, ...],
+    base: str,
+    path: Path,
+    options: dict[str, Any],
+    *,
+    plots: bool,
+    as_json: bool,
+) -> int:
+    """Write a model corrected by labelled impacts, and say how good it is on their site."""
+    from cgid.identification.card import correction_section, write_model
+    from cgid.identification.correction import advice, correct, require_correctable
+    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.model import Model
+    from cgid.identification.rows import Slicing
+    from cgid.identification.training import Training
+    from cgid.shipped import model_path
+
+    for name, flag in _NOT_OF_CORRECTIONS.items():
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise InvalidValue(f"{flag} must be left out, --from corrects a model and trains none")
+    if len(data) != 1 or not _recorded(data[0]):
+        raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
+    model = Model.load(model_path(base))
+    require_correctable(model)
+    manifest = _manifest(data[0])
+    given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
+    reading = Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"])
+    slicing = Slicing(by="impact", dead_time=dead_time_in_seconds(options["dead_time"]))
+    with progress_bar(None, "rows") as progress:
+        rows = record(manifest, slicing=slicing, reading=reading, model=model, progress=progress)
+    for warning in rows.warnings:
+        say(f"cgid: warning: {warning}", err=True)
+    found = correct(model, rows)
+    training = Training(found.model, dict(found.after), found.labels, found.probabilities, None)
+    written = write_model(training, path, plots=plots, further=[correction_section(found.model.training["correction"])])
+    told = found.model.training["correction"]
+    if as_json:
+        print_json({"model": str(path), "advice": advice(found), **told})
+    else:
+        say(f"accuracy {_share(told)} on this site, each of {told['n']} impacts judged by what the others teach")
+        say(f"before {_share(told['before'])}")
+        say(f"moved {found.shift}")
+        if told["n_unknown"]:
+            say(f"unknown {told['n_unknown']} more, outside of the training of the model: they teach nothing")
+        for line in advice(found):
+            say(f"cgid: hint: {line}", err=True)
+        then = f"cgid predict FILE --model {shlex.quote(str(path))}"
+        say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
+    return rows.failures[0].exit_code if rows.failures else 0
 
 
 def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> tuple[Any, Any]:

@@ -286,6 +286,25 @@ def _calibration(model: Model) -> list[str]:
     ]
 
 
+def correction_section(correction: Record) -> Section:
+    """Return the section of a model that labelled impacts of a site corrected."""
+    rows = []
+    for name, row in (("before", correction["before"]), ("corrected", correction)):
+        low, high = row["accuracy_interval_95"]
+        recalls = [f"{plain(label)} {value:.4f}" for label, value in row["recall"].items()]
+        rows.append((name, f"{row['accuracy']:.4f}", f"{low:.4f} to {high:.4f}", ", ".join(recalls)))
+    counts = ", ".join(f"{plain(label)} {n}" for label, n in correction["labels"].items())
+    biases = ", ".join(f"{bias:+.3f}" for bias in correction["bias"])
+    return "Corrected for a site", [
+        f"{correction['n']} labelled impacts ({counts}) moved its biases by {biases}, its slope to "
+        f"{correction['slope']:.3f} and the gain to {correction['gain']:.3f}. Each impact is judged by a correction "
+        f"that the others teach; {correction['n_unknown']} more lie outside of the training. The other figures of this card "
+        "are those of the training, before.",
+        "",
+        *table(("model", "accuracy on the site", "95 % interval", "recall"), rows),
+    ]
+
+
 def _choice(candidates: Sequence[Record]) -> list[str]:
     rows = [
         (_chosen(row), plain(row["family"]), row["n_features"], f"{row['accuracy']:.4f}", row["taken_in_folds"])

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
 from cgid.files import require_regular
+from cgid.identification.contact import ThroughBeam
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.manifest import Annotation, Manifest
+from cgid.identification.model import Model
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
 from cgid.identification.silence import Silence, silence_of
@@ -274,6 +276,7 @@ def record(
     reading: Reading | None = None,
     level_free: bool = False,
     augment: bool = False,
+    model: Model | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Rows:
     """Return the rows of annotated recordings: the features of their windows or impacts.
@@ -281,7 +284,8 @@ def record(
     By default these are all of `cgid.identification.rows.sets_for` that can be measured on every recording. Where the
     slicing leaves it open, the features say whether rows are impacts or windows, else what the recordings hold
     (`cgid.identification.silence`); `Rows.notes` says which. If `augment`, windows have noisy copies (`Rows.snr`), from
-    which a model learns what noise does, and when a window is drowned. `progress` receives the number of rows measured.
+    which a model learns what noise does, and when a window is drowned. With a `model` of impacts, rows are what it
+    measures: its features and guards, in its unit, through its beam. `progress` receives the number of rows measured.
 
     Raises `BadData` if no recording yields a row or files of different groups are equal, `InvalidValue` for a bad
     choice, and if strict the error of the first unreadable recording.
@@ -292,11 +296,15 @@ def record(
     for failure in failures:
         reading.failed(failure)
     n_said = len(failures)
+    if model is not None:
+        features, slicing = model.measured, replace(slicing, by="impact")
+        _require_quantity(files[0], model)
     slicing, notes, warnings = _decided(files, slicing, features)
     names = _names(features, files, slicing, level_free)
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
-    cutting = _Cutting(names, slicing, files[0].unit, equalisations_of(references), augment)
+    unit, beam = (files[0].unit, None) if model is None else (model.unit, model.beam)
+    cutting = _Cutting(names, slicing, unit, equalisations_of(references), augment, beam)
     measured: list[tuple[AnnotatedFile, list[Piece]]] = []
     for file in files:
         try:
@@ -315,6 +323,15 @@ def record(
     return replace(
         rows, references=references, failures=tuple(failures), notes=notes, warnings=(*warnings, *rows.warnings)
     )
+
+
+def _require_quantity(file: AnnotatedFile, model: Model) -> None:
+    quantity = quantity_of(file.unit)
+    if quantity != model.quantity:
+        raise BadData(
+            f"{file.recording.source}: the quantity must be the model's, {model.quantity} [{model.unit}], got "
+            f"{quantity} [{file.unit}]; give another --from, or correct --unit"
+        )
 
 
 def _decided(
@@ -444,6 +461,7 @@ class _Cutting:
     unit: str
     equalisations: Equalisations
     augment: bool = False
+    beam: ThroughBeam | None = None
 
 
 #: Annotation, times and features of some rows, and their power over that of added noise [dB].
@@ -509,6 +527,7 @@ def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting
                 invalid="nan",
                 detection_limit=some[0].detection_limit,
                 equalisation=cutting.equalisations[annotation.sensor][channel] if annotation.sensor else None,
+                beam=cutting.beam,
             )
             features[[bool(event.problem) for event in some]] = np.nan
             yield annotation, np.array([event.time for event in some]), features, np.full(len(some), np.inf)

@@ -93,15 +93,15 @@ class Training:
         The truth of the test rows.
     test_probabilities : ndarray, (n_test, n_labels)
         The model's probabilities, in the order of `model.labels`.
-    classifier : ImpactClassifier
-        The scikit-learn estimator behind the model.
+    classifier : ImpactClassifier or None
+        The scikit-learn estimator behind the model; None of a corrected model.
     """
 
     model: Model
     metrics: dict[str, Any]
     test_labels: NDArray[np.str_]
     test_probabilities: Floats
-    classifier: ImpactClassifier
+    classifier: ImpactClassifier | None
 
     def __repr__(self) -> str:
         model, accuracy = f"{self.model.family}: {', '.join(self.model.labels)}", self.metrics["accuracy"]

@@ -1,0 +1,326 @@
+"""Correct a model by a few labelled impacts of a site: its bias and slope, and the gain of its sensor.
+
+The model is a good guess; ten to fifty impacts teach little beside it. So they move three things, each held by a prior:
+
+* the bias of each label, b: other shares of the labels, and what shifts all scores (a prior deviation of 0.7);
+* the slope of the scores, a: a model surer, or less sure, than it is right (ln a: 0.3);
+* the gain of the sensor (its ln: 0.2): features with a unit of the signal are divided by it.
+
+That there is nothing to correct is as probable beforehand, and the correction is the mean over what could be, weighed
+by the evidence: without evidence nothing moves. The deviations are assumed; `benchmarks/site_correction.py` checks them.
+
+The corrected probabilities are softmax(a s + b) of the scores s at the corrected features. All of this is folded into
+the temperature, the last intercepts and the standardiser, so that a corrected model is a model like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from cgid import validation
+from cgid.errors import BadData, InvalidValue
+from cgid.identification.families import Contrast, Standardiser, softmax
+from cgid.identification.metrics import evaluate
+from cgid.identification.model import Model
+from cgid.identification.model_file import STANDARDISER
+from cgid.identification.rows import Rows
+from cgid.measure.features import FEATURES
+from cgid.units import quantity_of
+from cgid.validation import Floats
+
+#: Fewest labelled impacts inside the training of the model; of fewer the interval of the accuracy says nothing.
+FEWEST_LUMPS = 10
+#: Prior deviations of a bias, of ln of the slope, and of ln of the gain.
+_BIAS, _SLOPE, _GAIN = 0.7, 0.3, 0.2
+#: Logarithms of gains that are tried, over the prior deviation.
+_GAINS = np.linspace(-2.0, 2.0, 9)
+#: The array that holds the intercept of each score, by family.
+_INTERCEPTS = {"boosting": "baseline", "linear": "intercepts", "logistic": "intercepts", "network": "biases_3"}
+#: Metrics that a model keeps of the site it was corrected for.
+_TOLD = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")
+#: Most folds of held-out impacts: up to this number of impacts each is one.
+_MOST_FOLDS = 50
+#: Half width of an interval that is wished for.
+_NARROW = 0.05
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What a correction moves: the bias of each of the labels, (n_labels,), the slope of the scores, and the gain."""
+
+    labels: tuple[str, ...]
+    bias: Floats
+    slope: float = 1.0
+    gain: float = 1.0
+
+    def __str__(self) -> str:
+        """Say what is moved."""
+        biases = ", ".join(f"{label} {bias:+.2f}" for label, bias in zip(self.labels, self.bias, strict=True))
+        slope = f"; slope {self.slope:.2f}" * (self.slope != 1)
+        return f"bias {biases}{slope}" + f"; gain {self.gain:.2f}" * (self.gain != 1)
+
+    def probabilities(self, logs: Floats) -> Floats:
+        """Return the probabilities from log-probabilities (n, n_labels) at the corrected features."""
+        return softmax(self.slope * logs + self.bias)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A model corrected for a site, and how good it and the former one are there.
+
+    Attributes
+    ----------
+    model : Model
+    shift : Shift
+    before, after : dict
+        What `cgid.identification.metrics.evaluate` measures, of the former model, and of the corrected one with each
+        impact judged by a correction that the others teach.
+    labels : ndarray of str, (n_lumps,)
+    probabilities : ndarray, (n_lumps, n_labels)
+        Of each impact by a correction that the others teach.
+    n_unknown : int
+        Labelled impacts outside of the training, which teach nothing.
+    """
+
+    model: Model
+    shift: Shift
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
+    labels: NDArray[np.str_]
+    probabilities: Floats
+    n_unknown: int
+
+
+def correct(model: Model, rows: Rows) -> Correction:
+    """Return a model corrected by labelled impacts of a site.
+
+    Parameters
+    ----------
+    model : Model
+        Of impacts, without known quantities besides the signal.
+    rows : Rows
+        Labelled impacts with the features and guards of the model, in its unit.
+
+    Returns
+    -------
+    Correction
+
+    Raises
+    ------
+    InvalidValue
+        The model is one of windows, or needs a drop height.
+    BadData
+        A label is not one of the model's, or there is only one, or fewer than `FEWEST_LUMPS` impacts that the model
+        knows.
+    """
+    require_correctable(model)
+    _require_lumps(model, rows)
+    features, guards = rows.columns(model.features), rows.columns(model.guards)
+    known = model.novelty(features, guards) <= 1
+    if int(known.sum()) < FEWEST_LUMPS:
+        raise BadData(
+            f"labelled impacts must lie within the training of the model, {FEWEST_LUMPS} at least, got "
+            f"{int(known.sum())} of {len(known)}; calibrate the beam (cgid calibrate) or train without --from"
+        )
+    labels = rows.labels[known]
+    _require_labels(labels, model, " within its training")
+    lumps = _Lumps.of(model, features[known], np.array([model.labels.index(label) for label in labels]))
+    shift, probabilities = lumps.learned()
+    before = evaluate(labels, softmax(lumps.logs[lumps.middle]), model.labels)
+    after = evaluate(labels, probabilities, model.labels)
+    n, n_unknown = len(labels), int((~known).sum())
+    correction = {
+        "n": n,
+        "n_unknown": n_unknown,
+        "labels": {label: int(np.sum(labels == label)) for label in model.labels},
+        "bias": shift.bias.tolist(),
+        "slope": shift.slope,
+        "gain": shift.gain,
+        **{name: after[name] for name in _TOLD},
+        "before": {name: before[name] for name in _TOLD},
+        "sources": list(rows.digests),
+    }
+    # The metrics stay those of the training, of thousands; prediction sets promise nothing of another site.
+    metrics = {**model.training.get("metrics", {}), "prediction_sets": []}
+    training = {**model.training, "metrics": metrics, "correction": correction}
+    return Correction(
+        replace(_moved(model, shift), training=training), shift, before, after, labels, probabilities, n_unknown
+    )
+
+
+def require_correctable(model: Model) -> None:
+    """Raise `InvalidValue` unless impacts can correct the model."""
+    if model.kind == "window":
+        raise InvalidValue("--from must name a model of impacts, this one decides on windows; train it again with more")
+    if model.known:
+        raise InvalidValue(
+            f"--from must name a model of the signal alone, this one must know {', '.join(model.known)}; take another"
+        )
+
+
+def _require_lumps(model: Model, rows: Rows) -> None:
+    for label in np.unique(rows.labels).tolist():
+        validation.choice("label", label, model.labels)
+    _require_labels(rows.labels, model)
+    if len(rows.labels) < FEWEST_LUMPS:
+        raise BadData(
+            f"labelled impacts must be {FEWEST_LUMPS} at least to correct a model, got {len(rows.labels)}; label more"
+        )
+    if quantity_of(rows.unit) != model.quantity:
+        raise BadData(
+            f"labelled impacts must be of the model's quantity, {model.quantity} [{model.unit}], got "
+            f"{quantity_of(rows.unit)} [{rows.unit}]; give another --from"
+        )
+
+
+def _require_labels(labels: NDArray[np.str_], model: Model, where: str = "") -> None:
+    lacking = sorted(set(model.labels) - set(labels.tolist()))
+    if lacking:
+        raise BadData(
+            f"labelled impacts{where} must have every label of the model ({', '.join(model.labels)}), none is "
+            f"{lacking[0]}; label some"
+        )
+
+
+def advice(correction: Correction) -> list[str]:
+    """Return what would raise the accuracy, and narrow its interval; one line each."""
+    accuracy, n = float(correction.after["accuracy"]), len(correction.labels)
+    low, high = correction.after["accuracy_interval_95"]
+    lines = []
+    if high - low > 2 * _NARROW:
+        p = min(max(accuracy, 0.5), 0.95)
+        wanted = int(np.ceil(p * (1 - p) * (1.96 / _NARROW) ** 2 / 10) * 10)
+        lines.append(f"{wanted} labelled impacts would narrow the interval to +- {_NARROW:g}, {n} leave it this wide")
+    lines.append(
+        "more labels raise the accuracy little, they correct a threshold; a model of this site's beam and rocks raises "
+        "it (cgid calibrate, then cgid train SITE.toml), up to the limit that cgid ceiling SITE.toml computes"
+    )
+    return lines
+
+
+# -- learning ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Lumps:
+    """Labelled impacts: log-probabilities at each gain that is tried (n_gains, n, n_labels), and true labels (n,)."""
+
+    labels: tuple[str, ...]
+    logs: Floats
+    truth: NDArray[np.intp]
+    gains: Floats
+
+    @classmethod
+    def of(cls, model: Model, features: Floats, truth: NDArray[np.intp]) -> _Lumps:
+        powers = _powers(model)
+        gains = np.exp(_GAIN * _GAINS) if powers.any() else np.ones(1)
+        tables = [model.probabilities(features / gain**powers) for gain in gains]
+        return cls(model.labels, np.log(np.maximum(np.stack(tables), 1e-12)), truth, gains)
+
+    @property
+    def middle(self) -> int:
+        """The number of the gain 1."""
+        return len(self.gains) // 2
+
+    def learned(self) -> tuple[Shift, Floats]:
+        """Return the shift, and the probabilities of each impact by the shift that the others teach."""
+        fold = np.arange(len(self.truth)) % _MOST_FOLDS
+        probabilities = np.empty(self.logs.shape[1:])
+        for k in range(fold.max() + 1):
+            shift = self._fitted(fold != k)
+            probabilities[fold == k] = shift.probabilities(self.logs[self._place(shift.gain), fold == k])
+        return self._fitted(np.ones(len(fold), bool)), probabilities
+
+    def _place(self, gain: float) -> int:
+        return int(np.argmin(np.abs(np.log(self.gains / gain))))
+
+    def _fitted(self, chosen: NDArray[np.bool_]) -> Shift:
+        """Return the mean of the shifts that could be, each weighed by its evidence.
+
+        That there is nothing to correct is as probable beforehand as that there is (Hoeting et al. 1999).
+        """
+        truth, logs = self.truth[chosen], self.logs[:, chosen]
+        none = logs[self.middle, np.arange(len(truth)), truth].sum()
+        fits = [_bias_and_slope(own, truth) for own in logs]
+        prior = -0.5 * (np.log(self.gains) / _GAIN) ** 2
+        prior -= np.log(np.exp(prior).sum())
+        evidence = np.array([found for _, found in fits]) + prior
+        weights = np.exp(evidence - np.logaddexp(none, np.logaddexp.reduce(evidence)))
+        mean = weights @ np.array([found for found, _ in fits])
+        gain = float(self.gains[self._place(float(np.exp(weights @ np.log(self.gains))))])
+        return Shift(self.labels, mean[:-1], float(np.exp(mean[-1])), gain)
+
+
+def _bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, float]:
+    """Return the most probable biases and ln of the slope, (n_labels + 1,), and ln of their evidence.
+
+    The evidence is that of the Gaussian with the curvature at its maximum (Laplace; MacKay 2003, 27).
+    """
+    n, n_labels = logs.shape
+    rows = np.arange(n)
+    precision = np.append(np.full(n_labels, _BIAS**-2), _SLOPE**-2)
+
+    def loss(parameters: Floats) -> tuple[float, Floats]:
+        slope = np.exp(parameters[-1])
+        probabilities = softmax(slope * logs + parameters[:-1])
+        value = -np.log(np.maximum(probabilities[rows, truth], 1e-300)).sum() + 0.5 * precision @ parameters**2
+        error = probabilities.copy()
+        error[rows, truth] -= 1
+        slopes = np.append(error.sum(axis=0), slope * np.sum(error * logs))
+        return float(value), slopes + precision * parameters
+
+    found = minimize(loss, np.zeros(n_labels + 1), jac=True, method="L-BFGS-B", bounds=[(-6, 6)] * (n_labels + 1))
+    slope = np.exp(found.x[-1])
+    probabilities = softmax(slope * logs + found.x[:-1])
+    effects = np.concatenate([np.broadcast_to(np.eye(n_labels), (n, n_labels, n_labels)), slope * logs[:, :, None]], 2)
+    centred = effects - np.einsum("ik,ikp->ip", probabilities, effects)[:, None]
+    curvature = np.einsum("ik,ikp,ikq->pq", probabilities, centred, centred)
+    size = np.linalg.slogdet(np.eye(n_labels + 1) + curvature / precision[:, None])[1]
+    return np.append(found.x[:-1] - found.x[:-1].mean(), found.x[-1]), -float(found.fun) - 0.5 * float(size)
+
+
+# -- into the model ---------------------------------------------------------------------------------------
+
+
+def _powers(model: Model) -> Floats:
+    """Return the power of the signal's gain in each feature that is no logarithm; 0 where logarithms are."""
+    powers = []
+    for name in model.features:
+        unit = FEATURES[name].unit
+        through = 1.0 if FEATURES[name].beam and unit == "N" else 0.0
+        powers.append(0.0 if unit.startswith("log10") else 2.0 if "U^2" in unit else float("U" in unit) or through)
+    return np.array(powers)
+
+
+def _moved(model: Model, shift: Shift) -> Model:
+    """Return the model with a shift folded into its arrays; its prediction sets hold no longer, so it has none."""
+    arrays = {name: array for name, array in model.arrays.items() if not name.startswith("conformal.")}
+    powers = _powers(model)
+    arrays |= _divided(Standardiser.from_arrays(arrays, STANDARDISER), shift.gain**powers).arrays(STANDARDISER)
+    if model.contrast is not None:
+        n_guards = len(model.guards)
+        own = model.contrast.standardiser
+        factors = np.append(shift.gain**powers, np.ones(n_guards))
+        arrays |= _divided(own, factors).arrays(Contrast.PREFIX)
+    temperature = model.temperature / shift.slope
+    name = f"family.{_INTERCEPTS[model.family]}"
+    moved = shift.bias * temperature
+    arrays[name] = arrays[name] + (np.diff(moved) if len(model.labels) == 2 else moved)
+    return replace(model, arrays=arrays, temperature=temperature)
+
+
+def _divided(standardiser: Standardiser, factors: Floats) -> Standardiser:
+    """Return the standardiser of features that are first divided by factors (n_features,)."""
+    logarithmic = standardiser.logarithmic
+    return Standardiser(
+        logarithmic,
+        np.where(logarithmic, standardiser.floor * factors, standardiser.floor),
+        np.where(logarithmic, standardiser.mean + np.log(factors), standardiser.mean * factors),
+        np.where(logarithmic, standardiser.scale, standardiser.scale * factors),
+    )
