@@ -111,6 +111,29 @@ def _ringing(folder: Path) -> None:
         )
 
 
+def _tapped(folder: Path) -> None:
+    """Write recordings of taps on a beam: none that is usable, and a good one with nan and a table of taps."""
+    rng, times = np.random.default_rng(11), np.arange(12_800) / 25600
+    ring = 90 * np.exp(-12 * times) * np.sin(2 * np.pi * 300 * times)
+    ring += 60 * np.exp(-60 * times) * np.sin(2 * np.pi * 2300 * times)
+    quiet, head = 0 * times[:2560], "# sampling_rate: 25600 Hz\nacceleration (m/s^2)\n"
+    double = np.concatenate([ring[:1280], ring[:1280], ring[:200]])
+    made = {
+        "taps": [quiet, ring, ring],
+        "silent_taps": [quiet, quiet, 0 * ring],
+        "double_taps": [quiet, double],
+        "clipped_taps": [quiet, np.clip(ring, -20, 20), np.clip(ring, -20, 20)],
+        "short_taps": [quiet, quiet, ring[:500]],
+    }
+    for name, parts in made.items():
+        samples = np.concatenate(parts)
+        limit = 20.0 if name == "clipped_taps" else 1e9
+        _csv(folder / f"{name}.csv", np.clip(samples + rng.normal(0, 0.02, samples.size), -limit, limit), head)
+    _csv(folder / "nan_taps.csv", np.append(samples, np.nan), head)
+    (folder / "tap_times.csv").write_text("time [s]\n7.5\n")
+    (folder / "tap_table.csv").write_text("when\n7.5\n")
+
+
 def _spectra(folder: Path) -> None:
     """Write scenes whose noise has a colour that is none, by itself or by its table."""
     for name, sensor in _COLOURS.items():
@@ -201,6 +224,7 @@ def make_files(folder: Path) -> None:
     _changed(folder, "reference", {file: (_COAL, f"{_COAL}\n{line}") for _, file, line, _ in _OF_ROCKS})
     _tables(folder)
     _ringing(folder)
+    _tapped(folder)
     _spectra(folder)
     tabulate(plan(load_scene(ROOT / "datasets" / "reference.toml"), "closed-form"), folder / "table.csv", 9)
     lines = (folder / "table.csv").read_text().splitlines()
@@ -221,6 +245,7 @@ def make_files(folder: Path) -> None:
 
 
 #: Calibrates the tail beam with few blows.
+_TAPPED = ("tap", "taps.csv", "-o", "new.csv")
 _CALIBRATE = ("calibrate", "few_blows.csv", "--scene", "tail_beam", "-o", "new.toml")
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
 _RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'
@@ -851,6 +876,33 @@ CASES = (
     Case("site that is no scene", (*_CALIBRATE[:5], "site.csv"), 73, ("site.csv", ".toml")),
     Case("site exists", (*_CALIBRATE[:5], "modes.toml"), 73, ("modes.toml", "--overwrite")),
     Case("no recording to calibrate", ("calibrate", "gone.wav", *_CALIBRATE[2:]), 66, ("gone.wav",)),
+    *(
+        Case(f"{name} to tap", ("tap", file, *_TAPPED[2:]), code, says)
+        for name, file, code, says in (
+            ("silence", "silent_taps.csv", 65, ("silent_taps.csv", "must hold one", "record nearer")),
+            ("only double taps", "double_taps.csv", 65, ("double tap", "lift the hammer")),
+            ("clipped taps", "clipped_taps.csv", 65, ("2 clipped", "larger range")),
+            ("decays too short", "short_taps.csv", 65, ("too near the end", "leave a second")),
+            ("nan", "nan_taps.csv", 65, ("nan_taps.csv", "sample 5620", "nan")),
+            ("forces alone", "good.csv", 65, ("force [N]", "--hammer")),
+            ("no file", "gone.wav", 66, ("gone.wav",)),
+            ("a stream", "-", 65, ("stdin", "save it first")),
+            ("a dataset", "two.h5", 65, ("two.h5", "dataset")),
+        )
+    ),
+    Case("hammer that is no channel", (*_TAPPED, "--hammer", "2"), 65, ("channel '2'", "--channel")),
+    Case("hammer that is no force", (*_TAPPED, "--hammer", "1"), 65, ("--hammer", "force", "acceleration")),
+    Case("band upside down", (*_TAPPED, "--band", "900", "100"), 65, ("band", "ascending", "900")),
+    Case("band beyond the recorder", (*_TAPPED, "--band", "100", "20000"), 65, ("--band", "12544 Hz")),
+    Case("band without a mode", (*_TAPPED, "--band", "6000", "7000"), 65, ("mode must ring", "6000", "--band")),
+    Case("no order", (*_TAPPED, "--max-order", "0"), 65, ("max_order", "got 0")),
+    Case("hammer that never leaves", (*_TAPPED, "--contact", "-1"), 65, ("contact", "0 or more", "-0.001 s")),
+    Case("no tap at that time", (*_TAPPED, "--taps", "tap_times.csv"), 65, ("7.5 s", "correct the table")),
+    Case("table of taps without times", (*_TAPPED, "--taps", "tap_table.csv"), 65, ("tap_table.csv", "'time [s]'")),
+    Case("taps on no beam", (*_TAPPED, "--scene", "reference"), 65, ("reference", "[tail_beam]")),
+    Case("taps with no start error", (*_TAPPED, "--start-error", "0"), 65, ("--start-error", "above 0")),
+    Case("modes that exist", (*_TAPPED[:3], "modes.csv"), 73, ("modes.csv", "--overwrite")),
+    Case("modes that are no table", (*_TAPPED[:3], "modes.toml"), 73, ("modes.toml", ".csv")),
     Case("measured modes and a panel", ("check", "both.toml"), 65, ("modes or a panel", "take out length")),
     Case(
         "more impacts than memory holds",

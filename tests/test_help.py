@@ -22,8 +22,8 @@ VERBS = """
     Check Choose Compress Count Decide Divide Draw Give Go Judge Keep Let Make Mark Measure Name Print Put Read Reject
     Replace Say Set Show Simulate Stop Store Survey Tabulate Take Train Turn Use Weight Write
 """
-#: Of minutes.
-SLOW = ("reproduce", "ceiling", "calibrate")
+#: Of minutes, or with a recording that does not come with cgid.
+SLOW = ("reproduce", "ceiling", "calibrate", "tap")
 
 
 def test_bare_cgid_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=PATH, required=True, help="Write the modes to this table (.csv).")
 @click.option("--hammer", metavar="CHANNEL", help="Read the force of the hammer from this channel: its name or number.")
 @click.option(
-    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Look for natural frequencies from LOW to HIGH [Hz] only."
+    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Keep to natural frequencies from LOW to HIGH [Hz]."
 )
 @click.option(
     "--max-order",
     type=int,
     default=24,
     show_default=True,
-    help="Try at most this many modes in each of the narrow bands that are fitted one by one.",
+    help="Give the model at most this many modes in each of the narrow bands that are fitted one by one.",
 )
 @click.option(
     "--contact", type=float, default=2.0, show_default=True, help="Say how long a hammer without channel stays on [ms]."
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Say how far the scene's natural frequencies may be off (one standard deviation).",
 )
-@click.option("--plot", "picture", type=PATH, help="Draw the modes of all orders of the model, and the spectrum, as PNG.")
+@click.option("--plot", "picture", type=PATH, help="Draw the poles of all orders of the model as PNG.")
 @click.option("--overwrite", is_flag=True, help="Replace existing files.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @reading_options
@@ -115,6 +115,8 @@ def tap(
         from cgid.plots import stabilisation_picture
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
+    if len(test.used) == 1:
+        say("cgid: warning: one tap: what differs from tap to tap is in no deviation; tap some five times", err=True)
     _say(test, path, scene_name, known, as_json)
 
 
@@ -130,7 +132,9 @@ def _modes_of(name: str) -> tuple[Floats, Floats]:
         raise InvalidValue(f"scene {scene.name}: must have a [tail_beam] to be compared with taps; add it")
     modes = scene.tail_beam.learned_modes or beam_modes(scene)
     if (np.diff(modes.frequency) < 0).any():
-        raise InvalidValue(f"scene {scene.name}: natural frequencies must ascend to be matched; take out its learned modes")
+        raise InvalidValue(
+            f"scene {scene.name}: natural frequencies must ascend to be matched; take out its learned ones"
+        )
     return modes.frequency, modes.damping_ratio
 
 
@@ -153,14 +157,18 @@ def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floa
         own = open_recording(path, channel=hammer, **chain)
         unit = unit_of(own)
         if quantity_of(unit) != "force" or len(own.channels) > 1:
-            raise BadData(f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; see --unit")
+            raise BadData(
+                f"{path}: --hammer must be one channel of force, got {quantity_of(unit)} [{unit}]; correct it"
+            )
         force = _samples(own)[0] * UNITS["force"][unit]
     channels: Any = reading.channel or None
     if own is not None and channels is None:
         every = open_recording(path, **chain)
         channels = [one.name for one in every.channels if one.name != own.channels[0].name]
         if not channels:
-            raise BadData(f"{path}: a recording of taps must have a channel besides the hammer's, got none; record both")
+            raise BadData(
+                f"{path}: there must be a channel besides the hammer's, got none; record an accelerometer, too"
+            )
     recording = open_recording(path, channel=channels, unit=reading.unit, **chain)
     if own is not None and own.channels[0].name in [one.name for one in recording.channels]:
         raise InvalidValue(f"{path}: --hammer and --channel must be different channels, got {hammer} for both")

@@ -1,8 +1,9 @@
 """Poles of free decays: natural frequencies and damping ratios of what rings after a tap, with deviations.
 
 After the force has ended, every decay is a sum of the same damped exponentials. Its discrete Fourier transform over
-any stretch is then exactly a sum of simple poles, without leakage. Band by band, each decay is such a sum over the modes
-of the band and a polynomial for everything else: modes of other bands, their mirror images, what is left of the force.
+any stretch is then exactly a sum of simple poles, without leakage. Band by band, each decay is such a sum over the
+modes of the band and a polynomial for everything else: modes of other bands, their mirror images, what is left of the
+force.
 
 1. Least squares for a common denominator (LSCF: Guillaume, Verboven & Vanlanduit 1998) gives poles at every order of
    the model; those that return from order to order are stable.
@@ -41,6 +42,8 @@ _STABLE = 0.4
 _PATIENCE, _ROUNDS, _AT_REST = 4, 30, 1e-2
 #: Poles of least squares are refined if they are worth this share of their parameters.
 _AT_FIRST = 0.25
+#: Known modes are in the background up to this many halves of a band from its middle.
+_BEYOND = 3.0
 #: A band's energy has decayed where it is below this multiple of its end.
 _DECAYED = 1.5
 #: Poles are one mode if their frequencies are closer than this share of the wider's distance from the axis, and this
@@ -107,11 +110,14 @@ def poles_of(decays: Floats, sampling_rate: float, band: tuple[float, float], ma
         Possibly without any.
     """
     decays = decays - decays.mean(axis=1, keepdims=True)
-    found, charts = [], []
+    fits = []
     for core in _cores(band, decays.shape[1] / sampling_rate):
-        fit = _Band(decays, sampling_rate, core)
-        found.append(fit.modes(max_order))
-        charts.append(fit.chart)
+        part = _Band(decays, sampling_rate, core)
+        fits.append(part.best(max_order))
+    known = np.concatenate([fit.pole[fit.band.in_core(fit.pole)] for fit in fits])
+    # Once more, with the modes of other bands in the background: near the edge no polynomial follows a resonance.
+    found = [fit.band.reported(fit.band.again(fit, known)) for fit in fits]
+    charts = [fit.band.chart for fit in fits]
     pole = np.concatenate([part.pole for part in found])
     order = np.argsort(np.abs(pole))
     return Poles(
@@ -210,12 +216,12 @@ class _Band:
         ratio = -pole.real / np.abs(pole)
         reach = 0.15 * self.half
         inside = (ratio > LEAST_DAMPING) & (ratio < MOST_DAMPING)
-        return inside & (pole.imag > self.line[0] - reach) & (pole.imag < self.line[-1] + reach)
+        return np.asarray(inside & (pole.imag > self.line[0] - reach) & (pole.imag < self.line[-1] + reach))
 
     # -- maximum likelihood -------------------------------------------------------------------------------
 
-    def modes(self, max_order: int) -> Poles:
-        """Return the modes in the core of the band."""
+    def best(self, max_order: int) -> _Fit:
+        """Return the best fit of all orders."""
         best, worse = _Fit(self, np.empty(0, complex)), 0
         for start in self.starts(max_order):
             first = self._pruned(_Fit(self, start), _AT_FIRST, refine=False)
@@ -228,7 +234,22 @@ class _Band:
                 worse += 1
             if worse == _PATIENCE:
                 break
-        return self._reported(self._joined(best))
+        return best
+
+    def again(self, fit: _Fit, known: Complexes) -> _Fit:
+        """Return a fit with known modes beyond the band, from what was fitted without."""
+        outside = np.abs(known.imag - self.centre) / self.half
+        beyond = known[(outside > 1) & (outside < _BEYOND)]
+        apart = np.abs(beyond[:, None] - fit.pole).min(axis=1, initial=np.inf)
+        beyond = beyond[apart > -2 * beyond.real]
+        inverse = 1 / (1j * self.line[:, None] - beyond)
+        self.background = np.concatenate([self.background, inverse / np.linalg.norm(inverse, axis=0)], axis=1)
+        return self._joined(self._pruned(_refined(_Fit(self, fit.pole))))
+
+    def in_core(self, pole: Complexes) -> NDArray[np.bool_]:
+        """Return which poles have natural frequencies in the core of the band."""
+        frequency = np.abs(pole) / (2 * np.pi)
+        return np.asarray((frequency >= self.core[0]) & (frequency < self.core[1]))
 
     def _joined(self, fit: _Fit) -> _Fit:
         """Return a fit with one pole for each pair that is one mode which does not decay exponentially.
@@ -256,11 +277,11 @@ class _Band:
             fit = _refined(fit) if refine else fit
         return fit
 
-    def _reported(self, fit: _Fit) -> Poles:
+    def reported(self, fit: _Fit) -> Poles:
         """Return the modes of a fit in the core of the band."""
         frequency = np.abs(fit.pole) / (2 * np.pi)
         deviation = fit.deviation()
-        kept = (frequency >= self.core[0]) & (frequency < self.core[1]) & ((deviation[1] < _MOST_UNSURE) | (fit.blur != 0))
+        kept = self.in_core(fit.pole) & ((deviation[1] < _MOST_UNSURE) | (fit.blur != 0))
         amplitude, own = fit.amplitudes(self.step)
         near = np.abs(np.log(self.chart[:, 1][:, None] / frequency[kept])) < np.maximum(
             0.5 * -fit.pole.real[kept] / np.abs(fit.pole[kept]), 1e-3
@@ -288,7 +309,7 @@ def _n_ringing(decays: Floats, sampling_rate: float, band: tuple[float, float]) 
     width = band[1] - band[0]
     fewest, most = (int(np.ceil(bins * sampling_rate / width)) for bins in (_FEWEST_BINS, _MOST_BINS))
     ringing = int(1.2 * count * (over[-1] + 1)) if over.size else 0
-    return min(max(ringing, fewest), max(most, fewest), n)
+    return int(min(max(ringing, fewest), max(most, fewest), n))
 
 
 class _Fit:
@@ -323,7 +344,7 @@ class _Fit:
         return _Fit(self.band, np.delete(self.pole, k), np.delete(self.blur, k))
 
     def is_near(self, pole: Complexes) -> bool:
-        """Return whether some poles, as many as the fit's, lie within a part of their distance from the axis of them."""
+        """Return whether some poles are as many as the fit's, and as near as poles of stable modes."""
         if pole.size != self.pole.size:
             return False
         apart = np.abs(np.sort_complex(pole * -1j) - np.sort_complex(self.pole * -1j))
@@ -333,19 +354,19 @@ class _Fit:
     def freedom(self) -> float:
         """Complex degrees of freedom of what is left."""
         n_bins, n_decays = self.band.bins.shape
-        return max(n_decays * (n_bins - self.basis.shape[1]) - self.pole.size, 1.0)
+        return float(max(n_decays * (n_bins - self.basis.shape[1]) - self.pole.size, 1))
 
     @property
     def price(self) -> float:
         """Gain in twice the log likelihood that a further pole must bring (Schwarz 1978)."""
         n_bins, n_decays = self.band.bins.shape
-        return 2 * (1 + n_decays) * float(np.log(2 * n_bins * n_decays))
+        return float(2 * (1 + n_decays) * np.log(2 * n_bins * n_decays))
 
     @property
     def criterion(self) -> float:
         """Schwarz's criterion, but for a constant; less is better."""
         number = 2 * self.band.bins.size
-        return number * float(np.log(max(self.power, 1e-300))) + self.pole.size * self.price
+        return float(number * np.log(max(self.power, 1e-300)) + self.pole.size * self.price)
 
     @property
     def noise(self) -> float:
@@ -450,11 +471,11 @@ def _refined(fit: _Fit) -> _Fit:
         while damping < 1e8:
             step = np.linalg.solve(curvature + damping * np.diag(weight), pull)
             moved = fit.pole + step[:n] + 1j * step[n:]
-            beyond = 4 * fit.band.half
-            moved = fit.band.centre * 1j + np.clip(moved.imag - fit.band.centre, -beyond, beyond) * 1j + np.clip(
-                moved.real, -beyond, -1e-9 * fit.band.centre
+            centre, beyond = fit.band.centre, 4 * fit.band.half
+            moved = np.clip(moved.real, -beyond, -1e-9 * centre) + 1j * np.clip(
+                moved.imag, centre - beyond, centre + beyond
             )
-            better = _Fit(fit.band, moved, fit.blur)
+            better = _Fit(fit.band, np.asarray(moved, complex), fit.blur)
             if better.power <= fit.power:
                 break
             damping, better = 10 * damping, None
@@ -471,4 +492,3 @@ def _inverse(matrix: Floats) -> Floats:
     """Return the inverse of a positive matrix whose rows have different units."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale))
-

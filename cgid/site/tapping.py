@@ -20,7 +20,7 @@ from cgid.files import check_new, read_cells, write_whole
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.physics.modes import COLUMNS, LEARNED_COLUMNS, LearnedModes
-from cgid.site.poles import Poles, poles_of
+from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.terminal import counted
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
@@ -344,8 +344,8 @@ def _required(taps: list[Tap], times: Sequence[float] | None, source: str) -> li
         near = min(range(len(taps)), key=lambda k: abs(taps[k].time - time))
         if abs(taps[near].time - time) > _NEAR:
             raise BadData(
-                f"{source}: a tap must lie within {_NEAR:g} s of {time:g} s, the nearest is at {taps[near].time:.4g} s; "
-                "correct the table of taps"
+                f"{source}: a tap must lie within {_NEAR:g} s of {time:g} s, the nearest is at "
+                f"{taps[near].time:.4g} s; correct the table of taps"
             )
         wanted.add(near)
     return [tap if k in wanted else _flawed(tap, tap.flaw or "not in the table of taps") for k, tap in enumerate(taps)]
@@ -386,9 +386,7 @@ def _cure(taps: Sequence[Tap]) -> str:
     return "; ".join(cure for word, cure in cures.items() if word in flaws) or "record again, some samples before a tap"
 
 
-def _band(
-    band: tuple[float, float] | None, duration: float, sampling_rate: float, source: str
-) -> tuple[float, float]:
+def _band(band: tuple[float, float] | None, duration: float, sampling_rate: float, source: str) -> tuple[float, float]:
     """Return the band in which modes are sought [Hz]."""
     least, most = _PERIODS / duration, 0.49 * sampling_rate
     if band is None:
@@ -398,8 +396,8 @@ def _band(
         raise InvalidValue(f"band must be two ascending frequencies, got {low:g} and {high:g} Hz")
     if low < 1 / duration or high > most:
         raise BadData(
-            f"{source}: band must lie between one period of the decays ({1 / duration:.3g} Hz) and 0.49 of the sampling "
-            f"rate ({most:.5g} Hz), got {low:g} to {high:g} Hz; leave more time between taps, or change --band"
+            f"{source}: band must lie between one period of the decays ({1 / duration:.3g} Hz) and 0.49 of the "
+            f"sampling rate ({most:.5g} Hz), got {low:g} to {high:g} Hz; leave more time between taps, or change --band"
         )
     return low, high
 
@@ -434,7 +432,7 @@ def _participation(
     return mean, np.minimum(own / np.maximum(np.abs(mean), 1e-300), 1.0)
 
 
-def _transform(force: Floats, hits: Sequence[Event], pole: Floats, tap: Tap, sampling_rate: float) -> Floats:
+def _transform(force: Floats, hits: Sequence[Event], pole: Complexes, tap: Tap, sampling_rate: float) -> Complexes:
     """Return the Laplace transforms of all force before a decay at the poles, from its first sample on, (n_modes,)."""
     out, lead = np.zeros(pole.size, complex), max(round(_AFTER * sampling_rate), 2)
     for hit in hits:
@@ -482,7 +480,7 @@ def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error
     """
     found, own = np.log(test.frequency), np.log(frequency)
     shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error
-    pairs = min((_aligned(found, own + shift, start_error) + (shift,) for shift in shifts), key=lambda one: one[0])
+    pairs = min(((*_aligned(found, own + shift, start_error), shift) for shift in shifts), key=lambda one: one[0])
     place = {k: i for i, k in pairs[1] if _is_sure(found, own + pairs[2], i, k, start_error)}
     mine = np.array(sorted(place), np.intp)
     theirs = np.array([place[k] for k in mine.tolist()], np.intp)

@@ -1,0 +1,203 @@
+"""`cgid tap`: modes from taps on beams whose modes are known, recorded without cgid."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgid.cli.main import run
+from cgid.errors import BadData, InvalidValue
+from cgid.physics.modes import read_learned_modes, read_measured_modes
+from cgid.scene import load_scene
+from cgid.scene.impacts import beam_modes
+from cgid.shipped import scene_path
+from cgid.site import tap_test
+from cgid.site.poles import poles_of
+from cgid.site.tapping import matched, read_times
+from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
+
+RATE = 25_600.0
+BAND = (60.0, 2000.0)
+
+
+def scores(test):
+    """Return the errors of ln frequency and ln damping ratio of each true mode, over their stated deviations."""
+    near = np.abs(np.log(test.frequency[:, None] / FREQUENCY)).argmin(axis=0)
+    assert np.unique(near).size == FREQUENCY.size
+    errors = np.log([test.frequency[near] / FREQUENCY, test.damping_ratio[near] / DAMPING])
+    return errors, errors / np.array([test.frequency_deviation[near], test.damping_ratio_deviation[near]]), near
+
+
+@pytest.fixture(scope="module")
+def hammered():
+    response, force, _ = taps(4, gap=0.7, seed=1)
+    return tap_test(response[None], RATE, hammer=-force, band=BAND)
+
+
+def test_modes_and_participations_of_an_instrumented_hammer(hammered):
+    errors, ratios, near = scores(hammered)
+    assert hammered.frequency.size == FREQUENCY.size
+    assert np.abs(errors[0]).max() < 1e-4
+    assert np.abs(errors[1]).max() < 1e-2
+    assert np.abs(ratios).max() < 4
+    np.testing.assert_allclose(hammered.participation[near], PARTICIPATION, rtol=0.01)
+    assert hammered.absolute
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [0.003, 0.03])
+def test_deviations_cover(noise):
+    every = []
+    for seed in range(3):
+        response, _, _ = taps(4, gap=0.7, seed=seed, noise=noise)
+        every.append(scores(tap_test(response[None], RATE, band=BAND))[1])
+    ratios = np.array(every)
+    assert 0.6 < np.sqrt(np.mean(ratios**2)) < 1.4
+    assert np.mean(np.abs(ratios) < 1.96) > 0.85
+
+
+def test_a_single_mode_is_known_as_well_as_cramer_and_rao_allow():
+    """For A exp(-s t) cos(w t) in white noise both parts of the pole have the variance 16 s^3 noise^2 step / A^2."""
+    rng, times = np.random.default_rng(3), np.arange(round(RATE)) / RATE
+    pole, noise = -12.0 + 2j * np.pi * 430, 0.05
+    decays = np.stack([np.exp(pole * times).real, 0.5 * np.exp(pole * times + 1j).real])
+    decays += rng.normal(0, noise, decays.shape)
+    found = poles_of(decays, RATE, (300.0, 600.0), 10)
+    bound = np.sqrt(16 * 12.0**3 * noise**2 / RATE / 1.25)
+    assert found.pole.size == 1
+    assert 0.8 * bound < found.deviation[1, 0] * 12 < 2 * bound
+    assert 0.8 * bound < found.deviation[0, 0] * abs(pole) < 2 * bound
+    assert abs(found.pole[0] - pole) < 4 * bound
+    np.testing.assert_allclose(np.abs(found.amplitude[:, 0]), [1, 0.5], atol=5 * found.amplitude_deviation.max())
+
+
+def test_without_a_hammer_channel_the_poles_are_the_same(hammered):
+    response, _, _ = taps(4, gap=0.7, seed=1)
+    test = tap_test(response[None], RATE, band=BAND)
+    assert not test.absolute
+    assert test.participation.max() == pytest.approx(1, abs=0.2)
+    assert test.participation.min() > 0
+    np.testing.assert_allclose(test.frequency, hammered.frequency, rtol=1e-4)
+
+
+def test_flawed_taps_are_left_out_and_named():
+    response, force, times = taps(5, seed=2, also=((1, 0.05, 0.8), (3, 0.75, 1.0)))
+    first = round(times[2] * RATE)
+    response[first : first + 2000] *= 4
+    response = np.clip(response, -1.2 * np.abs(response[:first]).max(), 1.2 * np.abs(response[:first]).max())
+    for hammer in (None, force):
+        test = tap_test(response[None], RATE, hammer=hammer, band=(90.0, 150.0))
+        flaws = {round(tap.time, 1): tap.flaw for tap in test.taps}
+        assert any("double tap" in flaw for flaw in flaws.values())
+        assert any("too near the next tap" in flaw for flaw in flaws.values())
+        assert any(flaw == "clipped" for flaw in flaws.values())
+        assert np.abs(np.log(test.frequency[:1] / FREQUENCY[0])).max() < 1e-3
+
+
+@pytest.mark.long
+def test_scatter_from_tap_to_tap_is_in_the_participations():
+    response, force, _ = taps(8, seed=5, spread=0.05)
+    test = tap_test(response[None], RATE, hammer=force, band=BAND)
+    near = scores(test)[2]
+    assert 0.008 < np.median(test.participation_deviation) < 0.04
+    off = np.log(test.participation[near] / PARTICIPATION) / test.participation_deviation[near]
+    assert np.sqrt(np.mean(off**2)) < 2
+
+
+def test_the_table_is_one_of_a_scene(hammered, tmp_path):
+    path = hammered.save(tmp_path / "modes.csv")
+    modes, learned = read_measured_modes(path), read_learned_modes(path)
+    np.testing.assert_allclose(modes.participation(), hammered.participation)
+    np.testing.assert_array_equal(learned.frequency_deviation, hammered.frequency_deviation)
+    text = scene_path("tail_beam").read_text()
+    start, stop = text.index("[tail_beam]"), text.index("[sampling]")
+    beam = '[tail_beam]\nmodes = "modes.csv"\nlearned = "modes.csv"\n\n'
+    (tmp_path / "support.toml").write_text(text[:start] + beam + text[stop:])
+    scene = load_scene(tmp_path / "support.toml")
+    np.testing.assert_allclose(beam_modes(scene).frequency, hammered.frequency)
+    with pytest.raises(OSError, match="--overwrite"):
+        hammered.save(path)
+
+
+def test_modes_of_a_scene_are_corrected_where_taps_say_more(hammered):
+    """The scene is .6 % too stiff, off by .2 % besides, and has modes that no tap found."""
+    rng = np.random.default_rng(4)
+    alone = np.delete(np.arange(FREQUENCY.size), [1, 2, 7, 8])
+    own = np.sort(np.concatenate([FREQUENCY * 1.006 * np.exp(rng.normal(0, 0.002, FREQUENCY.size)), [330, 560, 900]]))
+    modes, known = matched(hammered, own, np.full(own.size, 0.02), 0.01)
+    found = np.log(modes.frequency[known][:, None] / FREQUENCY)
+    assert np.abs(found).min(axis=1).max() < 1e-4
+    for k in alone:
+        assert np.abs(found[:, k]).min() < 1e-4
+    assert not known[np.isin(own, [330, 560, 900])].any()
+    assert (modes.frequency_deviation[~known] == 0.01).all()
+    assert (modes.frequency_deviation[known] < 1e-4).all()
+
+
+def recording(path: Path, columns, titles="acceleration [m/s^2],force [N]"):
+    text = f"# sampling_rate: {RATE:g} Hz\n{titles}\n"
+    path.write_text(text + "\n".join(",".join(f"{value:.6g}" for value in row) for row in np.transpose(columns)))
+    return str(path)
+
+
+def test_command(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    response, force, times = taps(3, gap=0.6, seed=1)
+    file = recording(tmp_path / "taps.csv", [response, force])
+    (tmp_path / "times.csv").write_text(f"time [s],by\n{times[0]:.2f},me\n{times[2]:.2f},me\n")
+    given = ["tap", file, "--hammer", "2", "-o", "modes.csv", "--band", "400", "800"]
+    assert run([*given, "--plot", "modes.png"]) == 0
+    printed = capsys.readouterr()
+    assert "3 of 3 taps used" in printed.out
+    assert "1/kg" in printed.out
+    assert "cgid: hint:" in printed.err
+    assert (tmp_path / "modes.png").read_bytes().startswith(b"\x89PNG")
+    table = (tmp_path / "modes.csv").read_bytes()
+    assert run([*given, "--taps", "times.csv", "--overwrite", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert [tap["used"] for tap in content["taps"]] == [True, False, True]
+    assert [tap["flaw"] for tap in content["taps"]][1] == "not in the table of taps"
+    assert run([*given, "--overwrite"]) == 0
+    assert (tmp_path / "modes.csv").read_bytes() == table
+
+
+def test_command_with_a_scene_and_one_tap(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    response, _, _ = taps(1, seed=1)
+    file = recording(tmp_path / "one.csv", [response], "acceleration [m/s^2]")
+    assert run(["tap", file, "-o", "learned.csv", "--scene", "tail_beam", "--band", "60", "300"]) == 0
+    printed = capsys.readouterr()
+    assert "of 188 modes of tail_beam corrected" in printed.out
+    assert "cgid: warning: one tap" in printed.err
+    text = scene_path("tail_beam").read_text().replace("[tail_beam]\n", '[tail_beam]\nlearned = "learned.csv"\n')
+    (tmp_path / "site.toml").write_text(text)
+    assert beam_modes(load_scene(tmp_path / "site.toml")).frequency.size == 188
+
+
+def test_what_is_no_tap_test():
+    rng = np.random.default_rng(0)
+    with pytest.raises(BadData, match="must hold one, no impact"):
+        tap_test(rng.normal(size=(1, 40_000)), RATE)
+    with pytest.raises(BadData, match="all 20000 samples are 0"):
+        tap_test(np.zeros((1, 20_000)), RATE)
+    response, force, times = taps(3, gap=0.5, seed=1)
+    with pytest.raises(BadData, match="hammer channel must hold a tap"):
+        tap_test(response[None], RATE, hammer=np.zeros(response.size))
+    with pytest.raises(BadData, match="1 too near the end of the recording"):
+        tap_test(response[None, : round((times[0] + 0.02) * RATE)], RATE)
+    with pytest.raises(BadData, match=r"within 0\.1 s of 9 s"):
+        tap_test(response[None], RATE, hammer=force, times=[9.0])
+    with pytest.raises(InvalidValue, match="two ascending frequencies"):
+        tap_test(response[None], RATE, band=(500.0, 100.0))
+    with pytest.raises(BadData, match="band must lie between"):
+        tap_test(response[None], RATE, band=(0.1, 1000.0))
+
+
+def test_tables_of_taps(tmp_path):
+    path = tmp_path / "times.csv"
+    for text, match in (("time\n1\n", "'time \\[s\\]'"), ("time [s]\nsoon\n", "line 2"), ("time [s]\n-1\n", "line 2")):
+        path.write_text(text)
+        with pytest.raises(BadData, match=match):
+            read_times(path)
