@@ -18,6 +18,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
+from cgid.identification.prediction import load_model
 from cgid.identification.question import Question
 from cgid.identification.share import CavingWatch, Share, Turn
 from cgid.identification.stream import identify_blocks, identify_recording, independence, model_blocks
@@ -239,6 +240,27 @@ def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys:
     assert run([*arguments, "--sensor", "right"]) == 0
     (said,) = of_kind(lines_of(capsys), "warning")
     assert "sensor right" in said["message"]
+
+
+def test_a_stream_without_a_quiet_moment_is_said_once_and_answered() -> None:
+    rng, rate = np.random.default_rng(0), 25_600
+    times = np.arange(2000) / rate
+    ring = 300 * np.exp(-30 * times) * np.sin(2 * np.pi * 800 * times)
+    model = load_model("default-acceleration")
+    told = {}
+    for n_impacts in (12, 900):
+        samples = rng.normal(0, 0.5, 11 * rate)
+        for start in rng.integers(0, samples.size - ring.size, n_impacts):
+            samples[start : start + ring.size] += ring * rng.lognormal(0, 0.5)
+        for size in (1000, 300_000):
+            blocks = [samples[None, first : first + size] for first in range(0, samples.size, size)]
+            steps = list(identify_blocks(blocks, rate, model, ("1",), Question(), "loud"))
+            told[n_impacts, size] = [warning for step in steps for warning in step.warnings]
+            assert sum(len(step.answers) for step in steps) > 5
+    assert told[12, 1000] == told[12, 300_000] == []
+    assert told[900, 1000] == told[900, 300_000]
+    (warning,) = told[900, 1000]
+    assert warning.startswith("loud: there is no quiet moment in 10 s")
 
 
 # -- shares and turns -------------------------------------------------------------------------------------

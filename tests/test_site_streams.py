@@ -1,4 +1,4 @@
-"""Streams that a model trains on and is finished with: their truth, what the detector finds, and a share that covers."""
+"""Streams a model trains on and is finished with: their truth, what the detector finds, and a share that covers."""
 
 from __future__ import annotations
 
