@@ -26,9 +26,16 @@ def sizes_picture(distribution: Any, source: str, suffix: str = ".png", truth: A
     -------
     bytes
     """
-    units = {"mass": "mass [kg]", "radius": "radius [m]", "speed": "speed [m/s]"}
     figure = require_matplotlib()(figsize=(7, 4.2), layout="constrained")
     axes = figure.subplots()
+    draw_sizes(axes, distribution, truth)
+    axes.set(title=plain(source))
+    return picture(figure, suffix)
+
+
+def draw_sizes(axes: Any, distribution: Any, truth: Any = None) -> None:
+    """Draw a distribution of sizes, with the true numbers if known, (n_classes,)."""
+    units = {"mass": "mass [kg]", "radius": "radius [m]", "speed": "speed [m/s]"}
     edges = distribution.edges
     middle = np.sqrt(edges[1:] * edges[:-1])
     axes.stairs(distribution.found, edges, color="0.6", fill=True, alpha=0.5, label="found")
@@ -45,7 +52,6 @@ def sizes_picture(distribution: Any, source: str, suffix: str = ".png", truth: A
     if lacking.size and lacking[0] == 0:
         last = int(np.argmax(known)) if known.any() else known.size
         axes.axvspan(edges[0], edges[last], color="0.92", zorder=0, label="too small to be found")
-    axes.set(xscale="log", xlabel=units[distribution.quantity], ylabel="impacts", title=plain(source))
+    axes.set(xscale="log", xlabel=units[distribution.quantity], ylabel="impacts")
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
-    return picture(figure, suffix)

@@ -28,8 +28,8 @@ _SMOOTHING = 0.08
 LEAST_FOUND = 0.1
 #: Fewest impacts.
 _FEWEST = 5
-#: Steps of a fit of the probability to be found.
-_NEWTON = 30
+#: Steps of a fit of the probability to be found, and the longest.
+_NEWTON, _LONGEST = 100, 0.5
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,8 @@ class Detection:
         for _ in range(_NEWTON):  # with a weak prior: separable data have no maximum
             chance = 1 / (1 + np.exp(-np.clip(inputs @ at, -50, 50)))
             pull = inputs.T @ (hit - chance) - 1e-3 * at
-            at = at + np.linalg.solve(inputs.T @ (inputs * (chance * (1 - chance))[:, None]) + 1e-3 * np.eye(2), pull)
+            bend = inputs.T @ (inputs * (chance * (1 - chance))[:, None]) + 1e-3 * np.eye(2)
+            at = at + np.clip(np.linalg.solve(bend, pull), -_LONGEST, _LONGEST)  # no farther than a parabola holds
         steepness = max(float(at[1]), 1e-3)
         return cls(float(np.exp(middle - at[0] / steepness)), steepness)
 
