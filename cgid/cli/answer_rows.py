@@ -26,8 +26,20 @@ if TYPE_CHECKING:
 ANSWERS_VERSION = 3
 
 
-def answer_columns(model: Model, *, sets: bool = False, datasets: bool = False) -> tuple[Column, ...]:
-    """Return the columns of answers; `sets` if prediction sets are asked for, `datasets` if there is one."""
+#: What struck, and its units: the median and the ends of the interval that holds it with 90 %.
+STRIKER = {"mass": "kg", "radius": "m", "speed": "m/s"}
+
+
+def striker_columns() -> tuple[Column, ...]:
+    """Return the columns of what struck."""
+    values = (numbers(f"{name}{end}", unit, ".4g") for name, unit in STRIKER.items() for end in ("", "_low", "_high"))
+    return (*values, Column("striker_problem"))
+
+
+def answer_columns(
+    model: Model, *, sets: bool = False, datasets: bool = False, strikers: bool = False
+) -> tuple[Column, ...]:
+    """Return the columns of answers; `sets`, `strikers` if these are asked for, `datasets` if there is one."""
     return (
         Column("source"),
         Column("channel"),
@@ -39,6 +51,7 @@ def answer_columns(model: Model, *, sets: bool = False, datasets: bool = False) 
         *(flags(name) for name in ("overlapping", "clipped", "cut_off")),
         Column("problem"),
         *[Column("prediction_set")] * sets,
+        *(striker_columns() if strikers else ()),
         *[Column("index", dtype="int64"), Column("truth")] * datasets,
     )
 
@@ -56,7 +69,12 @@ class AnswerLines:
 
         if self.as_json:
             return
-        columns = answer_columns(model, sets=question.coverage is not None, datasets=self._datasets)
+        columns = answer_columns(
+            model,
+            sets=question.coverage is not None,
+            datasets=self._datasets,
+            strikers=question.strikers is not None,
+        )
         if lacking := self._table.begin(columns):
             raise BadData(
                 f"{source}: its rows must have the columns of those before, its model has {lacking[0].title}, too; "
@@ -80,10 +98,13 @@ class AnswerLines:
         if self.as_json:
             likely = max(probabilities, key=lambda label: probabilities[label], default=None)
             row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
-            self._line(kind, source, row | {"in_training_range": answer.in_training_range, "prediction_set": held})
+            row |= {"in_training_range": answer.in_training_range, "prediction_set": held}
+            self._line(kind, source, row | ({} if answer.striker is None else {"striker": dict(answer.striker)}))
         else:
             row |= {"source": source, "time [s]": answer.time, "end [s]": answer.end}
             row |= {f"p({label})": probability for label, probability in probabilities.items()}
+            struck = answer.striker or {}
+            row |= {column.title: struck.get(column.name) for column in striker_columns()}
             self._table.add(row | {"prediction_set": "+".join(held or ())})
 
     def share(self, source: str, name: str, share: Share) -> None:

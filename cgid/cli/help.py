@@ -20,6 +20,7 @@ _OPTIONS = {
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--cost --miss-cost --coverage --class-conditional --vote",
     "Gangue share": "--window --gangue --gangue-cost --dilution-cost",
+    "What struck": "--striker --masses",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",

@@ -13,6 +13,7 @@ from cgid.cli.answer_rows import AnswerLines, RecordingRows
 from cgid.cli.help import Command
 from cgid.cli.options import (
     PATH,
+    SCENE,
     Models,
     Reading,
     answering_options,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
     from cgid.signals import Batch, Signal
+    from cgid.striker import StrikerColumns
     from cgid.validation import Floats
 
 
@@ -85,6 +87,39 @@ class Pages:
         if self._reports:
             write_report(self._path, self._reports, overwrite=self._overwrite)
         return bool(self._reports)
+
+
+class Masses:
+    """The picture of the masses of all impacts.
+
+    Raises `CannotCreate` if it cannot be written there, `MissingExtra` without matplotlib.
+    """
+
+    def __init__(self, path: str, overwrite: bool) -> None:
+        from cgid.files import check_new
+        from cgid.plots import FORMATS, require_matplotlib
+
+        self._path, self._overwrite = check_new(Path(path), "a picture", tuple(FORMATS), overwrite=overwrite), overwrite
+        require_matplotlib()
+
+    def write(self, strikers: StrikerColumns, source: str) -> None:
+        """Draw all impacts that were looked at; raises `BadData` if they are too few."""
+        from cgid.files import write_whole
+        from cgid.plots.sizes import sizes_picture
+
+        content = sizes_picture(strikers.sizes(), source, self._path.suffix.lower())
+        write_whole(self._path, content, overwrite=self._overwrite)
+        say(f"wrote {self._path}", err=True)
+
+
+def asked_of_strikers(scene: str | None, *, keep: bool) -> StrikerColumns | None:
+    """Return what says what struck, among the rocks of a scene; None without one."""
+    if scene is None:
+        return None
+    from cgid.scene import load_scene
+    from cgid.striker import StrikerColumns
+
+    return StrikerColumns(load_scene(scene), keep=keep)
 
 
 class _Passing:
@@ -282,6 +317,18 @@ class _Tally:
 @click.option(
     "--report", type=PATH, metavar="PAGE", help="Write one page (.html) with pictures and answers of the recordings."
 )
+@click.option(
+    "--striker",
+    type=SCENE,
+    metavar="SCENE",
+    help="Say mass, radius and speed of what struck, with 90 % intervals, among the rocks of this scene.",
+)
+@click.option(
+    "--masses",
+    type=PATH,
+    metavar="PICTURE",
+    help="Draw the distribution of masses (.png, .svg, .pdf), corrected for what is not found; with --striker.",
+)
 @output_options
 @reading_options
 @printing_options
@@ -289,6 +336,8 @@ def predict(
     files: tuple[str, ...],
     sample: bool,
     report: str | None,
+    striker: str | None,
+    masses: str | None,
     output: str | None,
     overwrite: bool,
     as_json: bool,
@@ -314,7 +363,13 @@ def predict(
 
     if not files and not sample:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    models, question = question_of(**options, invert=reading.invert, milliseconds=reading.milliseconds)
+    if masses is not None and striker is None:
+        raise click.UsageError("--masses needs to know what can have struck; give --striker SCENE, too")
+    sizes = None if masses is None else Masses(masses, overwrite)
+    strikers = asked_of_strikers(striker, keep=sizes is not None)
+    models, question = question_of(
+        **options, strikers=strikers, invert=reading.invert, milliseconds=reading.milliseconds
+    )
     if sample:
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
         files = (*files, str(shipped.path_of("datasets", name)))
@@ -336,4 +391,6 @@ def predict(
         code = each_file(files, treat, strict=strict, one_output=True)
     if pages is not None and pages.write():
         say(f"wrote {report}", err=True)
+    if sizes is not None and strikers is not None:
+        sizes.write(strikers, ", ".join(files))
     return code

@@ -57,6 +57,8 @@ class Answer:
         What puts it outside of the training range; None where it lies inside or could not be measured.
     unexplained : float
         Share of its energy that the model's beam leaves unexplained [%]; nan without a beam or a measurement.
+    striker : mapping or None
+        What struck, where the question asks for it.
     """
 
     time: float
@@ -73,6 +75,7 @@ class Answer:
     cut: bool = False
     cause: Cause | None = None
     unexplained: float = float("nan")
+    striker: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
         told = ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
@@ -300,7 +303,11 @@ def identify_frames(
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
-    return with_frames(found, frames, sampling_rate, model, pre_trigger)
+    found = with_frames(found, frames, sampling_rate, model, pre_trigger)
+    if question is None or question.strikers is None:
+        return found
+    struck = question.strikers(frames, sampling_rate, model, pre_trigger, detection_limit)
+    return [replace(answer, striker=own) for answer, own in zip(found, struck, strict=True)]
 
 
 def answers_from(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,10 +23,26 @@ BATCH = 256
 SHARE_TIME = 10.0
 #: Shortest window of a share [s]: a shorter one holds too few impacts, and an hour would have millions of shares.
 SHORTEST_SHARE_TIME = 0.05
-
-
 #: Default probability of being right before SHUT or OPEN is said.
 EVIDENCE = 0.95
+
+
+class Asked(Protocol):
+    """What is asked of each frame beside its answer."""
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if it cannot be asked beside this model."""
+
+    def __call__(
+        self,
+        frames: NDArray[np.floating],
+        sampling_rate: float,
+        model: Model,
+        pre_trigger: int | None,
+        detection_limit: float,
+    ) -> Sequence[Mapping[str, Any]]:
+        """Return one mapping for each frame, (n_signals, n_samples) in the unit of the model."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +86,8 @@ class Question:
         Probability of being right before SHUT or OPEN is said, from .5 to below 1; None: `EVIDENCE`.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
+    strikers : Asked, optional
+        Says what struck, such as `cgid.striker.StrikerColumns`.
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -87,6 +106,7 @@ class Question:
     dilution_cost: float | None = None
     evidence: float | None = None
     hold: float | None = None
+    strikers: Asked | None = None
 
     def __post_init__(self) -> None:
         self._require_types()
@@ -119,6 +139,8 @@ class Question:
         self.labels(model, np.empty((0, len(model.labels))))
         if self.drop_height is not None:
             known_columns(model.known, 1, self.drop_height)
+        if self.strikers is not None:
+            self.strikers.check(model)
 
     def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
         """Return the label and the prediction set of each row of probabilities."""

@@ -1,0 +1,308 @@
+"""What struck: coverage and width of intervals of mass, radius and speed, their time, and the masses of a recording.
+
+    python benchmarks/striker.py                          # all, some two minutes; writes striker.png
+    python benchmarks/striker.py --cases reference -n 2000
+
+Coverage is the share of impacts whose interval holds the truth, of those with an interval. Width is the ratio of the
+ends of the 80 % interval, the median over impacts: of the population (knowing nothing), of the posterior, of the
+posterior if the pulse were known exactly, and, if the material were known, by the bound of Cramer and Rao on the pulse.
+"""
+
+import argparse
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cgid.ceiling.beam import BeamErrors
+from cgid.identification.contact import ThroughBeam
+from cgid.identification.detection import find_impacts
+from cgid.identification.estimation import cramer_rao_bound, estimate
+from cgid.identification.events import frames_alike
+from cgid.measure.template import relative_times
+from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
+from cgid.physics.materials import STEEL, Material
+from cgid.plots import png, require_matplotlib
+from cgid.scene import Scene, load_scene, record, synthesise
+from cgid.scene.draws import BLOCK
+from cgid.scene.impacts import blows_of
+from cgid.scene.plan import Plan
+from cgid.scene.sections import DISSIPATIONS
+from cgid.scene.through_beam import beam_of
+from cgid.striker import MeasuredPulses, Strikers, population_of, size_distribution
+from cgid.striker.columns import detection_of, matched
+from cgid.striker.material import of_material
+from cgid.striker.posterior import QUANTITIES
+from cgid.striker.recognition import through_beam
+from cgid.validation import Floats
+
+#: No population or training draws from this seed.
+SEED = 777_000_024
+LEVELS = (0.5, 0.8, 0.95)
+
+
+def impacts(scene: Scene, n: int) -> tuple[MeasuredPulses, dict[str, Floats], float]:
+    """Return fitted pulses, their truth, and the time of a fit [s]."""
+    parts, truths, taken = [], [], 0.0
+    beam = None if scene.tail_beam is None else ThroughBeam(beam_of(scene))
+    for batch in synthesise(scene, n, SEED):
+        start = time.perf_counter()
+        if beam is None:
+            found = estimate(batch.signals, batch.sampling_rate, pre_trigger=batch.pre_trigger)
+            parts.append(MeasuredPulses.of_estimates(found))
+        else:
+            parts.append(through_beam(batch.signals, batch.sampling_rate, batch.pre_trigger, beam))
+        taken += time.perf_counter() - start
+        truths.append(batch.parameters)
+    truth = {name: np.concatenate([part[name] for part in truths]) for name in truths[0]}
+    truth |= {"mass": 4 / 3 * np.pi * truth["radius"] ** 3 * truth["density"], "speed": truth["velocity"]}
+    return MeasuredPulses.joined(parts), truth, taken / n
+
+
+def covered(found: Strikers, truth: dict[str, Floats], rows: Any) -> dict[str, list[float]]:
+    """Return the share of intervals that hold the truth, for each of `LEVELS`."""
+    out: dict[str, list[float]] = {}
+    for name in QUANTITIES:
+        ends = [found.interval(name, level) for level in LEVELS]
+        out[name] = [float(np.mean(((low <= truth[name]) & (truth[name] <= high))[rows])) for low, high in ends]
+    return out
+
+
+def ratio(found: Strikers, name: str, rows: Any = slice(None)) -> float:
+    low, high = found.interval(name, 0.8)
+    return float(np.nanmedian((high / low)[rows]))
+
+
+def bound(scene: Scene, truth: dict[str, Floats], n: int) -> MeasuredPulses:
+    """Return the true pulses with the errors of Cramer and Rao."""
+    if scene.tail_beam is not None:
+        errors = BeamErrors(scene)
+        unknowns = np.concatenate([errors.drawn(SEED, block).unknowns for block in range(-(-n // BLOCK))])[:n]
+        covariance = np.linalg.inv(errors.information(unknowns))[:, :3, :3]
+        return true_pulses(unknowns[:, 0], unknowns[:, 1], unknowns[:, 2], covariance)
+    shape = np.log(truth["restitution"][:n])
+    lasts, relative = truth["contact_duration"][:n], relative_times(shape)
+    noise = scene.sensor.relative_noise
+    limit = cramer_rao_bound(lasts, np.exp(shape), noise, scene.sampling.sampling_rate).covariance[:, [0, 1, 3]]
+    covariance = limit[:, :, [0, 1, 3]].copy()
+    turn = relative[2] / relative[0]
+    covariance[:, 1] -= turn[:, None] * covariance[:, 2]
+    covariance[:, :, 1] -= turn[:, None] * covariance[:, :, 2]
+    return true_pulses(np.log(truth["peak_force"][:n]), np.log(lasts / relative[0]), shape, covariance)
+
+
+def true_pulses(log_peak: Floats, log_width: Floats, shape: Floats, covariance: Floats) -> MeasuredPulses:
+    n = len(shape)
+    return MeasuredPulses(
+        log_peak, log_width, shape, covariance, np.full(n, "", np.str_), np.ones(n, bool), np.zeros(n, bool)
+    )
+
+
+@cache
+def measured(name: str, n: int) -> tuple[Scene, MeasuredPulses, dict[str, Floats], float]:
+    scene = load_scene(name)
+    return scene, *impacts(scene, n)
+
+
+def case(name: str, among: str, n: int, chosen: str = "all") -> None:
+    """Print coverage and widths of one scene, asked with the population of another."""
+    _, pulses, truth, fitting = measured(name, n)
+    population = population_of(load_scene(among))
+    population.posterior(pulses.rows(slice(0, 1)))  # makes the table
+    start = time.perf_counter()
+    found = population.posterior(pulses)
+    taken = (time.perf_counter() - start) / len(pulses)
+    rows = np.ones(len(found), bool)
+    if chosen != "all":
+        rows = truth["curvature"] == 1
+        hunt = list(DISSIPATIONS).index("hunt-crossley")
+        rows &= (truth["dissipation"] == hunt) == (chosen == "hunt-crossley spheres")
+    known = np.isfinite(found.median("mass")) & rows
+    share = covered(found, truth, known)
+    head = f"| {name}, {chosen} | {among} | {rows.sum()} | {known.sum() / rows.sum():.3f} "
+    print(head + "".join("| " + " / ".join(f"{one:.3f}" for one in share[q]) + " " for q in QUANTITIES) + "|")
+    wide = np.mean([text.startswith("wide") for text in found.reason[known].tolist()])
+    why = Counter(" ".join(text.split(":")[0].split()[:6]) for text in found.reason[rows & ~known].tolist())
+    notes = f"<!-- wide: {wide:.3f}; none: {dict(why.most_common(3))}; fit {1e6 * fitting:.0f} us"
+    print(f"{notes}, posterior {1e6 * taken:.0f} us an impact -->")
+    WIDTHS[name, among, chosen] = [
+        (
+            float(np.divide(*np.quantile(population.prior(q), [0.9, 0.1]))),
+            ratio(found, q, known),
+        )
+        for q in QUANTITIES
+    ]
+
+
+WIDTHS: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
+
+
+def widths(name: str, n: int = 2048) -> None:
+    """Print the widths of a scene asked with its own population."""
+    scene, pulses, truth, _ = measured(name, N_OF[name])
+    n = min(n, len(pulses))
+    exact = bound(scene, truth, n)
+    by_bound = of_material(exact, STEEL)
+    tiny = true_pulses(exact.log_peak, exact.log_width, exact.shape, np.broadcast_to(1e-7 * np.eye(3), (n, 3, 3)))
+    known = population_of(scene).posterior(tiny)
+    for number, quantity in enumerate(QUANTITIES):
+        nothing, own = WIDTHS[name, name, "all"][number]
+        print(
+            f"| {name} | {quantity} | {nothing:.2f} | {own:.3f} | {ratio(known, quantity):.3f} "
+            f"| {ratio(by_bound, quantity):.4f} |"
+        )
+
+
+N_OF = {"reference": 20_000, "tail_beam": 5_000, "rock": 5_000}
+
+
+def laws() -> None:
+    """Print what other laws of loss do to the pulse of the same sphere and speed, in scene rock."""
+    columns: list[tuple[Floats, ...]] = []
+    asked = Plan(scene=load_scene("rock"), kind="pulses")
+    for block in range(48):
+        blows = blows_of(asked, SEED, block)
+        values = blows.parameters
+        for one in blows.strikes:
+            rows = one.rows
+            spheres = rows[values["curvature"][rows] == 1]
+            if np.all(values["dissipation"][rows] == list(DISSIPATIONS).index("hunt-crossley")) or not spheres.size:
+                continue
+            lasts, peak = values["contact_duration"][rows], values["peak_force"][rows]
+            frames = np.zeros((rows.size, 192))
+            one.pulses.add_to_frames(frames, 64 / lasts, 0.5 * lasts)
+            found = MeasuredPulses.of_estimates(estimate(frames / peak[:, None], 1e5, pre_trigger=32, noise=1e-3))
+            e = np.where(blows.labels[rows] == "coal", 0.35, 0.5)
+            sphere = Impact(
+                sphere=Sphere(
+                    material=Material(**{n: values[n][rows] for n in ("density", "youngs_modulus", "poisson_ratio")}),
+                    radius=values["radius"][rows],
+                ),
+                target=HalfSpace(material=STEEL),
+                velocity=values["velocity"][rows],
+                stiffness="hertz",
+                dissipation=HuntCrossley(restitution=e, law="exact"),
+            )
+            width = sphere.contact_duration / relative_times(np.log(e))[0]
+            own = (
+                found.log_peak + np.log(peak / sphere.peak_force),
+                found.log_width + np.log(1e5 * lasts / 64 / width),
+                found.shape - np.log(e),
+            )
+            columns.append(tuple(column[np.isin(rows, spheres)] for column in own))
+    apart = [np.concatenate(column) for column in zip(*columns, strict=True)]
+    mean, deviation = [one.mean() for one in apart], [one.std() for one in apart]
+    between = np.corrcoef(apart[0], apart[1])[0, 1]
+    print("ln peak, ln width, shape of other laws less those of Hunt and Crossley:")
+    print(" ".join(f"{m:+.2f} +- {d:.2f}" for m, d in zip(mean, deviation, strict=True)), f"correlation {between:.2f}")
+
+
+# -- the masses of a recording ------------------------------------------------------------------------
+
+
+def recorded(scene: Scene, number: int) -> tuple[MeasuredPulses, dict[str, Any], Floats]:
+    """Return the pulses of all impacts found in a recording, the truth, and when they were found."""
+    signal, truth = record(scene, SEED, number)
+    beam = ThroughBeam(beam_of(scene))
+    events = [one for one in find_impacts(signal, kind="vibration") if not one.problem]
+    order, parts = [], []
+    for numbers, frames in frames_alike(events):
+        first = events[numbers[0]]
+        parts.append(through_beam(frames, first.sampling_rate, first.pre_trigger, beam, first.detection_limit))
+        order += numbers
+    times = np.array([events[k].time for k in order])
+    return MeasuredPulses.joined(parts), truth, times
+
+
+def masses(path: Path, name: str = "caving") -> None:
+    """Print and draw the distribution of masses of a recording beside the truth."""
+    scene = load_scene(name)
+    start = time.perf_counter()
+    population, detection = population_of(scene), detection_of(scene)
+    print(f"population and detection {time.perf_counter() - start:.1f} s")
+    pulses, truth, times = recorded(scene, 0)
+    start = time.perf_counter()
+    found = size_distribution(pulses, population, detection=detection)
+    taken = time.perf_counter() - start
+    mass = 4 / 3 * np.pi * truth["radius"] ** 3 * truth["density"]
+    true = np.histogram(mass, found.edges)[0]
+    place = matched(truth["time"], times)
+    print(
+        f"{len(mass)} impacts, {len(times)} events, {np.mean(place >= 0):.3f} of the impacts found; half of those of "
+        f"{detection.peak:.0f} N, ln(odds) rise by {detection.steepness:.2f}; {found.n_unknown} without an interval; "
+        f"distribution {taken:.2f} s"
+    )
+    own = population.posterior(pulses.rows(place[place >= 0]))
+    hit = {"mass": mass[place >= 0], "radius": truth["radius"][place >= 0], "speed": truth["velocity"][place >= 0]}
+    known = np.isfinite(own.median("mass"))
+    print({q: [round(x, 3) for x in v] for q, v in covered(own, hit, known).items()}, "of the matched impacts")
+    alone = known & (truth["overlapping"][place >= 0] == 0)
+    print({q: [round(x, 3) for x in v] for q, v in covered(own, hit, alone).items()}, "of those that do not overlap")
+    print("| mass [kg] | true | found | corrected | 90 % | share found |\n|---|---|---|---|---|---|")
+    for k in range(len(true)):
+        print(
+            f"| {found.edges[k]:.3g} to {found.edges[k + 1]:.3g} | {true[k]} | {found.found[k]:.0f} "
+            f"| {found.total[k]:.0f} | {found.low_total[k]:.0f} to {found.high_total[k]:.0f} "
+            f"| {found.probability[k]:.2f} |"
+        )
+    picture(path, found, true, own, hit)
+
+
+def picture(path: Path, found: Any, true: Any, own: Strikers, hit: dict[str, Floats]) -> None:
+    from cgid.plots.sizes import draw_sizes
+
+    figure = require_matplotlib()(figsize=(11, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    draw_sizes(left, found, true)
+    left.set(title="one minute of scene caving")
+    chosen = np.flatnonzero(np.isfinite(own.median("mass")))[:150]
+    middle, (low, high) = own.median("mass")[chosen], own.interval("mass", 0.9)
+    bars = middle - low[chosen], high[chosen] - middle
+    right.errorbar(hit["mass"][chosen], middle, bars, fmt=".", lw=0.7, ms=4)
+    ends = [hit["mass"].min(), hit["mass"].max()]
+    right.plot(ends, ends, "k-", lw=0.8)
+    right.set(xscale="log", yscale="log", xlabel="true mass [kg]", ylabel="mass told, 90 % [kg]", title="150 impacts")
+    right.grid(alpha=0.3)
+    path.write_bytes(png(figure))
+    print(f"wrote {path}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-n", type=int, help="impacts a scene")
+    parser.add_argument("--cases", nargs="*", default=["reference", "tail_beam", "rock", "laws", "masses"])
+    parser.add_argument("-o", type=Path, default=Path(__file__).with_suffix(".png"))
+    asked = parser.parse_args()
+    warnings.simplefilter("ignore")
+    if asked.n:
+        N_OF.update(dict.fromkeys(N_OF, asked.n))
+    tables: dict[str, list[Callable[[], None]]] = {
+        name: [partial(case, name, name, N_OF[name])] for name in ("reference", "tail_beam", "rock")
+    }
+    for chosen in ("hunt-crossley spheres", "spheres of other laws", "all"):
+        tables["rock"].append(partial(case, "rock", "reference", N_OF["rock"], chosen))
+    own = [name for name in tables if name in asked.cases]
+    if own:
+        print("| impacts | asked among | impacts | with an interval | mass 50 / 80 / 95 % | radius | speed |")
+        print("|---|---|---|---|---|---|---|")
+        for name in own:
+            for one in tables[name]:
+                one()
+        print("\n| scene | | knowing nothing | posterior | pulse exact | material known, Cramer-Rao |")
+        print("|---|---|---|---|---|---|")
+        for name in own:
+            if name != "rock":
+                widths(name)
+    if "laws" in asked.cases:
+        laws()
+    if "masses" in asked.cases:
+        masses(asked.o)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""What struck as `cgid predict --striker` asks for it: columns beside the answers, and the sizes of a recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import InvalidValue
+from cgid.identification.detection import find_impacts
+from cgid.identification.model import Model
+from cgid.measure.table import ImpactKind
+from cgid.scene import Scene, record
+from cgid.striker.masses import Detection, SizeDistribution, size_distribution
+from cgid.striker.measured import MeasuredPulses
+from cgid.striker.population import population_of
+from cgid.striker.posterior import QUANTITIES
+from cgid.striker.recognition import forces, through_beam
+from cgid.units import UNITS
+from cgid.validation import Floats
+
+#: Probability of the intervals.
+COVERAGE = 0.9
+#: Seed of the simulated recordings, and the distance at which an impact was found [s].
+_SEED, _NEAR = 0x5EED_0004, 2e-3
+
+
+class StrikerColumns:
+    """Say what struck beside each answer of a model: the `strikers` of a question.
+
+    Parameters
+    ----------
+    scene : Scene
+        What can have struck.
+    keep : bool
+        Whether to keep the pulses of all impacts, for their sizes.
+
+    Raises
+    ------
+    InvalidValue
+        The scene has no population to tell strikers by.
+    """
+
+    def __init__(self, scene: Scene, *, keep: bool = False) -> None:
+        self.scene, self.population = scene, population_of(scene)
+        self._keep = keep
+        self._held: list[MeasuredPulses] = []
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if the answers of a model do not show the force of each impact."""
+        if model.kind == "window":
+            raise InvalidValue("striker must be left out for a model of windows, which hold any number of impacts")
+        if model.kind == "vibration" and model.beam is None:
+            raise InvalidValue(
+                "striker needs the force: this model does not look through its beam to it; take one that does, such "
+                "as default-acceleration, or train one on a scene with a beam"
+            )
+        if model.kind == "pulse" and model.quantity != "force":
+            raise InvalidValue(f"striker needs the force [N], this model takes {model.quantity} [{model.unit}]")
+
+    def __call__(
+        self,
+        frames: NDArray[np.floating],
+        sampling_rate: float,
+        model: Model,
+        pre_trigger: int | None,
+        detection_limit: float,
+    ) -> list[dict[str, Any]]:
+        """Return what struck in each frame (n_signals, n_samples) in the unit of the model.
+
+        The names are those of `QUANTITIES`, alone and with `_low` and `_high`, and `striker_problem`; None where
+        nothing is known.
+        """
+        samples = frames * UNITS[model.quantity][model.unit]
+        if model.beam is None:
+            seen = forces(samples, sampling_rate, pre_trigger, detection_limit)
+        else:
+            seen = through_beam(samples, sampling_rate, pre_trigger, model.beam, detection_limit)
+        if self._keep:
+            self._held.append(seen)
+        found = self.population.posterior(seen)
+        columns: dict[str, Floats] = {}
+        for name in QUANTITIES:
+            low, high = found.interval(name, COVERAGE)
+            columns |= {name: found.median(name), f"{name}_low": low, f"{name}_high": high}
+        rows = zip(*(column.tolist() for column in columns.values()), found.reason.tolist(), strict=True)
+        return [
+            dict(zip((*columns, "striker_problem"), (None if one != one else one or None for one in row), strict=True))
+            for row in rows
+        ]
+
+    def sizes(self, quantity: str = "mass") -> SizeDistribution:
+        """Return the distribution of all impacts so far, corrected for what the scene says is not found.
+
+        Raises
+        ------
+        BadData
+            There are too few impacts.
+        """
+        seen = MeasuredPulses.joined(self._held or [MeasuredPulses.failed([])])
+        detection = None if self.scene.stream is None else detection_of(self.scene)
+        return size_distribution(seen, self.population, quantity=quantity, detection=detection)
+
+
+def detection_of(scene: Scene, seed: int = _SEED) -> Detection:
+    """Return how probably an impact in a recording of a scene is found, by its peak force.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a stream; one of its recordings is simulated and searched.
+    seed : int
+
+    Returns
+    -------
+    Detection
+        Impacts hidden by others count as not found.
+    """
+    signal, truth = record(scene, seed)
+    kind: ImpactKind = "pulse" if signal.quantity == "force" else "vibration"
+    times = np.array([event.time for event in find_impacts(signal, kind=kind)])
+    return Detection.learned(truth["peak_force"], matched(truth["time"], times) >= 0)
+
+
+def matched(true: NDArray[np.floating], found: NDArray[np.floating]) -> NDArray[np.intp]:
+    """Return the number of the found impact of each true one, -1 where there is none; each is the nearest's.
+
+    Parameters
+    ----------
+    true, found : ndarray, (n_true,) and (n_found,) [s]
+        Times, the true ones ascending.
+
+    Returns
+    -------
+    ndarray of int, (n_true,)
+    """
+    out = np.full(len(true), -1)
+    for number, time in enumerate(found):
+        nearest = int(np.argmin(np.abs(true - time))) if len(true) else -1
+        if nearest >= 0 and abs(true[nearest] - time) < _NEAR and out[nearest] < 0:
+            out[nearest] = number
+    return out
