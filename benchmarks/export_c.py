@@ -30,7 +30,7 @@ class Library:
     def __init__(self, source: str, folder: Path, real: str, *options: str) -> None:
         self.dtype = np.dtype(np.float32 if real == "float" else np.float64)
         loop = (
-            '\nvoid answer_all(const cgid_real *values, int n, cgid_answer *answers)\n{\n'
+            "\nvoid answer_all(const cgid_real *values, int n, cgid_answer *answers)\n{\n"
             "    for (int i = 0; i < n; i++) cgid_identify(values + (long)i * CGID_N_VALUES, answers + i);\n}\n"
         )
         file, self.path = folder / f"{real}.c", folder / f"{real}.so"
@@ -89,8 +89,10 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--signals", type=int, default=100_000)
     n = parser.parse_args().signals
-    print("| model | reals | text + data [kB] | stack of a function [B] | us an impact (numpy) | largest error of p |"
-          " other labels | of them within .5 +- .001 or novelty 1 +- .001 | odd rows answered otherwise |")
+    print(
+        "| model | reals | text + data [kB] | stack of a function [B] | us an impact (numpy) | largest error of p |"
+        " other labels | of them within .5 +- .001 or novelty 1 +- .001 | odd rows answered otherwise |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for name, scene in (("default", "reference"), ("default-drop-height", "reference"), ("default-acceleration", None)):
         model = load_model(name)
@@ -108,17 +110,17 @@ def main() -> None:
                 near = (np.abs(probabilities[:, 0] - 0.5) < 1e-3) | (np.abs(found["novelty"] - 1) < 1e-3)
                 wrong = otherwise(model, odd, strange) if real == "double" else "-"
                 error = np.abs(found["probability"] - probabilities).max()
-                print(
-                    f"| {name} ({len(rows)} rows) | {real} | {(library.text + library.data) / 1e3:.1f} | {library.stack} | "
-                    f"{spent * 1e6:.2f} ({by_numpy * 1e6:.2f}) | {error:.1e} | {other.sum()} | {(other & near).sum()} | "
-                    f"{wrong} of {len(odd)} |",
-                    flush=True,
-                )
+                cells = (
+                    f"{name} ({len(rows)} rows)", real, f"{(library.text + library.data) / 1e3:.1f}", library.stack,
+                    f"{spent * 1e6:.2f} ({by_numpy * 1e6:.2f})", f"{error:.1e}", other.sum(), (other & near).sum(),
+                    f"{wrong} of {len(odd)}",
+                )  # fmt: skip
+                print("|", " | ".join(map(str, cells)), "|", flush=True)
 
 
 def otherwise(model: Model, rows: np.ndarray, found: np.ndarray) -> int:
     """Return how many rows get another label than by `Model`, which refuses some of them."""
-    n, wrong = len(model.inputs), 0
+    wrong = 0
     for row, answer in zip(rows, found, strict=True):
         try:
             label = judged(model, row[None])[0][0] if np.isfinite(row).all() else -1

@@ -148,7 +148,9 @@ def main() -> None:
     for scene, one in rates.items():
         limit = size(one.bytes / one.made)
         print(f"| `{scene}` | {1e6 * one.made:.0f} us | {1e6 * one.read:.0f} us | {limit}/s for each process |")
-    print(f"\n| batches of {BATCH} a second | `cgid.stream`, 1 worker | 2 workers | read from HDF5 |\n|---|---|---|---|")
+    print(
+        f"\n| batches of {BATCH} a second | `cgid.stream`, 1 worker | 2 workers | read from HDF5 |\n|---|---|---|---|"
+    )
     for scene, one in rates.items():
         cells = [1 / (BATCH * seconds) for seconds in (one.streamed[1], one.streamed[2], one.read)]
         print(f"| `{scene}` | {' | '.join(f'{cell:.0f}' for cell in cells)} |")
