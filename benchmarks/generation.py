@@ -17,14 +17,18 @@ import tempfile
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
+import cgid
 from cgid import shipped
-from cgid.scene import load_scene, synthesise
+from cgid.scene import Scene, load_scene, synthesise
 from cgid.signals import Batch
 from cgid.store import Dataset
 
 JOBS = 2
+#: Signals of a batch of a training stream.
+BATCH = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +37,7 @@ class Rates:
 
     runs : time [s] and peak memory of the largest process [bytes] of a whole run, by the number of jobs
     written, made, read : time [s]: made and written by all jobs; made again, or read, by one process
+    streamed : time [s] in the batches of `cgid.stream`, by the number of workers, once they have started
     bytes, parameter_bytes : on the disk: with its samples, and of its drawn parameters alone
     """
 
@@ -40,6 +45,7 @@ class Rates:
     written: float
     made: float
     read: float
+    streamed: dict[int, float]
     bytes: float
     parameter_bytes: float
 
@@ -64,6 +70,18 @@ def looked_at(batches: Iterable[Batch]) -> float:
     return (time.perf_counter() - start) / count
 
 
+def streamed(scene: Scene, workers: int, n_signals: int) -> float:
+    """Return the time of a signal of a training stream [s], of batches that are only looked at."""
+    batches = iter(cgid.stream(scene, batch_size=BATCH, workers=workers))
+    total = sum(float(signals[0, 0]) for signals, _, _ in islice(batches, 16 * workers))
+    start = time.perf_counter()
+    for signals, _, _ in islice(batches, n_signals // BATCH):
+        total += float(signals[:, ::64].sum())
+    seconds = time.perf_counter() - start
+    batches.close()
+    return seconds / (n_signals // BATCH * BATCH)
+
+
 def measured(name: str, n_signals: int, folder: Path) -> Rates:
     """Return the cost of a signal of a scene."""
     scene = load_scene(shipped.scene_path(name))
@@ -79,6 +97,7 @@ def measured(name: str, n_signals: int, folder: Path) -> Rates:
         written=max(runs[JOBS][0] - start_up, 0.0) / n_signals,
         made=looked_at(synthesise(scene, n_signals)),
         read=min(looked_at(Dataset(data).batches()) for _ in range(2)),
+        streamed={workers: streamed(scene, workers, n_signals) for workers in (1, 2)},
         bytes=sum(file.stat().st_size for file in data.iterdir()) / n_signals,
         parameter_bytes=table.stat().st_size / n_signals,
     )
@@ -129,6 +148,12 @@ def main() -> None:
     for scene, one in rates.items():
         limit = size(one.bytes / one.made)
         print(f"| `{scene}` | {1e6 * one.made:.0f} us | {1e6 * one.read:.0f} us | {limit}/s for each process |")
+    print(
+        f"\n| batches of {BATCH} a second | `cgid.stream`, 1 worker | 2 workers | read from HDF5 |\n|---|---|---|---|"
+    )
+    for scene, one in rates.items():
+        cells = [1 / (BATCH * seconds) for seconds in (one.streamed[1], one.streamed[2], one.read)]
+        print(f"| `{scene}` | {' | '.join(f'{cell:.0f}' for cell in cells)} |")
 
 
 if __name__ == "__main__":

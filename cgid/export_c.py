@@ -140,12 +140,15 @@ static void layer(const cgid_real *x, int n_inputs, const cgid_real *weights, co
 {
     int i, k;
     for (k = 0; k < n_units; k++) {
-        cgid_real sum = 0;
-        for (i = 0; i < n_inputs; i++) {
-            sum += x[i] * weights[i * n_units + k];
+        out[k] = biases[k];
+    }
+    for (i = 0; i < n_inputs; i++) {
+        for (k = 0; k < n_units; k++) {
+            out[k] += x[i] * weights[i * n_units + k];
         }
-        sum += biases[k];
-        out[k] = hidden ? CGID_TANH(sum) : sum;
+    }
+    for (k = 0; hidden && k < n_units; k++) {
+        out[k] = CGID_TANH(out[k]);
     }
 }
 """

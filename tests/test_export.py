@@ -134,7 +134,7 @@ NAMES = few(["default", "boosting 3", "logistic 2", "linear 3", *MODELS[1:], "ne
 @pytest.mark.parametrize("name", NAMES)
 def test_double_precision_gives_the_models_answers(name: str, tmp_path: Path) -> None:
     model = named(name)
-    rows = np.concatenate([usual_rows(model, 2000), odd_rows(model, 1000)])
+    rows = np.concatenate([usual_rows(model, 2000), odd_rows(model, 10_000)])
     found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN"), as_csv(rows))
     labels, probabilities, novelties = judged(model, rows)
     np.testing.assert_array_equal(found["label"], labels)

@@ -22,8 +22,10 @@ from cgid.learn import TrainingBatch
 from cgid.scene import Scene
 from cgid.workers import workers as executor
 from tests.mortal import fatal
+from tests.test_docs import blocks_of
 
 NAMES = ["peak_force", "width_50"]
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "learners.md"
 
 
 # -- the transformer --------------------------------------------------------------------------------------
@@ -228,3 +230,14 @@ def test_bad_streams_are_refused_at_once(settings: dict[str, Any], says: str) ->
 def test_a_float_seed_is_refused() -> None:
     with pytest.raises(InvalidValue, match="seed"):
         cgid.stream("reference", seed=1.5)  # type: ignore[arg-type]
+
+
+def test_a_loader_of_pytorch_takes_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's own lines."""
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    (block,) = (block for block in blocks_of(PAGE.read_text(encoding="utf-8")) if "import torch" in block.text)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    exec(block.text, names)
+    seen = sorted(signals.shape[0] for signals, _ in names["loader"])
+    assert seen == [256] * 20
+    assert 0 < float(names["loss"]) < 1

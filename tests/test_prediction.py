@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -195,3 +197,55 @@ def test_what_is_shown_in_a_notebook_is_short() -> None:
     accuracy = training.metrics["accuracy"]
     assert repr(training) == f"Training(logistic: coal, gangue; accuracy {accuracy:.3f} on 64 test rows)"
     assert all(len(repr(one).splitlines()) <= 2 for one in (model, answer, training))
+
+
+#: Runs `cgid` where neither of these can be imported, as after `pip install --no-deps cgid` with numpy and click.
+LIGHT = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in sys.argv[1].split(","):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+from cgid.cli.main import run
+sys.exit(run(sys.argv[2:]))
+"""
+#: All libraries that cgid depends on but numpy and click, and what they bring.
+HEAVY = "scipy,sklearn,pandas,numba,llvmlite,h5py,tqdm,pydantic,joblib,filelock,threadpoolctl,matplotlib"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (("predict", "datasets/sample.csv"), 0, "6 impacts: coal 3, gangue 3"),
+        (("predict", "datasets/sample_acceleration.csv"), 0, "6 impacts: coal 3"),
+        (("features", "datasets/sample.csv", "--features", "fitted_peak"), 0, "fitted_peak [N]"),
+        (("info", "datasets/sample.csv"), 0, "impacts: 6"),
+        (("generate", "reference", "-o", "new.h5"), 69, "which is not installed: pip install cgid"),
+        (("train", "reference", "-o", "new.npz"), 69, "which is not installed: pip install cgid"),
+    ],
+    ids=lambda value: "-".join(value[:2]).replace("/", "-") if isinstance(value, tuple) else None,
+)
+def test_recordings_need_numpy_and_click_alone(arguments: tuple[str, ...], code: int, says: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LIGHT, HEAVY, *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
+    assert says in done.stdout + done.stderr
+    assert not code or (done.stderr.startswith("cgid: error: this needs ") and done.stderr.count("\n") == 1)
+
+
+def test_python_answers_with_numpy_alone() -> None:
+    """Without click, and without pandas for the table."""
+    code = LIGHT.replace(
+        "from cgid.cli.main import run\nsys.exit(run(sys.argv[2:]))",
+        "from cgid import identify_recording, load_model, open_recording\n"
+        "recording = open_recording('datasets/sample.csv')\n"
+        "print([answer.label for answer in identify_recording(recording, load_model())])",
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, f"{HEAVY},click"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "['coal', 'gangue', 'coal', 'gangue', 'coal', 'gangue']\n", done.stderr

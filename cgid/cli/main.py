@@ -129,6 +129,9 @@ def run(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if _memory_is_short(error):
             return _say_memory(error)
+        if isinstance(error, ModuleNotFoundError) and not (error.name or "cgid").startswith("cgid"):
+            say(f"cgid: error: this needs {error.name}, which is not installed: pip install cgid", err=True)
+            return MissingExtra.exit_code
         if os.environ.get("CGID_DEBUG"):
             raise
         if _asks_for_no_threads():

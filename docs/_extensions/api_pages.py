@@ -71,6 +71,8 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
             "cgid.identification.rows": ("Rows", "measure"),
             "cgid.identification.training": ("Training", "train"),
             "cgid.identification.card": ("write_card",),
+            "cgid.export_c": ("c_source",),
+            "cgid.learn": ("TrainingStream",),
         },
     ),
     "store": (
