@@ -22,7 +22,9 @@ _OPTIONS = {
     "Gangue share": "--window --gangue --gangue-cost --dilution-cost",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
-    "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
+    "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --clock "
+    "--strict",
+    "Outlets": "--mqtt --modbus --prometheus --live --on-shut --on-open",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
 }
