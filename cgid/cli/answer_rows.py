@@ -6,10 +6,11 @@ With --json all of it is on stdout, one JSON object per line.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from cgid.cli.output import print_json, say
+from cgid.cli.output import finite, print_json, say
 from cgid.cli.table import Column, TableOutput, flags, numbers, times
 from cgid.terminal import counted
 
@@ -57,10 +58,22 @@ def answer_columns(
 
 
 class AnswerLines:
-    """Print one row at a time, with its kind in JSON."""
+    """Print one row at a time, with its kind in JSON.
 
-    def __init__(self, as_json: bool, table: TableOutput | None = None, *, datasets: bool = False) -> None:
+    `clock` adds the time of the clock to each line of JSON. `listener` receives each line, printed or not, with it.
+    """
+
+    def __init__(
+        self,
+        as_json: bool,
+        table: TableOutput | None = None,
+        *,
+        datasets: bool = False,
+        clock: bool = False,
+        listener: Callable[[dict[str, Any]], None] | None = None,
+    ) -> None:
         self.as_json = as_json
+        self._clock, self._listener = clock, listener
         self._table, self._datasets = table or TableOutput(), datasets
 
     def begin(self, source: str, model: Model, question: Question) -> None:
@@ -95,12 +108,14 @@ class AnswerLines:
             "problem": answer.problem or None,
             **more,
         }
-        if self.as_json:
+        if self.as_json or self._listener is not None:
             likely = max(probabilities, key=lambda label: probabilities[label], default=None)
             row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
-            row |= {"in_training_range": answer.in_training_range, "prediction_set": held}
-            self._line(kind, source, row | ({} if answer.striker is None else {"striker": dict(answer.striker)}))
-        else:
+            more = {"in_training_range": answer.in_training_range, "prediction_set": held}
+            if answer.striker is not None:
+                more["striker"] = dict(answer.striker)
+            self._line(kind, source, row | more)
+        if not self.as_json:
             row |= {"source": source, "time [s]": answer.time, "end [s]": answer.end}
             row |= {f"p({label})": probability for label, probability in probabilities.items()}
             struck = answer.striker or {}
@@ -158,9 +173,13 @@ class AnswerLines:
             say(message, err=True)
 
     def _line(self, kind: str, source: str, content: dict[str, Any]) -> None:
-        """Print the content as a line of JSON, if asked for."""
+        """Print the content as a line of JSON, if asked for; then the listener hears it."""
+        line = {"kind": kind, "source": source, **content}
+        now = {"wall_time": datetime.now(UTC).isoformat(timespec="milliseconds")}
         if self.as_json:
-            print_json({"kind": kind, "source": source, **content}, version=ANSWERS_VERSION)
+            print_json(line | now if self._clock else line, version=ANSWERS_VERSION)
+        if self._listener is not None:
+            self._listener({"version": ANSWERS_VERSION, **finite(line | now)})
 
 
 def _estimate(share: Share) -> dict[str, Any]:

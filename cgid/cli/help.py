@@ -24,7 +24,9 @@ _OPTIONS = {
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
-    "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
+    "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --clock "
+    "--strict",
+    "Outlets": "--mqtt --modbus --prometheus --live --on-shut --on-open",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
 }

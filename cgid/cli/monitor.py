@@ -7,7 +7,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any
@@ -25,13 +25,16 @@ from cgid.cli.options import (
     chain_options,
     dead_time_option,
     given_options,
+    outlet_options,
     question_of,
     warn_of_model,
 )
+from cgid.cli.output import say
 from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
     from cgid.identification.question import Question
+    from cgid.outlets import Outlets
 
 #: Most data in the queue [bytes].
 MOST_WAITING = 128 << 20
@@ -166,6 +169,8 @@ _BEHIND = 1.0
 @answering_options
 @dead_time_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+@click.option("--clock", is_flag=True, help="Add wall_time to each JSON object: when it was printed (UTC).")
+@outlet_options
 def monitor(
     stream: str,
     sampling_rate: float | None,
@@ -174,6 +179,8 @@ def monitor(
     unit: str | None,
     chain: dict[str, Any],
     as_json: bool,
+    clock: bool,
+    outlets: dict[str, str],
     **options: Any,
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
@@ -190,7 +197,7 @@ def monitor(
     step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / _STEPS
     models, question = question_of(**options, batch=1, share_step=step)
     stated = Chain.of(**chain)
-    with _opened(stream) as file:
+    with _outlets(outlets) as listener, _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
         live = live_stream(
             file,
@@ -202,10 +209,20 @@ def monitor(
             chain=stated,
         )
         with TableOutput() as table:
-            _follow(live, models, question, AnswerLines(as_json, table))
+            lines = AnswerLines(as_json, table, clock=clock, listener=listener)
+            _follow(live, models, question, lines, listener)
 
 
-def _follow(live: Any, models: Models, question: Question, lines: AnswerLines) -> None:
+def _outlets(given: dict[str, str]) -> AbstractContextManager[Outlets | None]:
+    """Return the outlets that were asked for; without any, nothing of them is imported."""
+    if not given:
+        return nullcontext()
+    from cgid.outlets import Outlets
+
+    return Outlets(**given, warn=lambda text: say(f"cgid: warning: {text}", err=True))
+
+
+def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, outlets: Outlets | None = None) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
     from cgid.identification.next_steps import Diagnosis
     from cgid.identification.stream import factor_of, identify_blocks
@@ -215,11 +232,22 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines) -
     factors = [sign * factor_of(model, c.unit, live.source, c.name, mass=question.mass) for c in live.channels]
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
-    blocks = scaled(inbox, factors)
+    blocks: Iterable[NDArray[Any]] = scaled(inbox, factors)
+    if outlets is not None:
+        blocks = outlets.watched(blocks, live.sampling_rate)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     # The stream is over when the next command runs: it is for a recording of it.
     diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0])
     rows = RecordingRows(live.source, model, names, question, lines, always=True, diagnosis=diagnosis)
+    if outlets is not None:
+        outlets.begin(
+            source=live.source,
+            channels=rows.channels,
+            rows=names,
+            unit=model.unit,
+            threshold=rows.threshold,
+            behind=lambda: inbox.behind,
+        )
     warn_of_model(live.source, live.source, live.sampling_rate, model, question)
     try:
         for step in steps:

@@ -135,6 +135,28 @@ def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return add(chained)
 
 
+def outlet_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the outlets of a plant; the command receives those that were given as `outlets`, arguments of `Outlets`."""
+    names = ("mqtt", "modbus", "prometheus", "live", "on_shut", "on_open")
+
+    @wraps(command)
+    def with_outlets(**options: Any) -> Any:
+        given = {name: value for name in names if (value := options.pop(name)) is not None}
+        return command(outlets=given, **options)
+
+    add = _options(
+        click.option("--mqtt", metavar="URL", help="Publish each line below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."),
+        click.option("--modbus", metavar="HOST:PORT", help="Serve state, share and counts as Modbus TCP registers."),
+        click.option("--prometheus", metavar="[HOST]:PORT", help="Serve metrics at /metrics."),
+        click.option(
+            "--live", metavar="[HOST]:PORT|FILE", help="Show waveform, share and decision on a page, or in FILE.html."
+        ),
+        click.option("--on-shut", metavar="COMMAND", help="Run this command at each SHUT; it gets the line on stdin."),
+        click.option("--on-open", metavar="COMMAND", help="Run this command at each OPEN."),
+    )
+    return add(with_outlets)
+
+
 def warn_of_volts(recording: RecordingFile) -> None:
     """Say how volts and coulombs become what the sensor measured, where it is not known."""
     from cgid.errors import MissingOption

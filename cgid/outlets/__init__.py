@@ -1,0 +1,149 @@
+"""The outlets of `cgid monitor`: its answers in the protocols that a plant speaks.
+
+A listener of the lines that `--json` prints. Each outlet works in threads of its own, behind a queue that drops the
+oldest message when it is full, so the answers never wait for a broker, a reader or a command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from types import TracebackType
+from typing import Any
+
+from numpy.typing import NDArray
+
+from cgid.errors import InvalidValue
+from cgid.outlets.outlet import Outlet, Service
+from cgid.outlets.plant import Plant, Waveform
+
+__all__ = ["Outlets"]
+
+
+class Outlets:
+    """Everything that receives the answers of one `cgid monitor`; use as a context, which starts and ends it.
+
+    Parameters
+    ----------
+    mqtt : str, optional
+        mqtt://HOST[:PORT]/TOPIC, or mqtts:// with TLS.
+    modbus, prometheus : str, optional
+        HOST:PORT to listen on; without HOST, this machine alone.
+    live : str, optional
+        HOST:PORT of the page, or the name of a file for it (.html).
+    on_shut, on_open : str, optional
+        Commands; no shell runs them.
+    warn : callable
+        Prints a line about an outlet; called from several threads.
+
+    Raises
+    ------
+    InvalidValue
+        An address or a command is none.
+    MissingExtra
+        The library of an outlet is not installed.
+    CannotCreate
+        A port is in use, or the file of the page cannot be written.
+    NoInput, BadData
+        A file with a password or a certificate cannot be read.
+    """
+
+    def __init__(
+        self,
+        *,
+        mqtt: str | None = None,
+        modbus: str | None = None,
+        prometheus: str | None = None,
+        live: str | None = None,
+        on_shut: str | None = None,
+        on_open: str | None = None,
+        warn: Callable[[str], None],
+    ) -> None:
+        self.plant = Plant()
+        self._commands = {"shut": on_shut, "open": on_open}
+        self._services: list[Service] = []
+        self._waveform: Waveform | None = None
+        try:
+            self._make(mqtt, modbus, prometheus, live, warn)
+        except BaseException:
+            self._close(0.0)
+            raise
+
+    def _make(
+        self,
+        mqtt: str | None,
+        modbus: str | None,
+        prometheus: str | None,
+        live: str | None,
+        warn: Callable[[str], None],
+    ) -> None:
+        """Make what was asked for; ports are bound here."""
+        if mqtt is not None:
+            from cgid.outlets.mqtt import Mqtt
+
+            self._services.append(Mqtt(mqtt, self.plant, warn))
+        for kind, command in self._commands.items():
+            if command is not None:
+                from cgid.outlets.command import Command
+
+                self._services.append(Command(f"--on-{kind}", command, kind, warn))
+        self.plant.outlets = self._queues = [one for one in self._services if isinstance(one, Outlet)]
+        if modbus is not None:
+            from cgid.outlets.modbus import Modbus
+
+            self._services.append(Modbus(modbus, self.plant, warn))
+        if prometheus is not None or live is not None:
+            from cgid.outlets.web import web_services
+
+            self._services += web_services(prometheus, live, self.plant, warn)
+            self._waveform = self.plant.waveform = Waveform() if live is not None else None
+
+    def __enter__(self) -> Outlets:
+        for service in self._services:
+            service.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.plant.ended = True
+        self._close()
+
+    def _close(self, grace: float = 3.0) -> None:
+        for service in self._services:
+            service.ask_to_end()
+        for service in self._services:
+            service.wait(grace)
+
+    def begin(
+        self,
+        *,
+        source: str,
+        channels: Sequence[str],
+        rows: Sequence[str],
+        unit: str,
+        threshold: float | None,
+        behind: Callable[[], float],
+    ) -> None:
+        """Name what is followed: supports (`channels`), rows of the blocks, and a function for the delay [s].
+
+        Raises `InvalidValue` if a command waits for a decision that this model cannot make.
+        """
+        asked = next((kind for kind, command in self._commands.items() if command is not None), None)
+        if asked is not None and threshold is None:
+            raise InvalidValue(
+                f"--on-{asked} needs a model that tells gangue from coal, this one has no gangue; name its labels with "
+                "--gangue"
+            )
+        self.plant.begin(source, channels, rows, unit, threshold, behind)
+
+    def watched(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterator[NDArray[Any]]:
+        """Yield the blocks (n_channels, n_samples); each is a beat of the heart, and a part of the waveform."""
+        for block in blocks:
+            if self._waveform is not None:
+                self._waveform.add(block, sampling_rate)
+            self.plant.beat(block.shape[1] / sampling_rate)
+            yield block
+
+    def __call__(self, record: dict[str, Any]) -> None:
+        """Take one line of JSON; returns at once."""
+        self.plant.take(record)
+        for outlet in self._queues:
+            outlet.put(record)

@@ -1,0 +1,79 @@
+"""A command that runs when a window should shut, or may open again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+from collections.abc import Callable
+from typing import Any
+
+from cgid.errors import InvalidValue
+from cgid.outlets.outlet import Outlet
+
+#: A command that takes longer is ended [s]; at most this many turns wait for it.
+LONGEST_RUN, MOST_TURNS = 30.0, 100
+
+
+class Command(Outlet):
+    """Runs one command at a time, without a shell; it gets the turn as JSON on stdin and in its environment."""
+
+    def __init__(self, option: str, command: str, kind: str, warn: Callable[[str], None]) -> None:
+        super().__init__(option, warn, MOST_TURNS)
+        try:
+            self._words = shlex.split(command, posix=os.name != "nt")
+        except ValueError as error:
+            raise InvalidValue(f"{option} must be a command, got {command!r} ({error}); check its quotes") from None
+        if not self._words or shutil.which(self._words[0]) is None:
+            word = self._words[0] if self._words else command
+            raise InvalidValue(
+                f"{option} must begin with a program that can be run, got {word!r}; give its whole path (a line for a "
+                "shell: sh -c 'LINE')"
+            )
+        self._kind, self._longest = kind, LONGEST_RUN
+        self.up = True
+
+    def put(self, record: dict[str, Any]) -> None:
+        """Let a turn wait; nothing else."""
+        if record["kind"] == self._kind:
+            super().put(record)
+
+    def run(self) -> None:
+        """Run the command for each turn, those that wait at the end, too."""
+        while True:
+            record = self._next()
+            if record is not None:
+                self._run(record)
+            elif self._ending:
+                return
+
+    def _run(self, record: dict[str, Any]) -> None:
+        more = {
+            "CGID_TURN": record["kind"],
+            "CGID_CHANNEL": record["channel"],
+            "CGID_TIME": f"{record['time_s']:.6f}",
+            "CGID_SHARE": f"{record['gangue_share']:.4f}",
+        }
+        text = json.dumps(record).encode()
+        try:
+            # Its output must not mix with the table on stdout.
+            done = subprocess.run(
+                self._words,
+                input=text,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | more,
+                timeout=self._longest,
+            )
+        except subprocess.TimeoutExpired:
+            fault = f"took longer than {self._longest:g} s and was ended"
+        except (OSError, ValueError) as error:
+            fault = f"cannot be run ({getattr(error, 'strerror', None) or error})"
+        else:
+            fault = f"failed with exit code {done.returncode}" if done.returncode else ""
+        self.up, self.passed = not fault, self.passed + (not fault)
+        if fault:
+            self._said = ""  # each turn that was missed is worth a line
+            self.say(f"the command {fault} (channel {record['channel']}, {record['time_s']:.6g} s)")

@@ -1,0 +1,234 @@
+"""MQTT: every line as a message, the state of each support retained, "offline" as the last will."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import ssl
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote, unquote, urlsplit
+
+from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.outlets.outlet import FIRST_PAUSE, LONGEST_PAUSE, Outlet, library
+from cgid.outlets.plant import Plant
+
+#: Most messages that the broker has not acknowledged.
+_MOST_ON_THE_WAY = 200
+#: A broker that says nothing for this time hangs [s]; pings come this often [s].
+_PATIENCE, _KEEPALIVE = 10.0, 15
+#: At the end, time for the rest of the messages [s].
+_GRACE = 2.0
+_PORTS = {"mqtt": 1883, "mqtts": 8883}
+_LOOPBACK = re.compile(r"localhost|127\.|::1$")
+
+
+class Broker(NamedTuple):
+    """Where messages go."""
+
+    host: str
+    port: int
+    topic: str
+    secure: bool
+
+    @classmethod
+    def of(cls, text: str) -> Broker:
+        """Return the broker and topic of a URL; raises `InvalidValue` if it is none.
+
+        Examples
+        --------
+        >>> Broker.of("mqtt://broker/plant/support7")
+        Broker(host='broker', port=1883, topic='plant/support7', secure=False)
+        """
+        try:
+            url = urlsplit(text)
+            host, port = url.hostname, url.port
+            if url.username is not None or url.password is not None:
+                raise InvalidValue(
+                    "--mqtt must not hold a user or a password, which others can read there; set CGID_MQTT_USER and "
+                    "CGID_MQTT_PASSWORD, or CGID_MQTT_PASSWORD_FILE"
+                )
+            topic = unquote(url.path.strip("/"), errors="strict")
+        except (UnicodeDecodeError, ValueError) as error:
+            if isinstance(error, InvalidValue):
+                raise
+            host, port, topic = None, None, ""
+        bad = host is None or url.scheme not in _PORTS or port == 0 or "?" in text
+        if bad or not topic or re.search(r"[+#\0]", topic + url.fragment) or "#" in text or len(topic) > 200:
+            raise InvalidValue(
+                "--mqtt must be mqtt://HOST[:PORT]/TOPIC (mqtts:// with TLS), the topic without + and #, got "
+                f"{text!r}; such as mqtt://127.0.0.1:1883/plant/support7"
+            )
+        return cls(str(host), port or _PORTS[url.scheme], topic, url.scheme == "mqtts")
+
+
+class Mqtt(Outlet):
+    """Messages below one topic: KIND/CHANNEL for each line, state/CHANNEL and status retained.
+
+    Messages are acknowledged by the broker (QoS 1). What it has not acknowledged is sent again after a break, so a
+    message may come twice; the field `message` counts them, and shows those that were dropped while it was away.
+    """
+
+    def __init__(self, url: str, plant: Plant, warn: Callable[[str], None]) -> None:
+        self._broker = broker = Broker.of(url)
+        super().__init__(f"mqtt {broker.host}:{broker.port}", warn)
+        paho = library("paho.mqtt.client", "--mqtt", "paho-mqtt")
+        self._plant = plant
+        self._number = self._on_the_way = 0
+        # Messages on the way, by paho's number: whether they count; and those acknowledged before `publish` returned.
+        self._pending: dict[int, bool] = {}
+        self._early: set[int] = set()
+        self._asked_at = time.monotonic()
+        self._client = client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+        client.reconnect_delay_set(FIRST_PAUSE, LONGEST_PAUSE)
+        client.max_inflight_messages_set(2 * _MOST_ON_THE_WAY)
+        client.will_set(self._topic("status"), "offline", qos=1, retain=True)
+        client.on_connect, client.on_disconnect = self._connected, self._disconnected
+        client.on_connect_fail, client.on_publish = self._failed, self._acknowledged
+        self._secure()
+
+    def _secure(self) -> None:
+        """Take user, password and certificates from the environment."""
+        user, password = os.environ.get("CGID_MQTT_USER"), os.environ.get("CGID_MQTT_PASSWORD")
+        if (file := os.environ.get("CGID_MQTT_PASSWORD_FILE")) and password is None:
+            password = _text_of("CGID_MQTT_PASSWORD_FILE", file).rstrip("\r\n")
+        if password is not None and user is None:
+            raise InvalidValue("CGID_MQTT_USER must be set beside a password, it is not")
+        if user is not None:
+            self._client.username_pw_set(user, password)
+        if self._broker.secure:
+            self._client.tls_set_context(_tls())
+        elif password is not None and not _LOOPBACK.match(self._broker.host):
+            self.say("the password travels unencrypted; use mqtts://")
+
+    def put(self, record: dict[str, Any]) -> None:
+        """Let a message wait, with its number."""
+        self._number += 1
+        super().put(record | {"message": self._number})
+
+    def run(self) -> None:
+        """Connect, and publish what waits; at the end the rest, and that we are offline."""
+        self._client.connect_async(self._broker.host, self._broker.port, _KEEPALIVE)
+        self._client.loop_start()
+        while not self._ending:
+            if (record := self._next(self._is_ready)) is not None:
+                self._publish_line(record)
+            elif not self.up and time.monotonic() - self._asked_at > _PATIENCE and not self._said:
+                self.say("the broker does not answer; the answers go on, messages wait")
+        self._end()
+
+    def _is_ready(self) -> bool:
+        return self.up and self._on_the_way < _MOST_ON_THE_WAY
+
+    def _end(self) -> None:
+        """Publish what waits, say goodbye, and how many messages are lost."""
+        until = time.monotonic() + _GRACE
+        if self._waiting and not self._said:  # a short stream: the connection is just being made
+            with self._changed:
+                self._changed.wait_for(lambda: self.up or self._said, _GRACE)
+        while self.up and self._waiting and time.monotonic() < until:
+            with self._changed:
+                self._changed.wait_for(lambda: not self.up or self._is_ready(), until - time.monotonic())
+            if self._is_ready():
+                self._publish_line(self._waiting.popleft())
+        if self.up:
+            self._publish(self._topic("status"), "offline", retain=True)
+            with self._changed:
+                self._changed.wait_for(lambda: not self.up or not self._on_the_way, until - time.monotonic())
+        if lost := self._number - self.passed:
+            self.say(f"{lost} of {self._number} messages were not delivered")
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _publish_line(self, record: dict[str, Any]) -> None:
+        """Publish one line, and the state that follows from it."""
+        channel = record.get("channel")
+        kind = record["kind"]
+        self._publish(self._topic(kind, channel), json.dumps(record), ours=True)
+        if kind in ("share", "shut", "open") and channel is not None:
+            self._publish_state(channel)
+
+    def _publish_state(self, channel: str) -> None:
+        content = self._plant.read(lambda supports: supports[channel].content())
+        self._publish(self._topic("state", channel), json.dumps({"channel": channel, **content}), retain=True)
+
+    def _publish(self, topic: str, payload: str, *, retain: bool = False, ours: bool = False) -> None:
+        # paho acknowledges under a lock that `publish` takes, too: ours must not be held around it.
+        with self._changed:
+            self._on_the_way += 1
+        number = self._client.publish(topic, payload, qos=1, retain=retain).mid
+        with self._changed:
+            if number in self._early:
+                self._early.discard(number)
+                self.passed += ours
+            else:
+                self._pending[number] = ours
+
+    def _topic(self, kind: str, channel: str | None = None) -> str:
+        own = "" if channel is None else "/" + quote(channel, safe=" ")
+        return f"{self._broker.topic}/{kind}{own}"
+
+    def _connected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            self.say(f"the broker refuses ({reason}); the answers go on, messages wait")
+            return
+        self._publish(self._topic("status"), "online", retain=True)
+        for channel in self._plant.read(list):
+            self._publish_state(channel)
+        with self._changed:
+            self.up = True
+            self._changed.notify_all()
+        if self._said:
+            self.say(f"connected; {self.dropped} messages were dropped so far")
+            self._said = ""
+
+    def _disconnected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        with self._changed:
+            was, self.up, self._asked_at = self.up, False, time.monotonic()
+            self._changed.notify_all()
+        if was and not self._ending:
+            self.say(f"the broker is gone ({reason}); the answers go on, messages wait")
+
+    def _failed(self, _client: Any, _data: Any) -> None:
+        error = sys.exc_info()[1]  # paho calls this while it handles the error
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())
+        self.say(f"the broker cannot be reached ({reason}); the answers go on, messages wait")
+
+    def _acknowledged(self, _client: Any, _data: Any, number: int, _reason: Any, _properties: Any) -> None:
+        with self._changed:
+            self._on_the_way -= 1
+            if number in self._pending:
+                self.passed += self._pending.pop(number)
+            else:
+                self._early.add(number)
+            self._changed.notify_all()
+
+
+def _tls() -> ssl.SSLContext:
+    """Return the TLS settings of the environment; by default, the system's certificates are trusted."""
+    names = {name: os.environ.get(f"CGID_MQTT_{name}") for name in ("CA", "CERT", "KEY")}
+    for name, file in names.items():
+        if file:
+            _text_of(f"CGID_MQTT_{name}", file)
+    try:
+        context = ssl.create_default_context(cafile=names["CA"] or None)
+        if names["CERT"]:
+            context.load_cert_chain(names["CERT"], names["KEY"] or None)
+    except (OSError, ValueError) as error:
+        raise BadData(
+            f"CGID_MQTT_CA, CGID_MQTT_CERT and CGID_MQTT_KEY must name PEM files that belong together ({error}); check "
+            "them"
+        ) from None
+    return context
+
+
+def _text_of(name: str, file: str) -> str:
+    try:
+        return Path(file).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no text"
+        raise NoInput(f"{name}: {file} cannot be read ({reason}); check the name") from None

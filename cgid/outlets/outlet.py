@@ -1,0 +1,167 @@
+"""What all outlets share: threads, a bounded queue, addresses, and their libraries."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from threading import Condition, Thread
+from typing import Any, NamedTuple
+
+from cgid.errors import CannotCreate, InvalidValue, MissingExtra
+
+#: Most messages that wait for an outlet: a quarter of an hour at ten a second.
+MOST_WAITING = 10_000
+#: An outlet that is away is looked for after this time, then after twice as long, up to the longest [s].
+FIRST_PAUSE, LONGEST_PAUSE = 1, 30
+
+
+class Service:
+    """Something that runs in a thread until it is asked to end.
+
+    Nothing that happens to it ends the monitor: an error is a line by `warn`.
+    """
+
+    def __init__(self, name: str, warn: Callable[[str], None]) -> None:
+        self.name, self._warn = name, warn
+        self._changed = Condition()
+        self._ending = False
+        self._thread = Thread(target=self._guarded, name=name, daemon=True)
+        self._said = ""
+
+    def run(self) -> None:
+        """Work until `_ending`."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def ask_to_end(self) -> None:
+        """Let the thread end; returns at once."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+
+    def wait(self, grace: float) -> None:
+        """Wait for the end of the thread, at most for this time [s]."""
+        if self._thread.ident is not None:
+            self._thread.join(grace)
+
+    def say(self, text: str) -> None:
+        """Print a line about this outlet, unless it is the same as the last one."""
+        if text != self._said:
+            self._said = text
+            with suppress(OSError, ValueError):  # stderr is gone
+                self._warn(f"{self.name}: {text}")
+
+    def _guarded(self) -> None:
+        try:
+            self.run()
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            self.say(f"this outlet has ended ({reason}); the answers go on without it")
+
+
+class Outlet(Service):
+    """A service with a queue of messages; when it is full, the oldest is dropped and counted.
+
+    Attributes
+    ----------
+    passed, dropped : messages that arrived where they should, and those that did not fit into the queue
+    up : whether the receiver is there
+    """
+
+    def __init__(self, name: str, warn: Callable[[str], None], most_waiting: int = MOST_WAITING) -> None:
+        super().__init__(name, warn)
+        self._waiting: deque[dict[str, Any]] = deque()
+        self._most = most_waiting
+        self.passed = self.dropped = 0
+        self.up = False
+
+    def put(self, record: dict[str, Any]) -> None:
+        """Let a message wait; never blocks."""
+        with self._changed:
+            if len(self._waiting) >= self._most:
+                self._waiting.popleft()
+                self.dropped += 1
+            self._waiting.append(record)
+            self._changed.notify_all()
+
+    def status(self) -> dict[str, Any]:
+        """Return name, whether it is up, and its counts."""
+        counts = {"passed": self.passed, "dropped": self.dropped, "waiting": len(self._waiting)}
+        return {"name": self.name, "up": self.up, **counts}
+
+    def _next(self, ready: Callable[[], bool] = lambda: True, timeout: float = 0.5) -> dict[str, Any] | None:
+        """Return the next message as soon as the outlet is ready; None after a while or at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ending or (self._waiting and ready()), timeout)
+            return self._waiting.popleft() if self._waiting and ready() else None
+
+
+class Address(NamedTuple):
+    """Where a server listens."""
+
+    host: str
+    port: int
+
+    @classmethod
+    def of(cls, option: str, text: str) -> Address:
+        """Return HOST:PORT or :PORT as an address; raises `InvalidValue` if it is none.
+
+        Examples
+        --------
+        >>> Address.of("--modbus", ":1502"), Address.of("--modbus", "[::1]:502")
+        (Address(host='127.0.0.1', port=1502), Address(host='::1', port=502))
+        """
+        found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%]+)\]|([^\s:/\[\]]*)):(\d{1,5})", text)
+        if found is None or not 1 <= int(found[3]) <= 65535:
+            raise InvalidValue(
+                f"{option} must be HOST:PORT with a port from 1 to 65535, such as :8080 (this machine alone) or "
+                f"0.0.0.0:8080 (all of the network), got {text!r}"
+            )
+        return cls(found[1] or found[2] or "127.0.0.1", int(found[3]))
+
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    def bound(self, option: str) -> socket.socket:
+        """Return a socket that is bound here; raises `CannotCreate` if it cannot be."""
+        try:
+            family = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0][0]
+            found = socket.socket(family, socket.SOCK_STREAM)
+            try:
+                found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                found.bind(self[:2])
+                found.listen(64)
+            except OSError:
+                found.close()
+                raise
+        except PermissionError:
+            raise CannotCreate(
+                f"{option} {self}: this user may not listen on a port below 1024; choose a higher one"
+            ) from None
+        except OSError as error:
+            raise CannotCreate(
+                f"{option} {self}: the address must be free and of this machine ({error.strerror or error}); choose "
+                "another, or end what listens there"
+            ) from None
+        return found
+
+
+def library(module: str, option: str, package: str) -> Any:
+    """Return the module of an outlet; raises `MissingExtra` if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise MissingExtra(f"{option} needs {package}, which is not installed: pip install 'cgid[plant]'") from None
+
+
+def since(moment: float | None) -> float:
+    """Return the time since a moment of the monotonic clock [s]; infinite if there was none."""
+    return float("inf") if moment is None else time.monotonic() - moment

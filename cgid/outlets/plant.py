@@ -1,0 +1,211 @@
+"""What is known now of each support: for those who ask (Modbus, Prometheus, the page) rather than listen."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.outlets.outlet import since
+
+if TYPE_CHECKING:
+    from cgid.outlets.outlet import Outlet
+
+#: States of a support; before its first share nothing is known.
+NOTHING, OPEN, SHUT = 0, 1, 2
+STATES = ("unknown", "open", "shut")
+#: Shares and answers that the page shows.
+_SHARES, _ANSWERS = 300, 100
+#: Waveforms last this long [s], in bins of this time [s], and are kept for the first channels only.
+SHOWN_TIME, BIN_TIME, MOST_WAVEFORMS = 5.0, 0.005, 16
+
+
+@dataclass
+class Support:
+    """What is known of one support, the last share of gangue and the decision.
+
+    `impacts` and `unknown` are those of the share's window, `labels` counts all answers since the start.
+    """
+
+    state: int = NOTHING
+    share: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    impacts: int = 0
+    unknown: int = 0
+    shared_at: float | None = None
+    turned_at: float | None = None
+    labels: Counter[str] = field(default_factory=Counter)
+    turns: Counter[str] = field(default_factory=Counter)
+    shares: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=_SHARES))
+    answers: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_ANSWERS))
+
+    def take(self, kind: str, record: dict[str, Any]) -> None:
+        """Take an answer, a share or a turn."""
+        if kind in ("impact", "window"):
+            self.labels[record["label"]] += 1
+            self.answers.append([record["time_s"], record["label"]])
+            return
+        self.share, self.low, self.high = (_number(record[name]) for name in ("gangue_share", "low", "high"))
+        if kind == "share":
+            self.impacts, self.unknown, self.shared_at = record["impacts"], record["unknown"], time.monotonic()
+            self.state = self.state or (OPEN if self.impacts else NOTHING)
+            self.shares.append([record["to_s"], record["gangue_share"], record["low"], record["high"]])
+        else:
+            self.state, self.turned_at = (SHUT if kind == "shut" else OPEN), time.monotonic()
+            self.turns[kind] += 1
+
+    def content(self) -> dict[str, Any]:
+        """Return the state in words, the share and the counts, for JSON."""
+        share = {"gangue_share": self.share, "low": self.low, "high": self.high}
+        known = {name: None if math.isnan(value) else value for name, value in share.items()}
+        return {"state": STATES[self.state], **known, "impacts": self.impacts, "unknown": self.unknown}
+
+
+class Plant:
+    """All supports of a stream, and whether it is alive; several threads may ask.
+
+    Attributes
+    ----------
+    supports : by the name of the channel
+    beats : blocks of the stream that were taken
+    """
+
+    def __init__(self) -> None:
+        self.supports: dict[str, Support] = {}
+        self.source, self.unit, self.rows = "", "", ()  # type: tuple[str, str, tuple[str, ...]]
+        self.threshold: float | None = None
+        self.beats, self.time = 0, 0.0
+        self.ended = False
+        self.outlets: list[Outlet] = []
+        self.waveform: Waveform | None = None
+        self._beaten_at: float | None = None
+        self._behind: Callable[[], float] = lambda: 0.0
+        self._lock = Lock()
+
+    def begin(
+        self,
+        source: str,
+        channels: Sequence[str],
+        rows: Sequence[str],
+        unit: str,
+        threshold: float | None,
+        behind: Callable[[], float],
+    ) -> None:
+        """Name what is followed."""
+        with self._lock:
+            self.source, self.unit, self.rows, self.threshold = source, unit, tuple(rows), threshold
+            self._behind = behind
+            self.supports = {name: Support() for name in channels}
+
+    def beat(self, duration: float) -> None:
+        """Note that a block of this duration [s] was taken."""
+        with self._lock:
+            self.beats += 1
+            self.time += duration
+            self._beaten_at = time.monotonic()
+
+    def take(self, record: dict[str, Any]) -> None:
+        """Take one line of JSON."""
+        kind = record["kind"]
+        if kind in ("impact", "window", "share", "shut", "open"):
+            with self._lock:
+                self.supports.setdefault(record["channel"], Support()).take(kind, record)
+
+    @property
+    def behind(self) -> float:
+        """Delay of the answers behind the stream [s]."""
+        return self._behind()
+
+    @property
+    def age(self) -> float:
+        """Time since the last block [s]; infinite before the first."""
+        return since(self._beaten_at)
+
+    def read(self, use: Callable[[dict[str, Support]], Any]) -> Any:
+        """Return what a function makes of the supports while nothing changes."""
+        with self._lock:
+            return use(self.supports)
+
+    def page(self) -> dict[str, Any]:
+        """Return what the page shows, for JSON."""
+        supports = self.read(
+            lambda all_: [
+                {
+                    "name": name,
+                    **one.content(),
+                    "labels": dict(one.labels),
+                    "turns": dict(one.turns),
+                    "shares": list(one.shares),
+                    "answers": list(one.answers),
+                }
+                for name, one in all_.items()
+            ]
+        )
+        return {
+            "source": self.source,
+            "unit": self.unit,
+            "threshold": self.threshold,
+            "beats": self.beats,
+            "time": self.time,
+            "age": self.age if self.beats else None,
+            "behind": self.behind,
+            "ended": self.ended,
+            "supports": supports,
+            "outlets": [outlet.status() for outlet in self.outlets],
+            "waveform": None if self.waveform is None else self.waveform.content(self.rows),
+        }
+
+
+class Waveform:
+    """Least and largest sample of the last seconds in short bins, for the first channels."""
+
+    def __init__(self) -> None:
+        self._bins: deque[tuple[int, NDArray[Any], NDArray[Any]]] = deque(maxlen=round(SHOWN_TIME / BIN_TIME))
+        self._seen = 0
+        self._lock = Lock()
+
+    def add(self, block: NDArray[Any], sampling_rate: float) -> None:
+        """Take the next samples (n_channels, n_samples)."""
+        length = max(round(BIN_TIME * sampling_rate), 1)
+        shown, size = block[:MOST_WAVEFORMS], block.shape[1]
+        starts = np.arange(-(self._seen % length), size, length)
+        first = self._seen // length
+        self._seen += size
+        borders = np.maximum(starts, 0)
+        low, high = (ufunc.reduceat(shown, borders, axis=1).T for ufunc in (np.minimum, np.maximum))
+        with self._lock:
+            for number, (least, most) in enumerate(zip(low, high, strict=True), start=first):
+                if self._bins and self._bins[-1][0] == number:
+                    _, before_low, before_high = self._bins.pop()
+                    least, most = np.minimum(least, before_low), np.maximum(most, before_high)
+                self._bins.append((number, least, most))
+
+    def content(self, rows: Sequence[str]) -> dict[str, Any]:
+        """Return begin and width of the bins [s], and least and largest samples of each channel, for JSON."""
+        with self._lock:
+            bins = list(self._bins)
+        if not bins:
+            return {"start": 0.0, "step": BIN_TIME, "channels": []}
+        low, high = (np.stack([one[k] for one in bins], axis=1) for k in (1, 2))
+        channels = [
+            {"name": name, "low": _short(low[row]), "high": _short(high[row])}
+            for row, name in enumerate(rows[: len(low)])
+        ]
+        return {"start": bins[0][0] * BIN_TIME, "step": BIN_TIME, "channels": channels}
+
+
+def _short(values: NDArray[Any]) -> list[float]:
+    """Return values with the four digits that a picture shows."""
+    return [float(f"{value:.4g}") for value in values.tolist()]
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
