@@ -38,8 +38,8 @@ _LEAST_SHARE = 0.01
 _FEWEST_BINS, _LOUDNESS = 17, (1e-12, 1e11)
 #: Prior deviation of the place about the best of the grid [m].
 _PLACE_DEVIATION = 0.1
-#: Rows, modes or places at a time: their responses fit into the cache of a processor.
-_ROWS = 64
+#: Rows, modes or places at a time, and places of the start: their responses fit into the cache of a processor.
+_ROWS, _PLACES = 64, 16
 #: The start is sought below this frequency [Hz], with so many shapes and places of a wider grid [m], at every second
 #: sample; the place below this frequency, with so many shapes.
 _LOW, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 6, 0.05, 2
@@ -479,10 +479,11 @@ class Inversion:
 
     @cached_property
     def _low(self) -> tuple[_Few, Singles, Singles, Singles]:
-        """The tables that find the start: part of all, rotation, shares, costs."""
+        """The tables that find the start: part of all, rotation, shares and costs of every second level."""
         few = self._few(_LOW, _LOW_SHAPES, _LOW_GRID)
         power, rotation = few.powers(np.ones(few.kept.size, np.float32))
-        return few, rotation, *_shares(power)[1:]
+        share, cost = (np.ascontiguousarray(part[:, ::2]) for part in _shares(power)[1:])
+        return few, rotation, share, cost
 
     def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
@@ -499,8 +500,8 @@ class Inversion:
         shifted = np.stack([later.real, later.imag], axis=3).astype(np.float32).reshape(trusted.shape) * trusted
         told = np.square(turned @ few.heard(shifted))
         best: NDArray[np.floating] = np.full(len(shifted), -np.inf, np.float32)
-        for first_place in range(0, len(few.at), _ROWS):
-            part = slice(first_place, first_place + _ROWS)
+        for first_place in range(0, len(few.at), _PLACES):
+            part = slice(first_place, first_place + _PLACES)
             best = np.maximum(best, (share[part] @ told[part] - cost[part]).max(axis=(0, 1)))
         evidence = best.reshape(len(start), steps.size).astype(np.float64)
         evidence[steps > (start[:, 1] - start[:, 0])[:, None]] = -np.inf
