@@ -218,7 +218,7 @@ def test_learning_needs_no_labels_and_is_reproducible(known):
 
     beam, own = beam_of(scene), _blows(blows[:30], RATE, BEFORE)
     deviation = np.stack([np.full(len(beam.poles), spread) for spread in (0.01, 0.1, 0.0)])
-    first, second = (learn(beam, Blows(own.frames, own.start, own.noise), deviation) for _ in range(2))
+    first, second = (learn(beam, Blows(own.frames, own.start, own.noise, own.colour), deviation) for _ in range(2))
     assert np.array_equal(first.correction, second.correction)
     assert not first.correction[2].any()  # not asked for
     assert (first.deviation <= deviation).all()

@@ -51,6 +51,14 @@ class Colour:
         """Return that of some rows."""
         return Colour(self.coefficients[chosen], self.innovation[chosen])
 
+    def power(self, frequency: Floats) -> Floats:
+        """Return the power of a sample of the noise by frequency [cycles per sample], (n, n_frequencies).
+
+        It is the density for which white noise of variance 1 has 1 everywhere.
+        """
+        lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
+        return np.asarray(self.innovation[:, None] ** 2 / np.abs(1 - self.coefficients @ lag) ** 2)
+
     def whitened(self, curves: Floats, rows: NDArray[np.intp]) -> Floats:
         """Return curves (n, ..., n_samples) of some rows minus their prediction; the first `ORDER` samples are 0."""
         coefficients = self.coefficients[rows].reshape(len(rows), *(1,) * (curves.ndim - 2), ORDER)

@@ -18,6 +18,7 @@ from cgid.files import check_new, write_together
 from cgid.identification.contact import REACH
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam
+from cgid.measure.colour import colour_of
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
 from cgid.scene.impacts import beam_modes
@@ -287,7 +288,9 @@ def _blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int)
     level = np.sqrt(np.mean(np.square(batch.samples), axis=1))
     first = np.maximum(batch.first - int(np.ceil(REACH * sampling_rate)), batch.n_quiet)
     start = np.stack([np.minimum(first, batch.first + 1), batch.first + 1], axis=1).astype(np.intp)
-    return Blows(batch.samples - batch.offset[:, None], start, np.maximum(batch.noise, 1e-6 * level + 1e-300))
+    still = batch.samples - batch.offset[:, None]
+    noise = np.maximum(batch.noise, 1e-6 * level + 1e-300)
+    return Blows(still, start, noise, colour_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
 
 
 def _evidence(beam: Beam, blows: Blows) -> float:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cgid.identification.inversion import Inversion, Sought
 from cgid.measure.beam import Beam, Singles, respond
+from cgid.measure.colour import Colour
 from cgid.validation import Floats
 
 #: What is corrected of a mode.
@@ -78,18 +79,36 @@ class Blows:
         First and last sample in which touch may lie.
     noise : ndarray, (n,)
         Standard deviation of the noise.
+    colour : Colour
+        Of the noise.
     """
 
     frames: Floats
     start: NDArray[np.intp]
     noise: Floats
+    colour: Colour
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def taken(self, rows: slice) -> Blows:
         """Return some of the blows."""
-        return Blows(self.frames[rows], self.start[rows], self.noise[rows])
+        colour = Colour(self.colour.coefficients[rows], self.colour.innovation[rows])
+        return Blows(self.frames[rows], self.start[rows], self.noise[rows], colour)
+
+    def sought(self, raised: Floats | float = 1.0, limit: float | None = None) -> Sought:
+        """Return the blows with their noise raised by factors, (n,)."""
+        colour = self.colour
+        return Sought(self.frames, self.noise * raised, colour.coefficients, colour.innovation * raised, limit=limit)
+
+    def weight(self, inversion: Inversion) -> Floats:
+        """Return the power of white noise of the same deviation over that of the noise, (n, n_coefficients)."""
+        bins = np.arange(inversion.bins.start, inversion.bins.stop) / inversion.n_samples
+        weight = np.ones((len(self), 2 * bins.size))
+        rows = self.colour.rows
+        if rows.size:
+            weight[rows] = np.tile(self.noise[rows, None] ** 2 / self.colour.of(rows).power(bins), 2)
+        return weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +138,9 @@ def evidence_of(inversion: Inversion, blows: Blows) -> Floats:
     White noise alone has -0.5. A beam that explains the blows has some tenths less, as places and forces are unknown;
     one that does not has much less.
     """
-    found = inversion.invert(Sought(blows.frames, blows.noise), blows.start)
+    found = inversion.invert(blows.sought(), blows.start)
     samples = _cut(blows.frames, found.start, inversion.n_samples) / blows.noise[:, None]
-    power = np.square(inversion.transformed(samples), dtype=np.float64).sum(axis=1)
+    power = np.sum(np.square(inversion.transformed(samples), dtype=np.float64) * blows.weight(inversion), axis=1)
     return np.asarray(found.evidence - 0.5 * power / inversion.n_samples)
 
 
@@ -250,9 +269,10 @@ class _System:
         self.columns = np.flatnonzero(np.tile(frequency, 2) <= highest)
         self.active = np.flatnonzero(np.abs(beam.poles) / (2 * np.pi) <= _BEYOND * highest)
         self.noise = blows.noise * raised
-        self.found = self.inversion.invert(Sought(blows.frames, self.noise, limit=limit), blows.start)
+        self.found = self.inversion.invert(blows.sought(raised, limit), blows.start)
+        self.root = np.sqrt(blows.weight(self.inversion)[:, self.columns]).astype(np.float32)
         samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / self.noise[:, None]
-        self.samples = self.inversion.transformed(samples)[:, self.columns]
+        self.samples = self.inversion.transformed(samples)[:, self.columns] * self.root
         self.table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
         self.at = self.beam.weights(self.found.x, self.found.y)
         slopes = [self._slope(row) if row < 2 else self.table[self.active] for row in kept]
@@ -287,10 +307,13 @@ class _System:
         return max(float(np.mean(np.square(self.found.coefficients[row]))), 1.0)
 
     def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, float]:
-        """Return of one blow the ways of force and place, their precision, what is left, and the samples' weight."""
+        """Return of one blow the ways of force and place, their precision, what is left, and the samples' weight.
+
+        All in coefficients whose noise is white.
+        """
         force = self.found.coefficients[row]
         single = force.astype(np.float32)
-        ways = np.tensordot(np.stack([at[row] for at in self.at]), self.table, 1)
+        ways = np.tensordot(np.stack([at[row] for at in self.at]), self.table, 1) * self.root[row]
         ways[1:, 0] = single @ ways[1:]
         left = self.samples[row] - single @ ways[0]
         weight = 1 / max(float(np.mean(np.square(left))), 1.0)
@@ -306,6 +329,7 @@ class _System:
         single = force.astype(np.float32)
         self.power[row] = float(np.mean(np.square(left))) * raised**2
         jacobian = np.concatenate([(single @ slope) * self.at[0][row][self.active, None] for slope in slopes])
+        jacobian *= self.root[row]
         cross = weight * (every @ jacobian.T).astype(np.float64)
         half = np.linalg.solve(np.linalg.cholesky(precision), cross).astype(np.float32)
         curvature += (np.float32(weight) * jacobian) @ jacobian.T - half.T @ half
@@ -332,8 +356,9 @@ def _searched(beam: Beam, now: Floats, deviation: Floats, system: _System) -> Fl
         half = np.linalg.solve(np.linalg.cholesky(precision), np.sqrt(weight) * every).astype(np.float32)
         single = system.found.coefficients[row].astype(np.float32)
         at = system.at[0][row][active]
-        present = (single @ system.table[active]) * at[:, None]
-        parts.append((single, np.exp(-now[2, active]).astype(np.float32) * at, present, left, half, weight))
+        root = system.root[row]
+        present = (single @ system.table[active]) * at[:, None] * root
+        parts.append((single, np.exp(-now[2, active]).astype(np.float32) * at, present, left, half, weight, root))
     prior = np.maximum(deviation[:, active], 1e-9)
     at_now = -0.5 * np.sum((now[:, active] / prior) ** 2, axis=0)
     gains = np.empty((shifts.size, len(ratio)))
@@ -342,8 +367,8 @@ def _searched(beam: Beam, now: Floats, deviation: Floats, system: _System) -> Fl
         other[0] = shift
         table = system.of(corrected(beam, other))
         gain = -0.5 * (shift / prior[0]) ** 2 - at_now
-        for single, at, present, left, half, weight in parts:
-            change = present - (single @ table) * at[:, None]
+        for single, at, present, left, half, weight, root in parts:
+            change = present - (single @ table) * at[:, None] * root
             through, along = half @ change.T, half @ left
             gain -= 0.5 * weight * (2 * change @ left + np.einsum("ms,ms->m", change, change))
             gain += 0.5 * weight * (2 * along @ through + np.einsum("km,km->m", through, through))
