@@ -21,7 +21,7 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.question import EVIDENCE, Question
 from cgid.identification.share import CavingWatch, Share, Turn
 from cgid.identification.stream import identify_blocks
 from cgid.scene import Scene, load_scene, parse_scene
@@ -32,8 +32,8 @@ SEEDS = 900_000, 910_000
 #: Highest of the constant shares; up to this one SHUT is false, as the limit is .5.
 HIGHEST, FALSE_UP_TO = 0.5, 0.3
 DURATION = 60.0
-#: Costs of drawn gangue for the operators' curve, in lost coal.
-COSTS = (0.5, 1.0, 2.0, 4.0)
+#: Costs of drawn gangue for the operators' curve, in lost coal, and the evidence for SHUT.
+COSTS, EVIDENCES = (0.5, 1.0, 2.0, 4.0), (0.5, 0.8, 0.9, 0.95, 0.99)
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,13 @@ def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> s
     errors = [share.share - truth for stream in streams for share, truth in stream.shares(model, DURATION)]
     windows = [pair for stream in streams for pair in stream.shares(model, 10.0)]
     held = np.mean([share.low <= truth <= share.high for share, truth in windows])
+    steady = np.mean(
+        [
+            found.low <= share <= found.high
+            for stream, share in zip(streams, shares.tolist(), strict=True)
+            for found, _ in stream.shares(model, 10.0)
+        ]
+    )
     width = np.mean([share.high - share.low for share, _ in windows])
     unknown = np.mean([answer.label == "unknown" for stream in streams for answer in stream.answers])
     false = sum(
@@ -118,7 +125,7 @@ def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> s
     alarms = f"{false} of {quiet} ({3600 * false / quiet / DURATION:.0f} an hour)"
     return (
         f"| {name} | {len(streams)} | {np.sqrt(np.mean(np.square(errors))):.3f} | {np.mean(errors):+.3f} | "
-        f"{held:.1%} of {len(windows)} | {width:.2f} | {unknown:.1%} | {alarms} | "
+        f"{steady:.1%} / {held:.1%} of {len(windows)} | {width:.2f} | {unknown:.1%} | {alarms} | "
         f"{1e3 * np.mean([stream.cost for stream in streams]):.1f} |"
     )
 
@@ -129,23 +136,23 @@ def rising(model: Model, n: int) -> Iterator[str]:
     streams = [Stream.of(scene, SEEDS[1], number, model) for number in range(n)]
     assert scene.stream is not None and scene.stream.mixture is not None
     times, rises = scene.stream.mixture.times, scene.stream.mixture.shares["gangue"]
-    yield "| a drawn gangue costs | limit | true crossing [s] | SHUT, median [s] | delay, median (range) [s] | early |"
-    yield "|---|---|---|---|---|---|"
+    yield (
+        "| a drawn gangue costs | limit | evidence | true crossing [s] | SHUT, median [s] | delay, median (range) [s] "
+        "| SHUT too early | turns, mean |\n|---|---|---|---|---|---|---|---|"
+    )
     shut: dict[float, np.ndarray] = {}
     crossings = {}
-    for cost in COSTS:
+    for cost, evidence in [(1.0, evidence) for evidence in EVIDENCES] + [(cost, EVIDENCE) for cost in COSTS]:
         limit = 1 / (1 + cost)
         crossing = crossings[cost] = float(np.interp(limit, rises, times))
-        turns = [stream.turns(model, dilution_cost=cost) for stream in streams]
+        turns = [stream.turns(model, dilution_cost=cost, evidence=evidence) for stream in streams]
         first = shut[cost] = np.array([min([t.time for t in own if t.shut], default=DURATION) for own in turns])
         late = first - crossing
         yield (
-            f"| {cost:g} | {limit:.2f} | {crossing:.1f} | {np.median(first):.1f} | {np.median(late):+.1f} "
-            f"({late.min():+.1f} to {late.max():+.1f}) | {int(np.sum(late < 0))} of {n} |"
+            f"| {cost:g} | {limit:.2f} | {evidence:g} | {crossing:.1f} | {np.median(first):.1f} | "
+            f"{np.median(late):+.1f} ({late.min():+.1f} to {late.max():+.1f}) | {int(np.sum(late < 0))} of {n} | "
+            f"{np.mean([len(own) for own in turns]):.1f} |"
         )
-        again = sum(not turn.shut for own in turns for turn in own)
-        if again:
-            yield f"| | | | | {again} times OPEN again | |"
     yield ""
     yield "| shut | recovery of coal | cumulative share of gangue |"
     yield "|---|---|---|"
@@ -172,8 +179,8 @@ def main() -> None:
     model = Model.load(arguments.model)
     shares = HIGHEST * (np.arange(arguments.streams) % 10) / 9
     print(
-        "| streams | number | RMS error of 60 s | mean error | 10 s intervals that hold | width | unknown | "
-        "false SHUT | ms an impact |\n|---|---|---|---|---|---|---|---|---|"
+        "| streams | number | RMS error of 60 s | mean error | 10 s intervals that hold the share / the rocks | "
+        "width | unknown | false SHUT | ms an impact |\n|---|---|---|---|---|---|---|---|---|"
     )
     for name, make in (("caving, constant shares", constant), ("another seam and place", changed)):
         numbered = enumerate(shares.tolist(), arguments.first)

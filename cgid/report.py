@@ -268,11 +268,12 @@ def _turns(report: Report) -> Iterator[str]:
     many = len({share.channel for share in report.shares}) > 1
     for turn in report.turns:
         where = f", channel {turn.share.channel}" if many else ""
-        what = "Shut the window" if turn.shut else "Going on pays again"
+        what, side = ("Shut the window", "above") if turn.shut else ("Going on pays again", "below")
+        limit = "" if report.threshold is None else f" that it is {side} the limit of {report.threshold:.0%}"
         told = (
             f"{what} at {turn.time:.2f} s{where}: share of gangue {turn.share.share:.0%} "
-            f"({turn.share.low:.0%} to {turn.share.high:.0%}), {turn.evidence:.1%} sure; going on costs "
-            f"{turn.cost:+.2g} coal a rock"
+            f"({turn.share.low:.0%} to {turn.share.high:.0%}), {turn.evidence:.1%} sure{limit}; going on is expected "
+            f"to cost {turn.cost:+.2g} coal a rock"
         )
         yield f'<p class="turn">{_text(told)}</p>'
 

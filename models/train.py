@@ -129,12 +129,13 @@ def strangers(n: int, seed: int) -> Rows:
 
 def streams_section(told: dict[str, Any]) -> list[str]:
     """Return the lines about the streams that finished a model."""
-    answers = " and ".join(f"{rate:.2f} of {label}" for label, rate in told["answers_a_rock"].items())
+    answers = ", ".join(f"{rate:.2f} for {label}" for label, rate in told["answers_a_rock"].items())
     return [
         f"In {told['n_streams']} streams like `caving`, not trained on, {told['n_found']} impacts were found, "
-        f"{told['unknown_share']:.1%} of them unknown: {answers} answered a rock. The share corrects for what the "
-        f"model answers to either; its variance is {told['overdispersion']:.2f} times that of independent answers, "
-        f"and it scatters by {told['scatter']:.3f} from stream to stream."
+        f"{told['unknown_share']:.1%} of them unknown. Known answers a rock: {answers}. The "
+        "share corrects for what the model answers to either. "
+        f"Its variance is {told['overdispersion']:.2f} times that of independent answers, and it scatters by "
+        f"{told['scatter']:.3f} from stream to stream."
     ]
 
 

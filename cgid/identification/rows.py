@@ -170,20 +170,19 @@ class Rows:
         place = {source: number for number, source in enumerate(sources)}
         own = [np.array([place[source] for source in part.sources], np.intp)[part.source] for part in parts]
         rates = [rate for part in parts for rate in part.sampling_rates]
+        timed = all(len(part.time) == len(part.labels) for part in parts)
         return replace(
             parts[0],
+            features=np.concatenate([part.features for part in parts]),
+            labels=np.concatenate([part.labels for part in parts]),
+            group=np.concatenate([part.group for part in parts]),
+            known=np.concatenate([part.known for part in parts]),
             source=np.concatenate(own),
             sources=sources,
             digests=sources,
             sampling_rates=(min(rates), max(rates)),
+            time=np.concatenate([part.time for part in parts]) if timed else np.empty(0),
             left_out=sum(part.left_out for part in parts),
-            time=np.concatenate([part.time for part in parts])
-            if all(len(part.time) == len(part.labels) for part in parts)
-            else np.empty(0),
-            **{
-                name: np.concatenate([getattr(part, name) for part in parts])
-                for name in ("features", "labels", "group", "known")
-            },
         )
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:

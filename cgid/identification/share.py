@@ -224,9 +224,9 @@ class ShareWindow:
         breadths = np.diff(edges)
         # Equal answers are one row: a window of thousands costs no more than the bins of a confusion.
         ratios, counts = np.unique(self._answers.ratios(logit(probabilities)), return_counts=True)
-        logarithm = counts @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
-        logarithm -= probabilities.size * np.log1p((self._answers.abundance - 1.0) * shares)
-        logarithm *= self._weight
+        told = counts.astype(np.float64) @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
+        among = probabilities.size * np.log1p((self._answers.abundance - 1.0) * shares)
+        logarithm = self._weight * (told - among)
         masses = np.exp(logarithm - logarithm.max()) * breadths
         masses /= masses.sum()
         likely = float(shares[np.argmax(logarithm)])

@@ -44,7 +44,7 @@ _LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
 _BEFORE, _AFTER = 4e-3, 1.5e-3
 #: Impacts found a rock, about; and streams, at least, to train on and to finish with.
 _IMPACTS_A_ROCK, _FEWEST_STREAMS = 1.6, 8
-#: At most this share of the impacts in streams of its own may be unknown to a model by a guard.
+#: This share of the impacts in streams of its own is unknown to a model by a guard.
 UNKNOWN_SHARE = 0.035
 
 
@@ -302,10 +302,8 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     rows = Rows.joined([stream.rows for stream in streams])
     found = sum(stream.n_found for stream in streams)
     left = max(1 - UNKNOWN_SHARE * found / len(rows.labels), 0.0)
-    limits = tuple(
-        max(limit, float(np.quantile(rows.columns((name,))[:, 0], left)))
-        for name, limit in zip(model.guards, model.guard_limits, strict=True)
-    )
+    # Tighter than in the training, whose rows of streams reach far: another beam must be unknown, too.
+    limits = tuple(float(np.quantile(rows.columns((name,))[:, 0], left)) for name in model.guards)
     model = replace(model, guard_limits=limits)
     heard = [_heard(model, stream) for stream in streams]
     confusion = Confusion.of_streams(heard)
