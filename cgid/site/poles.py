@@ -46,9 +46,9 @@ _AT_FIRST = 0.25
 _BEYOND = 3.0
 #: A band's energy has decayed where it is below this multiple of its end.
 _DECAYED = 1.5
-#: Poles are one mode if their frequencies are closer than this share of the wider's distance from the axis, and this
-#: distances differ by this factor.
-_ONE, _UNLIKE = 0.6, 1.5
+#: Poles are one mode if their frequencies are closer than this share of the wider's distance from the axis, and these
+#: distances differ by this factor; or if they lie within this share of it.
+_ONE, _UNLIKE, _SAME = 0.6, 1.5, 0.3
 #: The largest relative deviation of the damping of a mode that is reported.
 _MOST_UNSURE = 0.35
 
@@ -65,8 +65,9 @@ class Poles:
         Standard deviations of ln frequency and ln damping ratio.
     amplitude : ndarray of complex, (n_decays, n_modes)
         Each decay is the sum of `Re(amplitude exp(pole t))` from its first sample on.
-    amplitude_deviation : ndarray, (n_decays, n_modes)
-        Standard deviation of the amplitudes, noise and poles together; of complex numbers.
+    amplitude_deviation : ndarray, (2, n_decays, n_modes)
+        Standard deviations of the amplitudes, complex numbers: from the noise of each decay, and from the error of the
+        poles that all decays share.
     orders : ndarray of int, (n_modes,)
         Number of orders of the model at which least squares found the mode.
     chart : ndarray, (n, 4)
@@ -124,7 +125,7 @@ def poles_of(decays: Floats, sampling_rate: float, band: tuple[float, float], ma
         pole=pole[order],
         deviation=np.concatenate([part.deviation for part in found], axis=1)[:, order],
         amplitude=np.concatenate([part.amplitude for part in found], axis=1)[:, order],
-        amplitude_deviation=np.concatenate([part.amplitude_deviation for part in found], axis=1)[:, order],
+        amplitude_deviation=np.concatenate([part.amplitude_deviation for part in found], axis=2)[..., order],
         orders=np.concatenate([part.orders for part in found])[order],
         chart=np.concatenate(charts),
     )
@@ -290,7 +291,7 @@ class _Band:
             pole=fit.pole[kept],
             deviation=deviation[:, kept],
             amplitude=amplitude[:, kept],
-            amplitude_deviation=own[:, kept],
+            amplitude_deviation=own[..., kept],
             orders=np.array([np.unique(self.chart[row, 0]).size for row in near.T], np.intp),
             chart=np.empty((0, 4)),
         )
@@ -429,10 +430,10 @@ class _Fit:
         return out
 
     def amplitudes(self, step: float) -> tuple[Complexes, Floats]:
-        """Return the amplitudes of the decays at their first sample and their deviations, (n_decays, n_poles)."""
+        """Return the amplitudes of the decays at their first sample, and their deviations as in `Poles`."""
         n, band = self.pole.size, self.band
         if not n:
-            return np.empty((band.bins.shape[1], 0), complex), np.empty((band.bins.shape[1], 0))
+            return np.empty((band.bins.shape[1], 0), complex), np.empty((2, band.bins.shape[1], 0))
         # A sum over n samples of exp(s t) is (1 - exp(s n step)) / (1 - exp((s - j w) step)), near w = Im s it is
         # (1 - exp(s n step)) / ((j w - s) step) and something smooth. Half of a cosine is in its mirror image.
         factor = 2 * step * np.sqrt(band.n_samples) / (1 - np.exp(self.pole * band.n_samples * step))
@@ -442,18 +443,20 @@ class _Fit:
         by_pole = np.empty((parts.shape[1], n))
         for decay in range(parts.shape[1]):
             slope = moved[:n] * parts[:, decay]
-            both = np.concatenate([slope, 1j * slope], axis=1)
-            by_pole[decay] = np.einsum("ap,pq,aq->a", both, covariance, both.conj()).real
+            ways = np.concatenate([slope, 1j * slope], axis=1)
+            by_pole[decay] = np.einsum("ap,pq,aq->a", ways, covariance, ways.conj()).real
         size = np.abs(factor) * self.scale
-        return (factor * self.scale * parts.T), np.sqrt(own + by_pole) * size
+        both = np.stack([np.broadcast_to(own, by_pole.shape), by_pole])
+        return factor * self.scale * parts.T, np.sqrt(both) * size
 
 
 def _double(pole: Complexes) -> tuple[int, int] | None:
-    """Return two poles at nearly one frequency with different dampings, if there are such."""
+    """Return two poles that are the same, or at nearly one frequency with different dampings, if there are such."""
     for k in range(pole.size):
         for other in range(k):
             wide, narrow = sorted((-pole[k].real, -pole[other].real), reverse=True)
-            if abs(pole[k].imag - pole[other].imag) < _ONE * wide and wide > _UNLIKE * narrow:
+            near = abs(pole[k].imag - pole[other].imag) < _ONE * wide and wide > _UNLIKE * narrow
+            if near or abs(pole[k] - pole[other]) < _SAME * wide:
                 return other, k
     return None
 

@@ -417,18 +417,28 @@ def _participation(
     n_taps, pole = len(taps), poles.pole
     # Of q'' + 2 z w q' + w^2 q = p f: the decay is p Re(s^d F(s) exp(s t) / (j Im s)).
     unit = pole**derivatives / (1j * pole.imag)
-    amplitude, noise = poles.amplitude[:n_taps] / unit, poles.amplitude_deviation[:n_taps] / np.abs(unit)
+    amplitude = poles.amplitude[:n_taps] / unit
+    noise, shared = poles.amplitude_deviation[:, :n_taps] / np.abs(unit)
     if force is None or hits is None:
-        return _relative(np.abs(amplitude), noise)
+        return _relative(np.abs(amplitude), noise, shared)
     transform = np.stack([_transform(force, hits, pole, tap, sampling_rate) for tap in taps])
-    weight = np.square(np.abs(transform))
-    total = weight.sum(axis=0)
-    each = (amplitude / transform).real
-    mean = np.sum(weight * each, axis=0) / total
-    own = np.sqrt(np.sum(np.square(noise * np.abs(transform)), axis=0)) / total / np.sqrt(2)
+    # Noise has any phase, and half of its power is along the amplitude.
+    return _averaged((amplitude / transform).real, np.abs(transform), noise / np.sqrt(2), shared / np.sqrt(2))
+
+
+def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:
+    """Return the mean over taps (n_taps, n_modes) of some strength, and its relative standard deviation.
+
+    `noise` and `shared` are those of each times strength; the second is common to all taps. Where the taps scatter by
+    more, that counts.
+    """
+    n_taps, total = len(each), np.square(strength).sum(axis=0)
+    mean = np.sum(np.square(strength) * each, axis=0) / total
+    own = np.sqrt(np.square(noise * strength).sum(axis=0)) / total
     if n_taps > 1:
-        scatter = np.sqrt(n_taps / (n_taps - 1) * np.sum(np.square(weight * (each - mean)), axis=0)) / total
-        own = np.maximum(own, scatter)
+        off = np.square(np.square(strength) * (each - mean)).sum(axis=0)
+        own = np.maximum(own, np.sqrt(n_taps / (n_taps - 1) * off) / total)
+    own = np.hypot(own, np.sum(shared * strength, axis=0) / total)
     return mean, np.minimum(own / np.maximum(np.abs(mean), 1e-300), 1.0)
 
 
@@ -444,17 +454,10 @@ def _transform(force: Floats, hits: Sequence[Event], pole: Complexes, tap: Tap, 
     return out
 
 
-def _relative(amplitude: Floats, noise: Floats) -> tuple[Floats, Floats]:
+def _relative(amplitude: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:
     """Return the sizes of modes over that of the largest, from taps of unknown strength, and their deviations."""
-    strength = amplitude[:, int(np.argmax(amplitude.sum(axis=0)))]
-    weight = np.square(strength)[:, None]
-    each = amplitude / strength[:, None]
-    mean = np.sum(weight * each, axis=0) / weight.sum()
-    own = np.sqrt(np.sum(np.square(noise * strength[:, None]), axis=0)) / weight.sum()
-    n = len(amplitude)
-    if n > 1:
-        own = np.maximum(own, np.sqrt(n / (n - 1) * np.sum(np.square(weight * (each - mean)), axis=0)) / weight.sum())
-    return mean, np.minimum(own / np.maximum(mean, 1e-300), 1.0)
+    strength = amplitude[:, int(np.argmax(amplitude.sum(axis=0)))][:, None]
+    return _averaged(amplitude / strength, np.broadcast_to(strength, amplitude.shape), noise, shared)
 
 
 # -- modes of a scene -------------------------------------------------------------------------------------
