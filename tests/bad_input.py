@@ -427,6 +427,7 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     (folder / "m_half.csv").write_text("path,start,end,label,peak\ngood.csv,0,1,,9\ntwice.csv,0,1,coal,9\nb.csv,,,,9\n")
     (folder / "m_outside.csv").write_text("path,start,end,label\ngood.csv,0,1,coal\ntwice.csv,7,8,gangue\n")
     (folder / "m_overlap.csv").write_text("path,start,end,label\ntwice.csv,0,0.004,coal\ntwice.csv,0.003,1,gangue\n")
+    (folder / "m_shale.csv").write_text("path,label\ngood.csv,coal\ntwice.csv,shale\n")
     (folder / "m_same.csv").write_text("path,label\ngood.csv,coal\ntwice.csv,coal\n")
     for name in ("void", "papers", "loose", "junk/coal", "junk/gangue", "two_manifests"):
         (folder / name).mkdir(parents=True)
@@ -690,6 +691,54 @@ CASES = (
         ("twice.csv", "intervals must not overlap, coal and gangue do at 0.003 s"),
     ),
     Case("labels all the same", ("train", "m_same.csv", "-o", "new.npz"), 65, ("at least 2 labels", "got coal")),
+    Case(
+        "correction by impacts of one label",
+        ("train", "m_same.csv", "--from", "model.npz", "-o", "new.npz"),
+        65,
+        ("every label of the model (coal, gangue)", "none is gangue", "label some"),
+    ),
+    Case(
+        "correction by too few impacts",
+        ("train", "m_group.csv", "--from", "model.npz", "-o", "new.npz"),
+        65,
+        ("labelled impacts must be 10 at least", "label more"),
+    ),
+    Case(
+        "correction by a label that the model has not",
+        ("train", "m_shale.csv", "--from", "model.npz", "-o", "new.npz"),
+        65,
+        ("label must be one of 'coal', 'gangue'", "'shale'"),
+    ),
+    Case(
+        "correction of a model that must know more",
+        ("train", "m_group.csv", "--from", "height.npz", "-o", "new.npz"),
+        65,
+        ("--from must name a model of the signal alone", "drop_height"),
+    ),
+    Case(
+        "correction of a model of another quantity",
+        ("train", "m_group.csv", "--from", "acceleration.npz", "-o", "new.npz"),
+        65,
+        ("twice.csv", "quantity must be the model's, acceleration", "got force", "--from"),
+    ),
+    Case(
+        "correction of a missing model",
+        ("train", "m_group.csv", "--from", "none.npz", "-o", "new.npz"),
+        66,
+        ("none.npz",),
+    ),
+    Case(
+        "correction by a scene",
+        ("train", "reference", "--from", "model.npz", "-o", "new.npz"),
+        65,
+        ("reference: with --from there must be one table of labelled impacts", "cgid events"),
+    ),
+    Case(
+        "correction with another family",
+        ("train", "m_group.csv", "--from", "model.npz", "--family", "linear", "-o", "new.npz"),
+        65,
+        ("--family must be left out", "--from"),
+    ),
     Case(
         "training on a recording without labels",
         ("train", "good.csv", "-o", "new.npz"),

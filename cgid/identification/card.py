@@ -298,8 +298,8 @@ def correction_section(correction: Record) -> Section:
     return "Corrected for a site", [
         f"{correction['n']} labelled impacts ({counts}) moved its biases by {biases}, its slope to "
         f"{correction['slope']:.3f} and the gain to {correction['gain']:.3f}. Each impact is judged by a correction "
-        f"that the others teach; {correction['n_unknown']} more lie outside of the training. The other figures of this card "
-        "are those of the training, before.",
+        f"that the others teach; {correction['n_unknown']} more lie outside of the training. The other figures of "
+        "this card are those of the training, before.",
         "",
         *table(("model", "accuracy on the site", "95 % interval", "recall"), rows),
     ]

@@ -7,7 +7,8 @@ The model is a good guess; ten to fifty impacts teach little beside it. So they 
 * the gain of the sensor (its ln: 0.2): features with a unit of the signal are divided by it.
 
 That there is nothing to correct is as probable beforehand, and the correction is the mean over what could be, weighed
-by the evidence: without evidence nothing moves. The deviations are assumed; `benchmarks/site_correction.py` checks them.
+by the evidence: without evidence nothing moves. The deviations are assumed; `benchmarks/site_correction.py` checks
+them.
 
 The corrected probabilities are softmax(a s + b) of the scores s at the corrected features. All of this is folded into
 the temperature, the last intercepts and the standardiser, so that a corrected model is a model like any other.
@@ -218,9 +219,10 @@ class _Lumps:
 
     @classmethod
     def of(cls, model: Model, features: Floats, truth: NDArray[np.intp]) -> _Lumps:
-        powers = _powers(model)
-        gains = np.exp(_GAIN * _GAINS) if powers.any() else np.ones(1)
-        tables = [model.probabilities(features / gain**powers) for gain in gains]
+        factors, addends = _gained(model, np.e)
+        gains = np.exp(_GAIN * _GAINS) if (factors != 1).any() or addends.any() else np.ones(1)
+        gained = [_gained(model, gain) for gain in gains]
+        tables = [model.probabilities((features - addend) / factor) for factor, addend in gained]
         return cls(model.labels, np.log(np.maximum(np.stack(tables), 1e-12)), truth, gains)
 
     @property
@@ -281,6 +283,7 @@ def _bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, floa
     effects = np.concatenate([np.broadcast_to(np.eye(n_labels), (n, n_labels, n_labels)), slope * logs[:, :, None]], 2)
     centred = effects - np.einsum("ik,ikp->ip", probabilities, effects)[:, None]
     curvature = np.einsum("ik,ikp,ikq->pq", probabilities, centred, centred)
+    curvature[-1, -1] -= precision[-1] * found.x[-1]  # the exponential bends, too: at the maximum by this much
     size = np.linalg.slogdet(np.eye(n_labels + 1) + curvature / precision[:, None])[1]
     return np.append(found.x[:-1] - found.x[:-1].mean(), found.x[-1]), -float(found.fun) - 0.5 * float(size)
 
@@ -288,39 +291,41 @@ def _bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, floa
 # -- into the model ---------------------------------------------------------------------------------------
 
 
-def _powers(model: Model) -> Floats:
-    """Return the power of the signal's gain in each feature that is no logarithm; 0 where logarithms are."""
-    powers = []
-    for name in model.features:
+def _gained(model: Model, gain: float) -> tuple[Floats, Floats]:
+    """Return the factor and the addend (n_features,) that a gain of the sensor has in each feature."""
+    factors, addends = np.ones(len(model.features)), np.zeros(len(model.features))
+    for k, name in enumerate(model.features):
         unit = FEATURES[name].unit
-        through = 1.0 if FEATURES[name].beam and unit == "N" else 0.0
-        powers.append(0.0 if unit.startswith("log10") else 2.0 if "U^2" in unit else float("U" in unit) or through)
-    return np.array(powers)
+        is_force = FEATURES[name].beam and unit == "N"  # the force that shakes the beam is as the signal
+        power = 2.0 if "U^2" in unit else float("U" in unit or is_force)
+        if unit.startswith("log10"):
+            addends[k] = power * np.log10(gain)
+        else:
+            factors[k] = gain**power
+    return factors, addends
 
 
 def _moved(model: Model, shift: Shift) -> Model:
     """Return the model with a shift folded into its arrays; its prediction sets hold no longer, so it has none."""
     arrays = {name: array for name, array in model.arrays.items() if not name.startswith("conformal.")}
-    powers = _powers(model)
-    arrays |= _divided(Standardiser.from_arrays(arrays, STANDARDISER), shift.gain**powers).arrays(STANDARDISER)
-    if model.contrast is not None:
+    gained = _gained(model, shift.gain)
+    arrays |= _after(Standardiser.from_arrays(arrays, STANDARDISER), *gained).arrays(STANDARDISER)
+    if model.contrast is not None:  # it sees the guards, too, which no gain changes
         n_guards = len(model.guards)
-        own = model.contrast.standardiser
-        factors = np.append(shift.gain**powers, np.ones(n_guards))
-        arrays |= _divided(own, factors).arrays(Contrast.PREFIX)
+        factors, addends = np.append(gained[0], np.ones(n_guards)), np.append(gained[1], np.zeros(n_guards))
+        arrays |= _after(model.contrast.standardiser, factors, addends).arrays(Contrast.PREFIX)
     temperature = model.temperature / shift.slope
-    name = f"family.{_INTERCEPTS[model.family]}"
-    moved = shift.bias * temperature
+    name, moved = f"family.{_INTERCEPTS[model.family]}", shift.bias * temperature
     arrays[name] = arrays[name] + (np.diff(moved) if len(model.labels) == 2 else moved)
     return replace(model, arrays=arrays, temperature=temperature)
 
 
-def _divided(standardiser: Standardiser, factors: Floats) -> Standardiser:
-    """Return the standardiser of features that are first divided by factors (n_features,)."""
-    logarithmic = standardiser.logarithmic
+def _after(standardiser: Standardiser, factors: Floats, addends: Floats) -> Standardiser:
+    """Return the standardiser of features f x + a of the features x of another one, both (n_features,)."""
+    logarithmic, mean, scale = standardiser.logarithmic, standardiser.mean, standardiser.scale
     return Standardiser(
         logarithmic,
         np.where(logarithmic, standardiser.floor * factors, standardiser.floor),
-        np.where(logarithmic, standardiser.mean + np.log(factors), standardiser.mean * factors),
-        np.where(logarithmic, standardiser.scale, standardiser.scale * factors),
+        np.where(logarithmic, mean + np.log(factors), mean * factors + addends),
+        np.where(logarithmic, scale, scale * factors),
     )

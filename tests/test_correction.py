@@ -1,0 +1,154 @@
+"""A model corrected by labelled impacts: what is folded into it, its evidence, and what it states of its accuracy."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cgid.cli.main import run
+from cgid.errors import BadData
+from cgid.identification.card import correction_section, write_card
+from cgid.identification.correction import _BIAS, _SLOPE, Shift, _bias_and_slope, _moved, advice, correct
+from cgid.identification.families import softmax
+from cgid.identification.model import Model
+from cgid.identification.rows import Rows
+from cgid.identification.training import train
+from cgid.scene import load_scene, synthesise
+
+NAMES = ("peak_force", "width_50", "skewness")
+
+
+def impacts(
+    n: int, seed: int, labels: tuple[str, ...] = ("coal", "gangue"), shift: float = 0.0, gain: float = 1.0
+) -> Rows:
+    """Return impacts whose labels overlap in width; `shift` moves all widths, in standard deviations."""
+    random = np.random.default_rng(seed)
+    truth = random.integers(len(labels), size=n)
+    width = np.exp(0.3 * (random.normal(size=n) - 2.0 * truth + shift)) * 1e-3
+    peak = gain * np.exp(random.normal(size=n)) * 1e3 * (1e-3 / width)
+    features = np.stack([peak, width, random.normal(size=n)], axis=1)
+    return Rows(
+        names=NAMES,
+        features=features,
+        labels=np.array(labels)[truth],
+        group=np.arange(n),
+        source=np.zeros(n, np.intp),
+        sources=("made",),
+        digests=("made",),
+        unit="N",
+        sampling_rates=(1e5, 1e5),
+    )
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return train(impacts(3000, 1), features=NAMES, family="logistic").model
+
+
+@pytest.mark.parametrize("family", ["logistic", "linear", "network", "boosting"])
+@pytest.mark.parametrize("labels", [("coal", "gangue"), ("coal", "gangue", "steel")])
+def test_a_shift_is_folded_into_every_family(family: str, labels: tuple[str, ...]) -> None:
+    former = train(impacts(400, 2, labels), features=NAMES, family=family).model
+    new = impacts(50, 3, labels).features
+    shift = Shift(labels, np.linspace(-0.4, 0.6, len(labels)), 0.7, 1.25)
+    moved = Model.from_bytes(_moved(former, shift).to_bytes())
+    wanted = softmax(shift.slope * np.log(former.probabilities(new)) + shift.bias)
+    louder = new * [shift.gain, 1.0, 1.0]
+    np.testing.assert_allclose(moved.probabilities(louder), wanted, atol=1e-12)
+    np.testing.assert_allclose(moved.novelty(louder), former.novelty(new), rtol=1e-9)
+    assert moved.conformal is None
+
+
+def test_the_evidence_is_that_of_the_integral() -> None:
+    """Laplace's Gaussian beside a sum over a grid of both biases and the slope."""
+    random = np.random.default_rng(4)
+    logs = np.log(softmax(random.normal(size=(30, 2)) * 2))
+    truth = (random.random(30) < 0.6).astype(np.intp)
+    grids = [np.linspace(-5, 5, 81) * deviation for deviation in (_BIAS, _BIAS, _SLOPE)]
+    first, second, slope = np.meshgrid(*grids, indexing="ij")
+    total = np.zeros(first.shape)
+    for row, label in zip(logs, truth, strict=True):
+        scores = [np.exp(slope) * row[0] + first, np.exp(slope) * row[1] + second]
+        total += scores[label] - np.logaddexp(*scores)
+    for axis, deviation in ((first, _BIAS), (second, _BIAS), (slope, _SLOPE)):
+        total += -0.5 * (axis / deviation) ** 2 - np.log(deviation * np.sqrt(2 * np.pi))
+    cell = np.prod([grid[1] - grid[0] for grid in grids])
+    (_, evidence) = _bias_and_slope(logs, truth)
+    assert evidence == pytest.approx(np.log(np.exp(total).sum() * cell), abs=0.05)
+
+
+def test_impacts_like_those_of_the_training_move_little(model: Model) -> None:
+    lost, held, judge = [], [], impacts(2000, 99)
+    before = np.mean(answers(model, judge) == judge.labels)
+    for seed in range(20):
+        found = correct(model, impacts(20, 100 + seed))
+        after = np.mean(answers(found.model, judge) == judge.labels)
+        low, high = found.after["accuracy_interval_95"]
+        lost.append(before - after)
+        held.append(low <= after <= high)
+    assert np.mean(lost) < 0.01 and max(lost) < 0.04
+    assert sum(held) >= 17
+
+
+def test_another_seam_is_corrected(model: Model) -> None:
+    judge = impacts(2000, 98, shift=1.0)
+    before = np.mean(answers(model, judge) == judge.labels)
+    found = correct(model, impacts(50, 7, shift=1.0))
+    after = np.mean(answers(found.model, judge) == judge.labels)
+    assert before < 0.75 and after > before + 0.07
+    assert found.before["accuracy"] == pytest.approx(np.mean(found.labels == answers(model, impacts(50, 7, shift=1.0))))
+    low, high = found.after["accuracy_interval_95"]
+    assert low <= after <= high
+    again = correct(model, impacts(50, 7, shift=1.0)).model
+    assert again.to_bytes() == found.model.to_bytes()
+    told = found.model.training["correction"]
+    assert sum(told["labels"].values()) == told["n"] == 50
+    assert "Corrected for a site" in write_card(found.model, "m.npz", further=[correction_section(told)])
+    assert "would narrow the interval" in advice(found)[0]
+
+
+def answers(model: Model, rows: Rows) -> np.ndarray:
+    return np.array(model.labels)[np.argmax(model.probabilities(rows.features), axis=1)]
+
+
+def test_impacts_that_the_model_does_not_know_teach_nothing(model: Model) -> None:
+    rows = impacts(30, 8)
+    strange = rows.features.copy()
+    strange[:25, 1] *= 1e3
+    with pytest.raises(BadData, match="within the training of the model, 10 at least, got 5 of 30; calibrate the beam"):
+        correct(model, replace(rows, features=strange))
+    strange = np.where(np.arange(30)[:, None] < 12, strange, rows.features)
+    assert correct(model, replace(rows, features=strange)).n_unknown == 12
+
+
+def test_labelled_impacts_correct_a_shipped_model(tmp_path: Path, capsys: Any) -> None:
+    """Blows on the beam of `tail_beam`, one after the other in a recording."""
+    (batch,) = synthesise(load_scene("tail_beam"), 14, seed=5)
+    silence = np.random.default_rng(0).normal(0, batch.signals[:, :60].std(), (14, 1200))
+    blows = np.hstack([silence[:, :600], batch.signals, silence[:, 600:]])
+    np.save(tmp_path / "blows.npy", blows.ravel())
+    length = blows.shape[1] / 25_600
+    with (tmp_path / "lumps.csv").open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["path", "label", "start", "end", "rate", "unit"])
+        for k, label in enumerate(batch.labels):
+            rows.writerow(["blows.npy", label, k * length, (k + 0.8) * length, 25_600, "m/s^2"])
+    arguments = ["train", str(tmp_path / "lumps.csv"), "--from", "default-acceleration", "-o", str(tmp_path / "s.npz")]
+    assert run(arguments) == 0
+    said = capsys.readouterr()
+    assert "on this site, each of 1" in said.out and "moved bias coal" in said.out
+    assert "would narrow the interval" in said.err and "cgid ceiling" in said.err
+    assert "Corrected for a site" in (tmp_path / "s.md").read_text()
+    assert run([*arguments, "--json", "--overwrite"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["n"] + told["n_unknown"] >= 12 and told["accuracy"] > 0.6
+    assert run(["predict", str(tmp_path / "blows.npy"), "--model", str(tmp_path / "s.npz"), *UNIT]) == 0
+
+
+UNIT = ["--rate", "25600", "--unit", "m/s^2"]
