@@ -23,7 +23,7 @@ _OPTIONS = {
     "What struck": "--striker --masses",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
-    "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
+    "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
 }
@@ -38,7 +38,7 @@ _EXCEPTIONS = {
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
     "Models": "train",
-    "Datasets and scenes": "generate check calibrate verify export",
+    "Datasets and scenes": "generate check calibrate verify export fetch",
     "Studies": "ceiling reproduce",
 }
 #: One line for the start file of each shell.

@@ -17,6 +17,7 @@ from cgid.cli.calibrate import calibrate
 from cgid.cli.events import events
 from cgid.cli.export import export
 from cgid.cli.features import features
+from cgid.cli.fetch import fetch
 from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
@@ -68,6 +69,7 @@ for command in (
     reproduce,
     verify,
     export,
+    fetch,
 ):
     cli.add_command(command)
 

@@ -29,8 +29,8 @@ _FINEST, _COARSEST = 1e-4, 3.0
 #: Standard deviations of ln peak, ln width and shape by which pulses fitted through a beam differ from the closest
 #: ones of the family where the beam's own waves come back during contact (`benchmarks/striker.py`).
 _BEHIND_BEAM = (0.005, 0.01, 0.08)
-#: Error of ln peak for what the beam leaves unexplained, over the root of its share of the energy, the largest, those of
-#: ln peak, ln width and shape over it, and from which on it is told: so that the intervals of scene `caving` cover.
+#: Error of ln peak for what the beam leaves unexplained, over the root of its share of the energy, the largest, those
+#: of ln peak, ln width and shape over it, and from which on it is told: so that the intervals of scene `caving` cover.
 _UNEXPLAINED, _LARGEST_ERROR, _SHARES, _TOLD = 4.0, 1.2, (1.0, 0.6, 0.8), 0.2
 
 

@@ -390,7 +390,7 @@ def _normal(n: int) -> Floats:
 
 def _quantiles(values: Floats, weight: Floats) -> Floats:
     """Return quantiles of weighted rows, (n, n_levels), by histograms; nan for rows without weight."""
-    n, known = len(values), weight.any(axis=1)
+    n, known = len(values), np.asarray(weight.any(axis=1))
     counts = weight > 1e-4 * weight.max(axis=1, keepdims=True)
     low = np.where(counts, values, np.inf).min(axis=1)
     high = np.where(counts, values, -np.inf).max(axis=1)
@@ -409,4 +409,4 @@ def _quantiles(values: Floats, weight: Floats) -> Floats:
     lower = np.where(at > 0, np.take_along_axis(below, np.maximum(at - 1, 0), axis=1), 0.0)
     share = np.clip((LEVELS - lower) / np.maximum(upper - lower, 1e-300), 0, 1)
     out = low[:, None] + cell[:, None] * (at + share - 0.5)
-    return np.where(known[:, None], out, np.nan)
+    return np.asarray(np.where(known[:, None], out, np.nan))
