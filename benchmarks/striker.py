@@ -51,13 +51,13 @@ def impacts(scene: Scene, n: int) -> tuple[MeasuredPulses, dict[str, Floats], fl
     parts, truths, taken = [], [], 0.0
     beam = None if scene.tail_beam is None else ThroughBeam(beam_of(scene))
     for batch in synthesise(scene, n, SEED):
-        start = time.perf_counter()
+        start = time.process_time()
         if beam is None:
             found = estimate(batch.signals, batch.sampling_rate, pre_trigger=batch.pre_trigger)
             parts.append(MeasuredPulses.of_estimates(found))
         else:
             parts.append(through_beam(batch.signals, batch.sampling_rate, batch.pre_trigger, beam))
-        taken += time.perf_counter() - start
+        taken += time.process_time() - start
         truths.append(batch.parameters)
     truth = {name: np.concatenate([part[name] for part in truths]) for name in truths[0]}
     truth |= {"mass": 4 / 3 * np.pi * truth["radius"] ** 3 * truth["density"], "speed": truth["velocity"]}
@@ -114,9 +114,9 @@ def case(name: str, among: str, n: int, chosen: str = "all") -> None:
     _, pulses, truth, fitting = measured(name, n)
     population = population_of(load_scene(among))
     population.posterior(pulses.rows(slice(0, 1)))  # makes the table
-    start = time.perf_counter()
+    start = time.process_time()
     found = population.posterior(pulses)
-    taken = (time.perf_counter() - start) / len(pulses)
+    taken = (time.process_time() - start) / len(pulses)
     rows = np.ones(len(found), bool)
     if chosen != "all":
         rows = truth["curvature"] == 1
@@ -222,13 +222,13 @@ def recorded(scene: Scene, number: int) -> tuple[MeasuredPulses, dict[str, Any],
 def masses(path: Path, name: str = "caving") -> None:
     """Print and draw the distribution of masses of a recording beside the truth."""
     scene = load_scene(name)
-    start = time.perf_counter()
+    start = time.process_time()
     population, detection = population_of(scene), detection_of(scene)
-    print(f"population and detection {time.perf_counter() - start:.1f} s")
+    print(f"population and detection {time.process_time() - start:.1f} s")
     pulses, truth, times = recorded(scene, 0)
-    start = time.perf_counter()
+    start = time.process_time()
     found = size_distribution(pulses, population, detection=detection)
-    taken = time.perf_counter() - start
+    taken = time.process_time() - start
     mass = 4 / 3 * np.pi * truth["radius"] ** 3 * truth["density"]
     true = np.histogram(mass, found.edges)[0]
     place = matched(truth["time"], times)

@@ -528,6 +528,8 @@ CASES = (
     Case("label of a page", ("train", "tagged.h5", "-o", "new.npz"), 65, ("tagged.h5: label must be", "'<b>'")),
     Case("verify no name", ("verify", ""), 2, ("'DATA...'", "must not be empty")),
     Case("model of junk", ("predict", "good.csv", "--model", "text.npz"), 65, ("text.npz", "no sound model")),
+    Case("public data of no name", ("fetch", "steel-bals"), 65, ("did you mean 'steel-balls'",)),
+    Case("mirror on a disk", ("fetch", "shock", "--mirror", "file:///etc"), 65, ("begins with https://",)),
     Case("striker of no scene", ("predict", "good.csv", "--striker", "none.toml"), 66, ("none.toml",)),
     Case("striker in drawn rigs", ("predict", "good.csv", "--striker", "randomised"), 65, ("take [randomise] out",)),
     Case("masses without a striker", ("predict", "good.csv", "--masses", "m.png"), 2, ("give --striker SCENE",)),

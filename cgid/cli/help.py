@@ -24,8 +24,8 @@ _OPTIONS = {
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
-    "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --clock "
-    "--strict",
+    "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
+    "--clock --strict",
     "Outlets": "--mqtt --modbus --prometheus --live --on-shut --on-open",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
@@ -42,7 +42,7 @@ _EXCEPTIONS = {
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
     "Models": "train export-model",
-    "Datasets and scenes": "generate check tap calibrate verify export",
+    "Datasets and scenes": "generate check tap calibrate verify export fetch",
     "Studies": "ceiling reproduce",
 }
 #: One line for the start file of each shell.

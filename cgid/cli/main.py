@@ -17,6 +17,7 @@ from cgid.cli.calibrate import calibrate
 from cgid.cli.events import events
 from cgid.cli.export import export, export_model
 from cgid.cli.features import features
+from cgid.cli.fetch import fetch
 from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
@@ -71,6 +72,7 @@ for command in (
     verify,
     export,
     export_model,
+    fetch,
 ):
     cli.add_command(command)
 

@@ -92,7 +92,7 @@ class SizeDistribution:
     edges : ndarray, (n_classes + 1,)
         In the unit of `QUANTITIES`.
     found, low_found, high_found : ndarray, (n_classes,)
-        Impacts found, and their 90 % interval.
+        Impacts found, and their 90 % interval; those without an interval of their own count as being like the others.
     total, low_total, high_total : ndarray, (n_classes,)
         Impacts, found or not; nan where less than `LEAST_FOUND` of a class is found.
     probability : ndarray, (n_classes,)
@@ -167,7 +167,7 @@ def size_distribution(
     drawn_again = np.random.default_rng(n).multinomial(n, np.full(n, 1 / n), _RESAMPLED)
     weights = np.concatenate([np.ones((1, n)), drawn_again.astype(np.float64)])
     share = _unfolded(likelihood[known], prior * probability, weights)
-    found = n * share
+    found = len(pulses) * share
     few = probability < LEAST_FOUND
     total = np.where(few, np.nan, found / np.maximum(probability, LEAST_FOUND))
     low_found, high_found = np.quantile(found[1:], [0.05, 0.95], axis=0)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cgid.identification.contact import Contact
 from cgid.identification.estimation import FAMILY_LIMIT, Estimates
+from cgid.identification.inversion import Inverted
 from cgid.measure.fit import PulseFit
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, relative_times
@@ -28,6 +29,9 @@ _FINEST, _COARSEST = 1e-4, 3.0
 #: Standard deviations of ln peak, ln width and shape by which pulses fitted through a beam differ from the closest
 #: ones of the family where the beam's own waves come back during contact (`benchmarks/striker.py`).
 _BEHIND_BEAM = (0.005, 0.01, 0.08)
+#: Error of ln peak for what the beam leaves unexplained, over the root of its share of the energy, the largest, those
+#: of ln peak, ln width and shape over it, and from which on it is told: so that the intervals of scene `caving` cover.
+_UNEXPLAINED, _LARGEST_ERROR, _SHARES, _TOLD = 4.0, 1.2, (1.0, 0.6, 0.8), 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,16 +163,23 @@ class MeasuredPulses:
         return cls._checked(log_peak, log_width, shape, covariance, problem, usable, strange)
 
     @classmethod
-    def of_contact(cls, contact: Contact) -> MeasuredPulses:
-        """Return pulses fitted to forces behind a beam; their covariance is widened already."""
+    def of_contact(cls, contact: Contact, inverted: Inverted) -> MeasuredPulses:
+        """Return pulses fitted to forces behind a beam, which are widened by their misfit already.
+
+        What the beam leaves unexplained beyond the noise, such as another blow, is an error of the pulse, too.
+        """
         n = len(contact.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
             log_peak, log_width = np.log(contact.peak), np.log(contact.width)
-        problem = np.full(n, "", object)
+            strange = inverted.unexplained * np.clip(1 - 1 / inverted.misfit, 0.0, 1.0)
+        error = np.minimum(_UNEXPLAINED * np.sqrt(np.nan_to_num(strange)), _LARGEST_ERROR)
         covariance = contact.covariance + np.diag(np.square(_BEHIND_BEAM))
-        return cls._checked(
-            log_peak, log_width, contact.shape, covariance, problem, np.ones(n, bool), np.zeros(n, bool)
-        )
+        covariance += np.square(error)[:, None, None] * np.diag(np.square(_SHARES))
+        problem = np.full(n, "", object)
+        for row in np.flatnonzero(error > _TOLD):
+            problem[row] = f"wide: the beam leaves {100 * strange[row]:.2g} % of the vibration unexplained"
+        every, none = np.ones(n, bool), np.zeros(n, bool)
+        return cls._checked(log_peak, log_width, contact.shape, covariance, problem, every, none)
 
     @classmethod
     def _checked(

@@ -390,7 +390,7 @@ def _normal(n: int) -> Floats:
 
 def _quantiles(values: Floats, weight: Floats) -> Floats:
     """Return quantiles of weighted rows, (n, n_levels), by histograms; nan for rows without weight."""
-    n, known = len(values), weight.any(axis=1)
+    n, known = len(values), np.asarray(weight.any(axis=1))
     counts = weight > 1e-4 * weight.max(axis=1, keepdims=True)
     low = np.where(counts, values, np.inf).min(axis=1)
     high = np.where(counts, values, -np.inf).max(axis=1)
@@ -401,13 +401,12 @@ def _quantiles(values: Floats, weight: Floats) -> Floats:
     mass = np.bincount(place.ravel(), weight.ravel(), n * _POSTERIOR).reshape(n, _POSTERIOR)
     below: Floats = np.asarray(np.cumsum(mass, axis=1), np.float64)
     below /= np.maximum(below[:, -1:], 1e-300)
-    out = np.full((n, LEVELS.size), np.nan)
-    # The first cell at which each level is reached.
-    for k, level in enumerate(LEVELS.tolist()):
-        at = np.argmax(below >= level - 1e-12, axis=1)
-        rows = np.arange(n)
-        upper, lower = below[rows, at], np.where(at > 0, below[rows, np.maximum(at - 1, 0)], 0.0)
-        share = (level - lower) / np.maximum(upper - lower, 1e-300)
-        out[:, k] = low + cell * (at + np.clip(share, 0, 1) - 0.5)
-    out[~known] = np.nan
-    return out
+    # One search for all rows: each lies one above the row before.
+    floor = np.arange(n)[:, None]
+    at = np.searchsorted((below + floor).ravel(), (LEVELS + floor).ravel()).reshape(n, -1) - floor * _POSTERIOR
+    at = np.clip(at, 0, _POSTERIOR - 1)
+    upper = np.take_along_axis(below, at, axis=1)
+    lower = np.where(at > 0, np.take_along_axis(below, np.maximum(at - 1, 0), axis=1), 0.0)
+    share = np.clip((LEVELS - lower) / np.maximum(upper - lower, 1e-300), 0, 1)
+    out = low[:, None] + cell[:, None] * (at + share - 0.5)
+    return np.asarray(np.where(known[:, None], out, np.nan))

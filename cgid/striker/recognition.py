@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import InvalidValue
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
+from cgid.measure.features import BEAM_LIMIT
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
@@ -137,6 +138,7 @@ def through_beam(
     MeasuredPulses
     """
     rate, parts = require_rate(sampling_rate), []
+    detection_limit = min(detection_limit, BEAM_LIMIT)  # the modes find a blow where the samples alone do not show it
     for first in range(0, max(len(frames), 1), _ROWS):
         part = np.asarray(frames[first : first + _ROWS], np.float64)
         batch = VibrationBatch(part, rate, pre_trigger, detection_limit=detection_limit)
@@ -148,7 +150,8 @@ def through_beam(
             filled[list(failed)] = part[sound[0]]
             batch = VibrationBatch(filled, rate, pre_trigger, detection_limit=detection_limit)
         if sound.size:
-            parts.append(MeasuredPulses.of_contact(beam.look(batch)[1]).without(failed))
+            inverted, contact = beam.look(batch)
+            parts.append(MeasuredPulses.of_contact(contact, inverted).without(failed))
         else:
             parts.append(MeasuredPulses.failed([failed[row] for row in range(len(part))]))
     return MeasuredPulses.joined(parts)

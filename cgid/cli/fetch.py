@@ -1,0 +1,36 @@
+"""`cgid fetch`: public recordings of real impacts, by name."""
+
+from __future__ import annotations
+
+import click
+
+from cgid.cli.help import Command
+from cgid.cli.options import PATH
+from cgid.cli.output import progress_bar, say
+
+
+@click.command(cls=Command, short_help="Download public recordings of real impacts.", example="cgid fetch")
+@click.argument("name", required=False)
+@click.option(
+    "-o", "--output", type=PATH, default=".", show_default=True, help="Make the dataset's folder in this one."
+)
+@click.option("--mirror", metavar="URL", help="Download from this address instead: that of a copy.")
+def fetch(name: str | None, output: str, mirror: str | None) -> None:
+    """Download the public dataset NAME, or list all of them without a NAME.
+
+    Each file is checked by its size and SHA-256. Files that are there already are kept. Nothing is ever downloaded but by
+    this command.
+    """
+    from cgid import public
+
+    if name is None:
+        for one in public.PUBLIC.values():
+            size = f"{len(one.files)} files, {one.size / 1e6:.1f} MB"
+            say(
+                f"{one.name}: {one.content}\n    {size}, {one.licence}, github.com/{one.repository}\n    for {one.good_for}"
+            )
+        return
+    total = public.PUBLIC[name].size if name in public.PUBLIC else None
+    with progress_bar(total, "B") as move:
+        folder = public.fetch(name, output, mirror=mirror, progress=move)
+    say(f"wrote {folder}", err=True)

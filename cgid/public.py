@@ -1,0 +1,208 @@
+"""Public recordings of real impacts, fetched by name: nothing is downloaded unless asked for, nothing comes with cgid.
+
+Each file has an address at a pinned commit, a size and a SHA-256; all three were taken from a copy of the repository.
+The files are listed in `datasets/public.csv`.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import http.client
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from urllib.error import HTTPError, URLError
+from urllib.parse import quote, urlsplit
+from urllib.request import Request, urlopen
+
+from cgid import shipped, validation
+from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
+from cgid.files import looking_at, write_whole
+
+#: Waiting time for an answer [s].
+_PATIENCE = 30.0
+#: Where GitHub serves files of a commit.
+_GITHUB = "https://raw.githubusercontent.com"
+
+
+@dataclass(frozen=True)
+class PublicFile:
+    """A file of a public dataset."""
+
+    path: str  # in the repository
+    size: int  # [bytes]
+    sha256: str
+
+
+@dataclass(frozen=True)
+class PublicData:
+    """A public dataset.
+
+    Attributes
+    ----------
+    name : str
+    repository, commit : str
+        On GitHub.
+    licence : str
+    content, good_for : str
+        What it holds, and what it is good for.
+    """
+
+    name: str
+    repository: str
+    commit: str
+    licence: str
+    content: str
+    good_for: str
+
+    @property
+    def base(self) -> str:
+        """The address that paths of files follow."""
+        return f"{_GITHUB}/{self.repository}/{self.commit}"
+
+    @property
+    def files(self) -> tuple[PublicFile, ...]:
+        """The files, from `datasets/public.csv`."""
+        with shipped.path_of("datasets", "public.csv").open(newline="", encoding="utf-8") as lines:
+            rows = [row for row in csv.DictReader(lines) if row["dataset"] == self.name]
+        return tuple(PublicFile(row["path"], int(row["size"]), row["sha256"]) for row in rows)
+
+    @property
+    def size(self) -> int:
+        """Size of all files [bytes]."""
+        return sum(file.size for file in self.files)
+
+
+_ALL = (
+    PublicData(
+        "steel-balls",
+        "hui30319/Analysis-of-Impact-Echo-Time-Signals-by-Deep-Learning",
+        "f3230a1a271a7249f9a494840facc533ed04a55c",
+        "MIT",
+        "99 blows of steel balls of 6 and 10 mm on concrete: displacement beside the blow, 625 kHz, 5 ms",
+        "contact times and sizes of strikers on real signals (benchmarks/steel_balls.py)",
+    ),
+    PublicData(
+        "bulk-ramp",
+        "spatialaudio/classification_exercise",
+        "b39dee8a81f189560571819c439284025143533d",
+        "CC BY 4.0",
+        "20 recordings of nuts, screws and plastic spheres on an aluminium ramp: structure-borne sound, 44.1 kHz",
+        "many overlapping impacts of known bodies: detection, windows, training on few recordings",
+    ),
+    PublicData(
+        "shock",
+        "High-Rate-SHM-Working-Group/Dataset-5-Extended-Impact-Testing",
+        "1bbfcf17dfd78a09790aa092a5dc07e6a6bae628",
+        "CC BY-SA 4.0",
+        "4 drop-tower shocks: acceleration of the table and of a board on it, 50 kHz",
+        "clean half-sine pulses for the fit, and the ringing that they excite",
+    ),
+)
+#: Name -> dataset.
+PUBLIC = {one.name: one for one in _ALL}
+
+
+def fetch(
+    name: str,
+    folder: str | Path,
+    *,
+    mirror: str | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Path:
+    """Download a public dataset; files that are there already are checked and kept.
+
+    Parameters
+    ----------
+    name : str
+        One of `PUBLIC`.
+    folder : str or Path
+        Where a folder of this name is made.
+    mirror : str, optional
+        Address to take the place of the one of the commit, such as that of an own server.
+    progress : callable, optional
+        Is called with the size of each file done [bytes].
+
+    Returns
+    -------
+    Path
+        The folder of the dataset.
+
+    Raises
+    ------
+    InvalidValue
+        There is no such dataset, or the mirror is no address of a web server.
+    NoInput
+        A file cannot be downloaded.
+    BadData
+        What arrives is cut off, or not what it was.
+    CannotCreate
+        Another file is in the way, or the folder cannot be made.
+    WriteFailed
+        The disk is full.
+    """
+    validation.choice("dataset", name, tuple(PUBLIC))
+    data = PUBLIC[name]
+    base = data.base if mirror is None else mirror.rstrip("/")
+    if urlsplit(base).scheme not in ("https", "http"):
+        raise InvalidValue(f"mirror must be an address that begins with https:// or http://, got {base!r}")
+    target = Path(folder) / name
+    top = len(PurePosixPath(_common([file.path for file in data.files])).parts)
+    for file in data.files:
+        path = target.joinpath(*PurePosixPath(file.path).parts[top:])
+        with looking_at(path):
+            there = path.exists()
+        if there:
+            _check_kept(path, file)
+        else:
+            content = _downloaded(f"{base}/{quote(file.path)}", file)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise CannotCreate(f"{path.parent}: the folder cannot be made: {error.strerror or error}") from None
+            write_whole(path, content, overwrite=False)
+        if progress is not None:
+            progress(file.size)
+    return target
+
+
+def _common(paths: list[str]) -> str:
+    """Return the folder that holds all files."""
+    parents = [PurePosixPath(path).parent.parts for path in paths]
+    shared = [level[0] for level in zip(*parents, strict=False) if len(set(level)) == 1]
+    return "/".join(shared)
+
+
+def _check_kept(path: Path, file: PublicFile) -> None:
+    """Raise `CannotCreate` if the existing file is another one."""
+    if not path.is_file() or path.stat().st_size != file.size or _sum(path.read_bytes()) != file.sha256:
+        raise CannotCreate(f"{path}: exists already and is not the public file; move it, or choose another folder")
+
+
+def _sum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _downloaded(address: str, file: PublicFile) -> bytes:
+    cure = "check the connection, or give --mirror with the address of a copy"
+    try:
+        with urlopen(Request(address, headers={"User-Agent": "cgid"}), timeout=_PATIENCE) as answer:
+            content = bytes(answer.read(file.size + 1))  # no more, whatever a server sends
+    except HTTPError as error:
+        raise NoInput(
+            f"{address}: cannot be downloaded, the server answers {error.code} {error.reason}; {cure}"
+        ) from None
+    except http.client.IncompleteRead as error:
+        content = error.partial
+    except (OSError, URLError, http.client.HTTPException, ValueError) as error:
+        reason = getattr(error, "reason", None) or error
+        raise NoInput(f"{address}: cannot be downloaded: {reason}; {cure}") from None
+    if len(content) < file.size:
+        raise BadData(f"{address}: must hold {file.size} bytes, {len(content)} arrived: cut off; run the command again")
+    if len(content) != file.size or _sum(content) != file.sha256:
+        raise BadData(
+            f"{address}: is not what it was, its SHA-256 must begin with {file.sha256[:12]}, got {_sum(content)[:12]}; "
+            "nothing was written, give --mirror with the address of a sound copy"
+        )
+    return content
