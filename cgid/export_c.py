@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from cgid import __version__
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES
-from cgid.identification.families import Standardiser
+from cgid.identification.families import Contrast, Standardiser
 from cgid.identification.model import LOWEST_SHARE, Model
 from cgid.identification.model_file import STANDARDISER
 from cgid.measure.features import FEATURES
 from cgid.signals import KNOWN
 from cgid.validation import Floats
 
-#: Most numbers in a C file: 8 MiB of constants in double precision.
+#: Most numbers in an exported file: 8 MiB of constants in double precision.
 MOST_NUMBERS = 1 << 20
 #: Largest and smallest constants of a file that may be compiled with single precision.
 _SINGLE = (1e-37, 1e37)
@@ -587,13 +587,8 @@ def c_source(model: Model) -> str:
     >>> print(c_source(load_model("default")).splitlines()[3])
      * For     pulses of force [N] at sampling rates of 24589.4 to 1.01263e+06 Hz
     """
+    require_small(model)
     arrays = _arrays(model)
-    n_numbers = sum(array.size for array in arrays.values())
-    if n_numbers > MOST_NUMBERS:
-        raise InvalidValue(
-            f"the model must hold at most {MOST_NUMBERS} numbers to become a C file, got {n_numbers} for "
-            f"{len(model.inputs)} inputs; train one on fewer features (--features)"
-        )
     parts = [_heading(model), "#ifndef CGID_MODEL_C\n#define CGID_MODEL_C\n", _sizes(model), _TYPES, _interface(model)]
     parts += ["#endif\n", "#ifndef CGID_HEADER\n", _ARITHMETIC % {"single": _single(arrays)}, _inner_sizes(model)]
     parts += [_strings("cgid_labels", "CGID_N_LABELS", model.labels)]
@@ -603,6 +598,17 @@ def c_source(model: Model) -> str:
     parts += [*([_CONTRAST] if model.contrast is not None else []), _novelty(model), _answer(model)]
     parts += [_MAIN.lstrip("\n"), "#endif\n"]
     return "\n".join(parts)
+
+
+def require_small(model: Model) -> None:
+    """Raise `InvalidValue` if a model has more numbers than an exported file may hold."""
+    names = ("family.", "neighbourhood.", Contrast.PREFIX)
+    n_numbers = sum(array.size for name, array in model.arrays.items() if name.startswith(names))
+    if n_numbers > MOST_NUMBERS:
+        raise InvalidValue(
+            f"the model must hold at most {MOST_NUMBERS} numbers to be exported, got {n_numbers} for "
+            f"{len(model.inputs)} inputs; train one on fewer features (--features)"
+        )
 
 
 # -- the parts that follow from the model -----------------------------------------------------------------

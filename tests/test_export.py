@@ -1,4 +1,4 @@
-"""Models as C: compiled with all warnings and sanitizers, against `Model` itself."""
+"""Models as C, compiled with all warnings and sanitizers, and as ONNX, against `Model` itself."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import csv
 import functools
 import hashlib
 import io
+import json
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +18,9 @@ import pytest
 
 from cgid import load_model
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, InvalidValue, MissingExtra
 from cgid.export_c import c_source
+from cgid.export_onnx import onnx_bytes
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.families import Standardiser
@@ -81,6 +84,14 @@ def judged(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     return labels, probabilities, novelties
 
 
+def compare(found: np.ndarray, probabilities: np.ndarray, novelty: np.ndarray, novelties: np.ndarray) -> None:
+    """Compare; of odd rows, whether a sum overflows may depend on its order."""
+    sound = np.isfinite(found).all(axis=1) & np.isfinite(probabilities).all(axis=1)
+    assert sound[:2000].all() and (novelties[~sound] > 1).all() and (novelty[~sound] > 1).all()
+    np.testing.assert_allclose(found[sound], probabilities[sound], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(np.minimum(novelty, 1e100), np.minimum(novelties, 1e100), rtol=1e-9)
+
+
 def usual_rows(model: Model, n: int, seed: int = 1) -> np.ndarray:
     """Return rows around the training of a model, some outside of it."""
     rng = np.random.default_rng(seed)
@@ -139,8 +150,7 @@ def test_double_precision_gives_the_models_answers(name: str, tmp_path: Path) ->
     labels, probabilities, novelties = judged(model, rows)
     np.testing.assert_array_equal(found["label"], labels)
     theirs = np.stack([found[f"p({label})"] for label in model.labels], axis=1)
-    np.testing.assert_allclose(theirs, probabilities, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found["novelty"], novelties, rtol=1e-9)
+    compare(theirs, probabilities, found["novelty"], novelties)
     assert set(labels[:2000]) == {*model.labels, UNKNOWN}
 
 
@@ -286,5 +296,35 @@ def test_the_file_names_the_model_it_was_made_of(tmp_path: Path) -> None:
 
 
 def test_too_large_a_model_is_refused() -> None:
-    with pytest.raises(InvalidValue, match="must hold at most 1048576 numbers to become a C file, got 14"):
+    with pytest.raises(InvalidValue, match="must hold at most 1048576 numbers to be exported, got 14"):
         c_source(wide_model())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_onnx_gives_the_models_answers(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("onnx", reason="onnx is not installed")
+    runtime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
+    model = named(name)
+    (tmp_path / "model.npz").write_bytes(model.to_bytes())
+    assert run(["export-model", str(tmp_path / "model.npz"), "--to", "onnx", "-o", str(tmp_path / "model.onnx")]) == 0
+    session = runtime.InferenceSession(tmp_path / "model.onnx", providers=["CPUExecutionProvider"])
+    rows = np.concatenate([usual_rows(model, 2000), odd_rows(model, 10_000)])
+    labels, probabilities, novelties = judged(model, rows)
+    theirs, novelty, numbers = session.run(["probabilities", "novelty", "label"], {"values": rows})
+    compare(theirs, probabilities, novelty, novelties)
+    np.testing.assert_array_equal(np.array([*model.labels, UNKNOWN])[numbers], labels)
+    about = session.get_modelmeta().custom_metadata_map
+    assert json.loads(about["labels"]) == list(model.labels)
+    assert json.loads(about["values"]) == [*model.inputs, *model.guards]
+    for odd in (np.nan, np.inf, -np.inf):
+        places = np.where(np.eye(rows.shape[1], dtype=bool), odd, rows[0])
+        assert (session.run(["label"], {"values": places})[0] == -1).all()
+    assert len(session.run(["label"], {"values": rows[:0]})[0]) == 0
+
+
+def test_onnx_says_what_it_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'cgid\[onnx\]'"):
+        onnx_bytes(load_model("default"))
+    assert run(["export-model", "default", "--to", "onnx", "-o", str(tmp_path / "m.onnx")]) == 69
+    assert not list(tmp_path.iterdir())

@@ -34,26 +34,31 @@ def export(data: str, output: str, overwrite: bool) -> None:
 
 @click.command(
     cls=Command,
-    short_help="Write a model as C for machines without Python.",
+    short_help="Write a model as C or ONNX for machines without Python.",
     example="cgid export-model default --to c -o model.c",
 )
 @click.argument("model", type=MODEL)
-@click.option("--to", type=click.Choice(["c"]), required=True, help="Choose the format: c is one C99 file.")
-@click.option("-o", "--output", type=PATH, required=True, help="Write this file, ending in .c.")
+@click.option(
+    "--to", type=click.Choice(["c", "onnx"]), required=True, help="Choose the format: one C99 file, or an ONNX graph."
+)
+@click.option("-o", "--output", type=PATH, required=True, help="Write this file, ending in .c or .onnx.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def export_model(model: str, to: str, output: str, overwrite: bool) -> None:
     """Write MODEL, a file or default, default-drop-height or default-acceleration, for machines without Python.
 
     What it writes answers to features: probabilities, novelty and label, as cgid predict does. It does not measure
-    them. The head of the C file says which values it needs, in which order and unit, and how to compile it.
+    them. The head of the C file says which values it needs, in which order and unit, and how to compile it. ONNX needs
+    the extra onnx.
     """
     from pathlib import Path
 
     from cgid.export_c import c_source
+    from cgid.export_onnx import onnx_bytes
     from cgid.files import check_new, write_whole
     from cgid.identification.prediction import load_model
 
-    path = check_new(Path(output), "a model in C", (f".{to}",), overwrite=overwrite)
-    content = c_source(load_model(model)).encode("ascii")
+    path = check_new(Path(output), f"a model in {to.upper()}", (f".{to}",), overwrite=overwrite)
+    loaded = load_model(model)
+    content = c_source(loaded).encode("ascii") if to == "c" else onnx_bytes(loaded)
     write_whole(path, content, overwrite=overwrite)
     say(f"{path}: {len(content) / 1e3:.4g} kB", err=True)

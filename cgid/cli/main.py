@@ -131,11 +131,11 @@ def run(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if _memory_is_short(error):
             return _say_memory(error)
+        if os.environ.get("CGID_DEBUG"):
+            raise
         if isinstance(error, ModuleNotFoundError) and not (error.name or "cgid").startswith("cgid"):
             say(f"cgid: error: this needs {error.name}, which is not installed: pip install cgid", err=True)
             return MissingExtra.exit_code
-        if os.environ.get("CGID_DEBUG"):
-            raise
         if _asks_for_no_threads():
             say(f"cgid: error: {_THREADS} must be 1 or more, got {os.environ[_THREADS]}; unset it", err=True)
             return 65

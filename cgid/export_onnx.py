@@ -1,0 +1,211 @@
+"""A model as an ONNX graph: features in, answer out, in double precision, by standard operators alone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid import __version__
+from cgid.errors import MissingExtra
+from cgid.export_c import require_small
+from cgid.identification.families import Network, Standardiser
+from cgid.identification.model import Model
+from cgid.identification.model_file import STANDARDISER
+
+#: Version of the operators, and of the format: old enough for the run times of some years.
+_OPSET, _IR = 17, 8
+
+
+class _Graph:
+    """Nodes and constants in the order of the calculation; each method returns the name of a result."""
+
+    def __init__(self, helper: Any, numpy_helper: Any) -> None:
+        self._helper, self._numpy_helper = helper, numpy_helper
+        self.nodes: list[Any] = []
+        self.constants: dict[str, Any] = {}
+
+    def constant(self, values: Any, kind: type[np.generic] = np.float64) -> str:
+        """Return the name of a constant; equal ones are stored once."""
+        array = np.ascontiguousarray(values, kind)
+        name = f"c_{hashlib.sha256(str((array.dtype, array.shape)).encode() + array.tobytes()).hexdigest()[:16]}"
+        self.constants[name] = self._numpy_helper.from_array(array, name)
+        return name
+
+    def __call__(self, operator: str, *inputs: str | NDArray[Any] | float, name: str = "", **attributes: Any) -> str:
+        """Add a node; numbers among its inputs become constants."""
+        result = name or f"{operator.lower()}_{len(self.nodes)}"
+        names = [one if isinstance(one, str) else self.constant(one) for one in inputs]
+        self.nodes.append(self._helper.make_node(operator, names, [result], **attributes))
+        return result
+
+    def whole(self, values: Any) -> str:
+        """Return the name of a constant of whole numbers."""
+        return self.constant(values, np.int64)
+
+    def columns(self, values: str, numbers: Iterable[int]) -> str:
+        return self("Gather", values, self.whole(list(numbers)), axis=1)
+
+    def sums(self, values: str) -> str:
+        """Return the sum of each row, (n, 1)."""
+        return self("ReduceSum", values, self.whole([1]), keepdims=1)
+
+
+def onnx_bytes(model: Model) -> bytes:
+    """Return the content of an ONNX file that answers like the model.
+
+    Its input is `values`, float64 (n, n_values): those of `Model.inputs`, then the guards. Its outputs are
+    `probabilities` (n, n_labels), `novelty` (n,) and `label`, int64 (n,): the number of the label, or -1 for unknown.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    bytes
+        The metadata of the file hold the labels, the names of the values, their unit and the SHA-256 of the model.
+
+    Raises
+    ------
+    MissingExtra
+        The library onnx is not installed.
+    InvalidValue
+        The model has too many numbers.
+    """
+    try:
+        from onnx import TensorProto, checker, helper, numpy_helper
+    except ImportError:
+        raise MissingExtra("ONNX needs onnx, which is not installed: pip install 'cgid[onnx]'") from None
+    require_small(model)
+    graph = _Graph(helper, numpy_helper)
+    _answer(graph, model)
+    names = [*model.inputs, *model.guards]
+    double, rows = TensorProto.DOUBLE, "n"
+    made = helper.make_graph(
+        graph.nodes,
+        "cgid",
+        [helper.make_tensor_value_info("values", double, [rows, len(names)])],
+        [
+            helper.make_tensor_value_info("probabilities", double, [rows, len(model.labels)]),
+            helper.make_tensor_value_info("novelty", double, [rows]),
+            helper.make_tensor_value_info("label", TensorProto.INT64, [rows]),
+        ],
+        list(graph.constants.values()),
+    )
+    file = helper.make_model(made, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR)
+    file.producer_name, file.producer_version = "cgid", __version__
+    digest = hashlib.sha256(model.to_bytes()).hexdigest()
+    about = {"labels": model.labels, "values": names, "unit": model.unit, "model_sha256": digest}
+    helper.set_model_props(
+        file, {name: text if isinstance(text, str) else json.dumps(text) for name, text in about.items()}
+    )
+    checker.check_model(file)
+    return bytes(file.SerializeToString(deterministic=True))
+
+
+def _answer(graph: _Graph, model: Model) -> None:
+    """Add probabilities, novelty and label."""
+    inputs = graph.columns("values", range(len(model.inputs)))
+    x = _standardised(graph, inputs, Standardiser.from_arrays(model.arrays, STANDARDISER))
+    scores = graph("Div", _SCORES[model.family](graph, x, model), model.temperature)
+    if len(model.labels) == 2:
+        scores = graph("Concat", graph("Mul", scores, 0.0), scores, axis=1)
+    probabilities = graph("Softmax", scores, axis=1, name="probabilities")
+    novelty = _novelty(graph, model, x)
+    # Infinity times zero is no number, either.
+    sums = graph.sums(graph("Concat", "values", probabilities, axis=1))
+    finite = graph("Not", graph("IsNaN", graph("Mul", sums, 0.0)))
+    known = graph("And", graph("Squeeze", finite, graph.whole([1])), graph("LessOrEqual", novelty, 1.0))
+    best = graph("ArgMax", probabilities, axis=1, keepdims=0)
+    graph("Where", known, best, graph.whole(-1), name="label")
+
+
+def _standardised(graph: _Graph, values: str, standardiser: Standardiser) -> str:
+    logarithms = graph("Log", graph("Max", values, standardiser.floor))
+    chosen = graph("Where", graph.constant(standardiser.logarithmic, np.bool_), logarithms, values)
+    return graph("Div", graph("Sub", chosen, standardiser.mean), standardiser.scale)
+
+
+def _novelty(graph: _Graph, model: Model, x: str) -> str:
+    """Add the novelty (n,): infinite where infinities cancel, as in `Model`."""
+    centres, whitening = model.arrays["neighbourhood.centres"], model.arrays["neighbourhood.whitening"]
+    squares = []
+    for k, centre in enumerate(centres):
+        white = graph("MatMul", graph("Sub", x, centre), whitening[k % len(whitening)].T)
+        squares.append(graph.sums(graph("Mul", white, white)))
+    every = graph("Concat", *squares, axis=1)
+    nearest = graph("Sqrt", graph("ReduceMin", every, axes=[1], keepdims=1))
+    parts = [graph("Div", nearest, model.neighbourhood_limit)]
+    doubtful = [graph.sums(every)]
+    n = len(model.inputs)
+    if model.guards:
+        guards = graph.columns("values", range(n, n + len(model.guards)))
+        parts.append(graph("ReduceMax", graph("Div", guards, np.array(model.guard_limits)), axes=[1], keepdims=1))
+    if model.contrast is not None:
+        own = model.contrast
+        measured = graph.columns("values", [*range(len(model.features)), *range(n, n + len(model.guards))])
+        score = _layers(graph, _standardised(graph, measured, own.standardiser), own.network)
+        parts.append(graph("Exp", graph("Min", graph("Div", graph("Sub", score, own.limit), own.SCALE), 100.0)))
+        doubtful.append(parts[-1])
+    # Run times differ in the largest of numbers and nan.
+    odd = graph("IsNaN", graph("Sum", *doubtful) if len(doubtful) > 1 else doubtful[0])
+    largest = graph("Max", *parts) if len(parts) > 1 else parts[0]
+    return graph("Squeeze", graph("Where", odd, np.inf, largest), graph.whole([1]), name="novelty")
+
+
+# -- the scores of the families, (n, n_scores) ------------------------------------------------------------
+
+
+def _linear(graph: _Graph, x: str, model: Model) -> str:
+    arrays = model.arrays
+    return graph("Add", graph("MatMul", x, arrays["family.coefficients"].T), arrays["family.intercepts"])
+
+
+def _logistic(graph: _Graph, x: str, model: Model) -> str:
+    rows, columns = np.triu_indices(len(model.inputs))
+    products = graph("Mul", graph.columns(x, rows), graph.columns(x, columns))
+    return _linear(graph, graph("Concat", x, products, axis=1), model)
+
+
+def _network(graph: _Graph, x: str, model: Model) -> str:
+    own = {name.removeprefix("family."): array for name, array in model.arrays.items()}
+    return _layers(graph, x, Network(own, len(model.inputs), len(model.labels)))
+
+
+def _layers(graph: _Graph, x: str, network: Network) -> str:
+    for k in (1, 2, 3):
+        x = graph("Add", graph("MatMul", x, network.arrays[f"weights_{k}"]), network.arrays[f"biases_{k}"])
+        x = graph("Tanh", x) if k < 3 else x
+    return x
+
+
+def _boosting(graph: _Graph, x: str, model: Model) -> str:
+    """Descend all trees at once, as `Boosting.scores`: a leaf is its own child."""
+    a = {name.removeprefix("family."): array for name, array in model.arrays.items()}
+    children = [graph.whole(a[name]) for name in ("left", "right")]
+    n_rows = graph("Gather", graph("Shape", x), graph.whole([0]))
+    node = graph("Expand", graph.whole(a["roots"][None]), graph("Concat", n_rows, graph.whole([1]), axis=0))
+    for _ in range(_depth(a)):
+        value = graph("GatherElements", x, graph("Gather", graph.whole(a["feature"]), node), axis=1)
+        below = graph("LessOrEqual", value, graph("Gather", a["threshold"], node))
+        left, right = (graph("Gather", child, node) for child in children)
+        node = graph("Where", below, left, right)
+    one_hot = np.eye(1 if len(model.labels) == 2 else len(model.labels))[a["columns"]]
+    return graph("Add", graph("MatMul", graph("Gather", a["value"], node), one_hot), a["baseline"])
+
+
+def _depth(a: dict[str, NDArray[Any]]) -> int:
+    """Return the longest way from a root to a leaf."""
+    level, depth = a["roots"], -1
+    while level.size:
+        inner = level[a["left"][level] != level]
+        level, depth = np.append(a["left"][inner], a["right"][inner]), depth + 1
+    return depth
+
+
+_SCORES = {"linear": _linear, "logistic": _logistic, "network": _network, "boosting": _boosting}
