@@ -29,8 +29,8 @@ from cgid.outlets import Outlets
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-from tests.streams_of_pulses import RATE, stream
-from tests.test_outlets import free_port, impact, share
+from tests.streams_of_pulses import RATE, stream  # noqa: E402
+from tests.test_outlets import free_port, impact, share  # noqa: E402
 
 #: Samples are written in blocks of this time [s].
 BLOCK = 0.01
@@ -49,6 +49,7 @@ class Broker:
         self.start()
 
     def start(self):
+        """Start, and wait until it listens."""
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         program = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
         self.process = subprocess.Popen([program, "-c", str(self.file)], **quiet)
@@ -56,6 +57,7 @@ class Broker:
             time.sleep(0.01)
 
     def kill(self):
+        """End without a word."""
         self.process.kill()
         self.process.wait()
 
