@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 NOTHING, OPEN, SHUT = 0, 1, 2
 STATES = ("unknown", "open", "shut")
 #: Shares and answers that the page shows.
-_SHARES, _ANSWERS = 300, 100
+_SHARES, _ANSWERS = 300, 200
 #: Waveforms last this long [s], in bins of this time [s], and are kept for the first channels only.
 SHOWN_TIME, BIN_TIME, MOST_WAVEFORMS = 5.0, 0.005, 16
 #: The largest sample of a waveform is this integer.
