@@ -472,6 +472,21 @@ def test_missing_library_names_the_extra(monkeypatch) -> None:
             Outlets(**{option: value}, warn=print)
 
 
+def test_two_servers_on_one_port_are_refused() -> None:
+    pytest.importorskip("pymodbus", reason="pymodbus is not installed")
+    port = free_port()
+    with pytest.raises(CannotCreate, match=f"--modbus 127.0.0.1:{port}: the address must be free"):
+        Outlets(live=f":{port}", modbus=f":{port}", warn=print)
+    with socket.socket() as again:  # and nothing is left open
+        again.bind(("127.0.0.1", port))
+
+
+def test_command_needs_a_model_that_decides() -> None:
+    own = Outlets(on_open=f'"{sys.executable}" -V', warn=print)
+    with pytest.raises(InvalidValue, match="--on-open needs a model that tells gangue from coal"):
+        own.begin(source="s", channels=["1"], rows=["1"], unit="N", threshold=None, behind=lambda: 0.0)
+
+
 def test_password_in_the_url_is_not_repeated() -> None:
     with pytest.raises(InvalidValue, match="CGID_MQTT_PASSWORD") as found:
         Outlets(mqtt="mqtt://me:s3cret@host/t", warn=print)
