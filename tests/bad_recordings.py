@@ -35,6 +35,7 @@ def make_recordings(folder: Path) -> None:
     (folder / "copy.wav").write_bytes(sound)
     (folder / "head.wav").write_bytes(sound[: sound.index(b"data") + 8])
     (folder / "half.raw").write_bytes(b"abc")
+    (folder / "old.html").write_text("my diary")
     (folder / "broken.raw").write_bytes(np.where(np.arange(50) == 0, np.nan, 1.0).astype("<f4").tobytes())
     for name, text in _MANIFESTS.items():
         (folder / f"{name}.csv").write_text(text)
@@ -151,6 +152,29 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("stream of no channels", ("monitor", "half.raw", "--channels", "0"), 65, ("n_channels", "got 0")),
     ("stream of too many", ("monitor", "half.raw", "--channels", "5000"), 65, ("n_channels", "at most 4096")),
     ("stream at another rate", ("monitor", "blow.wav", "--unit", "g", "--rate", "48000"), 65, ("25600 Hz", "--rate")),
+    ("address of no port", ("monitor", "half.raw", *_RAW, "--modbus", "plc"), 65, ("--modbus", "HOST:PORT", "'plc'")),
+    ("port too high", ("monitor", "half.raw", *_RAW, "--prometheus", ":70000"), 65, ("--prometheus", "1 to 65535")),
+    ("page of another kind", ("monitor", "half.raw", *_RAW, "--live", "page.pdf"), 65, ("--live", "a file .html")),
+    ("page over a file", ("monitor", "half.raw", *_RAW, "--live", "old.html"), 73, ("old.html", "no live page")),
+    ("page in no folder", ("monitor", "half.raw", *_RAW, "--live", "no/p.html"), 73, ("no/p.html", "another place")),
+    ("broker of no topic", ("monitor", "half.raw", *_RAW, "--mqtt", "mqtt://here"), 65, ("--mqtt", "'mqtt://here'")),
+    ("broker of the web", ("monitor", "half.raw", *_RAW, "--mqtt", "http://a/b"), 65, ("--mqtt", "mqtt://HOST")),
+    (
+        "topic of a wildcard",
+        ("monitor", "half.raw", *_RAW, "--mqtt", "mqtt://a/b/#"),
+        65,
+        ("--mqtt", "without + and #"),
+    ),
+    ("password for all to read", ("monitor", "half.raw", *_RAW, "--mqtt", "mqtt://a:b@c/d"), 65, ("CGID_MQTT_USER",)),
+    (
+        "command of nothing",
+        ("monitor", "half.raw", *_RAW, "--on-shut", ""),
+        65,
+        ("--on-shut", "program that can be run"),
+    ),
+    ("command of odd quotes", ("monitor", "half.raw", *_RAW, "--on-open", "a 'b"), 65, ("--on-open", "quotes")),
+    ("command of nobody", ("monitor", "half.raw", *_RAW, "--on-open", "shut-it"), 65, ("'shut-it'", "whole path")),
+    ("clock of a table", ("monitor", "half.raw", *_RAW, "--clock"), 2, ("--clock", "--json")),
     ("no manifest", ("train", "none.csv", *_MODEL_FREE), 66, ("none.csv", "No such file")),
     ("manifest of nothing", ("train", "bare.csv", *_MODEL_FREE), 65, ("bare.csv", "there is none")),
     ("recordings that are gone", ("train", "lost.csv", *_MODEL_FREE), 65, ("lost.csv", "gone.wav")),

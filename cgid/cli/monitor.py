@@ -189,6 +189,8 @@ def monitor(
     its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than it
     brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
     after a window at the earliest (--hold). Nothing is dropped: whoever is slower than the stream says how far behind.
+
+    Outlets (pip install 'cgid[plant]') pass the lines on to brokers, PLCs, commands and pages, and never hold them up.
     """
     from cgid.identification.question import SHARE_TIME
     from cgid.recordings.chain import Chain
@@ -197,6 +199,8 @@ def monitor(
     step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / _STEPS
     models, question = question_of(**options, batch=1, share_step=step)
     stated = Chain.of(**chain)
+    if clock and not as_json:
+        raise click.UsageError("--clock is for lines of JSON; give --json, too")
     with _outlets(outlets) as listener, _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
         live = live_stream(

@@ -87,15 +87,15 @@ class Outlets:
 
                 self._services.append(Command(f"--on-{kind}", command, kind, warn))
         self.plant.outlets = self._queues = [one for one in self._services if isinstance(one, Outlet)]
-        if modbus is not None:
-            from cgid.outlets.modbus import Modbus
-
-            self._services.append(Modbus(modbus, self.plant, warn))
         if prometheus is not None or live is not None:
             from cgid.outlets.web import web_services
 
             self._services += web_services(prometheus, live, self.plant, warn)
             self._waveform = self.plant.waveform = Waveform() if live is not None else None
+        if modbus is not None:  # after the other ports, which it must find taken
+            from cgid.outlets.modbus import Modbus
+
+            self._services.append(Modbus(modbus, self.plant, warn))
 
     def __enter__(self) -> Outlets:
         for service in self._services:

@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 NOTHING, OPEN, SHUT = 0, 1, 2
 STATES = ("unknown", "open", "shut")
 #: Shares and answers that the page shows.
-_SHARES, _ANSWERS = 300, 100
+_SHARES, _ANSWERS = 300, 200
 #: Waveforms last this long [s], in bins of this time [s], and are kept for the first channels only.
 SHOWN_TIME, BIN_TIME, MOST_WAVEFORMS = 5.0, 0.005, 16
+#: The largest sample of a waveform is this integer.
+_PIXELS = 10_000
 
 
 @dataclass
@@ -189,22 +191,22 @@ class Waveform:
                 self._bins.append((number, least, most))
 
     def content(self, rows: Sequence[str]) -> dict[str, Any]:
-        """Return begin and width of the bins [s], and least and largest samples of each channel, for JSON."""
+        """Return begin and width of the bins [s], and of each channel the least and largest samples, for JSON.
+
+        Samples are integers times the `scale` of their channel: a picture shows no more, and they are quick to write.
+        """
         with self._lock:
             bins = list(self._bins)
         if not bins:
             return {"start": 0.0, "step": BIN_TIME, "channels": []}
         low, high = (np.stack([one[k] for one in bins], axis=1) for k in (1, 2))
+        scales = np.maximum(np.maximum(high.max(axis=1), -low.min(axis=1)) / _PIXELS, np.finfo(np.float32).tiny)
+        low, high = (np.rint(values / scales[:, None]).astype(int) for values in (low, high))
         channels = [
-            {"name": name, "low": _short(low[row]), "high": _short(high[row])}
+            {"name": name, "scale": float(scales[row]), "low": low[row].tolist(), "high": high[row].tolist()}
             for row, name in enumerate(rows[: len(low)])
         ]
         return {"start": bins[0][0] * BIN_TIME, "step": BIN_TIME, "channels": channels}
-
-
-def _short(values: NDArray[Any]) -> list[float]:
-    """Return values with the four digits that a picture shows."""
-    return [float(f"{value:.4g}") for value in values.tolist()]
 
 
 def _number(value: float | None) -> float:

@@ -196,11 +196,11 @@ def _gauges(supports: dict[str, Any], gauge: Any, _counter: Any) -> Iterator[Any
 
 def _counters(supports: dict[str, Any], _gauge: Any, counter: Any) -> Iterator[Any]:
     for name, text, label, counts in (
-        ("answers", "Answers since the start", "label", lambda one: one.labels),
-        ("turns", "Turns of the decision since the start", "turn", lambda one: one.turns),
+        ("answers", "Answers since the start", "label", "labels"),
+        ("turns", "Turns of the decision since the start", "turn", "turns"),
     ):
         found = counter(f"cgid_{name}", text, labels=["channel", label])
         for channel, one in supports.items():
-            for key, count in counts(one).items():
+            for key, count in getattr(one, counts).items():
                 found.add_metric([channel, key], count)
         yield found

@@ -1,0 +1,560 @@
+"""The outlets of monitor, each with a real counterpart on the loopback: broker, Modbus client, scrape, commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cgid.cli.main import run
+from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput
+from cgid.outlets import Outlets, command, mqtt
+from cgid.outlets.modbus import HEAD, WIDTH
+from cgid.outlets.outlet import Outlet
+from cgid.outlets.plant import BIN_TIME, Waveform
+from cgid.outlets.web import page
+from tests.streams_of_pulses import RATE, ROOT, stream
+
+RAW = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--window", "0.24"]
+LABELS = ["coal"] * 14 + ["gangue"] * 14
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+def wait_for(holds: Callable[[], Any], seconds: float = 15.0) -> Any:
+    until = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.01)
+    return found
+
+
+def impact(number: int, label: str = "coal", channel: str = "1") -> dict[str, Any]:
+    return {"kind": "impact", "channel": channel, "label": label, "time_s": float(number), "impact": number}
+
+
+def share(to: float, value: float | None, channel: str = "1", impacts: int = 20, unknown: int = 3) -> dict[str, Any]:
+    ends = (0.0, 1.0) if value is None else (value - 0.1, value + 0.1)
+    content = {"gangue_share": value, "low": ends[0], "high": ends[1], "impacts": impacts, "unknown": unknown}
+    return {"kind": "share", "channel": channel, "from_s": to - 1, "to_s": to, **content}
+
+
+def turn(kind: str, at: float, value: float = 0.6, channel: str = "1") -> dict[str, Any]:
+    content = {"gangue_share": value, "low": value - 0.1, "high": value + 0.1, "cost": 0.2}
+    return {"kind": kind, "channel": channel, "time_s": at, **content}
+
+
+@pytest.fixture
+def said() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def outlets(said: list[str]) -> Iterator[Callable[..., Outlets]]:
+    made: list[Outlets] = []
+
+    def make(channels: tuple[str, ...] = ("1",), **given: str) -> Outlets:
+        own = Outlets(**given, warn=said.append)
+        own.__enter__()
+        made.append(own)
+        own.begin(source="s", channels=channels, rows=channels, unit="N", threshold=0.5, behind=lambda: 0.25)
+        return own
+
+    yield make
+    for own in made:
+        own.__exit__(None, None, None)
+
+
+# -- MQTT -------------------------------------------------------------------------------------------------
+
+
+class Mosquitto:
+    """A broker that can be killed and started again."""
+
+    def __init__(self, folder: Path, *lines: str) -> None:
+        self.port = free_port()
+        self._file = folder / "mosquitto.conf"
+        anonymous = [] if any(line.startswith("allow") for line in lines) else ["allow_anonymous true"]
+        self._file.write_text("\n".join([f"listener {self.port} 127.0.0.1", "user root", *anonymous, *lines]) + "\n")
+        self.start()
+
+    def start(self) -> None:
+        path = os.environ["PATH"] + ":/usr/sbin"
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        self.process = subprocess.Popen([str(shutil.which("mosquitto", path=path)), "-c", str(self._file)], **quiet)
+        wait_for(self._answers)
+
+    def _answers(self) -> bool:
+        with socket.socket() as found:
+            return found.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Callable[..., Mosquitto]]:
+    pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+    if shutil.which("mosquitto", path=os.environ["PATH"] + ":/usr/sbin") is None:
+        pytest.skip("the broker mosquitto is not installed")
+    made: list[Mosquitto] = []
+
+    def make(*lines: str) -> Mosquitto:
+        made.append(Mosquitto(tmp_path, *lines))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.kill()
+
+
+class Subscriber:
+    """Everything that a broker passes on below "plant", in order."""
+
+    def __init__(self, port: int) -> None:
+        import paho.mqtt.client as paho
+
+        self.messages: list[tuple[str, str, bool]] = []
+        self.client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+        self.client.reconnect_delay_set(1, 1)
+        ready: list[int] = []
+        self.client.on_subscribe = lambda *_: ready.append(1)
+        self.client.on_connect = lambda client, *_: client.subscribe("plant/#", qos=1)
+        self.client.on_message = lambda _c, _d, one: self.messages.append((one.topic, one.payload.decode(), one.retain))
+        self.client.connect("127.0.0.1", port)
+        self.client.loop_start()
+        wait_for(lambda: ready)
+
+    def of(self, topic: str) -> list[str]:
+        return [payload for name, payload, _ in self.messages if name == topic]
+
+    def numbers(self) -> list[int]:
+        lines = [payload for name, payload, _ in self.messages if "/impact/" in name]
+        return [json.loads(line)["impact"] for line in lines]
+
+    def __enter__(self) -> Subscriber:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+def test_each_line_is_a_message_and_the_state_is_retained(outlets, broker, said) -> None:
+    port = broker().port
+    with Subscriber(port) as found:
+        own = outlets(channels=("1", "a/b#"), mqtt=f"mqtt://127.0.0.1:{port}/plant/s7")
+        for number in range(1, 501):
+            own(impact(number))
+        own(share(10.0, 0.7, channel="a/b#"))
+        own(turn("shut", 10.0, 0.7, channel="a/b#"))
+        own({"kind": "warning", "message": "cable"})
+        wait_for(lambda: found.of("plant/s7/warning"))
+        assert found.numbers() == list(range(1, 501))
+        assert json.loads(found.of("plant/s7/shut/a%2Fb%23")[0])["message"] == 502
+        with Subscriber(port) as late:  # sees only what is retained
+            wait_for(lambda: len(late.messages) >= 3)
+            assert {name for name, _, _ in late.messages} == {
+                "plant/s7/status",
+                "plant/s7/state/1",
+                "plant/s7/state/a%2Fb%23",
+            }
+            assert all(retained for _, _, retained in late.messages)
+            state = json.loads(late.of("plant/s7/state/a%2Fb%23")[0])
+            assert (state["state"], state["gangue_share"], state["unknown"]) == ("shut", 0.7, 3)
+            assert json.loads(late.of("plant/s7/state/1")[0])["state"] == "unknown"
+        own.__exit__(None, None, None)
+        wait_for(lambda: len(found.of("plant/s7/status")) == 2)
+        assert found.of("plant/s7/status") == ["online", "offline"]
+    assert said == []
+    assert own.plant.outlets[0].passed == 503
+
+
+def test_broker_that_dies_and_comes_back(outlets, broker, said, monkeypatch) -> None:
+    monkeypatch.setattr(Outlet.__init__, "__defaults__", (50,))
+    daemon = broker()
+    own = outlets(mqtt=f"mqtt://127.0.0.1:{daemon.port}/plant/s7")
+    (queue,) = own.plant.outlets
+    own(impact(1))
+    wait_for(lambda: queue.passed == 1)
+    daemon.kill()
+    wait_for(lambda: not queue.up)
+    begun = time.perf_counter()
+    for number in range(2, 102):
+        own(impact(number))
+    assert time.perf_counter() - begun < 0.5  # nothing waits for the broker
+    assert queue.dropped == 50
+    own(turn("shut", 3.0))
+    daemon.start()
+    with Subscriber(daemon.port) as found:
+        wait_for(lambda: found.of("plant/s7/shut/1"))
+        assert found.numbers() == list(range(53, 102))  # the newest
+        assert json.loads(found.of("plant/s7/state/1")[-1])["state"] == "shut"
+    assert queue.dropped == 51
+    assert len(said) >= 2
+    assert "is gone" in said[0]
+    assert "connected; 51 messages were dropped" in said[-1]
+
+
+@pytest.mark.parametrize("how", ["away", "refuses", pytest.param("hangs", marks=pytest.mark.long)])
+def test_broker_that_is_of_no_use_is_one_line(how, outlets, broker, said, monkeypatch) -> None:
+    monkeypatch.setattr(mqtt, "_PATIENCE", 0.5)
+    monkeypatch.setattr(mqtt, "_GRACE", 0.2)
+    port = broker("allow_anonymous false").port if how == "refuses" else free_port()
+    with socket.socket() as silent:
+        if how == "hangs":
+            silent.bind(("127.0.0.1", port))
+            silent.listen()
+        own = outlets(mqtt=f"mqtt://127.0.0.1:{port}/plant")
+        own(impact(1))
+        wait_for(lambda: said)
+        time.sleep(1.2)  # it tries again, and says no more
+        own.__exit__(None, None, None)
+    words = {"away": "cannot be reached (Connection refused)", "hangs": "does not answer", "refuses": "Not authorized"}
+    assert len(said) == 2
+    assert words[how] in said[0]
+    assert "1 of 1 messages were not delivered" in said[1]
+
+
+@pytest.mark.long
+# paho leaves the socket of a failed handshake to the collector.
+@pytest.mark.filterwarnings("ignore:Exception ignored in.*SSLSocket")
+def test_password_and_tls(outlets, broker, said, tmp_path, monkeypatch) -> None:
+    if shutil.which("openssl") is None or shutil.which("mosquitto_passwd") is None:
+        pytest.skip("openssl or mosquitto_passwd is not installed")
+    crt, key, users = (tmp_path / name for name in ("c.pem", "k.pem", "users"))
+    own_name = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"]
+    make = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", crt, "-days", "2"]
+    subprocess.run([*make, *own_name], check=True, capture_output=True)
+    subprocess.run(["mosquitto_passwd", "-b", "-c", users, "seven", "se cret"], check=True, capture_output=True)
+    users.chmod(0o644)
+    key.chmod(0o644)
+    lines = [f"cafile {crt}", f"certfile {crt}", f"keyfile {key}", "allow_anonymous false", f"password_file {users}"]
+    port = broker(*lines).port
+    url = f"mqtts://127.0.0.1:{port}/plant"
+    (tmp_path / "word").write_text("se cret\n")
+    monkeypatch.setenv("CGID_MQTT_USER", "seven")
+    monkeypatch.setenv("CGID_MQTT_PASSWORD_FILE", str(tmp_path / "word"))
+    unknown = outlets(mqtt=url)  # a certificate that nobody vouches for
+    assert "certificate verify failed" in wait_for(lambda: said)[0].lower()
+    unknown.__exit__(None, None, None)
+    said.clear()
+    monkeypatch.setenv("CGID_MQTT_CA", str(crt))
+    own = outlets(mqtt=url)
+    own(impact(1))
+    wait_for(lambda: own.plant.outlets[0].passed == 1)
+    assert said == []
+    monkeypatch.setenv("CGID_MQTT_CA", str(tmp_path / "word"))
+    with pytest.raises(BadData, match="CGID_MQTT_CA"):
+        Outlets(mqtt=url, warn=said.append)
+    monkeypatch.setenv("CGID_MQTT_PASSWORD_FILE", str(tmp_path / "none"))
+    with pytest.raises(NoInput, match="CGID_MQTT_PASSWORD_FILE"):
+        Outlets(mqtt=url, warn=said.append)
+
+
+# -- Modbus -----------------------------------------------------------------------------------------------
+
+
+def test_registers_are_what_a_client_reads(outlets) -> None:
+    client_of = pytest.importorskip("pymodbus.client", reason="pymodbus is not installed")
+    port = free_port()
+    own = outlets(channels=("1", "2"), modbus=f"127.0.0.1:{port}")
+    for number in range(70_000):
+        own(impact(number, "unknown" if number % 7 == 0 else "gangue"))
+    own(share(10.0, 0.7))
+    own(turn("shut", 10.0, 0.7))
+    own(share(10.0, None, channel="2", impacts=0))
+    list(own.watched([np.zeros((2, 50))] * 3, 1000.0))
+    client = client_of.ModbusTcpClient("127.0.0.1", port=port)
+    wait_for(client.connect)
+    try:
+        head = client.read_input_registers(0, count=HEAD, device_id=7).registers
+        assert head[:2] == [1, 3]
+        assert head[2] <= 20
+        assert head[3:6] == [2, 2, 0]
+        one = client.read_input_registers(HEAD, count=WIDTH).registers
+        assert one[:8] == [2, 7000, 6000, 8000, 20, 3, 70_000 >> 16, 70_000 & 0xFFFF]
+        assert one[8:10] == [0, 10_000]
+        assert max(one[10:12]) <= 20
+        assert one[12] == 1
+        assert one == client.read_holding_registers(HEAD, count=WIDTH).registers  # for those that know function 3 alone
+        two = client.read_input_registers(HEAD + WIDTH, count=12).registers
+        assert two == [0, 65535, 0, 10_000, 0, 3, 0, 0, 0, 0, two[10], 65535]
+        assert client.read_input_registers(HEAD + 2 * WIDTH, count=WIDTH).registers == [0] * WIDTH  # nobody there
+        assert client.write_register(HEAD, 1).isError()
+        assert client.read_input_registers(60_000, count=4).isError()
+        assert client.read_input_registers(HEAD, count=1).registers == [2]
+        for beat in range(4, 7):
+            list(own.watched([np.zeros((2, 50))], 1000.0))
+            assert client.read_input_registers(1, count=1).registers == [beat]
+    finally:
+        client.close()
+
+
+# -- HTTP -------------------------------------------------------------------------------------------------
+
+
+def get(port: int, path: str) -> tuple[Any, str]:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=5) as answer:
+        return answer.headers, answer.read().decode()
+
+
+def test_scrape_and_page_share_a_port(outlets, tmp_path) -> None:
+    parser = pytest.importorskip("prometheus_client.parser", reason="prometheus-client is not installed")
+    port = free_port()
+    touched = f"touch {tmp_path}/x"
+    own = outlets(channels=("1", 'a"b'), prometheus=f":{port}", live=f":{port}", on_shut=touched)
+    own(impact(1))
+    own(impact(2, "gangue"))
+    own(share(2.0, 0.25))
+    own(turn("shut", 2.0, 0.25))
+    _, text = get(port, "/metrics")
+    samples = {
+        (sample.name, *sorted(sample.labels.values())): sample.value
+        for family in parser.text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+    assert samples[("cgid_gangue_share", "1")] == 0.25
+    assert np.isnan(samples[("cgid_gangue_share", 'a"b')])
+    assert (samples[("cgid_gangue_share_low", "1")], samples[("cgid_gangue_share_high", "1")]) == (0.15, 0.35)
+    assert (samples[("cgid_shut", "1")], samples[("cgid_shut", 'a"b')]) == (1, 0)
+    assert samples[("cgid_answers_total", "1", "gangue")] == 1
+    assert samples[("cgid_turns_total", "1", "shut")] == 1
+    assert samples[("cgid_behind_seconds",)] == 0.25
+    assert samples[("cgid_last_block_age_seconds",)] == np.inf
+    assert samples[("cgid_outlet_up", "--on-shut")] == 1
+    list(own.watched([np.arange(20.0).reshape(2, 10)], 1000.0))
+    _, text = get(port, "/state.json")
+    data = json.loads(text)
+    assert [one["state"] for one in data["supports"]] == ["shut", "unknown"]
+    wave = data["waveform"]["channels"][1]
+    assert wave["name"] == 'a"b'
+    np.testing.assert_allclose(np.multiply([wave["low"], wave["high"]], wave["scale"]), [[10, 15], [14, 19]], rtol=1e-4)
+    headers, text = get(port, "/?x=1")
+    assert text == page()
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        get(port, "/../etc/passwd")
+    with socket.create_connection(("127.0.0.1", port)) as odd:  # one that says nonsense and goes harms nobody
+        odd.sendall(b"\0\xff\r\n\r\n")
+    assert get(port, "/state.json")
+    own.__exit__(None, None, None)
+    with pytest.raises(OSError, match="refused"):
+        get(port, "/")
+
+
+def test_page_loads_nothing_from_elsewhere() -> None:
+    assert not re.search(r"https?:|//[a-z]|@import|url\(|innerHTML|\bsrc=", page())
+
+
+def test_page_says_what_the_data_say(outlets, tmp_path) -> None:
+    """The script of the page runs without a browser: its functions on the data of a page in a file."""
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed, which runs the script of the page")
+    own = outlets(channels=("</script><b>",), live=str(tmp_path / "p.html"))
+    own(impact(1, channel="</script><b>"))
+    own(share(2.0, 0.25, channel="</script><b>"))
+    own.__exit__(None, None, None)
+    text = (tmp_path / "p.html").read_text()
+    assert text.count("</script>") == 1  # a name does not end the script
+    script = text.split("<script>")[1].split("// The page.")[0]
+    script += "const one = EMBEDDED.supports[0];"
+    script += "console.log(JSON.stringify([one.name, stateText(one), shareText(one), countText(one),"
+    script += "alarmText(EMBEDDED), alarmText({age: 7, ended: false}), scale(0, 10, 100, 0)(2)]))"
+    done = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == [
+        "</script><b>",
+        "GO ON",
+        "gangue 25 % (15 % to 35 %)",
+        "20 in the window, 3 more unknown · since the start: coal 1",
+        "monitor has ended",
+        "no data for 7 s",
+        80,
+    ]
+
+
+def test_file_of_the_page_replaces_none_but_its_own(outlets, tmp_path) -> None:
+    (tmp_path / "mine.html").write_text("my diary")
+    with pytest.raises(CannotCreate, match="no live page"):
+        Outlets(live=str(tmp_path / "mine.html"), warn=print)
+    with pytest.raises(CannotCreate, match="cannot be written"):
+        Outlets(live=str(tmp_path / "none" / "p.html"), warn=print)
+    for _ in range(2):
+        outlets(live=str(tmp_path / "p.html")).__exit__(None, None, None)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.html", "p.html"]
+
+
+def test_waveform_is_the_least_and_largest_of_each_bin() -> None:
+    rng = np.random.default_rng(1)
+    samples = rng.normal(size=(3, 20_000))
+    waveform, rate = Waveform(), 3000.0
+    length = round(BIN_TIME * rate)
+    for block in np.split(samples, np.sort(rng.choice(np.arange(1, 20_000), 300, replace=False)), axis=1):
+        waveform.add(block, rate)
+    content = waveform.content(["a", "b", "c"])
+    first = round(content["start"] / content["step"])
+    assert first == -(-20_000 // length) - 1000
+    for row, channel in enumerate(content["channels"]):
+        parts = [samples[row, at : at + length] for at in range(first * length, 20_000, length)]
+        for name, wanted in (("low", np.min), ("high", np.max)):
+            found = np.multiply(channel[name], channel["scale"])
+            np.testing.assert_allclose(found, [wanted(part) for part in parts], atol=1e-3)
+
+
+# -- commands ---------------------------------------------------------------------------------------------
+
+
+def test_command_gets_the_turn(outlets, said, tmp_path) -> None:
+    program = "import os, sys; print(sys.stdin.read(), os.environ['CGID_SHARE'], os.environ['CGID_CHANNEL'], "
+    program += f"sep='|', file=open(r'{tmp_path / 'log'}', 'a'))"
+    own = outlets(on_shut=f'"{sys.executable}" -c "{program}"')
+    for one in (impact(1), turn("open", 1.0), turn("shut", 2.0, 0.625)):
+        own(one)
+    own.__exit__(None, None, None)  # waits for it
+    line, share_text, channel = (tmp_path / "log").read_text().strip().split("|")
+    assert json.loads(line)["time_s"] == 2.0
+    assert (share_text, channel) == ("0.6250", "1")
+    assert said == []
+
+
+def test_command_that_fails_or_hangs_is_one_line(outlets, said, monkeypatch) -> None:
+    monkeypatch.setattr(command, "LONGEST_RUN", 0.3)
+    own = outlets(on_shut=f'"{sys.executable}" -c "raise SystemExit(3)"', on_open="sleep 60")
+    own(turn("shut", 1.0))
+    own(turn("open", 2.0))
+    wait_for(lambda: len(said) == 2)
+    first, second = sorted(said)
+    assert "--on-open: the command took longer than 0.3 s and was ended (channel 1, 2 s)" in first
+    assert "--on-shut: the command failed with exit code 3 (channel 1, 1 s)" in second
+
+
+# -- what is refused --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("option", ["modbus", "prometheus", "live"])
+def test_port_in_use_is_said_before_anything_starts(option, tmp_path, capsys) -> None:
+    needed = {"modbus": "pymodbus", "prometheus": "prometheus_client"}.get(option, "json")
+    pytest.importorskip(needed, reason=f"{needed} is not installed")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        assert run(["monitor", str(tmp_path / "none.raw"), *RAW, f"--{option}", address]) == 73
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith(f"cgid: error: --{option} {address}: the address must be free")
+
+
+def test_missing_library_names_the_extra(monkeypatch) -> None:
+    for name in ("paho.mqtt.client", "pymodbus.server", "prometheus_client"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for option, value in (("mqtt", "mqtt://127.0.0.1/t"), ("modbus", ":1502"), ("prometheus", ":9400")):
+        with pytest.raises(MissingExtra, match=rf"--{option} needs .* pip install 'cgid\[plant\]'"):
+            Outlets(**{option: value}, warn=print)
+
+
+def test_two_servers_on_one_port_are_refused() -> None:
+    pytest.importorskip("pymodbus", reason="pymodbus is not installed")
+    port = free_port()
+    with pytest.raises(CannotCreate, match=f"--modbus 127.0.0.1:{port}: the address must be free"):
+        Outlets(live=f":{port}", modbus=f":{port}", warn=print)
+    with socket.socket() as again:  # and nothing is left open
+        again.bind(("127.0.0.1", port))
+
+
+def test_command_needs_a_model_that_decides() -> None:
+    own = Outlets(on_open=f'"{sys.executable}" -V', warn=print)
+    with pytest.raises(InvalidValue, match="--on-open needs a model that tells gangue from coal"):
+        own.begin(source="s", channels=["1"], rows=["1"], unit="N", threshold=None, behind=lambda: 0.0)
+
+
+def test_password_in_the_url_is_not_repeated() -> None:
+    with pytest.raises(InvalidValue, match="CGID_MQTT_PASSWORD") as found:
+        Outlets(mqtt="mqtt://me:s3cret@host/t", warn=print)
+    assert "s3cret" not in str(found.value)
+
+
+# -- the command ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("streams") / "s.raw"
+    path.write_bytes(stream(LABELS, 0.02).astype("<f4").tobytes())
+    return path
+
+
+def test_table_is_the_same_with_outlets(raw, tmp_path, capsys) -> None:
+    assert run(["monitor", str(raw), *RAW]) == 0
+    alone = capsys.readouterr()
+    more = ["--live", str(tmp_path / "p.html"), "--on-shut", f"{sys.executable} --version"]
+    assert run(["monitor", str(raw), *RAW, *more]) == 0
+    assert capsys.readouterr() == alone
+    data = json.loads((tmp_path / "p.html").read_text().split("EMBEDDED = ")[1].split(";\n")[0])
+    (support,) = data["supports"]
+    assert support["labels"] == {"coal": 14, "gangue": 14}
+    assert support["state"] == "shut"
+    assert data["ended"]
+    assert data["outlets"][0]["passed"] == 1
+    wave = data["waveform"]["channels"][0]
+    samples = np.fromfile(raw, "<f4")
+    found = np.multiply([min(wave["low"]), max(wave["high"])], wave["scale"])
+    np.testing.assert_allclose(found, [samples.min(), samples.max()], atol=1e-3 * samples.max())
+
+
+def test_clock_adds_the_time_of_the_wall(raw, capsys) -> None:
+    assert run(["monitor", str(raw), *RAW, "--json"]) == 0
+    without = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert run(["monitor", str(raw), *RAW, "--json", "--clock"]) == 0
+    timed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    times = [line.pop("wall_time") for line in timed]
+    assert timed == without
+    assert times == sorted(times)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00", times[0])
+
+
+def test_nothing_of_the_outlets_is_loaded_unless_asked(raw) -> None:
+    program = "import sys; from cgid.cli.main import run; run(sys.argv[1:]); "
+    program += "print([n for n in sys.modules if n.startswith(('cgid.outlets', 'paho', 'http.server', 'asyncio'))])"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "monitor", str(raw), *RAW], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.long
+def test_killed_monitor_leaves_its_last_will(raw, broker) -> None:
+    port = broker().port
+    arguments = ["monitor", "-", *RAW, "--mqtt", f"mqtt://127.0.0.1:{port}/plant"]
+    with Subscriber(port) as found:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        process = subprocess.Popen([sys.executable, "-m", "cgid", *arguments], cwd=ROOT, **pipes)
+        assert process.stdin is not None
+        try:
+            process.stdin.write(raw.read_bytes())
+            process.stdin.flush()
+            wait_for(lambda: found.of("plant/impact/1"))
+            process.kill()
+            wait_for(lambda: "offline" in found.of("plant/status"))
+        finally:
+            process.kill()
+            process.communicate()
