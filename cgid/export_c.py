@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cgid import __version__
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES
-from cgid.identification.families import Contrast, Standardiser
+from cgid.identification.families import Contrast, Network, Standardiser
 from cgid.identification.model import LOWEST_SHARE, Model
 from cgid.identification.model_file import STANDARDISER
 from cgid.measure.features import FEATURES
@@ -267,22 +267,28 @@ static cgid_real distance(const cgid_real *x)
 """
 
 _CONTRAST = """\
-/* Novelty against anything else: a network that tells the training from strangers, by features and guards. */
+/* Novelty against anything else, by features and guards: that of strangers, or of noise. */
 static cgid_real contrast(const cgid_real *values)
 {
-    cgid_real x[N_CONTRASTED], first[N_CONTRAST_1], second[N_CONTRAST_2], score;
+    cgid_real x[N_CONTRASTED], score;
     int i;
     for (i = 0; i < N_CONTRASTED; i++) {
         x[i] = values[i < N_FEATURES ? i : i - N_FEATURES + CGID_N_INPUTS];
     }
     standardise(x, N_CONTRASTED, contrast_logarithmic, contrast_floor, contrast_mean, contrast_scale, x);
-    layer(x, N_CONTRASTED, contrast_weights_1, contrast_biases_1, N_CONTRAST_1, 1, first);
-    layer(first, N_CONTRAST_1, contrast_weights_2, contrast_biases_2, N_CONTRAST_2, 1, second);
-    layer(second, N_CONTRAST_2, contrast_weights_3, contrast_biases_3, 1, 0, &score);
-    score = (score - contrast_limit) / contrast_spread;
+%(score)s    score = (score - contrast_limit) / contrast_spread;
     return CGID_EXP(score > CGID_LARGEST ? (cgid_real)CGID_LARGEST : score);
 }
 """
+
+_CONTRAST_NETWORK = """\
+    cgid_real first[N_CONTRAST_1], second[N_CONTRAST_2];
+    layer(x, N_CONTRASTED, contrast_weights_1, contrast_biases_1, N_CONTRAST_1, 1, first);
+    layer(first, N_CONTRAST_1, contrast_weights_2, contrast_biases_2, N_CONTRAST_2, 1, second);
+    layer(second, N_CONTRAST_2, contrast_weights_3, contrast_biases_3, 1, 0, &score);
+"""
+
+_CONTRAST_LINE = "    layer(x, N_CONTRASTED, contrast_coefficients, contrast_intercepts, 1, 0, &score);\n"
 
 _NOVELTY = """\
 /* The largest of the distance, the guards over their limits, and the contrast; infinite beyond all numbers. */
@@ -595,7 +601,7 @@ def c_source(model: Model) -> str:
     parts += [_strings("cgid_values", "CGID_N_VALUES", (*model.inputs, *model.guards))]
     parts += [_table(name, array) for name, array in arrays.items()]
     parts += [_STANDARDISE, *([_LAYER] if _has_layers(model) else []), _SCORES[model.family], _PROBABILITIES]
-    parts += [*([_CONTRAST] if model.contrast is not None else []), _novelty(model), _answer(model)]
+    parts += [*_contrast(model), _novelty(model), _answer(model)]
     parts += [_MAIN.lstrip("\n"), "#endif\n"]
     return "\n".join(parts)
 
@@ -697,7 +703,8 @@ def _inner_sizes(model: Model) -> str:
     if model.family == "boosting":
         sizes["N_TREES"] = len(arrays["family.roots"])
     if model.contrast is not None:
-        sizes |= {f"N_CONTRAST_{k}": len(arrays[f"contrast.biases_{k}"]) for k in (1, 2)}
+        if isinstance(model.contrast.scorer, Network):
+            sizes |= {f"N_CONTRAST_{k}": len(arrays[f"contrast.biases_{k}"]) for k in (1, 2)}
         sizes |= {"N_FEATURES": len(model.features), "N_CONTRASTED": len(model.measured)}
     return "\n".join(f"#define {name} {number}" for name, number in sizes.items()) + "\n"
 
@@ -758,6 +765,13 @@ def _single(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 def _has_layers(model: Model) -> bool:
     return model.family == "network" or model.contrast is not None
+
+
+def _contrast(model: Model) -> list[str]:
+    if model.contrast is None:
+        return []
+    network = isinstance(model.contrast.scorer, Network)
+    return [_CONTRAST % {"score": _CONTRAST_NETWORK if network else _CONTRAST_LINE}]
 
 
 def _novelty(model: Model) -> str:

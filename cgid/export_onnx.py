@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -149,7 +149,9 @@ def _novelty(graph: _Graph, model: Model, x: str) -> str:
     if model.contrast is not None:
         own = model.contrast
         measured = graph.columns("values", [*range(len(model.features)), *range(n, n + len(model.guards))])
-        score = _layers(graph, _standardised(graph, measured, own.standardiser), own.network)
+        standardised, arrays = _standardised(graph, measured, own.standardiser), own.scorer.arrays
+        by_network = isinstance(own.scorer, Network)
+        score = _layers(graph, standardised, arrays) if by_network else _line(graph, standardised, arrays)
         parts.append(graph("Exp", graph("Min", graph("Div", graph("Sub", score, own.limit), own.SCALE), 100.0)))
         doubtful.append(parts[-1])
     # Run times differ in the largest of numbers and nan.
@@ -162,8 +164,7 @@ def _novelty(graph: _Graph, model: Model, x: str) -> str:
 
 
 def _linear(graph: _Graph, x: str, model: Model) -> str:
-    arrays = model.arrays
-    return graph("Add", graph("MatMul", x, arrays["family.coefficients"].T), arrays["family.intercepts"])
+    return _line(graph, x, _own(model))
 
 
 def _logistic(graph: _Graph, x: str, model: Model) -> str:
@@ -173,20 +174,27 @@ def _logistic(graph: _Graph, x: str, model: Model) -> str:
 
 
 def _network(graph: _Graph, x: str, model: Model) -> str:
-    own = {name.removeprefix("family."): array for name, array in model.arrays.items()}
-    return _layers(graph, x, Network(own, len(model.inputs), len(model.labels)))
+    return _layers(graph, x, _own(model))
 
 
-def _layers(graph: _Graph, x: str, network: Network) -> str:
+def _own(model: Model) -> dict[str, NDArray[Any]]:
+    return {name.removeprefix("family."): array for name, array in model.arrays.items()}
+
+
+def _line(graph: _Graph, x: str, arrays: Mapping[str, NDArray[Any]]) -> str:
+    return graph("Add", graph("MatMul", x, arrays["coefficients"].T), arrays["intercepts"])
+
+
+def _layers(graph: _Graph, x: str, arrays: Mapping[str, NDArray[Any]]) -> str:
     for k in (1, 2, 3):
-        x = graph("Add", graph("MatMul", x, network.arrays[f"weights_{k}"]), network.arrays[f"biases_{k}"])
+        x = graph("Add", graph("MatMul", x, arrays[f"weights_{k}"]), arrays[f"biases_{k}"])
         x = graph("Tanh", x) if k < 3 else x
     return x
 
 
 def _boosting(graph: _Graph, x: str, model: Model) -> str:
     """Descend all trees at once, as `Boosting.scores`: a leaf is its own child."""
-    a = {name.removeprefix("family."): array for name, array in model.arrays.items()}
+    a = _own(model)
     children = [graph.whole(a[name]) for name in ("left", "right")]
     n_rows = graph("Gather", graph("Shape", x), graph.whole([0]))
     node = graph("Expand", graph.whole(a["roots"][None]), graph("Concat", n_rows, graph.whole([1]), axis=0))

@@ -21,7 +21,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, MissingExtra
 from cgid.export_c import c_source
 from cgid.export_onnx import onnx_bytes
-from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.classifier import ImpactClassifier, noise_contrast
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.families import Standardiser
 from cgid.identification.model import Model
@@ -133,12 +133,30 @@ def named(name: str) -> Model:
     """Return a shipped model, or a small one of a family and a number of labels."""
     if name in MODELS:
         return load_model(name)
-    family, n_labels = name.split()
-    return made(family, int(n_labels))
+    family, n_labels, *noise = name.split()
+    model = made(family, int(n_labels))
+    if not noise:
+        return model
+    rows = usual_rows(model, 500)
+    contrast = noise_contrast(rows, 10 + 5 * np.log(rows[:, 0]) + rows[:, 2], linear=(2, 3))
+    return replace(model, arrays=model.arrays | replace(contrast, limit=-1.5).arrays)
 
 
 #: One of each kind runs always.
-NAMES = few(["default", "boosting 3", "logistic 2", "linear 3", *MODELS[1:], "network 3", "linear 2", "boosting 2"], 4)
+NAMES = few(
+    [
+        "default",
+        "linear 2 noise",
+        "boosting 3",
+        "logistic 2",
+        "linear 3",
+        *MODELS[1:],
+        "network 3",
+        "linear 2",
+        "boosting 2",
+    ],
+    5,
+)
 
 
 @needs_gcc

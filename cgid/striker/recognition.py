@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import InvalidValue
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
-from cgid.measure.features import BEAM_LIMIT
+from cgid.measure.features import BEAM_LEAD
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
@@ -138,7 +138,7 @@ def through_beam(
     MeasuredPulses
     """
     rate, parts = require_rate(sampling_rate), []
-    detection_limit = min(detection_limit, BEAM_LIMIT)  # the modes find a blow where the samples alone do not show it
+    detection_limit = max(detection_limit - BEAM_LEAD, 0.0)
     for first in range(0, max(len(frames), 1), _ROWS):
         part = np.asarray(frames[first : first + _ROWS], np.float64)
         batch = VibrationBatch(part, rate, pre_trigger, detection_limit=detection_limit)
