@@ -3,9 +3,12 @@
 The beam of `tail_beam` with every natural frequency and damping ratio off by independent normal errors of their
 logarithms strikes; the scene with the nominal beam learns from its blows, without labels. A model is then trained on
 simulations through the learned beam alone, and asked about other blows of the true one. With --shapes the true beam is
-that of other drawings instead: all its measures are off.
+that of other drawings instead: all its measures are off. With --plates it is one of finite elements, not made by the
+package (`independent_beam`), and the shipped model looks through it: from the plate's own modes with errors, as taps
+would tell them, and from the drawings, the scene itself.
 
     python benchmarks/calibrate.py --start 1 3 5 --seeds 5 --impacts 300 --signals 8000
+    python benchmarks/calibrate.py --start 1 --impacts 200 --plates "0.01 mindlin" "0.1 mindlin" plain
 """
 
 from __future__ import annotations
@@ -13,20 +16,29 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from scipy.interpolate import RectBivariateSpline
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
+from cgid.identification.contact import ThroughBeam
 from cgid.identification.model import Model
+from cgid.identification.prediction import load_model
 from cgid.identification.rows import measure
 from cgid.identification.training import train
+from cgid.measure.beam import Beam, gain, nodes
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of
 from cgid.site import calibrate
+from cgid.site.calibration import _blows, _evidence
+from cgid.site.learning import corrected, learn
 
 #: Modes that a 10 kHz anti-alias filter passes [Hz].
 HEARD = 10e3
@@ -64,6 +76,125 @@ def accuracy(site: Scene, truth: Scene, n_train: int, n_test: int, seed: int) ->
     return float(np.mean(model.decide(probabilities) == rows.labels))
 
 
+def plate_of(beam: Beam, variant: Any, most: int, apart: float, rng: np.random.Generator) -> tuple[Beam, Beam]:
+    """Return a beam whose modes are the loudest of a plate, and one whose shapes are those of taps.
+
+    Taps are so far apart [m], each off by 5 % of the shape's root mean square, with cubic splines between; with 0 the
+    shapes are exact.
+    """
+    import independent_beam as other
+
+    modes = other.modes_for(variant)
+    damping = other.damping_ratios(modes.frequency, variant.damping)
+    sides = [nodes(n, *ends) for n, ends in zip(beam.participation.shape[1:], beam.region.reshape(2, 2), strict=True)]
+
+    def shapes(x: Any, y: Any) -> Any:
+        both = np.meshgrid(x, y, indexing="ij")
+        return modes.shape(*(side.ravel() for side in both)).T.reshape(-1, x.size, y.size)
+
+    at_sensor = modes.shape(*(np.array([place]) for place in other.SENSOR))[0]
+    exact = shapes(*sides)
+    loud = np.sqrt(np.mean(exact**2, axis=(1, 2))) * np.abs(at_sensor * gain(beam.filters, modes.frequency))
+    kept = np.sort(np.argsort(-loud * modes.frequency)[:most])
+    told = exact
+    if apart:
+        taps = [
+            np.linspace(low, high, round((high - low) / apart) + 1) for low, high in beam.region.reshape(2, 2).tolist()
+        ]
+        seen = shapes(*taps)
+        seen += 0.05 * np.sqrt(np.mean(seen**2, axis=(1, 2), keepdims=True)) * rng.standard_normal(seen.shape)
+        told = np.array([RectBivariateSpline(*taps, own)(*sides) for own in seen])
+    poles = -2 * np.pi * modes.frequency * (damping - 1j * np.sqrt(1 - damping**2))
+    whole = [np.ascontiguousarray((at_sensor[:, None, None] * own)[kept]) for own in (exact, told)]
+    first, second = (replace(beam, poles=poles[kept], participation=own) for own in whole)
+    return first, second
+
+
+def on_plates(options: argparse.Namespace) -> None:
+    """Print a table of plates of finite elements, before and after calibration."""
+    import independent_beam as other
+    import through_beam
+
+    model = load_model("default-acceleration")
+    assert model.beam is not None
+    beam, scene = model.beam.beam, load_scene("tail_beam")
+    print(
+        "| plate | start | frequency error below 10 kHz, median / 90 % | covered | evidence before / after / own modes "
+        "| accuracy, place before | after | own modes | s |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name in options.plates:
+        made = other.generate(options.impacts + options.test, 555_000_001, name)
+        blows = made["acceleration"][: options.impacts], other.RATE, other.PRE_TRIGGER
+        tests = {key: part[options.impacts :] if np.ndim(part) else part for key, part in made.items()}
+
+        def asked(own: Beam, tests: dict[str, Any] = tests) -> str:
+            through = replace(model)
+            through.__dict__["beam"] = ThroughBeam(own)
+            found = through_beam.judged(through, through_beam.batches_of(tests))
+            return f"{found['accuracy']:.3f}, {1e3 * found['place']:.1f} mm"
+
+        exact, _ = plate_of(beam, other.VARIANTS[name], options.modes, 0.0, np.random.default_rng(0))
+        best = asked(exact)
+        for start in options.start:
+            for apart in options.apart:
+                told = f"its modes, {start:g} % off" + (f", taps {1e3 * apart:g} mm apart" if apart else "")
+                row = from_its_modes(beam, name, start / 100, apart, blows, asked, options)
+                print(f"| {name} | {told} | {row[0]} | {best} | {row[1]} |", flush=True)
+        if options.drawings:
+            row = from_drawings(scene, beam, options.drawings / 100, blows, asked)
+            print(f"| {name} | drawings, {options.drawings:g} % | {row[0]} | {best} | {row[1]} |", flush=True)
+
+
+def from_its_modes(
+    beam: Beam,
+    name: str,
+    error: float,
+    apart: float,
+    recorded: Any,
+    asked: Callable[[Beam], str],
+    options: argparse.Namespace,
+) -> tuple[str, str]:
+    """Return the cells of a row: the plate's own modes with errors, and what blows make of them."""
+    import independent_beam as other
+
+    rng = np.random.default_rng(options.first)
+    exact, told = plate_of(beam, other.VARIANTS[name], options.modes, apart, rng)
+    n = len(exact.poles)
+    deviation = np.array([error, min(10 * error, 0.3), 0.2 if apart else 0.0])
+    off = rng.normal(size=(3, n)) * deviation[:, None]
+    off[2] = 0
+    begun, blows = corrected(told, off), _blows(*recorded)
+    clock = time.process_time()
+    with threadpool_limits(1):
+        found = learn(begun, blows, np.broadcast_to(deviation[:, None], (3, n)).copy())
+    clock = time.process_time() - clock
+    own = corrected(begun, found.correction)
+    heard = np.abs(exact.poles) < 2 * np.pi * HEARD
+    change = np.log(np.abs(own.poles) / np.abs(exact.poles))[heard]
+    covered = np.mean(np.abs(change) < 1.96 * found.deviation[0, heard])
+    middle, most = 100 * np.quantile(np.abs(change), [0.5, 0.9])
+    evidence = " / ".join(f"{_evidence(one, blows):.3g}" for one in (begun, own, exact))
+    head = f"{middle:.3f} / {most:.3f} % | {covered:.2f} | {evidence} | {asked(begun)} | {asked(own)}"
+    return head, f"{clock:.0f}"
+
+
+def from_drawings(
+    scene: Scene, beam: Beam, error: float, recorded: Any, asked: Callable[[Beam], str]
+) -> tuple[str, str]:
+    """Return the cells of a row: the scene itself calibrated with blows on the plate."""
+    before, clock = asked(beam), time.process_time()
+    try:
+        found = calibrate(scene, *recorded, start_error=error, participation_error=0.2)
+    except BadData as refusal:
+        return f"- | - | {str(refusal).partition('evidence is ')[2].partition(';')[0]} | {before} | refused", "-"
+    clock = time.process_time() - clock
+    site = beam_of(found.scene)
+    evidence = f"{found.before:.3g} / {found.after:.3g} / {found.expected:.3g}"
+    after = asked(replace(beam, poles=site.poles, participation=site.participation))
+    return f"- | - | {evidence} | {before} | {after}", f"{clock:.0f}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--start", type=float, nargs="+", default=[1.0, 3.0, 5.0], help="error of the frequencies [%%]")
@@ -73,7 +204,16 @@ def main() -> None:
     parser.add_argument("--impacts", type=int, default=300)
     parser.add_argument("--signals", type=int, default=8000, help="to train on; 0 for none")
     parser.add_argument("--test", type=int, default=3072)
+    parser.add_argument("--plates", nargs="+", default=[], help="variants of independent_beam")
+    parser.add_argument("--modes", type=int, default=400, help="the loudest modes of a plate that are learned")
+    parser.add_argument("--apart", type=float, nargs="+", default=[0.0], help="distance of taps on a plate [m]")
+    parser.add_argument(
+        "--drawings", type=float, default=2.0, help="start from drawings, too, this far off [%%]; 0: no"
+    )
     options = parser.parse_args()
+    if options.plates:
+        on_plates(options)
+        return
     scene = load_scene("tail_beam")
     nominal = beam_modes(scene).frequency
     heard = nominal < HEARD
