@@ -5,7 +5,7 @@
 1. Ten modes from 118 to 1,700 Hz, two pairs 1.5 and 2 % apart (`tests/tapped.py`): six taps, 25.6 kHz, white noise of
    .1 to 20 % of the ringing. Covered is the share of errors within 1.96 stated deviations. A mode that is not found
    within 1 % is missed, one without a true mode within 1 % is extra.
-2. Two modes 1 to 4 % apart alone, at several dampings: how often both are found, and what is stated then.
+2. Two modes 1 and 2 % apart alone, at several dampings: how often both are found, and what is stated then.
 3. A panel of steel by finite elements (`independent_modes.py`), all dampings alike: how many of its modes are found.
 4. What a tap test does wrong: a soft hammer that stays on for longer than stated, places that differ from tap to tap,
    one tap, two sensors.
@@ -119,7 +119,7 @@ def levels(seeds: int) -> None:
 
 def pairs(seeds: int) -> None:
     print(f"\n| apart | damping | noise | {HEAD}\n|{'---|' * 13}")
-    for apart in (0.01, 0.02, 0.04):
+    for apart in (0.01, 0.02):
         for damping in (0.003, 0.01, 0.02):
             for noise in (0.003, 0.03):
                 frequency = np.array([230.0, 430.0, 430.0 * (1 + apart), 700.0])
@@ -188,9 +188,8 @@ def hammer_blow(path: str, forced: str | None) -> None:
     tap = together.used[0]
     strong = np.argsort(np.abs(together.poles.amplitude).max(axis=0))[::-1][:8]
     print(f"\n{together.frequency.size} modes from 60 to 2000 Hz, the strongest eight:\n")
-    print(
-        "| frequency [Hz] | each sensor alone | phase | damping ratio [%] | each alone | envelope |\n|---|---|---|---|---|---|"
-    )
+    print("| frequency [Hz] | each sensor alone | phase | damping ratio [%] | each alone | envelope |")
+    print(f"|{'---|' * 6}")
     for k in sorted(strong):
         frequency, damping = together.frequency[k], together.damping_ratio[k]
         near = [int(np.argmin(np.abs(one.frequency - frequency))) for one in alone]
