@@ -77,15 +77,15 @@ def material(file: Path) -> str:
     return file.stem[:-2]
 
 
-def measured(files: list[Path], channel: str, hop: float) -> Rows:
-    """Return the features of the windows of all recordings, as in `cgid train`."""
+def measured(files: list[Path], channel: str, hop: float, augment: bool = False) -> Rows:
+    """Return the features of the windows of all recordings; if `augment` with noisy copies, as in `cgid train`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "manifest.csv"
         with path.open("w", newline="") as stream:
             rows = csv.writer(stream)
             rows.writerow(["path", "label", "channel"])
             rows.writerows([file.resolve(), material(file), channel] for file in files)
-        return record(read_manifest(path), slicing=Slicing(by="window", hop_time=hop))
+        return record(read_manifest(path), slicing=Slicing(by="window", hop_time=hop), augment=augment)
 
 
 def share(accuracy: float, interval: tuple[float, float]) -> str:
@@ -93,12 +93,12 @@ def share(accuracy: float, interval: tuple[float, float]) -> str:
     return f"{accuracy:.3f} ({interval[0]:.2f} to {interval[1]:.2f})"
 
 
-def nested(tables: dict[str, Rows]) -> None:
+def nested(files: list[Path], hop: float) -> None:
     """Print the results of training with features chosen inside the folds."""
     print("| channel | a window | a recording | votes over 0.5 s | over 1 s | features taken (of 15 folds) |")
     print("|---|---|---|---|---|---|")
-    for channel, table in tables.items():
-        training = train(table)
+    for channel, columns in CHANNELS.items():
+        training = train(measured(files, columns, hop, augment=True))
         metrics, about = training.model.header["training"]["metrics"], training.model.header["training"]["recorded"]
         shares = [metrics, metrics["recordings"], *metrics["running"]]
         taken = ", ".join(f"{c['name']} ({c['taken_in_folds']})" for c in about["candidates"] if c["taken_in_folds"])
@@ -312,7 +312,7 @@ def main() -> None:
         return
     tables = {name: measured(files, channel, asked.hop) for name, channel in CHANNELS.items()}
     print(f"{len(files)} recordings, {len(tables['left'].labels)} windows of 100 ms every {asked.hop * 1e3:g} ms\n")
-    nested(tables)
+    nested(files, asked.hop)
     one_by_one(tables)
 
 

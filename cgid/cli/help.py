@@ -32,6 +32,7 @@ _OPTIONS = {
 }
 _EXCEPTIONS = {
     "train --window": "Model",
+    "train --from": "Task",
     "generate --features": "Signals",
     "features --features": "Task",
     "ceiling --drop-height": "Signals",

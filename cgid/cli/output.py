@@ -15,7 +15,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, TextIO
@@ -149,3 +149,9 @@ def progress_bar(total: int | None, what: str) -> Iterator[Callable[[int], objec
             stop_if_asked()
 
         yield move
+
+
+def accuracy_text(metrics: Mapping[str, Any]) -> str:
+    """Return an accuracy with its interval."""
+    low, high = metrics["accuracy_interval_95"]
+    return f"{metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})"

@@ -13,14 +13,14 @@ import click
 from cgid import validation
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew
-from cgid.cli.output import print_json, progress_bar, say, say_error
+from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
 
-#: Options for recordings only, those for any training but none of a correction, and for datasets and scenes only.
+#: Options for recordings only, and for datasets and scenes only.
 _OF_RECORDINGS = {
     "by": "--by",
     "window_time": "--window",
@@ -34,20 +34,6 @@ _OF_RECORDINGS = {
     "full_scale": "--full-scale",
     "dead_time": "--dead-time",
     "strict": "--strict",
-}
-_NOT_OF_CORRECTIONS = {
-    "names": "--features",
-    "family": "--family",
-    "class_weights": "--class-weights",
-    "by": "--by",
-    "window_time": "--window",
-    "hop_time": "--hop",
-    "level_free": "--level-free",
-    "test_share": "--test-share",
-    "calibration_share": "--calibration-share",
-    "drop_height": "--drop-height",
-    "n_signals": "--signals",
-    "shuffle_labels": "--shuffle-labels",
 }
 _OF_DATASETS = {
     "test_share": "--test-share",
@@ -190,7 +176,12 @@ def train(
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     if (base := options.pop("base")) is not None:
-        return _correct(context, data, base, path, options, plots=plots, as_json=as_json)
+        from cgid.cli.correction import correct_model, refuse_training
+
+        refuse_training(context)
+        if len(data) != 1 or not _recorded(data[0]):
+            raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
+        return correct_model(_manifest(data[0]), base, path, options, plots=plots, as_json=as_json)
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
@@ -360,59 +351,6 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
     return training, list(rows.failures)
 
 
-def _correct(
-    context: click.Context,
-    data: tuple[str, ...],
-    base: str,
-    path: Path,
-    options: dict[str, Any],
-    *,
-    plots: bool,
-    as_json: bool,
-) -> int:
-    """Write a model corrected by labelled impacts, and say how good it is on their site."""
-    from cgid.identification.card import correction_section, write_model
-    from cgid.identification.correction import advice, correct, require_correctable
-    from cgid.identification.labelled_recordings import Reading, record
-    from cgid.identification.model import Model
-    from cgid.identification.rows import Slicing
-    from cgid.identification.training import Training
-    from cgid.shipped import model_path
-
-    for name, flag in _NOT_OF_CORRECTIONS.items():
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            raise InvalidValue(f"{flag} must be left out, --from corrects a model and trains none")
-    if len(data) != 1 or not _recorded(data[0]):
-        raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
-    model = Model.load(model_path(base))
-    require_correctable(model)
-    manifest = _manifest(data[0])
-    given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
-    reading = Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"])
-    slicing = Slicing(by="impact", dead_time=dead_time_in_seconds(options["dead_time"]))
-    with progress_bar(None, "rows") as progress:
-        rows = record(manifest, slicing=slicing, reading=reading, model=model, progress=progress)
-    for warning in rows.warnings:
-        say(f"cgid: warning: {warning}", err=True)
-    found = correct(model, rows)
-    training = Training(found.model, dict(found.after), found.labels, found.probabilities, None)
-    written = write_model(training, path, plots=plots, further=[correction_section(found.model.training["correction"])])
-    told = found.model.training["correction"]
-    if as_json:
-        print_json({"model": str(path), "advice": advice(found), **told})
-    else:
-        say(f"accuracy {_share(told)} on this site, each of {told['n']} impacts judged by what the others teach")
-        say(f"before {_share(told['before'])}")
-        say(f"moved {found.shift}")
-        if told["n_unknown"]:
-            say(f"unknown {told['n_unknown']} more, outside of the training of the model: they teach nothing")
-        for line in advice(found):
-            say(f"cgid: hint: {line}", err=True)
-        then = f"cgid predict FILE --model {shlex.quote(str(path))}"
-        say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
-    return rows.failures[0].exit_code if rows.failures else 0
-
-
 def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> tuple[Any, Any]:
     """Return recorded impacts, and those of datasets and scenes, with the features that both can have."""
     from itertools import chain
@@ -454,12 +392,12 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
         print_json({"model": str(path), **metrics})
         return
     like = " for recordings like these" if "recorded" in about else ""
-    say(f"accuracy {_share(metrics)}{like}")
+    say(f"accuracy {accuracy_text(metrics)}{like}")
     for vote in metrics.get("running", []):
-        told = f"{_share(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
+        told = f"{accuracy_text(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
         say(f"running vote over {vote['time']:g} s {told}")
     if "recordings" in metrics:
-        say(f"vote of a recording {_share(metrics['recordings'])} of {metrics['recordings']['n']}")
+        say(f"vote of a recording {accuracy_text(metrics['recordings'])} of {metrics['recordings']['n']}")
         for row in metrics["recordings"]["rows"]:
             wrong = "" if row["vote"] == row["label"] else f", taken for {row['vote']}"
             say(f"  {row['name']}: {row['label']}{wrong}, {row['accuracy']:.4f} of {row['n']}")
@@ -469,11 +407,6 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     say(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
     then = f"cgid predict FILE --model {shlex.quote(str(path))}"
     say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
-
-
-def _share(metrics: dict[str, Any]) -> str:
-    low, high = metrics["accuracy_interval_95"]
-    return f"{metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})"
 
 
 def _refuse_stray_options(context: click.Context, stray: dict[str, str], recorded: bool) -> None:

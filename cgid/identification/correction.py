@@ -6,9 +6,9 @@ The model is a good guess; ten to fifty impacts teach little beside it. So they 
 * the slope of the scores, a: a model surer, or less sure, than it is right (ln a: 0.3);
 * the gain of the sensor (its ln: 0.2): features with a unit of the signal are divided by it.
 
-That there is nothing to correct is as probable beforehand, and the correction is the mean over what could be, weighed
-by the evidence: without evidence nothing moves. The deviations are assumed; `benchmarks/site_correction.py` checks
-them.
+That there is nothing to correct has a prior probability of 3/4, and the correction is the mean over what could be,
+weighed by the evidence: without evidence little moves. These numbers are assumed, and checked by
+`benchmarks/site_correction.py`.
 
 The corrected probabilities are softmax(a s + b) of the scores s at the corrected features. All of this is folded into
 the temperature, the last intercepts and the standardiser, so that a corrected model is a model like any other.
@@ -39,6 +39,8 @@ from cgid.validation import Floats
 FEWEST_LUMPS = 10
 #: Prior deviations of a bias, of ln of the slope, and of ln of the gain.
 _BIAS, _SLOPE, _GAIN = 0.7, 0.3, 0.2
+#: Prior probability that there is nothing to correct.
+_NOTHING = 0.75
 #: Logarithms of gains that are tried, over the prior deviation.
 _GAINS = np.linspace(-2.0, 2.0, 9)
 #: The array that holds the intercept of each score, by family.
@@ -245,10 +247,10 @@ class _Lumps:
     def _fitted(self, chosen: NDArray[np.bool_]) -> Shift:
         """Return the mean of the shifts that could be, each weighed by its evidence.
 
-        That there is nothing to correct is as probable beforehand as that there is (Hoeting et al. 1999).
+        This is Bayesian model averaging (Hoeting et al. 1999) with the posterior modes of the shifts.
         """
         truth, logs = self.truth[chosen], self.logs[:, chosen]
-        none = logs[self.middle, np.arange(len(truth)), truth].sum()
+        none = logs[self.middle, np.arange(len(truth)), truth].sum() + np.log(_NOTHING / (1 - _NOTHING))
         fits = [_bias_and_slope(own, truth) for own in logs]
         prior = -0.5 * (np.log(self.gains) / _GAIN) ** 2
         prior -= np.log(np.exp(prior).sum())

@@ -1,0 +1,85 @@
+"""`cgid train --from`: a model corrected by a few labelled impacts of a site."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cgid.cli.options import dead_time_in_seconds
+from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error
+from cgid.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from cgid.identification.manifest import Manifest
+
+#: Options of a training that a correction has no use for.
+_OF_TRAINING = {
+    "names": "--features",
+    "family": "--family",
+    "class_weights": "--class-weights",
+    "by": "--by",
+    "window_time": "--window",
+    "hop_time": "--hop",
+    "level_free": "--level-free",
+    "test_share": "--test-share",
+    "calibration_share": "--calibration-share",
+    "drop_height": "--drop-height",
+    "n_signals": "--signals",
+    "shuffle_labels": "--shuffle-labels",
+}
+
+
+def refuse_training(context: click.Context) -> None:
+    """Refuse options of a training, instead of ignoring them."""
+    for name, flag in _OF_TRAINING.items():
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise InvalidValue(f"{flag} must be left out, --from corrects a model and trains none")
+
+
+def correct_model(
+    manifest: Manifest,
+    base: str,
+    path: Path,
+    options: dict[str, Any],
+    *,
+    plots: bool,
+    as_json: bool,
+) -> int:
+    """Write a model corrected by labelled impacts, and say how good it is on their site."""
+    from cgid.identification.card import correction_section, write_model
+    from cgid.identification.correction import advice, correct, require_correctable
+    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.model import Model
+    from cgid.identification.rows import Slicing
+    from cgid.identification.training import Training
+    from cgid.shipped import model_path
+
+    model = Model.load(model_path(base))
+    require_correctable(model)
+    given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
+    reading = Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"])
+    slicing = Slicing(by="impact", dead_time=dead_time_in_seconds(options["dead_time"]))
+    with progress_bar(None, "rows") as progress:
+        rows = record(manifest, slicing=slicing, reading=reading, model=model, progress=progress)
+    for warning in rows.warnings:
+        say(f"cgid: warning: {warning}", err=True)
+    found = correct(model, rows)
+    training = Training(found.model, dict(found.after), found.labels, found.probabilities, None)
+    written = write_model(training, path, plots=plots, further=[correction_section(found.model.training["correction"])])
+    told = found.model.training["correction"]
+    if as_json:
+        print_json({"model": str(path), "advice": advice(found), **told})
+    else:
+        say(f"accuracy {accuracy_text(told)} on this site, each of {told['n']} impacts judged by what the others teach")
+        say(f"before {accuracy_text(told['before'])}")
+        say(f"moved {found.shift}")
+        if told["n_unknown"]:
+            say(f"unknown {told['n_unknown']} more, outside of the training of the model: they teach nothing")
+        for line in advice(found):
+            say(f"cgid: hint: {line}", err=True)
+        then = f"cgid predict FILE --model {shlex.quote(str(path))}"
+        say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
+    return rows.failures[0].exit_code if rows.failures else 0
