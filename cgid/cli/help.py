@@ -23,7 +23,8 @@ _OPTIONS = {
     "What struck": "--striker --masses",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
-    "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
+    "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
+    "--strict",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
 }
