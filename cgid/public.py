@@ -190,9 +190,9 @@ def _downloaded(address: str, file: PublicFile) -> bytes:
         with urlopen(Request(address, headers={"User-Agent": "cgid"}), timeout=_PATIENCE) as answer:
             content = bytes(answer.read(file.size + 1))  # no more, whatever a server sends
     except HTTPError as error:
-        raise NoInput(
-            f"{address}: cannot be downloaded, the server answers {error.code} {error.reason}; {cure}"
-        ) from None
+        error.close()
+        told = f"the server answers {error.code} {error.reason}"
+        raise NoInput(f"{address}: cannot be downloaded, {told}; {cure}") from None
     except http.client.IncompleteRead as error:
         content = error.partial
     except (OSError, URLError, http.client.HTTPException, ValueError) as error:

@@ -11,24 +11,22 @@ from cgid.cli.output import progress_bar, say
 
 @click.command(cls=Command, short_help="Download public recordings of real impacts.", example="cgid fetch")
 @click.argument("name", required=False)
-@click.option(
-    "-o", "--output", type=PATH, default=".", show_default=True, help="Make the dataset's folder in this one."
-)
+@click.option("-o", "--output", type=PATH, default=".", show_default=True, help="Make the folder NAME in this one.")
 @click.option("--mirror", metavar="URL", help="Download from this address instead: that of a copy.")
 def fetch(name: str | None, output: str, mirror: str | None) -> None:
     """Download the public dataset NAME, or list all of them without a NAME.
 
-    Each file is checked by its size and SHA-256. Files that are there already are kept. Nothing is ever downloaded but by
-    this command.
+    Each file is checked by its size and SHA-256. Files that are there already are kept. No other command downloads
+    anything.
     """
     from cgid import public
 
     if name is None:
         for one in public.PUBLIC.values():
+            say(f"{one.name}: {one.content}")
             size = f"{len(one.files)} files, {one.size / 1e6:.1f} MB"
-            say(
-                f"{one.name}: {one.content}\n    {size}, {one.licence}, github.com/{one.repository}\n    for {one.good_for}"
-            )
+            say(f"    {size}, {one.licence}, github.com/{one.repository}")
+            say(f"    for {one.good_for}")
         return
     total = public.PUBLIC[name].size if name in public.PUBLIC else None
     with progress_bar(total, "B") as move:
