@@ -478,7 +478,8 @@ def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch
             arguments = [name]
             for one in dict.fromkeys([*needed, parameter]):
                 arguments += one.opts[:1] if isinstance(one, click.Option) else []
-                arguments.append("" if one is parameter else "x")
+                other = one.type.choices[0] if isinstance(one.type, click.Choice) else "x"
+                arguments.append("" if one is parameter else other)
             with pytest.raises(click.BadParameter, match="must not be empty"):
                 command.make_context(name, arguments[1:])
     # Whoever adds a text here has thought about whether it is the name of a file.

@@ -131,7 +131,8 @@ class Confusion:
         weights = np.where(second, 1 / second.sum(), 1 / (~second).sum())
         order = np.argsort(logits, kind="stable")
         shares = np.cumsum(weights[order]) / weights.sum()
-        edges = np.unique(logits[order][np.searchsorted(shares, np.arange(1, n_bins) / n_bins)])
+        quantiles = logits[order][np.searchsorted(shares, np.arange(1, n_bins) / n_bins)]
+        edges, _ = np.unique(quantiles, return_counts=True)  # without counts, it would import numpy.ma
         bins = np.searchsorted(edges, logits, side="right")
         counts = np.stack([np.bincount(bins[second == k], minlength=edges.size + 1) for k in (False, True)])
         pooled = counts.sum(axis=0) / counts.sum()
