@@ -47,7 +47,7 @@ SENSORS = {
 #: How long before an impact another one strikes [s].
 GAPS = (10e-3, 30e-3)
 #: Shares by which modes change, and numbers of impacts after which it may be noticed.
-CHANGES, SIZES = (0.0, 0.003, 0.01, 0.03), (30, 100)
+CHANGES, SIZES = (0.0, 0.003, 0.01, 0.03), (30, 100, 300)
 #: A place that is wrong by more is far off [m].
 FAR = 0.05
 _CHUNK = 256
@@ -174,7 +174,7 @@ def is_noticed(unexplained: Any) -> bool:
     """Return whether the hint comes for impacts that leave these shares of their energy unexplained [%]."""
     channel = _Channel()
     channel.unexplained.extend(unexplained.tolist())
-    return channel.left() > CHANGED
+    return channel.left()[0] > CHANGED
 
 
 def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:
@@ -322,7 +322,7 @@ def main() -> None:
     if "sensors" in arguments.cases:
         rows += several(model, arguments.signals)
     if "changed" in arguments.cases:
-        print("| impacts | " + " | ".join(f"{share:.1%} off | hint of 30 / 100" for share in CHANGES) + " |")
+        print("| impacts | " + " | ".join(f"{share:.1%} off | hint of 30 / 100 / 300" for share in CHANGES) + " |")
         print("|" + "---|" * (1 + 2 * len(CHANGES)))
         for line in changes(model, arguments.signals):
             print(line, flush=True)

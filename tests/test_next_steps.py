@@ -275,13 +275,22 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
 
 def test_the_median_lies_above_what_is_said() -> None:
     """But for a chance of 2e-5, by the binomial distribution of ranks."""
-    random = np.random.default_rng(0)
-    for n in (30, 47, 100):
+    for n in (30, 47, 100, 300):
         channel = _Channel()
-        channel.unexplained.extend(values := random.permutation(n).astype(float).tolist())
-        rank = sorted(values).index(channel.left()) + 1
+        # The later ones leave less, so that most are looked at.
+        channel.unexplained.extend(np.arange(n, 0.0, -1).tolist())
+        left, latest = channel.left()
+        assert len(latest) == n
+        rank = sorted(latest).index(left) + 1
         assert binom.cdf(rank - 1, n, 0.5) < 2e-5 < binom.cdf(rank + 1, n, 0.5)
-    assert np.isnan(_Channel().left())
+    assert np.isnan(_Channel().left()[0])
+
+
+def test_a_sudden_change_is_noticed_after_a_long_shift() -> None:
+    right, off = answers_of(0.0, None), answers_of(0.01, None)
+    assert change_of([*right, *right]) is None
+    hint = change_of([*right, *right, *off[:40]])
+    assert hint is not None and "of the last 30 impacts unexplained" in hint.reason
 
 
 def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

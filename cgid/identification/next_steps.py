@@ -41,10 +41,9 @@ _BOTH_WAYS = 0.4
 _DEVIATIONS = 3.0
 #: A live stream gets its hint when this many answers of a channel are there, and this share of them is unknown.
 _ENOUGH, _CLEARLY = 20, 0.8
-#: The beam has changed where so many of the latest impacts, at least and at most, surely leave more than this share of
-#: their energy unexplained [%] in the median; surely is by so many deviations of a median. Not less than so many times
-#: the median of the training.
-_FEWEST, _LATEST, CHANGED, _SURE, _OVER_USUAL = 30, 100, 0.5, 4.0, 3.0
+#: The beam has changed where the latest impacts, so many, surely leave more than this share of their energy unexplained
+#: [%] in the median; surely is by so many deviations of a median. Not less than so many times that of the training.
+_LATEST, CHANGED, _SURE, _OVER_USUAL = (30, 100, 300), 0.5, 4.0, 3.0
 #: Share of answers without any mark from which these, and not the marks, decide on the cause.
 _UNMARKED = 0.25
 
@@ -219,13 +218,19 @@ class _Channel:
     examples: dict[str, list[Answer]] = field(default_factory=dict)
     latest: float = -np.inf
     problems: Counter[str] = field(default_factory=Counter)
-    unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST))
+    unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST[-1]))
 
-    def left(self) -> float:
-        """Return what the median of the latest impacts surely leaves unexplained [%]; nan if they are too few."""
-        n = len(self.unexplained)
-        # The rank of a sample that lies below the median but for a chance of 2e-5 (binomial).
-        return sorted(self.unexplained)[int(n / 2 - _SURE / 2 * np.sqrt(n)) - 1] if n >= _FEWEST else float("nan")
+    def left(self) -> tuple[float, list[float]]:
+        """Return what the median of the latest impacts surely leaves unexplained [%], and what these leave.
+
+        Of few impacts or many, whichever leave more; not a number if there are too few.
+        """
+        found: list[tuple[float, list[float]]] = [(float("nan"), [])]
+        for most in _LATEST if len(self.unexplained) >= _LATEST[0] else ():
+            latest = list(self.unexplained)[-most:]
+            # The rank of a sample that lies below the median but for a chance of 2e-5 (binomial).
+            found.append((sorted(latest)[int(len(latest) / 2 - _SURE / 2 * np.sqrt(len(latest))) - 1], latest))
+        return max(found[1:] or found, key=lambda one: one[0])
 
 
 #: Most examples kept of each cause.
@@ -294,10 +299,11 @@ class Diagnosis:
         unknown = any(c.n_answers >= _ENOUGH and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
         return unknown or bool(self._changed())
 
-    def _changed(self) -> dict[str, _Channel]:
-        """Return the channels whose beam has changed."""
+    def _changed(self) -> dict[str, list[float]]:
+        """Return the channels whose beam has changed, with what their latest impacts leave unexplained [%]."""
         limit = max(CHANGED, _OVER_USUAL * self._model.unexplained)
-        return {name: channel for name, channel in self._channels.items() if channel.left() > limit}
+        found = {name: channel.left() for name, channel in self._channels.items()}
+        return {name: latest for name, (left, latest) in found.items() if left > limit}
 
     def hint(self) -> Hint | None:
         """Return the hint; None where at most half of the answers are unknown in each channel, and no beam changed."""
@@ -333,7 +339,7 @@ class Diagnosis:
         own = self._changed()
         if not own:
             return None
-        latest = np.concatenate([list(channel.unexplained) for channel in own.values()])
+        latest = np.concatenate(list(own.values()))
         usual = f", {self._model.unexplained:.2g} % in the training" if self._model.unexplained else ""
         return Hint(
             cause="beam",
@@ -343,8 +349,8 @@ class Diagnosis:
             advice="learn its modes anew and train on them",
             commands=self._calibration(),
             channels=() if len(own) == len(self._channels) else tuple(own),
-            n_unknown=sum(channel.n_unknown for channel in own.values()),
-            n_answers=sum(channel.n_answers for channel in own.values()),
+            n_unknown=sum(self._channels[name].n_unknown for name in own),
+            n_answers=sum(self._channels[name].n_answers for name in own),
         )
 
     # -- words ----------------------------------------------------------------------------------------
