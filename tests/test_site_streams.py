@@ -85,7 +85,7 @@ def test_rows_are_what_the_detector_finds_with_the_truth_of_the_rock(short) -> N
 
 
 def test_a_model_is_finished(short, shipped_model: Model) -> None:
-    scenes, measured = short
+    _, measured = short
     plain = replace(
         shipped_model,
         arrays={name: array for name, array in shipped_model.arrays.items() if not name.startswith("share.")},
