@@ -86,6 +86,10 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
     ),
     "ceiling": ("How well anybody could do: cgid.ceiling", {"cgid.ceiling": None}),
     "site": ("The beam of a site: cgid.site", {"cgid.site": None}),
+    "striker": (
+        "What struck, and public recordings: cgid.striker, cgid.public",
+        {"cgid.striker": None, "cgid.public": ("PublicData", "fetch")},
+    ),
     "output": (
         "Pictures and reports: cgid.plots, cgid.report",
         {
