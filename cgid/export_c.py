@@ -22,6 +22,8 @@ from cgid.identification.families import Contrast, Standardiser
 from cgid.identification.model import LOWEST_SHARE, Model
 from cgid.identification.model_file import STANDARDISER
 from cgid.measure.features import FEATURES
+from cgid.measure.spectra import THIRD_OCTAVES, third_octave
+from cgid.measure.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.signals import KNOWN
 from cgid.validation import Floats
 
@@ -32,6 +34,8 @@ _SINGLE = (1e-37, 1e37)
 #: Standard deviations from the middle of the training of the rows that a file tests itself with.
 _TESTED = (-1.5, -0.75, 0.0, 0.75, 1.5)
 _LONGEST_LINE = 116
+#: Tables that stay double in single precision.
+_ALWAYS_DOUBLE = ("cgid_coverages", "set_limits", "test_probabilities", "band_edges")
 
 _TYPES = """\
 #ifndef CGID_REAL
@@ -87,7 +91,164 @@ extern const double cgid_coverages[CGID_N_COVERAGES];
 int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held);
 """
 
+_MEASURE = """\
+
+/* Measure one frame of a vibration: n_samples in the unit of the model, of which the first pre_trigger precede the touch.
+   Return 1, or 0 and values that are not numbers if it cannot be measured. Computes in double precision; its time grows
+   with the number of samples times the number of bins of the spectrum up to the highest band. */
+int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, double sampling_rate, cgid_real *values);
+"""
+
+_MEASURE_BODY = """\
+
+/* An impact in a frame: samples from the onset on, and what they are relative to. */
+typedef struct {
+    const cgid_real *samples;
+    int n;               /* in the frame */
+    int longest;         /* of any event at this rate and length of frames */
+    double rate, offset, noise;
+} event;
+
+/* Weight of a sample: exp(-t / 15 ms), or half a cosine bell over the first n_early samples. */
+static double weight_of(int i, int n_early, double rate)
+{
+    double bell = n_early ? cos(i * (0.5 * PI / n_early)) : 0;
+    return n_early ? bell * bell : exp(-i / (WINDOW_TIME * rate));
+}
+
+/* Return the energy of bin k of the spectrum of the first n weighted samples, padded to a length: one term of the
+   Fourier sum after the other, turned and faded by one product each. */
+static double energy_of(const event *own, int n, int n_early, int length, int k)
+{
+    const double angle = 2 * PI * k / length, fade = n_early ? 1 : exp(-1 / (WINDOW_TIME * own->rate));
+    const double turn_re = fade * cos(angle), turn_im = -fade * sin(angle);
+    double re = 1, im = 0, sum_re = 0, sum_im = 0;
+    int i;
+    for (i = 0; i < n; i++) {
+        double value = (double)own->samples[i] - own->offset, old = re;
+        if (n_early) {
+            value *= weight_of(i, n_early, own->rate);
+        }
+        sum_re += value * re;
+        sum_im += value * im;
+        re = old * turn_re - im * turn_im;
+        im = old * turn_im + im * turn_re;
+    }
+    return (sum_re * sum_re + sum_im * sum_im) * (k == 0 || 2 * k == length ? 1 : 2) / (length * own->rate);
+}
+
+/* Find the bin of a frequency; return the share of it that lies below. The first and the last one have half a width. */
+static double bin_of(double frequency, double spacing, int last, int *k)
+{
+    double place = frequency / spacing + 0.5, share;
+    *k = place < last ? (int)place : last;
+    share = place - *k;
+    if (*k == 0 || *k == last) {
+        share = 2 * share - (*k == 0);
+    }
+    return share < 1 ? share : 1;
+}
+
+/* Return a length with a fast transform, which cgid pads to: four to eight times a power of two. */
+static int padded_length(int wanted)
+{
+    int bits = 0, step;
+    while (wanted >> bits) {
+        bits++;
+    }
+    step = 1 << (bits > 4 ? bits - 3 : 1);
+    return (wanted + step - 1) / step * step;
+}
+
+/* Return log10 of the energy between two frequencies less the share of the noise; equal ones stand for all. */
+static double level_of(const event *own, double low, double high, int early)
+{
+    int bell = (int)rint(EARLY_TIME * own->rate), i, k, first, last, n_early = 0, n = own->n, length;
+    double below, inside, energy = 0, total = 0, weights = 0, share;
+    if (early) {
+        bell = bell > 2 ? bell : 2;
+        n_early = bell < own->longest ? bell : own->longest;
+        n = n < n_early ? n : n_early;
+    }
+    for (i = 0; i < (early ? n_early : n); i++) {
+        double weight = weight_of(i, n_early, own->rate);
+        double value = i < n ? ((double)own->samples[i] - own->offset) * weight : 0;
+        weights += weight * weight / own->rate;
+        total += value * value / own->rate;
+    }
+    length = padded_length(early ? 4 * n_early : own->longest);
+    below = bin_of(low, own->rate / length, length / 2, &first);
+    inside = bin_of(high, own->rate / length, length / 2, &last);
+    for (k = first; k <= last && low < high; k++) {
+        energy += ((k == last ? inside : 1) - (k == first ? below : 0)) * energy_of(own, n, n_early, length, k);
+    }
+    energy = low < high ? energy : total;
+    share = own->noise * own->noise * weights * (low < high ? 2 * (high - low) / own->rate : 1);
+    return log10(fmax(energy - share, fmax(share, fmax(1e-12 * total, DBL_MIN))));
+}
+
+/* Return whether rate and length of a frame suffice for all bands. */
+static int suffice(int n_samples, double rate)
+{
+    int k, enough = rate >= 2000 && rate <= 1e8;
+    for (k = 0; k < CGID_N_VALUES; k++) {
+        const double *edges = band_edges + 2 * k;
+        enough = enough && rate >= 2 * edges[1];
+        enough = enough && (band_early[k] || edges[0] >= edges[1] || n_samples >= rate / (edges[1] - edges[0]));
+    }
+    return enough;
+}
+
+int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, double sampling_rate, cgid_real *values)
+{
+    event own;
+    double peak = 0, limit, square = 0, sum = 0;
+    int i, k, first = pre_trigger, varies = 0, sound = suffice(n_samples, sampling_rate);
+    for (k = 0; k < CGID_N_VALUES; k++) {
+        values[k] = (cgid_real)NAN;
+    }
+    for (i = 0; i < n_samples; i++) {
+        sound = sound && fabs((double)samples[i]) <= 1e150;
+        varies = varies || samples[i] > samples[0] || samples[i] < samples[0];
+    }
+    if (!sound || !varies || pre_trigger < 0 || pre_trigger >= n_samples) {
+        return 0;
+    }
+    for (i = 0; i < pre_trigger; i++) {
+        sum += (double)samples[i];
+    }
+    own.rate = sampling_rate;
+    own.offset = pre_trigger > 1 ? sum / pre_trigger : 0;
+    for (i = 0; i < pre_trigger; i++) {
+        square += ((double)samples[i] - own.offset) * ((double)samples[i] - own.offset);
+    }
+    own.noise = pre_trigger > 1 ? sqrt(square / (pre_trigger - 1)) : 0;
+    for (i = pre_trigger; i < n_samples; i++) {
+        peak = fmax(peak, fabs((double)samples[i] - own.offset));
+    }
+    if (!(peak > 5 * own.noise) || !(peak > 1e-75)) {
+        return 0;
+    }
+    limit = fmax(0.05 * peak, fmin(5 * own.noise, 0.8 * peak));
+    while (!(fabs((double)samples[first] - own.offset) > limit)) {
+        first++;
+    }
+    own.samples = samples + first;
+    own.longest = (int)ceil(0.2 * sampling_rate) < n_samples ? (int)ceil(0.2 * sampling_rate) : n_samples;
+    own.n = n_samples - first < own.longest ? n_samples - first : own.longest;
+    if (n_samples - first < 0.005 * sampling_rate) {
+        return 0;
+    }
+    for (k = 0; k < CGID_N_VALUES; k++) {
+        double level = level_of(&own, band_edges[2 * k], band_edges[2 * k + 1], band_early[k]);
+        values[k] = (cgid_real)(level - (band_relative[k] ? level_of(&own, 0, 0, 0) : 0));
+    }
+    return 1;
+}
+"""
+
 _ARITHMETIC = """\
+#include <float.h>
 #include <math.h>
 
 #define CGID_JOIN_(a, b) a##b
@@ -653,6 +814,9 @@ def _heading(model: Model) -> str:
 
 def _missing(model: Model) -> Iterable[str]:
     """Yield what is not in the file."""
+    if _bands(model) is not None:
+        yield "Not in this file: finding the impacts in a recording. cgid_measure measures a frame of one impact."
+        return
     yield "Not in this file: finding the impacts in a recording, and measuring these values. `cgid features` measures"
     if model.beam is not None:
         yield "them, except those named beam_*: they need the beam of the model, and cgid itself."
@@ -679,17 +843,39 @@ def _sizes(model: Model) -> str:
 
 
 def _interface(model: Model) -> str:
-    return _INTERFACE + (_SETS % {"n": len(COVERAGES)} if model.conformal is not None else "")
+    sets = _SETS % {"n": len(COVERAGES)} if model.conformal is not None else ""
+    return _INTERFACE + sets + (_MEASURE if _bands(model) is not None else "")
+
+
+def _bands(model: Model) -> dict[str, NDArray[Any]] | None:
+    """Return the tables of the bands, if all values are levels of a vibration that C measures.
+
+    Edges are in Hz; equal ones stand for the level of all frequencies.
+    """
+    octaves = {name: third_octave(number) for number, name in enumerate(THIRD_OCTAVES)}
+    levels = {"level_total": (0.0, 0.0)} | {f"level_{name}_hz": edges for name, edges in octaves.items()}
+    relative = {f"relative_level_{name}_hz": edges for name, edges in octaves.items()}
+    early = {f"early_level_{low}_{high}_hz": (low, high) for low, high in EARLY_BANDS}
+    edges, names = levels | relative | early, model.measured
+    if model.n_channels > 1 or model.known or model.sensors or not edges.keys() >= set(names):
+        return None
+    return {
+        "band_edges": np.array([edges[name] for name in names], np.float64),
+        "band_early": np.array([name in early for name in names]),
+        "band_relative": np.array([name in relative for name in names]),
+    }
 
 
 def _inner_sizes(model: Model) -> str:
     """Return the sizes that only the functions need."""
     arrays = model.arrays
-    sizes = {
+    sizes: dict[str, float] = {
         "N_SCORES": 1 if len(model.labels) == 2 else len(model.labels),
         "N_WHITENINGS": len(arrays["neighbourhood.whitening"]),
         "N_TESTS": len(_TESTED),
     }
+    if _bands(model) is not None:
+        sizes |= {"WINDOW_TIME": WINDOW_TIME, "EARLY_TIME": EARLY_TIME, "PI": np.pi}
     if model.guards:
         sizes["N_GUARDS"] = len(model.guards)
     if model.family == "network":
@@ -722,6 +908,7 @@ def _arrays(model: Model) -> dict[str, NDArray[Any]]:
     arrays |= {name: np.array(value) for name, value in scalars.items()}
     if model.guards:
         arrays["guard_limits"] = np.array(model.guard_limits)
+    arrays |= _bands(model) or {}
     if model.conformal is not None:
         arrays |= {"cgid_coverages": np.array(COVERAGES), "set_limits": _set_limits(model)}
     return arrays | _tests(model)
@@ -773,7 +960,8 @@ def _answer(model: Model) -> str:
         low, high = LOWEST_SHARE * low, 1e300
     rates = {"lowest": repr(0.99 * low), "highest": repr(1.01 * high)}
     own = _ANSWER % {"ones": ", ".join("1" for _ in model.labels), **rates}
-    return own + (_SETS_BODY if model.conformal is not None else "")
+    measuring = _MEASURE_BODY if _bands(model) is not None else ""
+    return own + (_SETS_BODY if model.conformal is not None else "") + measuring
 
 
 # -- C as text --------------------------------------------------------------------------------------------
@@ -809,7 +997,7 @@ def _table(name: str, array: NDArray[Any]) -> str:
 def _type_of(name: str, array: NDArray[Any]) -> str:
     """Return the C type of a table: the smallest that holds whole numbers; sets and tests stay double."""
     if array.dtype.kind == "f":
-        return "double" if name in ("cgid_coverages", "set_limits", "test_probabilities") else "cgid_real"
+        return "double" if name in _ALWAYS_DOUBLE else "cgid_real"
     most = int(array.max())
     return "unsigned char" if most < 1 << 8 else "unsigned short" if most < 1 << 16 else "unsigned long"
 
