@@ -16,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
+from cgid import export_c_parts as parts
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES
 from cgid.identification.families import Contrast, Network, Standardiser
 from cgid.identification.model import LOWEST_SHARE, Model
 from cgid.identification.model_file import STANDARDISER
 from cgid.measure.features import FEATURES
+from cgid.measure.spectra import THIRD_OCTAVES, third_octave
+from cgid.measure.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.signals import KNOWN
 from cgid.validation import Floats
 
@@ -32,541 +35,8 @@ _SINGLE = (1e-37, 1e37)
 #: Standard deviations from the middle of the training of the rows that a file tests itself with.
 _TESTED = (-1.5, -0.75, 0.0, 0.75, 1.5)
 _LONGEST_LINE = 116
-
-_TYPES = """\
-#ifndef CGID_REAL
-#define CGID_REAL double
-#endif
-typedef CGID_REAL cgid_real;
-"""
-
-_INTERFACE = """\
-/* The label of an impact that the model does not know: another label must not be given to it. */
-#define CGID_UNKNOWN (-1)
-
-typedef enum {
-    CGID_KNOWN = 0,      /* the label is the most probable one */
-    CGID_OUTSIDE = 1,    /* unknown: the novelty is above 1, outside of the training */
-    CGID_UNMEASURED = 2, /* unknown: a value is infinite or not a number; the other fields are not numbers */
-    CGID_OVERFLOW = 3    /* unknown: the values are so large that the model gives no probabilities */
-} cgid_status;
-
-typedef struct {
-    cgid_status status;
-    int label;                             /* number of the label, or CGID_UNKNOWN */
-    cgid_real novelty;                     /* distance from the training, 1 at its edge */
-    cgid_real probability[CGID_N_LABELS];  /* calibrated; in the order of cgid_labels */
-} cgid_answer;
-
-extern const char *const cgid_labels[CGID_N_LABELS];
-extern const char *const cgid_values[CGID_N_VALUES];
-
-/* Identify one impact from its CGID_N_VALUES values, in the order of cgid_values; return the status. */
-cgid_status cgid_identify(const cgid_real *values, cgid_answer *answer);
-
-/* Return the label of the smallest expected cost; `costs` are those of missing each label. */
-int cgid_decide(const cgid_real *probability, const cgid_real *costs);
-
-/* Return 1 if the model was trained for a sampling rate [Hz], else 0. */
-int cgid_covers(double sampling_rate);
-
-/* Return the number of wrong answers to a few impacts that cgid itself has answered: 0 if compiler, processor and
-   options are sound. */
-int cgid_self_test(void);
-"""
-
-_SETS = """\
-
-/* Coverages of the prediction sets. */
-#define CGID_N_COVERAGES %(n)d
-extern const double cgid_coverages[CGID_N_COVERAGES];
-
-/* Find the labels that cannot be ruled out, held[label] = 1, at the coverage of this number; return how many. For
-   impacts like those of the training, this share of the sets holds the truth: for the mix of labels of the training,
-   or with by_label = 1 for each label. Where too few impacts were left out for a limit, no label is ruled out. */
-int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held);
-"""
-
-_ARITHMETIC = """\
-#include <math.h>
-
-#define CGID_JOIN_(a, b) a##b
-#define CGID_JOIN(a, b) CGID_JOIN_(a, b)
-#define CGID_BYTES_float 4
-#define CGID_BYTES_double 8
-#if CGID_JOIN(CGID_BYTES_, CGID_REAL) == 8
-#define CGID_EXP exp
-#define CGID_LOG log
-#define CGID_SQRT sqrt
-#define CGID_TANH tanh
-#define CGID_READ strtod
-#define CGID_TOLERANCE 1e-9
-#define CGID_LARGEST 100
-#define CGID_DIGITS 17
-#elif CGID_JOIN(CGID_BYTES_, CGID_REAL) == 4
-%(single)s#define CGID_EXP expf
-#define CGID_LOG logf
-#define CGID_SQRT sqrtf
-#define CGID_TANH tanhf
-#define CGID_READ strtof
-#define CGID_TOLERANCE 1e-3
-#define CGID_LARGEST 80
-#define CGID_DIGITS 9
-#else
-#error "CGID_REAL must be float or double"
-#endif
-"""
-
-_STANDARDISE = """\
-/* Take logarithms of the features that are always positive, then scale to zero mean and unit variance. */
-static void standardise(const cgid_real *values, int n, const unsigned char *logarithmic, const cgid_real *least,
-                        const cgid_real *mean, const cgid_real *scale, cgid_real *out)
-{
-    int i;
-    for (i = 0; i < n; i++) {
-        cgid_real value = values[i];
-        if (logarithmic[i]) {
-            value = CGID_LOG(value > least[i] ? value : least[i]);
-        }
-        out[i] = (value - mean[i]) / scale[i];
-    }
-}
-"""
-
-_LAYER = """\
-/* One layer of a network: out = x weights + biases, through tanh if it is hidden. */
-static void layer(const cgid_real *x, int n_inputs, const cgid_real *weights, const cgid_real *biases, int n_units,
-                  int hidden, cgid_real *out)
-{
-    int i, k;
-    for (k = 0; k < n_units; k++) {
-        out[k] = biases[k];
-    }
-    for (i = 0; i < n_inputs; i++) {
-        for (k = 0; k < n_units; k++) {
-            out[k] += x[i] * weights[i * n_units + k];
-        }
-    }
-    for (k = 0; hidden && k < n_units; k++) {
-        out[k] = CGID_TANH(out[k]);
-    }
-}
-"""
-
-#: Family -> the C function `scores`: those of the classes, for two classes only that of the second.
-_SCORES = {
-    "linear": """\
-/* Linear in the features. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    int i, k;
-    for (k = 0; k < N_SCORES; k++) {
-        score[k] = family_intercepts[k];
-        for (i = 0; i < CGID_N_INPUTS; i++) {
-            score[k] += family_coefficients[k * CGID_N_INPUTS + i] * x[i];
-        }
-    }
-}
-""",
-    "logistic": """\
-/* Linear in the features and their pairwise products. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    const cgid_real *coefficient = family_coefficients;
-    int i, j, k;
-    for (k = 0; k < N_SCORES; k++) {
-        score[k] = family_intercepts[k];
-        for (i = 0; i < CGID_N_INPUTS; i++) {
-            score[k] += *coefficient++ * x[i];
-        }
-        for (i = 0; i < CGID_N_INPUTS; i++) {
-            for (j = i; j < CGID_N_INPUTS; j++) {
-                score[k] += *coefficient++ * (x[i] * x[j]);
-            }
-        }
-    }
-}
-""",
-    "boosting": """\
-/* Sums of decision trees. A leaf is its own child, and its number is its value; of other nodes it is a threshold. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    int k, tree;
-    for (k = 0; k < N_SCORES; k++) {
-        score[k] = family_baseline[k];
-    }
-    for (tree = 0; tree < N_TREES; tree++) {
-        unsigned long node = family_roots[tree];
-        while (family_left[node] != node) {
-            node = x[family_feature[node]] <= family_number[node] ? family_left[node] : family_right[node];
-        }
-        score[family_columns[tree]] += family_number[node];
-    }
-}
-""",
-    "network": """\
-/* Two hidden layers. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    cgid_real first[N_UNITS_1], second[N_UNITS_2];
-    layer(x, CGID_N_INPUTS, family_weights_1, family_biases_1, N_UNITS_1, 1, first);
-    layer(first, N_UNITS_1, family_weights_2, family_biases_2, N_UNITS_2, 1, second);
-    layer(second, N_UNITS_2, family_weights_3, family_biases_3, N_SCORES, 0, score);
-}
-""",
-}
-
-_PROBABILITIES = """\
-/* Softmax of the scores over the temperature; return whether all probabilities are finite. */
-static int probabilities(const cgid_real *x, cgid_real *probability)
-{
-    cgid_real highest, sum = 0;
-    int k, finite = 1;
-    probability[0] = 0;
-    scores(x, probability + (CGID_N_LABELS - N_SCORES));
-    for (k = CGID_N_LABELS - N_SCORES; k < CGID_N_LABELS; k++) {
-        probability[k] /= temperature;
-    }
-    highest = probability[0];
-    for (k = 1; k < CGID_N_LABELS; k++) {
-        highest = probability[k] > highest ? probability[k] : highest;
-    }
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        probability[k] = CGID_EXP(probability[k] - highest);
-        sum += probability[k];
-    }
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        probability[k] /= sum;
-        finite = finite && isfinite(probability[k]);
-    }
-    return finite;
-}
-
-/* Mahalanobis distance to the nearest class over its limit. */
-static cgid_real distance(const cgid_real *x)
-{
-    cgid_real nearest = 0;
-    int i, j, k;
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        const cgid_real *row = neighbourhood_whitening + (k % N_WHITENINGS) * CGID_N_INPUTS * CGID_N_INPUTS;
-        cgid_real sum = 0;
-        for (i = 0; i < CGID_N_INPUTS; i++, row += CGID_N_INPUTS) {
-            cgid_real white = 0;
-            for (j = 0; j < CGID_N_INPUTS; j++) {
-                white += (x[j] - neighbourhood_centres[k * CGID_N_INPUTS + j]) * row[j];
-            }
-            sum += white * white;
-        }
-        /* A sum that is not a number stays the nearest, so that its impact is unknown. */
-        if (k == 0 || sum < nearest || isnan(sum)) {
-            nearest = sum;
-        }
-    }
-    return CGID_SQRT(nearest) / neighbourhood_limit;
-}
-"""
-
-_CONTRAST = """\
-/* Novelty against anything else, by features and guards: that of strangers, or of noise. */
-static cgid_real contrast(const cgid_real *values)
-{
-    cgid_real x[N_CONTRASTED], score;
-    int i;
-    for (i = 0; i < N_CONTRASTED; i++) {
-        x[i] = values[i < N_FEATURES ? i : i - N_FEATURES + CGID_N_INPUTS];
-    }
-    standardise(x, N_CONTRASTED, contrast_logarithmic, contrast_floor, contrast_mean, contrast_scale, x);
-%(score)s    score = (score - contrast_limit) / contrast_spread;
-    return CGID_EXP(score > CGID_LARGEST ? (cgid_real)CGID_LARGEST : score);
-}
-"""
-
-_CONTRAST_NETWORK = """\
-    cgid_real first[N_CONTRAST_1], second[N_CONTRAST_2];
-    layer(x, N_CONTRASTED, contrast_weights_1, contrast_biases_1, N_CONTRAST_1, 1, first);
-    layer(first, N_CONTRAST_1, contrast_weights_2, contrast_biases_2, N_CONTRAST_2, 1, second);
-    layer(second, N_CONTRAST_2, contrast_weights_3, contrast_biases_3, 1, 0, &score);
-"""
-
-_CONTRAST_LINE = "    layer(x, N_CONTRASTED, contrast_coefficients, contrast_intercepts, 1, 0, &score);\n"
-
-_NOVELTY = """\
-/* The largest of the distance, the guards over their limits, and the contrast; infinite beyond all numbers. */
-static cgid_real novelty(const cgid_real *values, const cgid_real *x)
-{
-    cgid_real most = distance(x);
-%(unused)s%(more)s    return isnan(most) ? (cgid_real)HUGE_VAL : most;
-}
-"""
-
-_GUARDS = """\
-    for (int i = 0; i < N_GUARDS; i++) {
-        cgid_real guard = values[CGID_N_INPUTS + i] / guard_limits[i];
-        most = guard > most ? guard : most;
-    }
-"""
-
-_STRANGERS = """\
-    cgid_real stranger = contrast(values);
-    most = stranger > most || isnan(stranger) ? stranger : most;
-"""
-
-_ANSWER = """\
-static const cgid_real even_costs[CGID_N_LABELS] = {%(ones)s};
-
-int cgid_decide(const cgid_real *probability, const cgid_real *costs)
-{
-    int k, best = 0;
-    for (k = 1; k < CGID_N_LABELS; k++) {
-        if (probability[k] * costs[k] > probability[best] * costs[best]) {
-            best = k;
-        }
-    }
-    return best;
-}
-
-int cgid_covers(double sampling_rate)
-{
-    return sampling_rate >= %(lowest)s && sampling_rate <= %(highest)s;
-}
-
-cgid_status cgid_identify(const cgid_real *values, cgid_answer *answer)
-{
-    cgid_real x[CGID_N_INPUTS];
-    int i, finite = 1;
-    answer->label = CGID_UNKNOWN;
-    for (i = 0; i < CGID_N_VALUES; i++) {
-        finite = finite && isfinite(values[i]);
-    }
-    if (!finite) {
-        answer->novelty = (cgid_real)NAN;
-        for (i = 0; i < CGID_N_LABELS; i++) {
-            answer->probability[i] = (cgid_real)NAN;
-        }
-        return answer->status = CGID_UNMEASURED;
-    }
-    standardise(values, CGID_N_INPUTS, standardiser_logarithmic, standardiser_floor, standardiser_mean,
-                standardiser_scale, x);
-    finite = probabilities(x, answer->probability);
-    answer->novelty = novelty(values, x);
-    if (!finite) {
-        return answer->status = CGID_OVERFLOW;
-    }
-    if (!(answer->novelty <= 1)) {
-        return answer->status = CGID_OUTSIDE;
-    }
-    answer->label = cgid_decide(answer->probability, even_costs);
-    return answer->status = CGID_KNOWN;
-}
-
-int cgid_self_test(void)
-{
-    cgid_answer answer;
-    int i, k, wrong = 0;
-    for (i = 0; i < N_TESTS; i++) {
-        int same = 1;
-        cgid_identify(test_values + i * CGID_N_VALUES, &answer);
-        for (k = 0; k < CGID_N_LABELS; k++) {
-            double error = (double)answer.probability[k] - test_probabilities[i * CGID_N_LABELS + k];
-            same = same && fabs(error) <= CGID_TOLERANCE;
-        }
-        wrong += !same;
-    }
-    return wrong;
-}
-"""
-
-_SETS_BODY = """\
-
-int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held)
-{
-    const double *limit = set_limits + ((by_label ? CGID_N_COVERAGES : 0) + coverage) * CGID_N_LABELS;
-    int k, n = 0;
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        held[k] = 1.0 - (double)probability[k] <= limit[k];
-        n += held[k];
-    }
-    return n;
-}
-"""
-
-_MAIN = r"""
-#ifdef CGID_MAIN
-/* Read a CSV of impacts, from a file or the standard input, and print one answer a line. A first line of names, such
-   as `cgid features` prints, says which columns hold the values; without it they come in the order of cgid_values. */
-#include <errno.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
-static char line[64 * CGID_N_VALUES + 16384];
-
-/* Return the next field of a line, its quotes taken off; NULL after the last one. */
-static char *next_field(char **rest)
-{
-    char *start = *rest, *from = *rest, *to = *rest;
-    int quoted = 0;
-    if (start == NULL) {
-        return NULL;
-    }
-    for (; *from && (quoted || (*from != ',' && *from != '\n' && *from != '\r')); from++) {
-        if (*from != '"') {
-            *to++ = *from;
-        } else if (quoted && from[1] == '"') {
-            *to++ = *from++;
-        } else {
-            quoted = !quoted;
-        }
-    }
-    *rest = *from == ',' ? from + 1 : NULL;
-    *to = '\0';
-    return start;
-}
-
-/* Read a number, of an empty field nan; return whether the field holds one. */
-static int number_of(const char *field, cgid_real *value)
-{
-    char *end;
-    *value = (cgid_real)NAN;
-    if (*field == '\0') {
-        return 1;
-    }
-    *value = CGID_READ(field, &end);
-    return end != field && *end == '\0';
-}
-
-/* Return whether a line begins with a number or an empty field, so it is no line of names. */
-static int is_row(const char *text)
-{
-    char *end;
-    strtod(text, &end);
-    return *text == ',' || (end != text && (*end == ',' || *end == '\n' || *end == '\r' || *end == '\0'));
-}
-
-/* Return the number of the value of a column named `name` or `name [unit]`; -1 if it is none. */
-static int value_named(const char *name)
-{
-    int i;
-    for (i = 0; i < CGID_N_VALUES; i++) {
-        size_t length = strlen(cgid_values[i]);
-        if (strncmp(name, cgid_values[i], length) == 0 && (!name[length] || strncmp(name + length, " [", 2) == 0)) {
-            return i;
-        }
-    }
-    return -1;
-}
-
-/* Say what is wrong with a line; return the exit code for bad data. */
-static int complain(unsigned long number, const char *what, const char *name)
-{
-    fprintf(stderr, "line %lu: %s%s\n", number, what, name);
-    return 65;
-}
-
-/* Find the column of each value in a line of names; return an exit code. */
-static int read_names(char *rest, unsigned long number, int *column)
-{
-    char *field;
-    int i, k;
-    for (i = 0; i < CGID_N_VALUES; i++) {
-        column[i] = -1;
-    }
-    for (k = 0; (field = next_field(&rest)) != NULL; k++) {
-        i = value_named(field);
-        if (i >= 0) {
-            column[i] = k;
-        }
-    }
-    for (i = 0; i < CGID_N_VALUES; i++) {
-        if (column[i] < 0) {
-            return complain(number, "there must be a column ", cgid_values[i]);
-        }
-    }
-    return 0;
-}
-
-/* Read the values of a line; return an exit code. */
-static int read_values(char *rest, unsigned long number, const int *column, cgid_real *values)
-{
-    char *field;
-    int i, k, found = 0;
-    for (k = 0; (field = next_field(&rest)) != NULL; k++) {
-        for (i = 0; i < CGID_N_VALUES; i++) {
-            if (column[i] == k) {
-                if (!number_of(field, values + i)) {
-                    return complain(number, "there must be a number, got ", field);
-                }
-                found++;
-            }
-        }
-    }
-    return found == CGID_N_VALUES ? 0 : complain(number, "there must be a field for each value", "");
-}
-
-static void print_number(cgid_real value)
-{
-    printf(",");
-    if (!isnan(value)) {
-        printf("%.*g", CGID_DIGITS, (double)value);
-    }
-}
-
-static void print_answer(const cgid_answer *answer)
-{
-    static const char *const problems[] = {"", "outside of the training", "a value is missing or not finite",
-                                           "no probabilities of values so large"};
-    int k;
-    printf("%s", answer->label == CGID_UNKNOWN ? "unknown" : cgid_labels[answer->label]);
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        print_number(answer->probability[k]);
-    }
-    print_number(answer->novelty);
-    printf(",%s\n", problems[answer->status]);
-}
-
-int main(int argc, char **argv)
-{
-    static int column[CGID_N_VALUES];
-    static cgid_real values[CGID_N_VALUES];
-    FILE *stream = argc > 1 ? fopen(argv[1], "r") : stdin;
-    unsigned long number = 0;
-    int k, code = 0, first = 1;
-    if (stream == NULL) {
-        fprintf(stderr, "%s: cannot be read (%s)\n", argv[1], strerror(errno));
-        return 66;
-    }
-    if (cgid_self_test()) {
-        fprintf(stderr, "the self-test failed: compile without -ffast-math\n");
-        return 70;
-    }
-    printf("label");
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        printf(",p(%s)", cgid_labels[k]);
-    }
-    printf(",novelty,problem\n");
-    for (k = 0; k < CGID_N_VALUES; k++) {
-        column[k] = k;
-    }
-    while (!code && fgets(line, (int)sizeof line, stream) != NULL) {
-        cgid_answer answer;
-        number++;
-        if (strchr(line, '\n') == NULL && !feof(stream)) {
-            code = complain(number, "it must be shorter", "");
-        } else if (line[0] == '#' || line[strspn(line, " \r\n")] == '\0') {
-            continue;
-        } else if (first && !is_row(line)) {
-            code = read_names(line, number, column);
-            first = 0;
-        } else if ((code = read_values(line, number, column, values)) == 0) {
-            cgid_identify(values, &answer);
-            print_answer(&answer);
-            first = 0;
-        }
-    }
-    return fflush(stdout) && !code ? 74 : code;
-}
-#endif
-"""
+#: Tables that stay double in single precision.
+_ALWAYS_DOUBLE = ("cgid_coverages", "set_limits", "test_probabilities", "band_edges")
 
 
 def c_source(model: Model) -> str:
@@ -595,15 +65,17 @@ def c_source(model: Model) -> str:
     """
     require_small(model)
     arrays = _arrays(model)
-    parts = [_heading(model), "#ifndef CGID_MODEL_C\n#define CGID_MODEL_C\n", _sizes(model), _TYPES, _interface(model)]
-    parts += ["#endif\n", "#ifndef CGID_HEADER\n", _ARITHMETIC % {"single": _single(arrays)}, _inner_sizes(model)]
-    parts += [_strings("cgid_labels", "CGID_N_LABELS", model.labels)]
-    parts += [_strings("cgid_values", "CGID_N_VALUES", (*model.inputs, *model.guards))]
-    parts += [_table(name, array) for name, array in arrays.items()]
-    parts += [_STANDARDISE, *([_LAYER] if _has_layers(model) else []), _SCORES[model.family], _PROBABILITIES]
-    parts += [*_contrast(model), _novelty(model), _answer(model)]
-    parts += [_MAIN.lstrip("\n"), "#endif\n"]
-    return "\n".join(parts)
+    text = [_heading(model), "#ifndef CGID_MODEL_C\n#define CGID_MODEL_C\n", _sizes(model), parts.TYPES]
+    text += [_interface(model), "#endif\n", "#ifndef CGID_HEADER\n"]
+    text += [parts.ARITHMETIC % {"single": _single(arrays)}, _inner_sizes(model)]
+    text += [_strings("cgid_labels", "CGID_N_LABELS", model.labels)]
+    text += [_strings("cgid_values", "CGID_N_VALUES", (*model.inputs, *model.guards))]
+    text += [_table(name, array) for name, array in arrays.items()]
+    text += [parts.STANDARDISE, *([parts.LAYER] if _has_layers(model) else [])]
+    text += [parts.SCORES[model.family], parts.PROBABILITIES]
+    text += [*_contrast(model), _novelty(model), _answer(model)]
+    text += [parts.MAIN.lstrip("\n"), "#endif\n"]
+    return "\n".join(text)
 
 
 def require_small(model: Model) -> None:
@@ -659,6 +131,9 @@ def _heading(model: Model) -> str:
 
 def _missing(model: Model) -> Iterable[str]:
     """Yield what is not in the file."""
+    if _bands(model) is not None:
+        yield "Not in this file: finding the impacts in a recording. cgid_measure measures a frame of one impact."
+        return
     yield "Not in this file: finding the impacts in a recording, and measuring these values. `cgid features` measures"
     if model.beam is not None:
         yield "them, except those named beam_*: they need the beam of the model, and cgid itself."
@@ -685,17 +160,39 @@ def _sizes(model: Model) -> str:
 
 
 def _interface(model: Model) -> str:
-    return _INTERFACE + (_SETS % {"n": len(COVERAGES)} if model.conformal is not None else "")
+    sets = parts.SETS % {"n": len(COVERAGES)} if model.conformal is not None else ""
+    return parts.INTERFACE + sets + (parts.MEASURE if _bands(model) is not None else "")
+
+
+def _bands(model: Model) -> dict[str, NDArray[Any]] | None:
+    """Return the tables of the bands, if all values are levels of a vibration that C measures.
+
+    Edges are in Hz; equal ones stand for the level of all frequencies.
+    """
+    octaves = {name: third_octave(number) for number, name in enumerate(THIRD_OCTAVES)}
+    levels = {"level_total": (0.0, 0.0)} | {f"level_{name}_hz": edges for name, edges in octaves.items()}
+    relative = {f"relative_level_{name}_hz": edges for name, edges in octaves.items()}
+    early = {f"early_level_{low}_{high}_hz": (low, high) for low, high in EARLY_BANDS}
+    edges, names = levels | relative | early, model.measured
+    if model.n_channels > 1 or model.known or model.sensors or not edges.keys() >= set(names):
+        return None
+    return {
+        "band_edges": np.array([edges[name] for name in names], np.float64),
+        "band_early": np.array([name in early for name in names]),
+        "band_relative": np.array([name in relative for name in names]),
+    }
 
 
 def _inner_sizes(model: Model) -> str:
     """Return the sizes that only the functions need."""
     arrays = model.arrays
-    sizes = {
+    sizes: dict[str, float] = {
         "N_SCORES": 1 if len(model.labels) == 2 else len(model.labels),
         "N_WHITENINGS": len(arrays["neighbourhood.whitening"]),
         "N_TESTS": len(_TESTED),
     }
+    if _bands(model) is not None:
+        sizes |= {"WINDOW_TIME": WINDOW_TIME, "EARLY_TIME": EARLY_TIME, "PI": np.pi}
     if model.guards:
         sizes["N_GUARDS"] = len(model.guards)
     if model.family == "network":
@@ -729,6 +226,7 @@ def _arrays(model: Model) -> dict[str, NDArray[Any]]:
     arrays |= {name: np.array(value) for name, value in scalars.items()}
     if model.guards:
         arrays["guard_limits"] = np.array(model.guard_limits)
+    arrays |= _bands(model) or {}
     if model.conformal is not None:
         arrays |= {"cgid_coverages": np.array(COVERAGES), "set_limits": _set_limits(model)}
     return arrays | _tests(model)
@@ -771,12 +269,12 @@ def _contrast(model: Model) -> list[str]:
     if model.contrast is None:
         return []
     network = isinstance(model.contrast.scorer, Network)
-    return [_CONTRAST % {"score": _CONTRAST_NETWORK if network else _CONTRAST_LINE}]
+    return [parts.CONTRAST % {"score": parts.CONTRAST_NETWORK if network else parts.CONTRAST_LINE}]
 
 
 def _novelty(model: Model) -> str:
-    return _NOVELTY % {
-        "more": (_GUARDS if model.guards else "") + (_STRANGERS if model.contrast is not None else ""),
+    return parts.NOVELTY % {
+        "more": (parts.GUARDS if model.guards else "") + (parts.STRANGERS if model.contrast is not None else ""),
         "unused": "" if model.guards or model.contrast is not None else "    (void)values;\n",
     }
 
@@ -786,8 +284,9 @@ def _answer(model: Model) -> str:
     if model.beam is not None:
         low, high = LOWEST_SHARE * low, 1e300
     rates = {"lowest": repr(0.99 * low), "highest": repr(1.01 * high)}
-    own = _ANSWER % {"ones": ", ".join("1" for _ in model.labels), **rates}
-    return own + (_SETS_BODY if model.conformal is not None else "")
+    own = parts.ANSWER % {"ones": ", ".join("1" for _ in model.labels), **rates}
+    measuring = parts.MEASURE_BODY if _bands(model) is not None else ""
+    return own + (parts.SETS_BODY if model.conformal is not None else "") + measuring
 
 
 # -- C as text --------------------------------------------------------------------------------------------
@@ -823,7 +322,7 @@ def _table(name: str, array: NDArray[Any]) -> str:
 def _type_of(name: str, array: NDArray[Any]) -> str:
     """Return the C type of a table: the smallest that holds whole numbers; sets and tests stay double."""
     if array.dtype.kind == "f":
-        return "double" if name in ("cgid_coverages", "set_limits", "test_probabilities") else "cgid_real"
+        return "double" if name in _ALWAYS_DOUBLE else "cgid_real"
     most = int(array.max())
     return "unsigned char" if most < 1 << 8 else "unsigned short" if most < 1 << 16 else "unsigned long"
 

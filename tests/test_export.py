@@ -25,6 +25,8 @@ from cgid.identification.classifier import ImpactClassifier, noise_contrast
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.families import Standardiser
 from cgid.identification.model import Model
+from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
+from cgid.measure.features import extract_array
 from cgid.shipped import MODELS, path_of
 from cgid.validation import UNKNOWN
 from tests import few
@@ -346,3 +348,103 @@ def test_onnx_says_what_it_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         onnx_bytes(load_model("default"))
     assert run(["export-model", "default", "--to", "onnx", "-o", str(tmp_path / "m.onnx")]) == 69
     assert not list(tmp_path.iterdir())
+
+
+MEASURER = """
+#include <stdio.h>
+#define CGID_HEADER
+#include "model.c"
+
+int main(void)
+{
+    static double samples[65536];
+    static cgid_real frame[65536];
+    int shape[2], i, k;
+    double rate;
+    while (fread(shape, sizeof(int), 2, stdin) == 2 && fread(&rate, sizeof rate, 1, stdin) == 1) {
+        cgid_real values[CGID_N_VALUES];
+        if (fread(samples, sizeof(double), (size_t)shape[0], stdin) != (size_t)shape[0]) {
+            return 1;
+        }
+        for (i = 0; i < shape[0]; i++) {
+            frame[i] = (cgid_real)samples[i];
+        }
+        printf("%d", cgid_measure(frame, shape[0], shape[1], rate, values));
+        for (k = 0; k < CGID_N_VALUES; k++) {
+            printf(",%.17g", (double)values[k]);
+        }
+        printf("\\n");
+    }
+    return 0;
+}
+"""
+
+
+def levels_model(names: tuple[str, ...]) -> Model:
+    rng = np.random.default_rng(4)
+    classifier = ImpactClassifier("logistic").fit(
+        rng.normal(-2, 1, (200, len(names))), np.repeat(["coal", "gangue"], 100)
+    )
+    return Model.from_classifier(
+        classifier, features=names, unit="m/s^2", sampling_rates=(25600.0, 25600.0), training={}
+    )
+
+
+def vibrations(rng: np.random.Generator, n: int, n_samples: int, pre_trigger: int, rate: float) -> np.ndarray:
+    """Return decaying lines that begin some samples after the trigger, on an offset, with noise."""
+    times = (np.arange(n_samples) - pre_trigger - rng.integers(0, 5, (n, 1))) / rate
+    rows = rng.normal(rng.normal(0, 3, (n, 1)), 0.05, (n, n_samples))
+    for _ in range(6):
+        frequency, decay = np.exp(rng.uniform(np.log(40), np.log(0.45 * rate), (n, 1))), rng.uniform(20, 300, (n, 1))
+        line = (
+            rng.lognormal(1, 1, (n, 1)) * np.exp(-decay * np.maximum(times, 0)) * np.sin(2 * np.pi * frequency * times)
+        )
+        rows += np.where(times > 0, line, 0)
+    return rows
+
+
+@needs_gcc
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_levels_of_a_vibration_are_those_of_extract(real: str, tmp_path: Path) -> None:
+    """Frames of several lengths and rates; some have no impact, some are cut off, constant or not finite."""
+    names = ("level_1000_hz", "level_total", "level_200_hz", "early_level_0_500_hz", "level_10000_hz")
+    names += ("relative_level_2500_hz", "early_level_4000_8000_hz")
+    (tmp_path / "measurer.c").write_text(MEASURER)
+    source = c_source(levels_model(names))
+    program = compiled(source, tmp_path, f"-DCGID_REAL={real}", "-O2", str(tmp_path / "measurer.c"))
+    rng, content, expected = np.random.default_rng(6), b"", []
+    for n_samples, pre_trigger, rate in (
+        (1024, 100, 25600.0),
+        (2500, 64, 51200.0),
+        (6000, 200, 25600.0),
+        (1100, 0, 48000.0),
+    ):
+        frames = vibrations(rng, 8, n_samples, pre_trigger, rate)
+        frames[5] = rng.normal(0, 1, n_samples)
+        frames[6] = 2.5
+        frames[7, : n_samples - 20] = rng.normal(0, 0.01, n_samples - 20)
+        frames = frames.astype(np.float32).astype(np.float64)
+        expected += [*extract_array(frames, rate, names, pre_trigger=pre_trigger, invalid="nan")]
+        frames = [*frames, np.where(np.arange(n_samples) == 300, np.nan, frames[0])]
+        expected.append(np.full(len(names), np.nan))
+        for frame in frames:
+            content += (
+                np.array([n_samples, pre_trigger], np.int32).tobytes() + np.float64(rate).tobytes() + frame.tobytes()
+            )
+    for frame in frames[:1]:  # neither long nor quick enough for its bands
+        for n_samples, rate in ((100, 25600.0), (1000, 8000.0)):
+            content += np.array([n_samples, 10], np.int32).tobytes() + np.float64(rate).tobytes()
+            content += frame[:n_samples].tobytes()
+            expected.append(np.full(len(names), np.nan))
+    done = subprocess.run([program], input=content, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    measured, found = np.split(np.loadtxt(io.StringIO(done.stdout.decode()), delimiter=","), [1], axis=1)
+    np.testing.assert_array_equal(measured[:, 0], np.isfinite(expected).all(axis=1))
+    assert 20 <= measured.sum() <= 28
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 if real == "double" else 1e-5)
+
+
+def test_only_levels_are_measured_in_c() -> None:
+    assert "cgid_measure" in c_source(levels_model(DEFAULT_VIBRATION_FEATURES))
+    assert "cgid_measure" not in c_source(levels_model(("level_total", "time_to_peak")))
+    assert "cgid_measure" not in c_source(load_model("default"))

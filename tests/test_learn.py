@@ -234,7 +234,7 @@ def test_a_float_seed_is_refused() -> None:
 
 def test_a_loader_of_pytorch_takes_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """The page's own lines."""
-    pytest.importorskip("torch", reason="PyTorch is not installed")
+    pytest.importorskip("torch", reason="PyTorch is not installed, or not whole", exc_type=ImportError)
     (block,) = (block for block in blocks_of(PAGE.read_text(encoding="utf-8")) if "import torch" in block.text)
     names: dict[str, Any] = {"__name__": "__main__"}
     exec(block.text, names)

@@ -169,7 +169,7 @@ _BEHIND = 1.0
 @answering_options
 @dead_time_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
-@click.option("--clock", is_flag=True, help="Add wall_time to each JSON object: when it was printed (UTC).")
+@click.option("--clock", is_flag=True, help="Give each JSON object the time when it was printed, as wall_time (UTC).")
 @outlet_options
 def monitor(
     stream: str,

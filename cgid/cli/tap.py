@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.command(
     cls=Command,
     short_help="Find the modes of a beam in a recording of taps on it.",
-    example="cgid tap taps.wav --channel 1 --hammer 2 -o modes.csv --plot modes.png",
+    example="cgid tap taps.csv --channel 1 --hammer 2 -o modes.csv --plot modes.png",
 )
 @click.argument("recording", type=PATH)
 @click.option("-o", "--output", type=PATH, required=True, help="Write the modes to this table (.csv).")
