@@ -50,6 +50,8 @@ _LEADING = 10
 _SAME, _NEARLY = 3e-4, 3e-3
 #: Powers of the noise of sensors over that of the quietest for which there is a grid of its own: 1, one ratio, two.
 _RATIO, _FAINTEST = 8.0, 2
+#: Coefficients with less than this share of the usual weight are drowned.
+_DROWNED = 0.02
 #: Exponents of coloured noise, f^-a, for which there is a grid of its own.
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
@@ -478,25 +480,58 @@ class Inversion:
         return found
 
     @cached_property
-    def _low(self) -> tuple[_Few, Singles, Singles, Singles]:
-        """The tables that find the start: part of all, rotation, shares and costs of every second level."""
-        few = self._few(_LOW, _LOW_SHAPES, _LOW_GRID)
-        power, rotation = few.powers(np.ones(few.kept.size, np.float32))
-        share, cost = (np.ascontiguousarray(part[:, ::2]) for part in _shares(power)[1:])
-        return few, rotation, share, cost
+    def _low(self) -> _Few:
+        """The tables that find the start."""
+        return self._few(_LOW, _LOW_SHAPES, _LOW_GRID)
+
+    @cached_property
+    def _low_tables(self) -> dict[tuple[int, ...], tuple[Singles, Singles, Singles, Floats]]:
+        return {}
+
+    def _low_of(self, fainter: tuple[int, ...]) -> tuple[Singles, Singles, Singles, Floats]:
+        """Return rotation, shares and costs of every second level, and the weights, where sensors are fainter."""
+        if fainter not in self._low_tables:
+            n_each = self._low.kept.size // self.beam.n_sensors
+            weight = np.repeat(_RATIO ** -np.array(fainter, np.float64), n_each)
+            power, rotation = self._low.powers(np.sqrt(weight).astype(np.float32))
+            share, cost = (np.ascontiguousarray(part[:, ::2]) for part in _shares(power)[1:])
+            self._low_tables[fainter] = rotation, share, cost, weight
+        return self._low_tables[fainter]
 
     def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
-        first = start[:, 0] - TOUCH // 2
+        first = np.asarray(start[:, 0] - TOUCH // 2)
         steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
         if steps.size == 1:
-            return np.asarray(first)
-        few, turned, share, cost = self._low
+            return first
+        kinds, kind = np.unique(self._fainter(weight), axis=0, return_inverse=True)
+        for number, of_sensors in enumerate(kinds.tolist()):
+            rows = np.flatnonzero(kind.ravel() == number)
+            own = weight[rows][:, self._low.kept]
+            first[rows] += self._later(sought.rows(rows), start[rows], own, steps, tuple(of_sensors))
+        return first
+
+    def _later(
+        self,
+        sought: Sought,
+        start: NDArray[np.intp],
+        weight: Singles,
+        steps: NDArray[np.intp],
+        of_sensors: tuple[int, ...],
+    ) -> NDArray[np.intp]:
+        """Return by how many samples to begin later, (n,), of blows whose sensors are alike in their noise."""
+        few, (turned, share, cost, law) = self._low, self._low_of(of_sensors)
+        if self.beam.n_sensors > 1:
+            quiet = law == 1.0
+            scale = np.exp(np.mean(np.log(np.maximum(weight[:, quiet], 1e-30)), axis=1, keepdims=True))
+            own = self._lawful(weight, law * scale, np.equal(of_sensors, _FAINTEST))
+            weight = (own / np.sqrt(scale)).astype(np.float32)
+        first = start[:, 0] - TOUCH // 2
         samples = self._stacked(_cut(sought.frames, first, self.n_samples), sought.level)[:, few.kept]
         spectrum = _complex(samples, self.beam.n_sensors)
         turn = np.exp(2j * np.pi * np.outer(steps, np.arange(1, spectrum.shape[2] + 1)) / self.n_samples)
         later = spectrum[:, None] * turn[:, None]
-        trusted = np.repeat(weight[:, few.kept], steps.size, axis=0)
+        trusted = np.repeat(weight, steps.size, axis=0)
         shifted = np.stack([later.real, later.imag], axis=3).astype(np.float32).reshape(trusted.shape) * trusted
         told = np.square(turned @ few.heard(shifted))
         best: NDArray[np.floating] = np.full(len(shifted), -np.inf, np.float32)
@@ -508,7 +543,7 @@ class Inversion:
         trust = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         # A force begins so softly that a late start explains the samples as well: rather begin early.
         early = TOUCH // 2
-        return np.asarray(first - early + np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp))
+        return np.asarray(np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp) - early)
 
     def _search(
         self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None
@@ -526,7 +561,10 @@ class Inversion:
             # The law has a mean weight of 1; the level of the noise is that of its middle, at the quietest sensors.
             heard_at = (law > 0) & np.repeat(np.equal(of_sensors, 0), law.size // len(of_sensors))
             scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
-            told = np.square(turned @ few.heard(samples[rows] * weight[rows] / np.sqrt(scale)[:, None]))
+            own = weight[rows]
+            if self.beam.n_sensors > 1:
+                own = self._lawful(own, law * scale[:, None], np.equal(of_sensors, _FAINTEST))
+            told = np.square(turned @ few.heard(samples[rows] * own / np.sqrt(scale)[:, None]))
             evidence = share @ told
             evidence -= cost
             of_levels = evidence.max(axis=0)
@@ -534,6 +572,18 @@ class Inversion:
             out[0][rows], out[2][rows] = of_levels[own, np.arange(rows.size)], levels[own]
             out[1][rows] = np.argmax(evidence[:, own, np.arange(rows.size)], axis=0)
         return out
+
+    def _lawful(self, weight: Singles, law: Floats, faint: NDArray[np.bool_]) -> Singles:
+        """Return the weights of the law in place of others, (n, n_kept), at the level of those for faint sensors.
+
+        Else a sensor that is a little louder or of another colour than the tables say would shift the place. What the
+        ringing of an earlier blow drowns stays drowned.
+        """
+        n, n_sensors = len(weight), self.beam.n_sensors
+        ratio = (weight / np.maximum(law, 1e-30)).reshape(n, n_sensors, -1)
+        level = np.where(faint, np.minimum(ratio.mean(axis=2), 1.0), 1.0)
+        drowned = np.minimum(1.0, ratio / np.maximum(_DROWNED * np.median(ratio, axis=2, keepdims=True), 1e-30))
+        return (law * (drowned * level[:, :, None]).reshape(n, -1)).astype(np.float32)
 
     def _fainter(self, weight: Singles) -> NDArray[np.intp]:
         """Return the powers of `_RATIO` by which each sensor is noisier than the quietest, (n, n_sensors)."""
