@@ -99,10 +99,17 @@ def _tables(folder: Path) -> None:
 
 
 def _ringing(folder: Path) -> None:
-    """Write recordings of a beam that cannot calibrate one: of few blows, and clipped throughout."""
+    """Write what cannot be calibrated: recordings of few blows, clipped throughout, of another beam; scenes of taps."""
+    title = "frequency [Hz],damping_ratio [1],modal_mass [kg],shape_impact [1],shape_sensor [1]"
+    beam = re.compile(r"\[tail_beam\]\n.*?(?=\n\[)", re.DOTALL)
+    for name, scale, sensor in (("taps", 1, [0.6] * 4), ("taps_on_node", 1, [0.6, 0, 0, 0]), ("fast", 100, [0.6] * 4)):
+        rows = [f"{scale * f},0.02,200,0.8,{at}" for f, at in zip((210, 340, 560, 905), sensor, strict=True)]
+        (folder / f"{name}.csv").write_text("\n".join([title, *rows]) + "\n")
+        text = shipped.scene_path("tail_beam").read_text()
+        (folder / f"{name}.toml").write_text(beam.sub(f'[tail_beam]\nmodes = "{name}.csv"\n', text))
     rng, times = np.random.default_rng(7), np.arange(2560) / 25600
     blow = 90 * np.exp(-60 * times) * np.sin(2 * np.pi * 300 * times) * (times < 0.09)
-    for name, n, limit in (("few_blows", 5, 100.0), ("clipped_blows", 30, 6.0)):
+    for name, n, limit in (("few_blows", 5, 100.0), ("clipped_blows", 30, 6.0), ("other_beam", 24, 100.0)):
         samples = np.concatenate([np.zeros(2560), *[blow, 0 * blow] * n]) + rng.normal(0, 0.5, 2560 * (2 * n + 1))
         _csv(
             folder / f"{name}.csv",
@@ -930,6 +937,24 @@ CASES = (
     Case("calibration of no beam", (*_CALIBRATE[:3], "reference", *_CALIBRATE[4:]), 65, ("[tail_beam]", "add them")),
     Case("calibration with few impacts", _CALIBRATE, 65, ("few_blows.csv", "at least 20", "record longer")),
     Case("clipped throughout", ("calibrate", "clipped_blows.csv", *_CALIBRATE[2:]), 65, ("at least 20", "clipped")),
+    Case(
+        "calibration with another beam",
+        ("calibrate", "other_beam.csv", "--scene", "taps.toml", "-o", "new.toml"),
+        65,
+        ("must explain the blows", "expected", "is it the beam"),
+    ),
+    Case(
+        "calibration on a node",
+        ("calibrate", "other_beam.csv", "--scene", "taps_on_node.toml", "-o", "new.toml"),
+        65,
+        ("3 of 4 have a node", "sensor_point", "move it"),
+    ),
+    Case(
+        "calibration of modes too high",
+        ("calibrate", "other_beam.csv", "--scene", "fast.toml", "-o", "new.toml"),
+        65,
+        ("sampling.sampling_rate", "25600 Hz", "2.1e+04 Hz", "record faster"),
+    ),
     Case("calibration with forces", ("calibrate", "good.csv", *_CALIBRATE[2:]), 65, ("acceleration", "force [N]")),
     Case(
         "calibration at another rate",

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, write_together
-from cgid.identification.contact import REACH
+from cgid.identification.contact import REACH, clipped_samples
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam
 from cgid.measure.colour import colour_of
@@ -147,7 +147,8 @@ def calibrate(
     scene : Scene
         With a beam of known size or a table of modes, and one accelerometer on it.
     frames : ndarray, (n_blows, n_samples)
-        Blows at unknown places, in the SI unit of the sensor; of more than `most_blows` those over the whole recording.
+        Blows at unknown places, in the SI unit of the sensor; clipped ones are left out, and of more than `most_blows`
+        those over the whole recording are taken.
     sampling_rate : float [Hz]
         That of the scene.
     pre_trigger : int
@@ -177,8 +178,15 @@ def calibrate(
     """
     check_numbers(start_error, drift, participation_error, most_blows)
     check_scene(scene, sampling_rate)
+    clipped = clipped_samples(np.asarray(frames, np.float64)) if len(frames) else None
+    if clipped is not None:
+        frames = frames[~clipped.any(axis=1)]
     if len(frames) < FEWEST:
-        raise BadData(f"blows must be at least {FEWEST} to learn from, got {len(frames)}; record longer")
+        left_out = "" if clipped is None else f" and {clipped.any(axis=1).sum()} clipped ones"
+        raise BadData(
+            f"blows must be at least {FEWEST} to learn from, got {len(frames)}{left_out}; record longer"
+            + (", and below the sensor's range" if left_out else "")
+        )
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most_blows)).round().astype(np.intp))
     beam = beam_of(scene)
     start = _start(scene)
@@ -247,6 +255,12 @@ def check_scene(scene: Scene, sampling_rate: float) -> None:
             f"the recording must be sampled at {rate:g} Hz like scene {scene.name}, whose modes reach "
             f"{beam_modes(scene).frequency.max():.4g} Hz, got {sampling_rate:g} Hz; set sampling.sampling_rate and "
             "sensor.anti_alias of the scene to those of the recorder"
+        )
+    lowest = float(beam_modes(scene).frequency.min())
+    if lowest >= rate / 2:
+        raise InvalidValue(
+            f"scene {scene.name}: sampling.sampling_rate must be more than twice the frequency of a mode to learn it, "
+            f"got {rate:g} Hz and a lowest mode at {lowest:.4g} Hz; record faster"
         )
     shape = np.abs(beam_modes(scene).at_sensor)
     silent = shape < _SILENT * (0.5 if scene.panel is not None else shape.max())
