@@ -19,7 +19,7 @@ _OPTIONS = {
     "--variable --index --invert --keep-baseline --dead-time --from --to --events --kind",
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--cost --miss-cost --coverage --class-conditional --vote",
-    "Gangue share": "--window --gangue --gangue-cost --dilution-cost",
+    "Gangue share": "--window --gangue --gangue-cost --dilution-cost --evidence --hold",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --impacts",
     "Output": "--output --report --plot --plots --overwrite --resume --compression --shard-signals --json --strict",
