@@ -308,7 +308,7 @@ def _judged(
         stop = following - (round(_BEFORE_NEXT * sampling_rate) if following < n else 0)
         apart = (following - event.onset) / sampling_rate
         flaw = ""
-        if event.onset < 2 or (event.cut and event.onset < n // 2 and following == n and event.end < n):
+        if event.onset < 2 or (event.cut and event.onset < _BEFORE_NEXT * sampling_rate):
             flaw = "cut off by the start of the recording"
         elif following < n and apart < DOUBLE:
             flaw = f"double tap, another blow follows after {1e3 * apart:.3g} ms"
