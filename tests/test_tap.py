@@ -187,6 +187,9 @@ def test_what_is_no_tap_test():
         tap_test(response[None], RATE, hammer=np.zeros(response.size))
     with pytest.raises(BadData, match="1 too near the end of the recording"):
         tap_test(response[None, : round((times[0] + 0.02) * RATE)], RATE)
+    with pytest.raises(BadData, match="1 cut off by the start of the recording; record again"):
+        half = round((times[2] + 0.6e-3) * RATE)
+        tap_test(response[None, half:], RATE, hammer=force[half:])
     with pytest.raises(BadData, match=r"within 0\.1 s of 9 s"):
         tap_test(response[None], RATE, hammer=force, times=[9.0])
     with pytest.raises(InvalidValue, match="two ascending frequencies"):

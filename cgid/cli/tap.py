@@ -206,7 +206,7 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
         say(
             f"{mode['frequency']:>12.6g} +- {mode['frequency'] * own[0]:<8.2g}"
             f"{100 * mode['damping_ratio']:>10.4g} +- {100 * mode['damping_ratio'] * own[1]:<8.2g}"
-            f"{mode['participation']:>16.4g} +- {abs(mode['participation']) * own[2]:<8.2g}"
+            f"{mode['participation']:>16.4g} +- {abs(mode['participation']) * own[2]:.2g}"
         )
     if known is None:
         say(

@@ -47,6 +47,8 @@ _PERIODS, _HIGHEST = 5.0, 0.4
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 #: A mode of a scene fits one of the taps within this many deviations; a second one within it leaves both open.
 _FITTING = 3.0
+#: Participations are at least this, so that masses are finite.
+_LEAST = 1e-12
 #: Largest table of taps [bytes].
 _LARGEST_FILE = 1 << 20
 
@@ -115,20 +117,21 @@ class TapTest:
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the modes as a table that `tail_beam.modes` of a scene reads, and `tail_beam.learned` beside it.
 
-        Only the product of the shapes is known: both are its root, for a modal mass of 1 kg.
+        Only the participation is known. As with `cgid.scene.calibrated`, the shapes are 1 and 1 or -1, and the modal
+        mass is the inverse of its size: right for taps next to the sensor, elsewhere a guess of the beam's give.
         """
-        size = np.sqrt(np.abs(self.participation))
+        size = np.maximum(np.abs(self.participation), _LEAST)
         columns = {
             "frequency": self.frequency,
             "damping_ratio": self.damping_ratio,
-            "modal_mass": np.ones(size.size),
-            "shape_impact": np.copysign(size, self.participation),
-            "shape_sensor": size,
+            "modal_mass": 1 / size,
+            "shape_impact": np.ones(size.size),
+            "shape_sensor": np.copysign(1.0, self.participation),
             "participation": np.ones(size.size),
             **{name: getattr(self, name) for name in list(LEARNED_COLUMNS)[3:]},
         }
-        scale = "in 1/kg" if self.absolute else "without a hammer over the largest: signals have no scale"
-        return _save(path, columns, f"shape_impact * shape_sensor is the participation, {scale}", overwrite)
+        scale = "in 1/kg" if self.absolute else "without a hammer over the largest: masses have no scale"
+        return _save(path, columns, f"shape_impact shape_sensor / modal_mass is the participation, {scale}", overwrite)
 
 
 def save_learned(modes: LearnedModes, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -305,7 +308,7 @@ def _judged(
         stop = following - (round(_BEFORE_NEXT * sampling_rate) if following < n else 0)
         apart = (following - event.onset) / sampling_rate
         flaw = ""
-        if event.onset < 2 or (event.cut and event.onset < n // 2 and following == n and event.end < n):
+        if event.onset < 2 or (event.cut and event.onset < _BEFORE_NEXT * sampling_rate):
             flaw = "cut off by the start of the recording"
         elif following < n and apart < DOUBLE:
             flaw = f"double tap, another blow follows after {1e3 * apart:.3g} ms"
