@@ -914,6 +914,9 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
         assert {line["label"] == "unknown" for line in windows} == {is_drowned}
         hints = [line["cause"] for line in lines if line["kind"] == "hint"]
         assert hints == (["drowned"] * is_drowned)
+    from_windows = ["train", str(tmp_path / "m.csv"), "--from", str(tmp_path / "m.npz"), "-o", str(tmp_path / "n.npz")]
+    assert run(from_windows) == 65
+    assert "--from must name a model of impacts, this one decides on windows" in capsys.readouterr().err
     harm = Model.load(tmp_path / "m.npz")
     with pytest.raises(BadData, match=r"contrast\.mean must have shape"):
         replace(harm, arrays={**harm.arrays, "contrast.mean": np.zeros(3)})
