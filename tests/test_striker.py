@@ -105,6 +105,7 @@ def test_intervals_cover(reference):
     assert np.nanmedian(np.log(high / low)) < 0.13 * np.log(prior[1] / prior[0])
 
 
+@pytest.mark.long
 def test_pulses_of_other_laws_are_covered_by_their_population():
     scene = load_scene("rock")
     signals, truth = frames_of(scene, 768)

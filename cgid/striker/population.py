@@ -17,7 +17,6 @@ from cgid.measure.template import relative_times
 from cgid.physics import HertzRangeWarning, Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene import Scene
-from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import blows_of, impacts_by_coupling, impacts_of
 from cgid.scene.plan import Plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
@@ -179,6 +178,3 @@ def _described(values: Mapping[str, Any], pulses: _Pulses | None, fitted: bool) 
         own = {"log_peak": np.log(peak), "log_width": np.log(width * lasts), "shape": shape}
         found.append(own | {name: values[name][rows] for name in names})
     return {name: np.concatenate([part[name] for part in found]) for name in (*names, "log_peak", "log_width", "shape")}
-
-
-__all__ = ["BLOCK", "population_of"]
