@@ -185,12 +185,12 @@ def monitor(
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
+    Outlets (pip install 'cgid[plant]') pass the lines on to brokers, PLCs, commands and pages, and never hold them up.
+
     Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue share of
     its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than it
     brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
     after a window at the earliest (--hold). Nothing is dropped: whoever is slower than the stream says how far behind.
-
-    Outlets (pip install 'cgid[plant]') pass the lines on to brokers, PLCs, commands and pages, and never hold them up.
     """
     from cgid.identification.question import SHARE_TIME
     from cgid.recordings.chain import Chain

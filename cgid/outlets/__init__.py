@@ -107,10 +107,13 @@ class Outlets:
         self._close()
 
     def _close(self, grace: float = 3.0) -> None:
-        for service in self._services:
-            service.ask_to_end()
-        for service in self._services:
-            service.wait(grace)
+        # First those that pass on what waits: the others show how it ended.
+        for passing in (True, False):
+            own = [service for service in self._services if isinstance(service, Outlet) is passing]
+            for service in own:
+                service.ask_to_end()
+            for service in own:
+                service.wait(grace)
 
     def begin(
         self,

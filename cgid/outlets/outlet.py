@@ -123,7 +123,7 @@ class Address(NamedTuple):
         if found is None or not 1 <= int(found[3]) <= 65535:
             file = ", or a file .html" if option == "--live" else ""
             raise InvalidValue(
-                f"{option} must be HOST:PORT{file}, with a port from 1 to 65535, such as :8080 (this machine alone) or "
+                f"{option} must be HOST:PORT with a port from 1 to 65535{file}, such as :8080 (this machine alone) or "
                 f"0.0.0.0:8080 (all of the network), got {text!r}"
             )
         return cls(found[1] or found[2] or "127.0.0.1", int(found[3]))
