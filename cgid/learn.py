@@ -1,13 +1,14 @@
-"""For those who build their own learners: features as a scikit-learn transformer, scenes as endless training data."""
+"""For those who build their own learners: a scikit-learn transformer, scenes as endless training data, xarray."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import count, takewhile
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,14 +16,19 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
 from cgid import validation
-from cgid.errors import InvalidValue
-from cgid.measure.features import choose, extract_array
+from cgid.errors import BadData, InvalidValue, MissingExtra
+from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.draws import require_seed
 from cgid.scene.synthesis import require_frames
+from cgid.signals import Signal
 from cgid.validation import Floats
 from cgid.workers import workers as executor
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 #: A batch of a training stream: signals (n_signals, n_samples), numbers of the labels (n_signals,), and parameters,
 #: each (n_signals,).
@@ -294,3 +300,125 @@ def _batches(asked: TrainingStream, place: int) -> list[TrainingBatch]:
     columns["sampling_rate"] = np.concatenate(rates)
     parts = [slice(start, start + size) for start in range(0, n, size)]
     return [(signals[part], labels[part], {name: column[part] for name, column in columns.items()}) for part in parts]
+
+
+# -- xarray ------------------------------------------------------------------------------------------------
+
+#: Largest deviation of a step of the time coordinate from the mean step, over that.
+_UNEVEN = 1e-3
+
+
+def to_xarray(data: Signal | pandas.DataFrame, unit: str = "1") -> xarray.DataArray | xarray.Dataset:
+    """Return a signal as a DataArray over time, or a table of features as a Dataset over impacts, with units.
+
+    Parameters
+    ----------
+    data : Signal or DataFrame
+    unit : str
+        Unit of the signals that the features of a table were measured on.
+
+    Returns
+    -------
+    xarray.DataArray or xarray.Dataset
+        Units stand in `attrs["units"]`, as CF conventions have it.
+
+    Raises
+    ------
+    MissingExtra
+        xarray is not installed.
+    """
+    xarray = _xarray()
+    if not isinstance(data, Signal):
+        validation.instance("data", data, _pandas().DataFrame, Signal)
+        columns = {name: ("impact", data[name].to_numpy(), _units(str(name), unit)) for name in data}
+        return xarray.Dataset(columns)
+    start = None if data.start_time is None else data.start_time.isoformat()
+    about = {
+        "units": data.unit,
+        "sampling_rate": data.sampling_rate,
+        "channel": data.channel,
+        "source": data.source,
+        "pre_trigger": data.pre_trigger,
+        "start_time": start,
+    }
+    times = np.arange(len(data.samples)) / data.sampling_rate
+    return xarray.DataArray(
+        data.samples,
+        coords={"time": ("time", times, {"units": "s"})},
+        name=data.quantity or "samples",
+        attrs={name: value for name, value in about.items() if value is not None},
+    )
+
+
+def from_xarray(array: xarray.DataArray | xarray.Dataset) -> Signal | pandas.DataFrame:
+    """Return the signal of a DataArray with one dimension, or the table of a Dataset with one dimension.
+
+    Parameters
+    ----------
+    array : xarray.DataArray or xarray.Dataset
+        The sampling rate of a signal is that of its attributes, or follows from an even coordinate `time` [s].
+
+    Returns
+    -------
+    Signal or DataFrame
+
+    Raises
+    ------
+    BadData
+        It has several dimensions, no sampling rate, or times that are not even.
+    MissingExtra
+        xarray is not installed.
+    """
+    validation.instance("array", array, _xarray().DataArray, _xarray().Dataset)
+    if len(array.dims) != 1:
+        raise BadData(f"array must have one dimension, got {len(array.dims)} ({', '.join(map(str, array.dims))})")
+    if isinstance(array, _xarray().Dataset):
+        return array.to_dataframe().reset_index(drop=True)[list(array.data_vars)]
+    about = dict(array.attrs)
+    start = about.get("start_time")
+    return Signal(
+        samples=array.to_numpy(),
+        sampling_rate=about["sampling_rate"] if "sampling_rate" in about else _rate_of(array),
+        unit=about.get("units"),
+        channel=str(about.get("channel", "1")),
+        source=str(about.get("source", array.name or "signal")),
+        pre_trigger=None if "pre_trigger" not in about else int(about["pre_trigger"]),
+        start_time=None if start is None else datetime.fromisoformat(str(start)),
+    )
+
+
+def _rate_of(array: xarray.DataArray) -> float:
+    """Return the sampling rate of the time coordinate [Hz]."""
+    times = np.asarray(array.coords["time"], np.float64) if "time" in array.coords else np.empty(0)
+    if len(times) < 2:
+        raise BadData(
+            "array must have an attribute sampling_rate [Hz], or a coordinate time [s] of two or more samples"
+        )
+    step = (times[-1] - times[0]) / (len(times) - 1)
+    if not (step > 0 and np.abs(np.diff(times) - step).max() <= _UNEVEN * step):
+        raise BadData("coordinate time must rise evenly [s]; interpolate to even times")
+    return float(1 / step)
+
+
+def _units(column: str, unit: str) -> dict[str, str]:
+    """Return the attribute of a column: the unit of its feature, or that of its title, `time [s]`."""
+    if column in FEATURES:
+        return {"units": FEATURES[column].unit_for(unit)}
+    _, bracket, rest = column.partition(" [")
+    return {"units": rest.rstrip("]")} if bracket else {}
+
+
+def _xarray() -> Any:
+    try:
+        import xarray
+    except ImportError:
+        raise MissingExtra(
+            "arrays with units need xarray, which is not installed: pip install 'cgid[xarray]'"
+        ) from None
+    return xarray
+
+
+def _pandas() -> Any:
+    import pandas
+
+    return pandas

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import pickle
+import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,10 @@ from sklearn.utils.estimator_checks import check_estimator
 
 import cgid
 from cgid import ImpactClassifier, ImpactFeatures, extract, synthesise
-from cgid.errors import BadData, CgidError, ClusterFailed, InvalidValue
-from cgid.learn import TrainingBatch
+from cgid.errors import BadData, CgidError, ClusterFailed, InvalidValue, MissingExtra
+from cgid.learn import TrainingBatch, from_xarray, to_xarray
 from cgid.scene import Scene
+from cgid.signals import Signal
 from cgid.workers import workers as executor
 from tests.mortal import fatal
 from tests.test_docs import blocks_of
@@ -241,3 +244,52 @@ def test_a_loader_of_pytorch_takes_shards(monkeypatch: pytest.MonkeyPatch) -> No
     seen = sorted(signals.shape[0] for signals, _ in names["loader"])
     assert seen == [256] * 20
     assert 0 < float(names["loss"]) < 1
+
+
+# -- xarray ------------------------------------------------------------------------------------------------
+
+
+def test_signals_go_to_xarray_and_back() -> None:
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    start = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+    signal = Signal(
+        samples=np.float32([0, 3, 1]), sampling_rate=4e3, unit="kN", channel="left", pre_trigger=1, start_time=start
+    )
+    array = to_xarray(signal)
+    assert (array.name, array.attrs["units"], array.time.attrs["units"]) == ("force", "kN", "s")
+    assert array.time.values.tolist() == [0, 0.00025, 0.0005]
+    again = from_xarray(array)
+    assert isinstance(again, Signal) and again.samples.dtype == np.float32
+    for name in ("sampling_rate", "unit", "channel", "source", "pre_trigger", "start_time"):
+        assert getattr(again, name) == getattr(signal, name), name
+    plain = from_xarray(xarray.DataArray([0.0, 1.0, 0.0], coords={"time": [1.0, 1.5, 2.0]}))
+    assert isinstance(plain, Signal) and (plain.sampling_rate, plain.unit) == (2.0, None)
+
+
+def test_tables_go_to_xarray_and_back(impacts: tuple[np.ndarray, np.ndarray]) -> None:
+    pytest.importorskip("xarray", reason="xarray is not installed")
+    table = extract(impacts[0][:5], 2e5, [*NAMES, "impulse"]).assign(label=impacts[1][:5], **{"time [s]": 0.5})
+    made = to_xarray(table, "kN")
+    units = {name: made[name].attrs.get("units") for name in made}
+    assert units == {"peak_force": "kN", "width_50": "s", "impulse": "kN s", "label": None, "time [s]": "s"}
+    pd.testing.assert_frame_equal(from_xarray(made), table, check_dtype=False)
+
+
+def test_bad_arrays_are_refused() -> None:
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    with pytest.raises(BadData, match="one dimension, got 2"):
+        from_xarray(xarray.DataArray(np.zeros((2, 2))))
+    with pytest.raises(BadData, match="attribute sampling_rate"):
+        from_xarray(xarray.DataArray(np.zeros(3)))
+    with pytest.raises(BadData, match="rise evenly"):
+        from_xarray(xarray.DataArray(np.zeros(3), coords={"time": [0.0, 1.0, 3.0]}))
+    with pytest.raises(InvalidValue, match="unit"):
+        from_xarray(xarray.DataArray(np.zeros(3), coords={"time": [0.0, 1.0, 2.0]}, attrs={"units": "stone"}))
+    with pytest.raises(InvalidValue, match="data must be"):
+        to_xarray([1.0])  # type: ignore[arg-type]
+
+
+def test_xarray_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'cgid\[xarray\]'"):
+        to_xarray(Signal(samples=np.zeros(3), sampling_rate=1.0))

@@ -72,7 +72,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
             "cgid.identification.training": ("Training", "train"),
             "cgid.identification.card": ("write_card",),
             "cgid.export_c": ("c_source",),
-            "cgid.learn": ("TrainingStream",),
+            "cgid.learn": ("TrainingStream", "to_xarray", "from_xarray"),
         },
     ),
     "store": (
