@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import identify_frames
@@ -160,6 +161,21 @@ def test_two_sensors_tell_more_than_one() -> None:
     single = [features_of(batch.signals[:, k], batch, alone(k))[:, 3] for k in range(2)]
     expected = np.sqrt(1 / (single[0] ** -2 + single[1] ** -2))
     assert np.median(both[:, 3] / expected) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_noisy_sensor_does_not_mislead() -> None:
+    """Noise that goes with the loudness of each sensor: far louder at one than at the other, and of another colour."""
+    batch, _, _ = looked(OFF)
+    random, peak = np.random.default_rng(3), np.abs(batch.signals).max(axis=2, keepdims=True)
+    noise = random.normal(size=batch.signals.shape)
+    noise[:, 0] = signal.lfilter([1.0], [1.0, -0.95], noise[:, 0])
+    noise /= np.std(noise, axis=2, keepdims=True)
+    signals = batch.signals + np.array([[0.01], [0.1]]) * peak * noise
+    rows = VibrationBatch(signals.reshape(-1, signals.shape[2]), batch.sampling_rate, batch.pre_trigger)
+    found = beam_at(*OFF).look(rows)[0]
+    apart = np.hypot(found.x - batch.parameters["impact_x"], found.y - batch.parameters["impact_y"])
+    assert np.median(apart) < 2e-3
+    assert np.mean(apart < 0.02) > 0.97
 
 
 def test_a_dead_sensor_is_left_out() -> None:

@@ -583,7 +583,7 @@ class Inversion:
         ratio = (weight / np.maximum(law, 1e-30)).reshape(n, n_sensors, -1)
         level = np.where(faint, np.minimum(ratio.mean(axis=2), 1.0), 1.0)
         drowned = np.minimum(1.0, ratio / np.maximum(_DROWNED * np.median(ratio, axis=2, keepdims=True), 1e-30))
-        return (law * (drowned * level[:, :, None]).reshape(n, -1)).astype(np.float32)
+        return np.asarray(law * (drowned * level[:, :, None]).reshape(n, -1), np.float32)
 
     def _fainter(self, weight: Singles) -> NDArray[np.intp]:
         """Return the powers of `_RATIO` by which each sensor is noisier than the quietest, (n, n_sensors)."""
