@@ -13,8 +13,9 @@ from cgid.scene import load_scene
 from cgid.scene.impacts import beam_modes
 from cgid.shipped import scene_path
 from cgid.site import tap_test
+from cgid.site.matching import matched
 from cgid.site.poles import poles_of
-from cgid.site.tapping import matched, read_times
+from cgid.site.tapping import read_times
 from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
 
 RATE = 25_600.0

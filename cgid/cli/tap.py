@@ -106,7 +106,7 @@ def tap(
     if modes is None:
         test.save(path, overwrite=overwrite)
     else:
-        from cgid.site.tapping import matched
+        from cgid.site.matching import matched
 
         learned, known = matched(test, *modes, error)
         save_learned(learned, path, overwrite=overwrite)

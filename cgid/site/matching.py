@@ -1,0 +1,83 @@
+"""The modes of a scene's beam, matched with those that taps have found: by frequency, in their order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cgid.physics.modes import LearnedModes
+from cgid.site.tapping import TapTest
+from cgid.validation import Floats
+
+#: A mode of a scene fits one of the taps within this many deviations; one that fits no mode costs their square.
+_FITTING = 3.0
+
+
+def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error: float) -> tuple[LearnedModes, Floats]:
+    """Return the modes of a scene, corrected where taps have found them.
+
+    Modes keep their order. One step of the whole beam, such as a stiffer steel, is allowed for.
+
+    Parameters
+    ----------
+    test : TapTest
+    frequency, damping_ratio : ndarray, (n_modes,)
+        Of the scene, ascending.
+    start_error : float
+        Standard deviation of the scene's frequencies, relative; its damping ratios have ten times as much.
+
+    Returns
+    -------
+    tuple of LearnedModes and ndarray of bool, (n_modes,)
+        The modes, and which of them were found.
+    """
+    found, own = np.log(test.frequency), np.log(frequency)
+    shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error
+    pairs = min(((*_aligned(found, own + shift, start_error), shift) for shift in shifts), key=lambda one: one[0])
+    place = {k: i for i, k in pairs[1] if _is_sure(found, own + pairs[2], i, k, start_error)}
+    mine = np.array(sorted(place), np.intp)
+    theirs = np.array([place[k] for k in mine.tolist()], np.intp)
+    n = own.size
+    columns = {
+        "frequency": (frequency, test.frequency),
+        "damping_ratio": (damping_ratio, test.damping_ratio),
+        "frequency_deviation": (np.full(n, start_error), test.frequency_deviation),
+        "damping_ratio_deviation": (np.full(n, min(10 * start_error, 0.3)), test.damping_ratio_deviation),
+    }
+    corrected = {}
+    for name, (before, after) in columns.items():
+        corrected[name] = np.array(before, float)
+        corrected[name][mine] = after[theirs]
+    known = np.zeros(n, bool)
+    known[mine] = True
+    modes = LearnedModes(**corrected, participation=np.ones(n), participation_deviation=np.zeros(n))
+    return modes, known
+
+
+def _aligned(found: Floats, own: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:
+    """Return the cost and the pairs (found, own) of the best alignment that keeps both orders.
+
+    A pair costs its squared distance; a mode of the taps without a partner `_FITTING` squared.
+    """
+    distance = np.square((found[:, None] - own) / error)
+    cost = np.zeros((found.size + 1, own.size + 1))
+    cost[1:, 0] = _FITTING**2 * np.arange(1, found.size + 1)
+    for i in range(found.size):
+        best = np.minimum(cost[i, 1:] + _FITTING**2, cost[i, :-1] + distance[i])
+        cost[i + 1, 1:] = np.minimum.accumulate(np.append(cost[i + 1, 0], best))[1:]
+    pairs, i, k = [], found.size, own.size
+    while i and k:
+        if cost[i, k] == cost[i, k - 1]:
+            k -= 1
+        elif cost[i, k] == cost[i - 1, k] + _FITTING**2:
+            i -= 1
+        else:
+            i, k = i - 1, k - 1
+            pairs.append((i, k))
+    return float(cost[-1, -1]), pairs
+
+
+def _is_sure(found: Floats, own: Floats, i: int, k: int, error: float) -> bool:
+    """Return whether a pair fits, and no neighbour of either would fit nearly as well."""
+    apart = abs(found[i] - own[k])
+    others = np.abs(np.delete(own, k) - found[i]).min(initial=np.inf)
+    return bool(apart < _FITTING * error and others > 2 * apart + 0.5 * error)
