@@ -191,7 +191,7 @@ def from_drawings(
     clock = time.process_time() - clock
     site = beam_of(found.scene)
     evidence = f"{found.before:.3g} / {found.after:.3g} / {found.expected:.3g}"
-    after = asked(replace(beam, poles=site.poles, participation=site.participation))
+    after = asked(replace(beam, poles=site.poles, participation=site.participation, region=site.region))
     return f"- | - | {evidence} | {before} | {after}", f"{clock:.0f}"
 
 
