@@ -19,8 +19,8 @@ ROOT = Path(__file__).parents[1]
 COMMANDS = {"cgid": cli, **cli.commands}
 #: The first word of the help of every option.
 VERBS = """
-    Check Choose Compress Correct Count Decide Divide Draw Give Go Judge Keep Let Make Mark Measure Name Print Put Read Reject
-    Replace Say Set Show Simulate Stop Store Survey Tabulate Take Train Turn Use Weight Write
+    Check Choose Compress Correct Count Decide Divide Draw Give Go Judge Keep Let Make Mark Measure Name Print Put Read
+    Reject Replace Say Set Show Simulate Stop Store Survey Tabulate Take Train Turn Use Weight Write
 """
 #: Of minutes.
 SLOW = ("reproduce", "ceiling", "calibrate")
