@@ -1,6 +1,6 @@
 """The gangue share of streams and the decision to shut, against the truth.
 
-    python benchmarks/streams.py [MODEL] [-n 10] [--rising 6]
+    python benchmarks/streams.py [MODEL] [-n 10] [--rising 6] [--first 0]
 
 Minutes of `caving` with constant shares from 0 to .5, the same of a changed scene (blows elsewhere on the beam, 10
 rocks a second, another seam), and `caving` itself, whose share rises. No training uses their seeds. The watch is that
@@ -141,10 +141,10 @@ def alarms(streams: list[Stream], shares: np.ndarray, model: Model) -> Iterator[
         yield f"| {evidence:g} | {rates[0]:.0f} | {rates[1]:.0f} |"
 
 
-def rising(model: Model, n: int) -> Iterator[str]:
+def rising(model: Model, n: int, seed: int) -> Iterator[str]:
     """Yield the table of the decision on `caving`."""
     scene = load_scene(shipped.scene_path("caving"))
-    streams = [Stream.of(scene, SEEDS[2], number, model) for number in range(n)]
+    streams = [Stream.of(scene, seed, number, model) for number in range(n)]
     assert scene.stream is not None and scene.stream.mixture is not None
     times, rises = scene.stream.mixture.times, scene.stream.mixture.shares["gangue"]
     yield (
@@ -186,6 +186,7 @@ def main() -> None:
     parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.ACCELERATION_MODEL))
     parser.add_argument("-n", "--streams", type=int, default=10)
     parser.add_argument("--rising", type=int, default=6, help="number of streams with a rising share")
+    parser.add_argument("--first", type=int, default=0, help="added to the seeds")
     arguments = parser.parse_args()
     model = Model.load(arguments.model)
     shares = np.round(HIGHEST * (np.arange(arguments.streams) % 10) / 9, 4)
@@ -197,10 +198,10 @@ def main() -> None:
     for seed, name, make in zip(
         SEEDS, ("caving, constant shares", "another seam and place"), (constant, changed), strict=False
     ):
-        made.append([Stream.of(make(share), seed + k, 0, model) for k, share in enumerate(shares.tolist())])
+        made.append([Stream.of(make(share), seed + arguments.first + k, 0, model) for k, share in enumerate(shares.tolist())])
         print(row(name, made[-1], shares, model), flush=True)
     print("\n" + "\n".join(alarms(made[0], shares, model)) + "\n", flush=True)
-    print("\n".join(rising(model, arguments.rising)))
+    print("\n".join(rising(model, arguments.rising, SEEDS[2] + arguments.first)))
 
 
 if __name__ == "__main__":
