@@ -198,7 +198,9 @@ def main() -> None:
     for seed, name, make in zip(
         SEEDS, ("caving, constant shares", "another seam and place"), (constant, changed), strict=False
     ):
-        made.append([Stream.of(make(share), seed + arguments.first + k, 0, model) for k, share in enumerate(shares.tolist())])
+        made.append(
+            [Stream.of(make(share), seed + arguments.first + k, 0, model) for k, share in enumerate(shares.tolist())]
+        )
         print(row(name, made[-1], shares, model), flush=True)
     print("\n" + "\n".join(alarms(made[0], shares, model)) + "\n", flush=True)
     print("\n".join(rising(model, arguments.rising, SEEDS[2] + arguments.first)))
