@@ -119,7 +119,10 @@ class Workers:
         except BrokenExecutor as error:
             raise _lost() from error
         finally:
-            executor.shutdown(wait=True, kill_workers=True)
+            # Killing the workers instead would race with the thread that hands out the parts.
+            for future in running:
+                future.cancel()
+            executor.shutdown(wait=True)
 
     def _here(self, function: Any, common: Any, parts: Iterable[Any], ordered: bool) -> Generator[Any, None, None]:
         """Run the parts in processes of this machine."""

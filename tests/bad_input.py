@@ -126,7 +126,7 @@ def _tapped(folder: Path) -> None:
     quiet, head = 0 * times[:2560], "# sampling_rate: 25600 Hz\nacceleration (m/s^2)\n"
     double = np.concatenate([ring[:1280], ring[:1280], ring[:200]])
     made = {
-        "taps": [quiet, ring, ring],
+        "two_taps": [quiet, ring, ring],
         "silent_taps": [quiet, quiet, 0 * ring],
         "double_taps": [quiet, double],
         "clipped_taps": [quiet, np.clip(ring, -20, 20), np.clip(ring, -20, 20)],
@@ -252,7 +252,7 @@ def make_files(folder: Path) -> None:
 
 
 #: Calibrates the tail beam with few blows.
-_TAPPED = ("tap", "taps.csv", "-o", "new.csv")
+_TAPPED = ("tap", "two_taps.csv", "-o", "new.csv")
 _CALIBRATE = ("calibrate", "few_blows.csv", "--scene", "tail_beam", "-o", "new.toml")
 _TAP = 'label = "tap"\nshape = "square"\npeak_force = "1 kN"\ncontact_duration = "2 ms"\n'
 _RATES = 'sampling_rate = { distribution = "uniform", lowest = "50 kHz", highest = "90 kHz" }'

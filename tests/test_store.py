@@ -750,7 +750,7 @@ def test_memory_does_not_grow_with_the_number_of_signals(tmp_path, monkeypatch):
     tracemalloc.start()
     try:
         before = tracemalloc.get_traced_memory()[0]
-        few, many = (peak(n_signals) - before for n_signals in (512, 2048))
+        few, many = (peak(n_signals) - before for n_signals in (1024, 4096))
     finally:
         tracemalloc.stop()
     assert few > 256 * 256 * 4

@@ -41,11 +41,11 @@ _PLACE_DEVIATION = 0.1
 #: Rows, modes or places at a time, and places of the start: their responses fit into the cache of a processor.
 _ROWS, _PLACES = 64, 16
 #: The start is sought below this frequency [Hz], with so many shapes and places of a wider grid [m], at every second
-#: sample; the place below this frequency, with so many shapes.
+#: sample; the place below this frequency, with so many shapes: in the ringing of an earlier blow fewer lose it.
 _LOW, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 6, 0.05, 2
-_TOP, _GRID_SHAPES = 1e4, 9
+_TOP, _GRID_SHAPES = 1e5, 18
 #: Shapes in the first step from the grid, and in slopes.
-_LEADING = 10
+_LEADING = 14
 #: Share of the amplitude by which mixtures of modes may differ from the modes, on the way to the force and to a place.
 _SAME, _NEARLY = 3e-4, 3e-3
 #: Powers of the noise of sensors over that of the quietest for which there is a grid of its own: 1, one ratio, two.
