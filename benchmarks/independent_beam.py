@@ -248,6 +248,7 @@ def generate(
     noise: float = 1.0,
     sensors: Sequence[tuple[float, float]] = (SENSOR,),
     beam: Beam | None = None,
+    given: Rocks | None = None,
 ) -> dict[str, Any]:
     """Return n recorded impacts; equal seeds give equal rocks, places and touches, whatever the variant.
 
@@ -261,6 +262,8 @@ def generate(
     sensors : points (x, y) [m]
     beam : Beam, optional
         Sizes and elements; its ribs are those of the variant.
+    given : Rocks, optional
+        What falls, in place of rocks of the scene.
 
     Returns
     -------
@@ -281,7 +284,7 @@ def generate(
     s = laplace_points()
     tables = [transfer(s, omega, damping, modes.shape(*place)[0], held, attached) for place in sensors]
     rng_rocks, rng_touch, rng_noise = (np.random.default_rng([seed, stream]) for stream in range(3))
-    rock = rocks(n, rng_rocks)
+    rock = given or rocks(n, rng_rocks)
     onset = (PRE_TRIGGER + rng_touch.random(n)) / RATE
     loss = hunt_crossley_loss(rock.restitution)
     signals, truth = np.empty((len(sensors), n, SAMPLES)), []
