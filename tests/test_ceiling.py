@@ -10,7 +10,7 @@ import scipy
 from cgid.ceiling import Ceiling, ceiling
 from cgid.ceiling.coloured import maps, noise_of
 from cgid.errors import InvalidValue
-from cgid.measure.prior import _dimensionless
+from cgid.measure.template import dimensionless_logarithms
 from cgid.scene import parse_scene, synthesise
 from cgid.scene.impacts import draw
 from tests import few, naive
@@ -255,7 +255,7 @@ def test_lumps_change_the_prior_alone():
     scales = np.log(values["peak_force"]), np.log(values["contact_duration"])
     shape = np.log(values["restitution"])[coal]
     # What is left of peak and duration without the dimensionless pulse.
-    contact, height = _dimensionless(shape)
+    contact, height = dimensionless_logarithms(shape, "contact", "peak")
     for scale in (scales[0][coal] - height, scales[1][coal] - contact):
         assert abs(np.corrcoef(scale, shape)[0, 1]) < 4 / np.sqrt(coal.sum())
     found = ceiling(scene, 512, seed=54)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, reading_options
+from cgid.cli.options import PATH, SCENE, Reading, reading_options, share_of
 from cgid.cli.output import print_json, progress_bar, say
-from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
@@ -88,9 +88,9 @@ def calibrate(
         require_matplotlib()
     scene = load_scene(scene_name)
     errors = {
-        "start_error": _share("--start-error", start_error),
-        "drift": _share("--drift", drift),
-        "participation_error": _share("--participation-error", participation_error),
+        "start_error": share_of("--start-error", start_error),
+        "drift": share_of("--drift", drift),
+        "participation_error": share_of("--participation-error", participation_error),
     }
     check_numbers(**errors, most_blows=impacts)
     check_scene(scene, scene.sampling.sampling_rate)
@@ -101,16 +101,6 @@ def calibrate(
     if drawing is not None:
         _draw(found, drawing, overwrite)
     _say(found, path, as_json)
-
-
-def _share(flag: str, text: str) -> float:
-    """Return a share such as "1 %"."""
-    from cgid.units import parse
-
-    try:
-        return parse(float(text) if text.replace(".", "", 1).isdigit() else text, "ratio")
-    except (CgidError, ValueError):
-        raise InvalidValue(f"{flag} must be a share such as '1 %' or 0.01, got {text!r}") from None
 
 
 def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tuple[NDArray[np.floating], float, int]:

@@ -13,7 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from cgid.cli.output import say
-from cgid.errors import InvalidValue, NoInput
+from cgid.errors import CgidError, InvalidValue, NoInput
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
@@ -482,3 +482,13 @@ def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, qu
     if not model.covers(sampling_rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         say(f"cgid: warning: {name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz", err=True)
+
+
+def share_of(flag: str, text: str) -> float:
+    """Return a share such as "1 %"."""
+    from cgid.units import parse
+
+    try:
+        return parse(float(text) if text.replace(".", "", 1).isdigit() else text, "ratio")
+    except (CgidError, ValueError):
+        raise InvalidValue(f"{flag} must be a share such as '1 %' or 0.01, got {text!r}") from None

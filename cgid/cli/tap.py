@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgid.cli.calibrate import _share
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, reading_options
+from cgid.cli.options import PATH, SCENE, Reading, reading_options, share_of
 from cgid.cli.output import print_json, say
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
@@ -86,7 +85,7 @@ def tap(
         drawing = check_new(Path(picture), "a picture", (".png",), overwrite=overwrite)
         require_matplotlib()
     modes = None if scene_name is None else _modes_of(scene_name)
-    error = _share("--start-error", start_error)
+    error = share_of("--start-error", start_error)
     if not 0 < error <= 0.1:
         raise InvalidValue(f"--start-error must be above 0 and at most 10 %, got {error:g}")
     times = None if table is None else read_times(table)

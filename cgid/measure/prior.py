@@ -8,14 +8,13 @@ separately, as smoothed histograms of draws.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.measure.likelihood import Profile
-from cgid.measure.template import LOWEST_SHAPE, dimensionless
+from cgid.measure.template import dimensionless_logarithms
 from cgid.validation import Floats
 
 #: Nodes along each of peak and duration at a node of a profile.
@@ -129,23 +128,9 @@ def _log_sum(terms: Floats) -> Floats:
 
 def _scales(log_peak: Floats, log_duration: Floats, shape: Floats) -> tuple[Floats, Floats]:
     """Return ln P0 - 2 ln T0 and ln T0."""
-    contact, peak = _dimensionless(shape)
+    contact, peak = dimensionless_logarithms(shape, "contact", "peak")
     time = log_duration - contact
     return log_peak - peak - 2 * time, time
-
-
-def _dimensionless(shape: Floats) -> tuple[Floats, Floats]:
-    """Return ln of contact duration and of peak force of the dimensionless pulse."""
-    grid, contact, peak = _logarithms()
-    return np.interp(shape, grid, contact), np.interp(shape, grid, peak)
-
-
-@cache
-def _logarithms() -> tuple[Floats, Floats, Floats]:
-    """Return shapes, and what `_dimensionless` returns there."""
-    grid = np.linspace(LOWEST_SHAPE, 0.0, 1201)
-    _, contact, _, peak = dimensionless(grid)
-    return grid, np.log(contact), np.log(peak)
 
 
 def _smoothed(counts: Floats, axis: int) -> Floats:

@@ -68,6 +68,23 @@ def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     return restitution, contact, peak_time, family.force(peak_time[:, None], restitution)[:, 0]
 
 
+def dimensionless_logarithms(shape: Floats, *names: str) -> tuple[Floats, ...]:
+    """Return ln of "contact" time, "peak" or "width" of the dimensionless pulse by a table, each as `shape`.
+
+    The width is impulse over peak. A pulse that rises more slowly than one of s = 0 gets the values there.
+    """
+    table = _logarithms()
+    return tuple(np.interp(shape, table["shape"], table[name]) for name in names)
+
+
+@cache
+def _logarithms() -> dict[str, Floats]:
+    grid = np.linspace(LOWEST_SHAPE, 0.0, 1201)
+    restitution, contact, _, peak = dimensionless(grid)
+    # The impulse of m x'' from 1 to -e is 1 + e.
+    return {"shape": grid, "contact": np.log(contact), "peak": np.log(peak), "width": np.log((1 + restitution) / peak)}
+
+
 @cache
 def _times() -> Floats:
     """Return contact duration and time from touch to peak at the nodes of s, (n_shapes, 2, 3).

@@ -7,10 +7,11 @@ from statistics import NormalDist
 import numpy as np
 
 from cgid.errors import InvalidValue
+from cgid.measure.template import dimensionless_logarithms
 from cgid.physics import RIGID, HalfSpace, RigidWall
 from cgid.physics.materials import STEEL, Material
 from cgid.striker.measured import MeasuredPulses
-from cgid.striker.posterior import LEVELS, SPEED_POWER, TIME_POWER, Strikers, dimensionless_logarithms
+from cgid.striker.posterior import LEVELS, SPEED_POWER, TIME_POWER, Strikers
 from cgid.validation import Floats
 
 #: Step of the shape for slopes.
@@ -86,6 +87,6 @@ def _scales(material: Material, target: HalfSpace | RigidWall) -> tuple[float, f
 
 def _observed(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats]:
     """Return ln(P0 / T0^2) and ln T0 of pulses, if this were their shape."""
-    log_peak, log_width = dimensionless_logarithms(shape)
+    log_peak, log_width = dimensionless_logarithms(shape, "peak", "width")
     time = pulses.log_width - log_width
     return pulses.log_peak - log_peak - 2 * time, time

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.measure.template import LOWEST_SHAPE, dimensionless
+from cgid.measure.template import dimensionless_logarithms
 from cgid.striker.measured import MeasuredPulses
 from cgid.validation import Floats
 
@@ -270,7 +270,7 @@ class _Table:
         low, high = low - 1e-3, max(high, low + _NARROWEST) + 1e-3
         self.lowest, self.highest, self.step = low, high, (high - low) / self.n_shapes
         own = self._shape_of(shape)
-        log_peak, log_width = dimensionless_logarithms(shape)
+        log_peak, log_width = dimensionless_logarithms(shape, "peak", "width")
         time = population.log_width - log_width
         size_free = population.log_peak - log_peak - 2 * time
         order = np.lexsort((size_free, own))
@@ -358,7 +358,7 @@ def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats,
     c, away = pulses.covariance, shape - pulses.shape[:, None]
     slope = c[:, :2, 2] / c[:, 2:, 2]
     left = c[:, :2, :2] - slope[:, :, None] * c[:, None, :2, 2]
-    log_peak, log_width = dimensionless_logarithms(shape)
+    log_peak, log_width = dimensionless_logarithms(shape, "peak", "width")
     time = pulses.log_width[:, None] + slope[:, 1:] * away - log_width
     size_free = pulses.log_peak[:, None] + slope[:, :1] * away - log_peak - 2 * time
     width = np.maximum(left[:, 1, 1], 1e-10)
@@ -367,20 +367,6 @@ def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats,
     rest = np.sqrt(np.maximum(width - lag**2 * variance, 0.0))
     spread, lag, rest = (np.broadcast_to(one[:, None], shape.shape) for one in (np.sqrt(variance), lag, rest))
     return size_free, time, spread, lag, rest
-
-
-def dimensionless_logarithms(shape: Floats) -> tuple[Floats, Floats]:
-    """Return ln of peak and width of the dimensionless pulse; those of s = 0 for a pulse that rises more slowly."""
-    grid, peak, width = _logarithms()
-    return np.interp(shape, grid, peak), np.interp(shape, grid, width)
-
-
-@cache
-def _logarithms() -> tuple[Floats, Floats, Floats]:
-    grid = np.linspace(LOWEST_SHAPE, 0.0, 1201)
-    restitution, _, _, peak = dimensionless(grid)
-    # The impulse of m x'' from 1 to -e is 1 + e.
-    return grid, np.log(peak), np.log((1 + restitution) / peak)
 
 
 def _normal(n: int) -> Floats:
