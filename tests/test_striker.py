@@ -376,7 +376,7 @@ def test_predict_says_what_struck(capsys):
     first = json.loads(capsys.readouterr().out.splitlines()[0])
     assert first["striker"]["mass"] == pytest.approx(rows["mass [kg]"][0], rel=1e-3)
     assert run(["predict", "--sample"]) == 0
-    assert "mass" not in capsys.readouterr().out
+    assert "mass [kg]" not in capsys.readouterr().out
 
 
 def test_predict_says_where_nothing_is_known(tmp_path, capsys):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -25,6 +26,8 @@ _BLOCKS, _SEED, N_SHAPES = 12, 0x5EED_0002_C9D1, 18
 _GOLDEN = 0.6180339887498949
 #: Chebyshev nodes to a wave of the highest mode, and beyond.
 _NODES_A_WAVE, _NODES = 4.0, 7
+#: Rocks that bounce reach a beam of known size all over, but for these shares of its length and width.
+_LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
 
 
 def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[float, float]] = ()) -> Beam:
@@ -80,6 +83,23 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
     power, shapes = eigh(heard.T @ heard, subset_by_index=(n_points - n_shapes, n_points - 1))
     power, mixes = power[::-1], heard @ (shapes / power)[:, ::-1]
     return replace(beam, shapes=mixes.T @ forces, deviations=np.sqrt(power / len(forces)))
+
+
+def whole_beam(scene: Scene) -> Beam:
+    """Return the beam of a scene to look through, as far as rocks bounce; raises as `beam_of`."""
+    content = json.loads(scene.text)
+    spread_over(content.get("tail_beam", {}))
+    return beam_of(parse_scene(content, folder=scene.folder))
+
+
+def spread_over(beam: dict[str, Any]) -> None:
+    """Let blows fall all over a beam of known size."""
+    if beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
+        beam["impact_point"] = {"x": _uniform(beam["length"], _LENGTHWISE), "y": _uniform(beam["width"], _CROSSWISE)}
+
+
+def _uniform(length: float, shares: tuple[float, float]) -> dict[str, Any]:
+    return {"distribution": "uniform", "lowest": shares[0] * length, "highest": shares[1] * length}
 
 
 def has_beam(scene: Scene) -> bool:

@@ -29,7 +29,7 @@ from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.stream import record
-from cgid.scene.through_beam import beam_of, has_beam
+from cgid.scene.through_beam import has_beam, spread_over, whole_beam
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -38,8 +38,6 @@ DURATION = 60.0
 #: Rocks a second and the density of the noise are those of the scene times a factor within these, log-uniform; the
 #: noise only in every other stream (assumed).
 _RATES, _NOISES = (0.5, 1.5), (0.3, 10.0)
-#: Every other stream has blows all over a beam of known size, but for these shares of its length and width.
-_LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
 #: A found impact belongs to the strongest blow that touches from this long before it to this long after it [s].
 _BEFORE, _AFTER = 4e-3, 1.5e-3
 #: Impacts found a rock, about; and streams, at least, to train on and to finish with.
@@ -110,21 +108,8 @@ def _variation(scene: Scene, number: int, share: float, rng: np.random.Generator
     if number % 4 >= 2 and sensor.get("noise_density"):
         sensor["noise_density"] *= factor
     if number % 2 == 1:
-        _spread(content["tail_beam"])
+        spread_over(content["tail_beam"])
     return parse_scene(content | {"name": f"{scene.name}, stream {number}"})
-
-
-def whole_beam(scene: Scene) -> Beam:
-    """Return the beam of a scene to look through, as far as rocks bounce; raises as `beam_of`."""
-    content = json.loads(scene.text)
-    _spread(content.get("tail_beam", {}))
-    return beam_of(parse_scene(content))
-
-
-def _spread(beam: dict[str, Any]) -> None:
-    """Let blows fall all over a beam of known size."""
-    if beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
-        beam["impact_point"] = {"x": _uniform(beam["length"], _LENGTHWISE), "y": _uniform(beam["width"], _CROSSWISE)}
 
 
 def _rate_of(scene: Scene) -> float:
@@ -138,10 +123,6 @@ def _rate_of(scene: Scene) -> float:
 
 def _factor(rng: np.random.Generator, limits: tuple[float, float]) -> float:
     return float(np.exp(rng.uniform(*np.log(limits))))
-
-
-def _uniform(length: float, shares: tuple[float, float]) -> dict[str, Any]:
-    return {"distribution": "uniform", "lowest": shares[0] * length, "highest": shares[1] * length}
 
 
 def rows_of_streams(

@@ -178,8 +178,10 @@ class MeasuredPulses:
         problem = np.full(n, "", object)
         for row in np.flatnonzero(error > _TOLD):
             problem[row] = f"wide: the beam leaves {100 * strange[row]:.2g} % of the vibration unexplained"
-        every, none = np.ones(n, bool), np.zeros(n, bool)
-        return cls._checked(log_peak, log_width, contact.shape, covariance, problem, every, none)
+        # Place and force of what is no likelier than noise alone are arbitrary.
+        seen = inverted.evidence > 0
+        problem[~seen] = "no blow anywhere on the beam explains the vibration better than noise does"
+        return cls._checked(log_peak, log_width, contact.shape, covariance, problem, seen, np.zeros(n, bool))
 
     @classmethod
     def _checked(

@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
+from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
-from cgid.measure.closest import POINTS, closest
+from cgid.identification.inversion import Inverted
+from cgid.measure.beam import FINE, TOUCH, filtered, respond
 from cgid.measure.template import relative_times
 from cgid.physics import HertzRangeWarning, Impact
 from cgid.physics.coupled import ModalImpact
@@ -20,6 +22,7 @@ from cgid.scene import Scene
 from cgid.scene.impacts import blows_of, impacts_by_coupling, impacts_of
 from cgid.scene.plan import Plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
+from cgid.scene.through_beam import beam_of, whole_beam
 from cgid.striker.posterior import StrikerPopulation
 from cgid.validation import Floats
 
@@ -29,8 +32,11 @@ _MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14
 _SAMPLES, _BEFORE, _FRAME, _NOISE, _RATE = 64, 32, 192, 1e-3, 1e5
 #: Seed of these draws, unlikely to be chosen for the signals.
 _SEED = 0x5EED_0003_C9D1
-#: Populations kept (some 10 MB each).
+#: Populations kept (some 10 MB each), and beams (24 MB).
 _KEPT = 4
+#: Places of a beam at which draws are heard, fractions that fill its sides evenly (Roberts 2018), and their energy over
+#: that of the noise.
+_PLACES, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
 @lru_cache(maxsize=_KEPT)
@@ -58,7 +64,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
         raise InvalidValue(f"scene {scene.name}: must be one rig to tell strikers by; take [randomise] out")
     if not scene.populations:
         raise InvalidValue(f"scene {scene.name}: must have populations to tell strikers by, it has taps alone")
-    plain = _is_plain(scene)
+    plain, beam = _is_plain(scene), beam_behind(scene) if is_behind_beam(scene) else None
     wanted = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _FEWEST)
     parts: list[dict[str, Floats]] = []
     blocks = _stream(scene) if scene.stream is not None else _frames(scene)
@@ -66,7 +72,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HertzRangeWarning)
             values, pulses = next(blocks)
-        parts.append(_described(values, None if plain else pulses, scene.sensor.quantity == "force"))
+        parts.append(_described(values, None if plain else pulses, beam))
     held = {name: np.concatenate([part[name] for part in parts])[:wanted] for name in parts[0]}
     similar = scene.panel is None and scene.tail_beam is None and scene.impact.gravity is None
     similar &= getattr(scene.impact.target, "thickness", None) is None
@@ -148,33 +154,72 @@ def _of_rocks(asked: Plan, rocks: Rocks) -> _Pulses:
     ]
 
 
-def _described(values: Mapping[str, Any], pulses: _Pulses | None, fitted: bool) -> dict[str, Floats]:
+def _described(values: Mapping[str, Any], pulses: _Pulses | None, beam: ThroughBeam | None) -> dict[str, Floats]:
     """Return strikers and pulses of a block; without pulses, these follow from peak, duration and restitution."""
     names = ("radius", "velocity", "density", "group")
     if pulses is None:
         rows = np.flatnonzero(values["struck"])
         shape = np.log(np.maximum(values["restitution"][rows], 1e-3))
         width = values["contact_duration"][rows] / relative_times(shape)[0]
-        log_peak = np.log(values["peak_force"][rows])
-        return {name: values[name][rows] for name in names} | {
-            "log_peak": log_peak,
-            "log_width": np.log(width),
-            "shape": shape,
-        }
+        own = {"log_peak": np.log(values["peak_force"][rows]), "log_width": np.log(width), "shape": shape}
+        return own | {name: values[name][rows] for name in names}
     found: list[dict[str, Floats]] = []
     for rows, one in pulses:
         lasts, peak = values["contact_duration"][rows], values["peak_force"][rows]
-        if fitted:
-            force = np.zeros((rows.size, _FRAME))
-            one.add_to_frames(force, _SAMPLES / lasts, _BEFORE * lasts / _SAMPLES)
-            found_here = estimate(force / peak[:, None], _RATE, pre_trigger=_BEFORE, noise=_NOISE)
-            shape = np.log(found_here.restitution)
-            width = found_here.contact_duration * _RATE / _SAMPLES / relative_times(shape)[0]
-            peak = peak * found_here.peak
-        else:
-            force = np.zeros((rows.size, POINTS + 1))
-            one.add_to_frames(force, POINTS / lasts, np.zeros(rows.size))
-            width, shape, _ = closest(force / peak[:, None])
-        own = {"log_peak": np.log(peak), "log_width": np.log(width * lasts), "shape": shape}
+        log_peak, log_width, shape = _fitted(one, lasts, peak) if beam is None else _heard(one, peak, beam)
+        own = {"log_peak": np.log(peak) + log_peak, "log_width": log_width, "shape": shape}
         found.append(own | {name: values[name][rows] for name in names})
     return {name: np.concatenate([part[name] for part in found]) for name in (*names, "log_peak", "log_width", "shape")}
+
+
+def _fitted(pulses: Impact | ModalImpact, lasts: Floats, peak: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return what the fit to forces measures of pulses: ln peak over their own, ln width, and shape."""
+    force = np.zeros((peak.size, _FRAME))
+    pulses.add_to_frames(force, _SAMPLES / lasts, _BEFORE * lasts / _SAMPLES)
+    found = estimate(force / peak[:, None], _RATE, pre_trigger=_BEFORE, noise=_NOISE)
+    shape = np.log(found.restitution)
+    width = found.contact_duration * _RATE / _SAMPLES * lasts / relative_times(shape)[0]
+    return np.log(found.peak), np.log(width), shape
+
+
+def _heard(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBeam) -> tuple[Floats, Floats, Floats]:
+    """Return what the fit behind a beam measures of pulses, as `_fitted`.
+
+    Waves of the beam that come back during contact take the pulses of heavy rocks out of the family. The closest pulse
+    of the family then depends on which frequencies the beam lets through.
+    """
+    rate, shapes = beam.beam.sampling_rate, beam.inversion.forces
+    order = np.arange(peak.size)
+    force = np.zeros((peak.size, shapes.shape[1]))
+    pulses.add_to_frames(force, FINE * rate, (order + 0.5) / peak.size * TOUCH / rate)
+    heard = filtered(beam.beam, force / peak[:, None])
+    coefficients = np.asarray(np.linalg.solve(shapes @ shapes.T, shapes @ heard.T).T, np.float64)
+    information = _information(beam)[order % _PLACES]
+    vector = np.einsum("nij,nj->ni", information, coefficients)
+    louder = _ENERGY / np.einsum("ni,ni->n", vector, coefficients)
+    information, vector = information * louder[:, None, None], vector * louder[:, None]
+    one, pair = np.ones(peak.size), np.ones((peak.size, 2))
+    found = beam.fit.fit(Inverted(one, one, pair, order, coefficients, information, vector, one, one, one, one))
+    return np.log(found.peak), np.log(found.width), found.shape
+
+
+@lru_cache(maxsize=_KEPT)
+def _information(beam: ThroughBeam) -> Floats:
+    """Return what the samples of a beam tell of forces at places all over it, (_PLACES, n_shapes, n_shapes)."""
+    inversion, region = beam.inversion, beam.beam.region.reshape(2, 2)
+    table = inversion.transformed(respond(beam.beam, inversion.forces, inversion.n_samples))
+    even = np.outer(_EVENLY, np.arange(1, _PLACES + 1)) % 1
+    at = beam.beam.weights(*(region[:, :1] + np.diff(region) * even))[0]
+    heard = np.tensordot(at, table, (1, 0))
+    return np.asarray(heard @ heard.transpose(0, 2, 1), np.float64)
+
+
+def is_behind_beam(scene: Scene) -> bool:
+    """Return whether a scene hears its impacts through a beam."""
+    return scene.tail_beam is not None and scene.sensor.quantity != "force"
+
+
+@lru_cache(maxsize=_KEPT)
+def beam_behind(scene: Scene) -> ThroughBeam:
+    """Return the beam of a scene to look through, where rocks bounce, too; raises `InvalidValue` as `beam_of`."""
+    return ThroughBeam(beam_of(scene) if scene.stream is None else whole_beam(scene))

@@ -33,8 +33,8 @@ QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}
 LEVELS = np.array([0.005, 0.01, 0.025, *np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995])
 #: Powers of the speed in P0 / T0^2 and in T0.
 SPEED_POWER, TIME_POWER = 1.6, -0.2
-#: Nodes along the shape, and draws looked at from each.
-_NODES, _DRAWS = 12, 48
+#: Nodes along the shape, and draws looked at from each; where size is no similarity, fewer of these count.
+_NODES, _DRAWS, _MORE_DRAWS = 12, 48, 96
 #: Extent of the nodes [standard deviations], and distance at which a draw could not have given the pulse.
 _REACH, _BEYOND = 3.5, 4.0
 #: Fewest draws to a shape, and fewest and most shapes.
@@ -45,8 +45,8 @@ _WIDEST, _ALIKE = 0.25, 0.3
 _CELLS, _RADII, _POSTERIOR = 512, 256, 160
 #: Smallest width of a population's radii and speeds: equal ones are spread by this share.
 _NARROWEST = 0.01
-#: Impacts at once.
-_ROWS = 256
+#: Impacts at once: more leave the cache.
+_ROWS = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,27 +186,25 @@ class StrikerPopulation:
 
     def _posterior(self, pulses: MeasuredPulses) -> Strikers:
         found, weight, excluded = self._moved(pulses)
-        reason = pulses.problem.astype(object)
-        empty = ~weight.any(axis=1) & pulses.usable
-        reason[empty] = excluded[empty]
         quantiles = {name: np.exp(_quantiles(values, weight)) for name, values in found.items()}
-        return Strikers(quantiles, reason.astype(np.str_))
+        return Strikers(quantiles, pulses.without(excluded).problem)
 
-    def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, NDArray[np.object_]]:
-        """Return logarithms of draws moved onto pulses and their weights, (n, n_draws), and why there are none."""
+    def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, dict[int, str]]:
+        """Return logarithms of draws moved onto pulses and their weights, (n, n_draws), and why some have none."""
         table = self._table
         shape, density, given = table.nodes(pulses)
-        size_free, time, spread, lag, rest = _given_shape(pulses, shape)
-        rows, many = table.around(shape, size_free, spread)
-        apart = table.size_free[rows] - size_free[:, :, None]
+        given_shape = _given_shape(pulses, shape)
+        rows, many = table.around(shape, given_shape[0], given_shape[2])
+        size_free, time, spread, lag, rest = (one.astype(np.float32)[:, :, None] for one in given_shape)
+        apart = table.size_free[rows] - size_free
         half = np.abs(apart).max(axis=2, keepdims=True)
         kernel = np.minimum(0.4 * half, _WIDEST) ** 2
-        wide = spread[:, :, None] ** 2 + kernel
+        wide = spread**2 + kernel
         # Draws from farther away than the error of the pulse are moved towards it.
-        moved = apart * (spread[:, :, None] / np.sqrt(wide))
+        moved = apart * (spread / np.sqrt(wide))
         faster = (moved - apart) / SPEED_POWER
         log_speed = table.log_speed[rows] + faster
-        later = time[:, :, None] + lag[:, :, None] * moved + rest[:, :, None] * table.jitter[None, None]
+        later = time + lag * moved + rest * table.jitter
         growth = later - table.time[rows]
         log_radius = table.log_radius[rows] + growth - TIME_POWER * faster
         near = -0.5 * apart**2 / wide
@@ -215,9 +213,10 @@ class StrikerPopulation:
         reached = near > -0.5 * _BEYOND**2
         fits = table.radii(table.group[rows], log_radius)
         # Where all speeds are equal, the error of the pulse moves them apart; it must not where they have bounds.
-        margin = _NARROWEST + _REACH / SPEED_POWER * np.minimum(spread[:, :, None], 2 * _NARROWEST)
+        margin = _NARROWEST + _REACH / SPEED_POWER * np.minimum(spread, 2 * _NARROWEST)
         fits *= (log_speed >= table.speeds[0] - margin) & (log_speed <= table.speeds[1] + margin)
-        weight = np.exp(near) * reached * fits * (many * density / np.sqrt(wide[:, :, 0]))[:, :, None]
+        weight = np.exp(near) * reached * fits
+        weight *= (many * density / np.sqrt(wide[:, :, 0])).astype(np.float32)[:, :, None]
         n = len(shape)
         weight = weight.reshape(n, -1)
         total = weight.sum(axis=1, keepdims=True)
@@ -225,27 +224,26 @@ class StrikerPopulation:
         weight = np.where(usable[:, None], weight / np.where(usable[:, None], total, 1.0), 0.0)
         log_mass = table.log_density[rows] + 3 * log_radius
         found = {"mass": log_mass, "radius": log_radius, "speed": log_speed}
-        why = self._excluded(pulses, given, reached.any(axis=(1, 2)), size_free.mean(axis=1))
+        excluded = np.flatnonzero(~usable & pulses.usable)
+        why = {row: self._excluded(pulses, row, given, reached, given_shape[0]) for row in excluded.tolist()}
         return {name: values.reshape(n, -1) for name, values in found.items()}, weight, why
 
     def _excluded(
-        self, pulses: MeasuredPulses, given: NDArray[np.bool_], reached: NDArray[np.bool_], size_free: Floats
-    ) -> NDArray[np.object_]:
-        """Return why the population excludes each pulse, if it does."""
-        peak, width = np.exp(pulses.log_peak), np.exp(pulses.log_width)
-        high = size_free > np.median(self._table.size_free)
-        found = np.empty(len(peak), object)
-        for row in range(len(peak)):
-            pulse = f"a pulse of {peak[row]:.3g} N and {width[row] * 1e6:.3g} us (impulse over peak)"
-            rule = (
-                f"restitution {np.exp(pulses.shape[row]):.2g} is outside of it"
-                if not given[row]
-                else f"its peak is too {'high' if high[row] else 'low'} for its width"
-                if not reached[row]
-                else "it would be of another size or speed"
-            )
-            found[row] = f"{self.name} has no striker with {pulse}: {rule}; take a population that has"
-        return found
+        self, pulses: MeasuredPulses, row: int, given: NDArray[np.bool_], reached: NDArray[np.bool_], size_free: Floats
+    ) -> str:
+        """Return why the population excludes a pulse."""
+        peak, width = np.exp(pulses.log_peak[row]), np.exp(pulses.log_width[row])
+        if not given[row]:
+            rule = f"restitution {np.exp(pulses.shape[row]):.2g} is outside of it"
+        elif not reached[row].any():
+            high = size_free[row].mean() > np.median(self._table.size_free)
+            rule = f"its peak is too {'high' if high else 'low'} for its width"
+        else:
+            rule = "it would be of another size or speed"
+        return (
+            f"{self.name} has no striker with a pulse of {peak:.3g} N and {width * 1e6:.3g} us (impulse over peak): "
+            f"{rule}; take a population that has"
+        )
 
     @cached_property
     def _table(self) -> _Table:
@@ -276,9 +274,12 @@ class _Table:
         order = np.lexsort((size_free, own))
         counts = np.bincount(own, minlength=self.n_shapes)
         self.first, self.count = np.cumsum(counts) - counts, counts
-        self.size_free, self.time = size_free[order], time[order]
-        self.log_radius, self.log_speed = population.log_radius[order], population.log_speed[order]
-        self.log_density = population.log_mass[order] - 3 * self.log_radius
+        # Single precision errs by 1e-6 of a logarithm, and is twice as fast.
+        log_density = population.log_mass - 3 * population.log_radius
+        columns = (size_free, time, population.log_radius, population.log_speed, log_density)
+        self.size_free, self.time, self.log_radius, self.log_speed, self.log_density = (
+            column[order].astype(np.float32) for column in columns
+        )
         self.group = population.group[order]
         # The rank of a size-free scale within its shape, on a grid.
         self.origin, self.cell = size_free.min() - 1e-6, max(np.ptp(size_free), 1e-3) * (1 + 1e-6) / (_CELLS - 1)
@@ -287,7 +288,11 @@ class _Table:
         np.add.at(grid, (own[order], cells), 1.0)
         self.ranks = np.cumsum(grid, axis=1)
         self.speeds = self.log_speed.min(), self.log_speed.max()
-        self.jitter = np.random.default_rng(0x57).permutation(_normal(_DRAWS))
+        self.jitter = (
+            np.random.default_rng(0x57)
+            .permutation(_normal(_DRAWS if population.similar else _MORE_DRAWS))
+            .astype(np.float32)
+        )
         self._radii(population.similar)
 
     def _radii(self, similar: bool) -> None:
@@ -306,7 +311,7 @@ class _Table:
         if not similar:
             apart = (np.arange(_RADII)[:, None] - np.arange(_RADII)) * self.ring / _ALIKE
             density = density / np.maximum(density @ np.exp(-0.5 * apart**2), 1e-300)
-        self._weight = np.concatenate([np.zeros((n_groups, 1)), density, np.zeros((n_groups, 1))], axis=1)
+        self._weight = np.pad(density, ((0, 0), (1, 1))).astype(np.float32)
 
     def radii(self, group: NDArray[np.intp], log_radius: Floats) -> Floats:
         """Return the weight of moved draws by their radius."""
@@ -331,14 +336,15 @@ class _Table:
     def around(self, shape: Floats, size_free: Floats, spread: Floats) -> tuple[NDArray[np.intp], Floats]:
         """Return the draws around points, (n, n_nodes, n_draws), and how many each of them stands for."""
         own = self._shape_of(shape)
+        n_draws = self.jitter.size
         counted = self.count[own]
         low, high = (self._rank(own, size_free + side * 2.5 * spread) for side in (-1, 1))
-        lacking = np.maximum(_DRAWS - (high - low), 0) / 2
-        low = np.clip(low - lacking, 0, np.maximum(counted - _DRAWS, 0))
-        high = np.clip(np.maximum(high + lacking, low + _DRAWS), 0, counted)
-        low = np.minimum(low, np.maximum(high - _DRAWS, 0))
-        each = np.maximum(high - low, 0) / _DRAWS
-        picks = (low[:, :, None] + each[:, :, None] * (np.arange(_DRAWS) + 0.5)).astype(np.intp)
+        lacking = np.maximum(n_draws - (high - low), 0) / 2
+        low = np.clip(low - lacking, 0, np.maximum(counted - n_draws, 0))
+        high = np.clip(np.maximum(high + lacking, low + n_draws), 0, counted)
+        low = np.minimum(low, np.maximum(high - n_draws, 0))
+        each = np.maximum(high - low, 0) / n_draws
+        picks = (low[:, :, None] + each[:, :, None] * (np.arange(n_draws) + 0.5)).astype(np.intp)
         rows = self.first[own][:, :, None] + np.minimum(picks, np.maximum(counted - 1, 0)[:, :, None])
         return np.minimum(rows, self.size_free.size - 1), np.where(counted > 0, each, 0.0)
 
@@ -382,7 +388,8 @@ def _quantiles(values: Floats, weight: Floats) -> Floats:
     high = np.where(counts, values, -np.inf).max(axis=1)
     low, high = np.where(known, low, 0.0), np.where(known, high, 1.0)
     cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
-    place = np.clip((values - low[:, None]) / cell[:, None] + 0.5, 0, _POSTERIOR - 1).astype(np.intp)
+    first, inverse = (one.astype(np.float32)[:, None] for one in (low, 1 / cell))
+    place = np.clip((values - first) * inverse + np.float32(0.5), 0, _POSTERIOR - 1).astype(np.intp)
     place += np.arange(n)[:, None] * _POSTERIOR
     mass = np.bincount(place.ravel(), weight.ravel(), n * _POSTERIOR).reshape(n, _POSTERIOR)
     below: Floats = np.asarray(np.cumsum(mass, axis=1), np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,9 @@ from cgid.measure.vibration import VibrationBatch
 from cgid.physics import HalfSpace, RigidWall
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import Scene, load_scene
-from cgid.scene.through_beam import beam_of
 from cgid.striker.material import of_material
 from cgid.striker.measured import MeasuredPulses
-from cgid.striker.population import population_of
+from cgid.striker.population import beam_behind, is_behind_beam, population_of
 from cgid.striker.posterior import StrikerPopulation, Strikers
 from cgid.validation import require_rate
 
@@ -88,22 +86,17 @@ def strikers(
     if isinstance(among, str | Path):
         among = load_scene(among)
     if isinstance(among, Scene):
-        if among.tail_beam is not None and among.sensor.quantity != "force":
+        if is_behind_beam(among):
             if options:
                 raise InvalidValue(
                     f"{min(options)} is for forces, scene {among.name} looks through its beam; leave it out"
                 )
             frames = frames_of(samples, pre_trigger).astype(np.float64, copy=False)
-            return population_of(among).posterior(through_beam(frames, sampling_rate, pre_trigger, _beam_of(among)))
+            return population_of(among).posterior(through_beam(frames, sampling_rate, pre_trigger, beam_behind(among)))
         among = population_of(among)
     if not isinstance(among, StrikerPopulation):
         raise InvalidValue(f"among must be a scene, draws or a material, got a {type(among).__name__}")
     return among.posterior(_of_forces(samples, sampling_rate, pre_trigger, options))
-
-
-@lru_cache(maxsize=4)
-def _beam_of(scene: Scene) -> ThroughBeam:
-    return ThroughBeam(beam_of(scene))
 
 
 def _of_forces(
