@@ -186,7 +186,7 @@ class StrikerPopulation:
 
     def _posterior(self, pulses: MeasuredPulses) -> Strikers:
         found, weight, excluded = self._moved(pulses)
-        quantiles = {name: np.exp(_quantiles(values, weight)) for name, values in found.items()}
+        quantiles = {name: np.exp(values) for name, values in _quantiles(found, weight).items()}
         return Strikers(quantiles, pulses.without(excluded).problem)
 
     def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, dict[int, str]]:
@@ -288,11 +288,8 @@ class _Table:
         np.add.at(grid, (own[order], cells), 1.0)
         self.ranks = np.cumsum(grid, axis=1)
         self.speeds = self.log_speed.min(), self.log_speed.max()
-        self.jitter = (
-            np.random.default_rng(0x57)
-            .permutation(_normal(_DRAWS if population.similar else _MORE_DRAWS))
-            .astype(np.float32)
-        )
+        even = _normal(_DRAWS if population.similar else _MORE_DRAWS)
+        self.jitter = np.random.default_rng(0x57).permutation(even).astype(np.float32)
         self._radii(population.similar)
 
     def _radii(self, similar: bool) -> None:
@@ -380,26 +377,37 @@ def _normal(n: int) -> Floats:
     return np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
 
 
-def _quantiles(values: Floats, weight: Floats) -> Floats:
-    """Return quantiles of weighted rows, (n, n_levels), by histograms; nan for rows without weight."""
-    n, known = len(values), np.asarray(weight.any(axis=1))
-    counts = weight > 1e-4 * weight.max(axis=1, keepdims=True)
-    low = np.where(counts, values, np.inf).min(axis=1)
-    high = np.where(counts, values, -np.inf).max(axis=1)
-    low, high = np.where(known, low, 0.0), np.where(known, high, 1.0)
-    cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
-    first, inverse = (one.astype(np.float32)[:, None] for one in (low, 1 / cell))
-    place = np.clip((values - first) * inverse + np.float32(0.5), 0, _POSTERIOR - 1).astype(np.intp)
-    place += np.arange(n)[:, None] * _POSTERIOR
-    mass = np.bincount(place.ravel(), weight.ravel(), n * _POSTERIOR).reshape(n, _POSTERIOR)
-    below: Floats = np.asarray(np.cumsum(mass, axis=1), np.float64)
-    below /= np.maximum(below[:, -1:], 1e-300)
+def _quantiles(values: dict[str, Floats], weight: Floats) -> dict[str, Floats]:
+    """Return quantiles of weighted rows, each (n, n_levels), by histograms; nan for rows without weight."""
+    n, most = len(weight), weight.max(axis=1, initial=0.0)
+    counted = weight > np.where(most > 0, 1e-4 * most, np.inf)[:, None]
+    n_counted = counted.sum(axis=1)
+    known = np.flatnonzero(n_counted)
+    row = np.repeat(np.arange(known.size), n_counted[known])
+    first = np.searchsorted(row, np.arange(known.size))
+    heavy, start = weight[counted], row * _POSTERIOR
+    found = {}
+    for name, column in values.items():
+        found[name] = np.full((n, LEVELS.size), np.nan)
+        if known.size:
+            own = column[counted]
+            low, high = np.minimum.reduceat(own, first), np.maximum.reduceat(own, first)
+            cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
+            place = ((own - low[row]) / cell[row] + 0.5).astype(np.intp)
+            mass = np.bincount(start + np.minimum(place, _POSTERIOR - 1), heavy, known.size * _POSTERIOR)
+            at = _crossed(np.asarray(mass.reshape(-1, _POSTERIOR), np.float64))
+            found[name][known] = low[:, None] + cell[:, None] * (at - 0.5)
+    return found
+
+
+def _crossed(mass: Floats) -> Floats:
+    """Return where the sum of each row (n, n_cells) reaches each of `LEVELS` of the whole [cells], (n, n_levels)."""
+    below = np.cumsum(mass, axis=1)
+    below /= below[:, -1:]
     # One search for all rows: each lies one above the row before.
-    floor = np.arange(n)[:, None]
-    at = np.searchsorted((below + floor).ravel(), (LEVELS + floor).ravel()).reshape(n, -1) - floor * _POSTERIOR
-    at = np.clip(at, 0, _POSTERIOR - 1)
+    floor = np.arange(len(mass))[:, None]
+    at = np.searchsorted((below + floor).ravel(), (LEVELS + floor).ravel()).reshape(len(mass), -1)
+    at = np.clip(at - floor * mass.shape[1], 0, mass.shape[1] - 1)
     upper = np.take_along_axis(below, at, axis=1)
     lower = np.where(at > 0, np.take_along_axis(below, np.maximum(at - 1, 0), axis=1), 0.0)
-    share = np.clip((LEVELS - lower) / np.maximum(upper - lower, 1e-300), 0, 1)
-    out = low[:, None] + cell[:, None] * (at + share - 0.5)
-    return np.asarray(np.where(known[:, None], out, np.nan))
+    return np.asarray(at + np.clip((LEVELS - lower) / np.maximum(upper - lower, 1e-300), 0, 1))
