@@ -5,6 +5,9 @@ Every message gives the object, the rule, the value with its unit, and the remed
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 
 class CgidError(Exception):
     """Base of all errors that cgid raises on purpose; `exit_code` is the exit code of the command line.
@@ -46,6 +49,22 @@ class MissingExtra(CgidError, ImportError):
     """A required optional library is not installed (exit code 69)."""
 
     exit_code = 69
+
+
+def optional(module: str, needs: str, extra: str, *, name: str = "", cure: str = "") -> Any:
+    """Import a library that an extra of cgid installs.
+
+    Raises
+    ------
+    MissingExtra
+        It is not installed, or cannot be loaded: "`needs` `name`, which is not installed: pip install ...`cure`".
+    """
+    try:
+        return import_module(module)
+    except (ImportError, OSError):
+        raise MissingExtra(
+            f"{needs} {name or module}, which is not installed: pip install 'cgid[{extra}]'{cure}"
+        ) from None
 
 
 class ClusterFailed(CgidError, ConnectionError):

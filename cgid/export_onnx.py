@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
-from cgid.errors import MissingExtra
+from cgid.errors import optional
 from cgid.export_c import require_small
 from cgid.identification.families import Network, Standardiser
 from cgid.identification.model import Model
@@ -77,10 +77,9 @@ def onnx_bytes(model: Model) -> bytes:
     InvalidValue
         The model has too many numbers.
     """
-    try:
-        from onnx import TensorProto, checker, helper, numpy_helper
-    except ImportError:
-        raise MissingExtra("ONNX needs onnx, which is not installed: pip install 'cgid[onnx]'") from None
+    optional("onnx", "ONNX needs", "onnx")
+    from onnx import TensorProto, checker, helper, numpy_helper
+
     require_small(model)
     graph = _Graph(helper, numpy_helper)
     _answer(graph, model)

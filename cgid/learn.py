@@ -16,7 +16,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
 from cgid import validation
-from cgid.errors import BadData, InvalidValue, MissingExtra
+from cgid.errors import BadData, InvalidValue, optional
 from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene import Scene, load_scene, synthesise
@@ -409,13 +409,7 @@ def _units(column: str, unit: str) -> dict[str, str]:
 
 
 def _xarray() -> Any:
-    try:
-        import xarray
-    except ImportError:
-        raise MissingExtra(
-            "arrays with units need xarray, which is not installed: pip install 'cgid[xarray]'"
-        ) from None
-    return xarray
+    return optional("xarray", "arrays with units need", "xarray")
 
 
 def _pandas() -> Any:

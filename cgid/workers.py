@@ -23,7 +23,7 @@ from importlib.metadata import version
 from itertools import islice
 from typing import Any, TypeVar
 
-from cgid.errors import ClusterFailed, InvalidValue, MissingExtra
+from cgid.errors import ClusterFailed, InvalidValue, optional
 
 #: The scheduler must answer and have a worker within this time [s].
 PATIENCE = 10.0
@@ -236,20 +236,15 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
         return
     if not _ADDRESS.fullmatch(scheduler):
         raise InvalidValue(f"scheduler must be an address such as tcp://192.168.0.7:8786, got {scheduler!r}")
-    try:
-        from distributed import Client, Security
-    except ImportError:
-        raise MissingExtra(
-            "a cluster needs dask.distributed, which is not installed: pip install 'cgid[cluster]'"
-        ) from None
-    if scheduler.startswith("tls") and Security().get_connection_args("client")["ssl_context"] is None:
+    dask = optional("distributed", "a cluster needs", "cluster", name="dask.distributed")
+    if scheduler.startswith("tls") and dask.Security().get_connection_args("client")["ssl_context"] is None:
         raise InvalidValue(
             f"scheduler {scheduler}: tls:// needs certificates, which dask's configuration must name "
             "(distributed.comm.tls), and does not; give them, or an address tcp://..."
         )
     with _quiet():
         try:
-            client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
+            client = dask.Client(scheduler, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, RuntimeError):
             raise ClusterFailed(
                 f"{scheduler}: a dask scheduler must answer there within {PATIENCE:g} s, none does; start one (dask "

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import MissingExtra
+from cgid.errors import optional
 from cgid.validation import Floats
 
 #: Nominal mid-band frequencies of the third-octave bands [Hz] (IEC 61260-1:2014), as in feature names. The exact ones
@@ -370,12 +370,7 @@ def packet_energies(samples: Floats) -> Floats:
     Each packet spans a sixteenth of half the sampling rate. Samples (n_rows, n_samples) are zero-padded to a multiple
     of 16 and taken as periodic, so the energies of a row add up to its own. Raise `MissingExtra` without PyWavelets.
     """
-    try:
-        import pywt
-    except ImportError:
-        raise MissingExtra(
-            "wavelet packets need PyWavelets, which is not installed: pip install 'cgid[wavelets]'"
-        ) from None
+    pywt = optional("pywt", "wavelet packets need", "wavelets", name="PyWavelets")
     packets = [np.pad(samples, ((0, 0), (0, -samples.shape[1] % N_PACKETS)))]
     for _ in range(LEVEL):
         halves: list[Floats] = []

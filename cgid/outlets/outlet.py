@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import socket
 import time
@@ -12,7 +11,7 @@ from contextlib import suppress
 from threading import Condition, Thread
 from typing import Any, NamedTuple
 
-from cgid.errors import CannotCreate, InvalidValue, MissingExtra
+from cgid.errors import CannotCreate, InvalidValue, optional
 
 #: Most messages that wait for an outlet: a quarter of an hour at ten a second.
 MOST_WAITING = 10_000
@@ -157,10 +156,7 @@ class Address(NamedTuple):
 
 def library(module: str, option: str, package: str) -> Any:
     """Return the module of an outlet; raises `MissingExtra` if it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise MissingExtra(f"{option} needs {package}, which is not installed: pip install 'cgid[plant]'") from None
+    return optional(module, f"{option} needs", "plant", name=package)
 
 
 def since(moment: float | None) -> float:

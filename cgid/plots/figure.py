@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import MissingExtra
+from cgid.errors import optional
 from cgid.validation import Floats
 
 #: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008); distinct for every
@@ -38,11 +38,7 @@ def require_matplotlib() -> Any:
     MissingExtra
         matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra("pictures need matplotlib, which is not installed: pip install 'cgid[plot]'") from None
-    return Figure
+    return optional("matplotlib.figure", "pictures need", "plot", name="matplotlib").Figure
 
 
 def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:

@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.signals import Signal
 from cgid.units import UNITS, quantity_of
@@ -403,12 +402,7 @@ def told(source: str) -> Iterator[None]:
 
 def library(name: str, of: str, source: str, extra: str = "formats") -> Any:
     """Import the library that reads a format; raise `MissingExtra` without it."""
-    try:
-        return import_module(name)
-    except (ImportError, OSError):
-        raise MissingExtra(
-            f"{source}: {of} need the library {name}, which is not installed; pip install 'cgid[{extra}]'"
-        ) from None
+    return optional(name, f"{source}: {of} need the library", extra)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from typing import Any
 
 import h5py
 
-from cgid.errors import BadData, CgidError, MissingExtra, NoInput
+from cgid.errors import BadData, CgidError, NoInput, optional
 
 #: Errors of h5py on damaged files.
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
@@ -95,13 +95,7 @@ def _chunks_declared(item: h5py.Dataset) -> int:
 
 def _is_unpacked(code: int) -> bool:
     if code in _WITH_PLUGIN:
-        try:
-            import hdf5plugin  # noqa: F401
-        except ImportError:
-            raise MissingExtra(
-                f"files packed by {_WITH_PLUGIN[code]} need hdf5plugin, which is not installed: pip install "
-                "'cgid[compression]'"
-            ) from None
+        optional("hdf5plugin", f"files packed by {_WITH_PLUGIN[code]} need", "compression")
     return (code in _UNPACKED or code in _WITH_PLUGIN) and bool(h5py.h5z.filter_avail(code))
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.errors import BadData, InvalidValue, MissingExtra
+from cgid.errors import BadData, InvalidValue, optional
 from cgid.files import whole_file
 from cgid.signals import Batch
 from cgid.store.description import LARGEST_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
@@ -101,14 +101,7 @@ def library(compression: str) -> str:
 
 def _plugin(compression: str) -> Any:
     """Return hdf5plugin, which registers its filters with HDF5 on import."""
-    try:
-        import hdf5plugin
-    except ImportError:
-        raise MissingExtra(
-            f"compression {compression!r} needs the library hdf5plugin, which is not installed: "
-            "pip install 'cgid[compression]', or choose gzip"
-        ) from None
-    return hdf5plugin
+    return optional("hdf5plugin", f"compression {compression!r} needs", "compression", cure=", or choose gzip")
 
 
 # Our deflate exploits the structure of signals, and every zlib unpacks it. HDF5's byte shuffle groups the exponents of

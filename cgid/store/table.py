@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput
+from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput, optional
 from cgid.files import check_new, clear_half_written, whole_file
 from cgid.store import sandbox
 from cgid.store.description import TABLE_FORMAT, TABLE_VERSION, is_sound, require_scene, require_schema, sealed, text_of
@@ -350,14 +350,11 @@ def _part(rows: Rows, which: slice) -> Rows:
 
 def parquet_library() -> tuple[Any, Any]:
     """Return pyarrow and its Parquet module; raises `MissingExtra`."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise MissingExtra(
-            "Parquet files need pyarrow, which is not installed: pip install 'cgid[parquet]', or choose .h5 or .csv"
-        ) from None
-    return pyarrow, pyarrow.parquet
+    arrow, parquet = (
+        optional(name, "Parquet files need", "parquet", name="pyarrow", cure=", or choose .h5 or .csv")
+        for name in ("pyarrow", "pyarrow.parquet")
+    )
+    return arrow, parquet
 
 
 def read_table(path: str | Path) -> Table:
