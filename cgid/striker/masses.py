@@ -4,11 +4,12 @@ Posteriors may not simply be added up: each leans towards the population. The di
 fitted pulses of all impacts most likely together, by expectation and maximisation (Shepp and Vardi 1982, IEEE Trans.
 Med. Imaging 1, 113), smoothed after each step (Silverman et al. 1990, J. R. Stat. Soc. B 52, 271). An impact is only
 among them if it was found: its likelihood is divided by the probability of that. Intervals are those of resampled
-impacts.
+impacts, with the classes of these drawn from their posterior, and the impacts that were not found.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,12 +165,18 @@ def size_distribution(
     n = int(known.sum())
     if n < _FEWEST:
         raise BadData(f"a distribution needs at least {_FEWEST} impacts with an interval, got {n}; record longer")
-    drawn_again = np.random.default_rng(n).multinomial(n, np.full(n, 1 / n), _RESAMPLED)
+    rng = np.random.default_rng(n)
+    drawn_again = rng.multinomial(n, np.full(n, 1 / n), _RESAMPLED)
     weights = np.concatenate([np.ones((1, n)), drawn_again.astype(np.float64)])
     share = _unfolded(likelihood[known], prior * probability, weights)
+    few, seen = probability < LEAST_FOUND, np.maximum(probability, LEAST_FOUND)
     found = len(pulses) * share
-    few = probability < LEAST_FOUND
-    total = np.where(few, np.nan, found / np.maximum(probability, LEAST_FOUND))
+    # Given the shares, the class of an impact is still open, and how many were not found.
+    of_class = np.array([(part * (1 - part)).sum(axis=0) for part in _of_classes(likelihood[known], share[1:])])
+    missed = np.sqrt(found[1:] * (1 - seen)) / seen * rng.standard_normal(of_class.shape)
+    found[1:] = np.maximum(found[1:] + np.sqrt(of_class) * rng.standard_normal(of_class.shape), 0.0)
+    total = np.where(few, np.nan, found / seen)
+    total[1:] = np.maximum(total[1:] + missed, 0.0)
     low_found, high_found = np.quantile(found[1:], [0.05, 0.95], axis=0)
     low_total, high_total = np.quantile(total[1:], [0.05, 0.95], axis=0)
     return SizeDistribution(
@@ -201,6 +208,13 @@ def _likelihood(pulses: MeasuredPulses, population: StrikerPopulation, quantity:
         counts = np.bincount(own.ravel(), weight.ravel(), n * (n_classes + 2)).reshape(n, -1)
         parts.append(np.asarray(counts[:, 1:-1], np.float64))
     return np.concatenate(parts)
+
+
+def _of_classes(likelihood: Floats, shares: Floats) -> Iterator[Floats]:
+    """Yield the probability of each class for each impact, (n, n_classes), for each set of shares."""
+    for share in shares:
+        part = likelihood * share
+        yield part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
 
 
 def _unfolded(likelihood: Floats, start: Floats, weights: Floats) -> Floats:
