@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -17,9 +18,12 @@ from cgid.identification.estimation import estimate
 from cgid.physics import RIGID, HalfSpace, HuntCrossley, Impact, Sphere, ThinPlate
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import load_scene, parse_scene, synthesise, varied
+from cgid.scene.impacts import blows_of
+from cgid.scene.plan import Plan
 from cgid.striker import Detection, MeasuredPulses, population_of, size_distribution, strikers
 from cgid.striker.columns import matched
 from cgid.striker.material import of_material
+from cgid.striker.population import _heard, beam_behind
 from cgid.striker.posterior import LEVELS, QUANTITIES
 from cgid.striker.recognition import forces, through_beam
 from tests.bad_input import pulse
@@ -293,6 +297,64 @@ def test_intervals_cover_through_a_beam():
             low, high = found.interval(name, coverage)
             held = np.mean((low <= truth[name])[known] & (truth[name] <= high)[known])
             assert abs(held - coverage) < 0.07, name
+
+
+@pytest.mark.long
+def test_draws_behind_a_beam_are_measured_as_blows_are():
+    """Signal, inversion and fit against draws, of heavy rocks: waves of the beam take their pulses out of the family."""
+    quiet = parse_scene(json.loads(varied(load_scene("tail_beam"), radius=0.07).text) | {"name": "heavy and quiet"})
+    beam, seed = beam_behind(quiet), 2024
+    batch = next(synthesise(quiet, 192, seed))
+    seen = through_beam(batch.signals, batch.sampling_rate, batch.pre_trigger, beam)
+    blows = blows_of(Plan(scene=quiet, kind="pulses"), seed, 0)
+    apart = []
+    for strike in blows.strikes:
+        rows = strike.rows[strike.rows < 192]
+        peak = blows.parameters["peak_force"][strike.rows]
+        heard = (own[: rows.size] for own in _heard(strike.pulses, peak, beam))
+        log_peak, log_width, shape = heard
+        measured_ones = seen.log_peak[rows] - np.log(peak[: rows.size]), seen.log_width[rows], seen.shape[rows]
+        apart.append(np.stack(measured_ones) - np.stack([log_peak, log_width, shape]))
+    apart = np.concatenate(apart, axis=1)
+    assert apart.shape[1] == 192
+    # The closest pulse of the family without the beam is off by .02 to .2 in shape.
+    assert np.abs(np.median(apart, axis=1)).max() < 0.006
+    assert (1.48 * np.median(np.abs(apart), axis=1) < [0.008, 0.01, 0.05]).all()
+
+
+@pytest.mark.long
+def test_beam_of_a_stream_reaches_where_rocks_bounce():
+    scene = load_scene("caving")
+    low, high = beam_behind(scene).beam.region[:2]
+    assert low < 0.2 and high > 1.5 and scene.tail_beam.impact_point.x.extremes[1] < 0.81
+
+
+def test_what_is_no_likelier_than_noise_is_unknown_through_a_beam(population):
+    n = 2
+    contact = SimpleNamespace(
+        peak=np.full(n, 8e3),
+        width=np.full(n, 2e-4),
+        shape=np.full(n, -0.8),
+        covariance=np.full((n, 1, 1), 1e-4) * np.eye(3),
+    )
+    inverted = SimpleNamespace(unexplained=np.zeros(n), misfit=np.ones(n), evidence=np.array([3.0, -1e-3]))
+    found = population.posterior(MeasuredPulses.of_contact(contact, inverted))
+    assert np.isfinite(found.median("mass")).tolist() == [True, False]
+    assert found.reason.tolist() == ["", "no blow anywhere on the beam explains the vibration better than noise does"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("share", [0.4, 0.1])
+def test_a_saturated_accelerometer_gives_wide_intervals_or_none(share):
+    scene = load_scene("tail_beam")
+    signals, truth = frames_of(scene, 384, seed=11)
+    limit = share * np.abs(signals).max(axis=1, keepdims=True)
+    whole, cut = (strikers(one, 25600.0, scene, pre_trigger=128) for one in (signals, np.clip(signals, -limit, limit)))
+    known = np.isfinite(cut.median("mass"))
+    low, high = cut.interval("mass", 0.95)
+    assert np.mean((low <= truth["mass"])[known] & (truth["mass"] <= high)[known]) > 0.88
+    assert np.nanmedian(high / low) > np.nanmedian(np.divide(*whole.interval("mass", 0.95)[::-1])[known])
+    assert (cut.reason[~known] != "").all()
 
 
 def test_a_frame_without_a_blow_is_unknown_through_a_beam():
