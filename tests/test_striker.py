@@ -301,7 +301,7 @@ def test_intervals_cover_through_a_beam():
 
 @pytest.mark.long
 def test_draws_behind_a_beam_are_measured_as_blows_are():
-    """Signal, inversion and fit against draws, of heavy rocks: waves of the beam take their pulses out of the family."""
+    """Signal, inversion and fit against draws, of heavy rocks: waves take their pulses out of the family."""
     quiet = parse_scene(json.loads(varied(load_scene("tail_beam"), radius=0.07).text) | {"name": "heavy and quiet"})
     beam, seed = beam_behind(quiet), 2024
     batch = next(synthesise(quiet, 192, seed))
