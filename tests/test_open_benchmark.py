@@ -43,16 +43,16 @@ def truth_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     labels = [("reference", k, "gangue" if k % 3 == 0 else "coal") for k in range(N)]
     labels += [("strangers", k, "other") for k in range(4)]
     rocks = [
-        ("caving-crossing", k, f"{time:.4f}", "gangue" if rng.random() < time / 60 else "coal")
+        ("caving-crossing", k, f"{time:.4f}", 0, "gangue" if rng.random() < time / 60 else "coal")
         for k in range(2)
         for time in np.sort(rng.uniform(0, 60, 400))
     ]
     rows = {
         "labels.csv": labels,
-        "rocks.csv": rocks,
+        "impacts.csv": rocks,
         "crossings.csv": [("caving-crossing", 0, "30.000"), ("caving-crossing", 1, "30.000")],
     }
-    for name, columns in sets.TRUTH_COLUMNS.items():
+    for name, columns in sets.COLUMNS.items():
         sets.write_rows(folder / "truth" / name, columns, rows[name])
     (folder / "truth" / sets.SUMS).write_bytes(sets.sums_text(folder / "truth"))
     return folder
@@ -327,7 +327,8 @@ def test_an_entry_replaces_its_earlier_one_and_fills_the_page(
     assert program.run(["table", "--page", str(page), *results]) == 0
     text = page.read_text()
     assert text.startswith("# Title\n") and text.endswith("<!-- end of table -->\nafter\n") and "old" not in text
-    assert "| second | 0.350 (0.221 to 0.505) |" in text and "| first | 0.650 (0.495 to 0.779) |" in text
+    assert "|  | second | first |" in text
+    assert "| `reference` | 0.350 (0.221 to 0.505) | 0.650 (0.495 to 0.779) |" in text
     assert "Streams" not in text  # the first entry was replaced
     with (tmp_path / "results.csv").open() as file:
         assert {row["entry"] for row in csv.DictReader(file)} == {"first", "second"}
@@ -398,7 +399,7 @@ def test_a_private_seed_changes_the_test_parts_alone_and_entrants_get_no_truth(m
     assert names == sorted(path.name for path in (private / "signals").iterdir())
     for name in names:
         same = (made / "signals" / name).read_bytes() == (private / "signals" / name).read_bytes()
-        assert same == ("train" in name or name == "sets.csv"), name
+        assert same == (not name.endswith("-test.npy") and name != sets.SUMS), name
     assert (private / "truth" / "seed.txt").read_text() == f"{2**50}\n" and not (made / "truth" / "seed.txt").exists()
     for folder in (private / "signals", private / "truth"):
         sets.require_unchanged(folder)

@@ -5,7 +5,6 @@ Each sees the folder `signals` alone, as every entrant does. `statistics` shows 
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.open.judge import FRAME_COLUMNS, STREAM_COLUMNS, TIMES, WINDOW, Frames, Predictions, Streams
+from benchmarks.open.judge import FRAME_COLUMNS, STREAM_COLUMNS, TIMES, WINDOW, Frames, Predictions, Streams, Truth
 from benchmarks.open.sets import GANGUE, LARGEST, TRAIN_SEED, all_sets, write_rows
 from cgid import shipped
 from cgid.files import read_cells
@@ -50,17 +49,11 @@ def parts_of(folder: Path, part: str) -> dict[str, Part]:
     rows = [row for _, cells in lines if (row := dict(zip(header, cells, strict=True)))["part"] == part]
     return {
         row["set"]: Part(
-            *(row["set"], part, row["kind"] == "stream", float(row["sampling_rate [Hz]"]), row["unit"]),
+            *(row["set"], part, row["kind"] == "stream", float(row["sampling_rate"]), row["unit"]),
             *(int(row["pre_trigger"]), row["learn"], np.load(folder / row["file"], mmap_mode="r")),
         )
         for row in rows
     }
-
-
-def labels_of(folder: Path, name: str) -> NDArray[np.str_]:
-    """Return the labels of a training part of frames."""
-    with (folder / "train_labels.csv").open(encoding="utf-8") as file:
-        return np.array([row["label"] for row in csv.DictReader(file) if row["set"] == name])
 
 
 def constant(folder: Path) -> Predictions:
@@ -83,14 +76,15 @@ def statistics(folder: Path) -> Predictions:
     from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
     learned: dict[str, Any] = {}
+    truth = Truth.read(folder)
     for name, part in parts_of(folder, "train").items():
         if part.is_stream:
-            share = np.concatenate(list(_true_shares(folder, name)))
+            share = np.concatenate([one.shares() for one in truth.streams[name]])
             levels = np.concatenate([_window_levels(signal, part.rate) for signal in part.signals])
             learned[name] = make_pipeline(StandardScaler(), RidgeCV(np.logspace(-2, 4, 13))).fit(levels, share)
         else:
             steps = StandardScaler(), PolynomialFeatures(2), StandardScaler(), LogisticRegression(max_iter=3000)
-            learned[name] = make_pipeline(*steps).fit(_simple(part), labels_of(folder, name) == GANGUE)
+            learned[name] = make_pipeline(*steps).fit(_simple(part), truth.frames[name] == GANGUE)
     found: Predictions = {}
     for name, part in parts_of(folder, "test").items():
         model = learned[part.learn]
@@ -129,17 +123,6 @@ def _window_levels(signal: NDArray[Any], rate: float) -> NDArray[np.float64]:
     return np.array([np.append(window.mean(axis=0), window.std(axis=0)) for window in windows])
 
 
-def _true_shares(folder: Path, name: str) -> Iterator[NDArray[np.float64]]:
-    """Yield the share of gangue in the windows of each training stream."""
-    with (folder / "train_impacts.csv").open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["set"] == name and row["bounce"] == "0"]
-    number, time = (np.array([row[key] for row in rows], float) for key in ("id", "time"))
-    gangue = np.array([row["label"] == GANGUE for row in rows])
-    for stream in np.unique(number):
-        inside = (number == stream) & (time <= TIMES[:, None]) & (time > TIMES[:, None] - WINDOW)
-        yield (inside & gangue).sum(axis=1) / inside.sum(axis=1)
-
-
 # -- cgid ------------------------------------------------------------------------------------------------------------
 
 
@@ -155,21 +138,21 @@ def trained(folder: Path) -> Predictions:
 
     Behind the beam it is one model for frames and streams. It knows the beam of `tail_beam`, as `sets.toml` does.
     """
-    parts, streams = parts_of(folder, "train"), all_sets()["caving-constant"]
-    models = {name: train(_batches(folder, parts[name])).model for name in ("reference", "peers")}
+    parts, labels = parts_of(folder, "train"), Truth.read(folder).frames
+    streams = all_sets()["caving-constant"]
+    models = {name: train(_batches(parts[name], labels[name])).model for name in ("reference", "peers")}
     beam, names = whole_beam(streams.scene), (*BEAM_FEATURES, *BEAM_GUARDS)
     seed, n = TRAIN_SEED + streams.number, len(parts[streams.name].signals)
     # The very streams of the training part: the same scenes, seed and numbers.
     heard = rows_of_streams([streams.stream(seed, number)[0] for number in range(n)], seed, names, beam)
-    frames = measure(_batches(folder, parts["tail_beam"]), names, beam=beam)
+    frames = measure(_batches(parts["tail_beam"], labels["tail_beam"]), names, beam=beam)
     rows = Rows.joined([frames, *(one.rows for one in heard[: n // 2])])
     model = train(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS).model
     models["tail_beam"] = models[streams.name] = finished(model, heard[n // 2 :])
     return {name: _answered(models[part.learn], part) for name, part in parts_of(folder, "test").items()}
 
 
-def _batches(folder: Path, part: Part) -> Iterator[Batch]:
-    labels = labels_of(folder, part.name)
+def _batches(part: Part, labels: NDArray[np.str_]) -> Iterator[Batch]:
     for first in range(0, len(labels), _AT_ONCE):
         own = slice(first, first + _AT_ONCE)
         signals = np.array(part.signals[own])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from benchmarks.open.sets import COAL, GANGUE, LARGEST, LIMIT, OTHER, SUMS, TRUTH_COLUMNS, all_sets, require_unchanged
+from benchmarks.open.sets import COAL, COLUMNS, GANGUE, LARGEST, LIMIT, OTHER, SUMS, all_sets, require_unchanged
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_cells, write_whole
 from cgid.identification.card import plain, table
@@ -37,6 +37,8 @@ ROUNDING = 1e-3
 BINS, RESAMPLINGS = 10, 1000
 #: Columns of the results.
 RESULT_COLUMNS = ("entry", "set", "metric", "value", "low", "high", "n", "truth")
+#: Metrics of the time to shut.
+_TIMING = ("cost of the wrong time", "gangue let through", "coal lost", "delay")
 _NAME = re.compile(r"[\w .,:+()/-]{1,60}")
 
 
@@ -69,30 +71,24 @@ class Truth:
 
     @classmethod
     def read(cls, folder: Path) -> Truth:
-        """Read the folder `truth` of a benchmark; raises `NoInput`, or `BadData` if it was changed."""
+        """Read the folder `truth`, or of the training parts `signals`; raises `NoInput`, or `BadData` if changed."""
         require_unchanged(folder)
-        labels, rocks, crossings = (_columns(folder / name, columns) for name, columns in TRUTH_COLUMNS.items())
-        frames = {name: np.array(labels["label"])[own] for name, own in _of_sets(labels)}
+        labels, impacts, crossings = (_table(folder / name) for name in COLUMNS)
+        rocks = impacts[impacts[:, 3] == "0"]
+        frames = {str(name): labels[labels[:, 0] == name, 2] for name in np.unique(labels[:, 0])}
         streams: dict[str, list[Stream]] = {}
-        touch, gangue = np.array(rocks["time"], float), np.array(rocks["label"]) == GANGUE
-        whose = np.array(rocks["set"]), np.array(rocks["id"], int)
-        for name, number, crossing in zip(crossings["set"], crossings["id"], crossings["crossing"], strict=True):
-            own = (whose[0] == name) & (whose[1] == int(number))
-            streams.setdefault(name, []).append(Stream(touch[own], gangue[own], float(crossing or "nan")))
+        for name, number, crossing in crossings.tolist():
+            own = rocks[(rocks[:, 0] == name) & (rocks[:, 1] == number)]
+            one = Stream(own[:, 2].astype(float), own[:, 4] == GANGUE, float(crossing or "nan"))
+            streams.setdefault(name, []).append(one)
         digest = hashlib.sha256((folder / SUMS).read_bytes()).hexdigest()[:12]
         return cls(frames=frames, streams=streams, digest=digest)
 
 
-def _columns(path: Path, columns: tuple[str, ...]) -> dict[str, list[str]]:
-    """Return the columns of a file that `make` wrote."""
-    rows = [cells for _, cells in read_cells(path, "truth", LARGEST)][1:]
-    return dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True)) if rows else {c: [] for c in columns}
-
-
-def _of_sets(columns: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    names = np.array(columns["set"])
-    for name in dict.fromkeys(columns["set"]):
-        yield name, names == name
+def _table(path: Path) -> NDArray[np.str_]:
+    """Return the cells of a file that `make` wrote, without its header."""
+    cells = np.array([cells for _, cells in read_cells(path, "truth", LARGEST)])
+    return cells[1:]
 
 
 # -- predictions -----------------------------------------------------------------------------------------------------
@@ -308,12 +304,7 @@ def judged_streams(own: Streams, streams: Sequence[Stream]) -> Iterator[Result]:
         let_through.append(gangue if is_late else 0)
         lost.append(0 if is_late else coal)
         cost.append(gangue - coal if is_late else coal - gangue)
-    for metric, values in (
-        ("cost of the wrong time", cost),
-        ("gangue let through", let_through),
-        ("coal lost", lost),
-        ("delay", late),
-    ):
+    for metric, values in zip(_TIMING, (cost, let_through, lost, late), strict=True):
         yield _mean_of(metric, np.array(values, float))
     yield Result("never shut", float(np.mean(~own.shut.any(axis=1))), np.nan, np.nan, len(streams))
 
@@ -330,19 +321,10 @@ def _mean_of(metric: str, values: Floats, scale: Callable[[Floats], Floats] = np
 
 
 def enter(name: str, files: Iterable[Path], truth: Truth, results: Path) -> int:
-    """Judge the predictions of an entry and put it into the results, in place of an earlier one of that name.
+    """Judge an entry, put it into the results in place of an earlier one of that name, return its number of sets.
 
-    Returns
-    -------
-    int
-        Number of sets.
-
-    Raises
-    ------
-    InvalidValue
-        The name breaks its rule.
-    NoInput, BadData
-        A file is unusable, two files predict one set, or the results are of another truth.
+    Raises `InvalidValue` for a bad name, `NoInput` or `BadData` if a file is unusable, two files predict one set, or
+    the results are of another truth.
     """
     if not _NAME.fullmatch(name) or name != name.strip():
         raise InvalidValue(f"NAME must be 1 to 60 letters, digits, spaces or .,:+()/-_, got {_short(name)}")
@@ -378,51 +360,56 @@ def read_results(path: Path, digest: str | None = None) -> list[dict[str, str]]:
     return rows
 
 
+Metrics = Mapping[str, Mapping[str, str]]
+
+
+def _interval(metric: str) -> Callable[[Metrics], str]:
+    def form(found: Metrics) -> str:
+        value, low, high = (f"{float(found[metric][key]):.3f}" for key in ("value", "low", "high"))
+        return f"{value} ({low} to {high})"
+
+    return form
+
+
+def _unknown(found: Metrics) -> str:
+    values = [found[key]["value"] for key in ("unknown", "accuracy of the answered") if key in found]
+    return "; ".join(f"{float(value):.3f}" for value in values)
+
+
+def _cost(found: Metrics) -> str:
+    cost, gangue, coal, late = (float(found[key]["value"]) for key in _TIMING)
+    low, high = (float(found[_TIMING[0]][key]) for key in ("low", "high"))
+    return f"{cost:.0f} ({low:.0f} to {high:.0f}); {gangue:.0f}, {coal:.0f}; {late:+.1f} s"
+
+
+#: Title of a table, the metric that a set must have to be in it, and what a cell shows.
+_TABLES = (
+    ("Accuracy", "accuracy", _interval("accuracy")),
+    ("Calibration error", "calibration error", _interval("calibration error")),
+    ("Share unknown; accuracy of the others. Of strangers all should be unknown", "unknown", _unknown),
+    ("Streams: error of the share", "share error", _interval("share error")),
+    ("Streams shut although their share stays below one half", "false shut", _interval("false shut")),
+    (
+        "Cost of the wrong time to shut, a stream, in rocks of coal; gangue let through, coal lost; delay",
+        _TIMING[0],
+        _cost,
+    ),
+)
+
+
 def markdown(rows: Sequence[Mapping[str, str]]) -> str:
-    """Return the tables of all entries."""
+    """Return the tables of all entries: a row for each set, a column for each entry."""
     entries = list(dict.fromkeys(row["entry"] for row in rows))
-    cells = {(row["entry"], row["set"], row["metric"]): row for row in rows}
+    found: dict[tuple[str, str], dict[str, Mapping[str, str]]] = {}
+    for row in rows:
+        found.setdefault((row["entry"], row["set"]), {})[row["metric"]] = row
     parts = []
-    for title, metric, form in (
-        ("Accuracy", "accuracy", _interval),
-        ("Calibration error", "calibration error", _interval),
-        ("Share unknown (of strangers, the more the better), and the accuracy of the others", "unknown", _unknown),
-        ("Streams: error of the share", "share error", _interval),
-        ("Streams: SHUT although the share stays below one half", "false shut", _interval),
-        ("Streams: cost of the wrong time to shut, in rocks of coal a stream", "cost of the wrong time", _cost),
-    ):
-        names = [name for name in all_sets() if any((entry, name, metric) in cells for entry in entries)]
-        if names:
-            lines = [(plain(e), *(form(cells, e, name, metric) for name in names)) for e in entries]
-            known = [line for line in lines if set(line[1:]) != {"-"}]
-            parts.append("\n".join([f"**{title}**", "", *table(("", *(f"`{name}`" for name in names)), known)]))
+    for title, metric, form in _TABLES:
+        lines = []
+        for name in all_sets():
+            own = [found.get((entry, name), {}) for entry in entries]
+            if any(metric in one for one in own):
+                lines.append((f"`{name}`", *(form(one) if metric in one else "-" for one in own)))
+        if lines:
+            parts.append("\n".join([f"**{title}**", "", *table(("", *map(plain, entries)), lines)]))
     return "\n\n".join(parts) + "\n"
-
-
-Cells = Mapping[tuple[str, str, str], Mapping[str, str]]
-
-
-def _interval(cells: Cells, entry: str, name: str, metric: str) -> str:
-    row = cells.get((entry, name, metric))
-    if row is None:
-        return "-"
-    value, low, high = (f"{float(row[key]):.3f}" for key in ("value", "low", "high"))
-    return f"{value} ({low} to {high})"
-
-
-def _unknown(cells: Cells, entry: str, name: str, metric: str) -> str:
-    unknown, answered = (cells.get((entry, name, one)) for one in (metric, "accuracy of the answered"))
-    if unknown is None:
-        return "-"
-    return f"{float(unknown['value']):.3f}" + (f"; {float(answered['value']):.3f}" if answered else "")
-
-
-def _cost(cells: Cells, entry: str, name: str, metric: str) -> str:
-    if (entry, name, metric) not in cells:
-        return "-"
-    cost, gangue, coal, delay = (
-        cells[entry, name, one] for one in (metric, "gangue let through", "coal lost", "delay")
-    )
-    means = [f"{float(one['value']):.1f}" for one in (cost, gangue, coal)]
-    interval = f"{float(cost['low']):.0f} to {float(cost['high']):.0f}"
-    return f"{means[0]} ({interval}): gangue {means[1]}, coal {means[2]}; {float(delay['value']):+.1f} s"

@@ -24,11 +24,14 @@ from cgid import shipped
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.files import read_regular, whole_file, write_whole
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
+from cgid.scene.draws import generator
 from cgid.scene.stream import record
 
 HERE = Path(__file__).parent
 #: Seeds of the training parts, which are always public, and of the public test parts; set k adds k.
 TRAIN_SEED, PUBLIC_SEED = 7_250_000_000, 7_260_000_000
+#: Address of the draws of mixtures among those of a scene.
+_PURPOSE = 7_250
 #: A private seed below this could be found by trying.
 LEAST_PRIVATE = 2**40
 #: Labels of rocks; whatever else strikes is `OTHER` and should be called unknown.
@@ -36,16 +39,24 @@ COAL, GANGUE, OTHER = "coal", "gangue", "other"
 #: Share of gangue above which a drawn rock costs more than it gains: a gangue costs as much as a lost coal.
 LIMIT = 0.5
 SUMS = "SHA256SUMS"
+#: Sums of the public sets, as `sha256sum signals/[!S]* truth/[!S]*` prints them.
+KEPT_SUMS = HERE / SUMS
 #: Largest file of sums or of truth that is read [bytes].
 LARGEST = 1 << 26
 
-Truth = dict[str, list[tuple[Any, ...]]]
-#: Files of truth and their columns; `time` of touch [s] of a rock's first blow, `crossing` [s] of the true share.
-TRUTH_COLUMNS = {
+#: Files of labels, for learning in `signals` and for judging in `truth`, and their columns: `time` of touch [s],
+#: `bounce` 0 for the first impact of a rock, `crossing` of the true share with `LIMIT` [s].
+COLUMNS = {
     "labels.csv": ("set", "id", "label"),
-    "rocks.csv": ("set", "id", "time", "label"),
+    "impacts.csv": ("set", "id", "time", "bounce", "label"),
     "crossings.csv": ("set", "id", "crossing"),
 }
+_SET_COLUMNS = (
+    "file",
+    *("set", "part", "kind", "signals", "samples", "sampling_rate", "unit", "pre_trigger", "learn", "about"),
+)
+
+Rows = list[tuple[Any, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,23 +83,17 @@ class Set:
         return parse_scene({**self.content, "name": f"open benchmark, {self.name}"})
 
     def stream(self, seed: int, number: int) -> tuple[Scene, float]:
-        """Return the scene of one stream, whose mixture is drawn, and the time at which its share passes `LIMIT` [s].
-
-        Without a passage the time is nan.
-        """
-        content = json.loads(json.dumps(self.content))
-        drawn = float(np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 1, number])).random())
-        mixture = content["stream"]["mixture"]
-        crossing = float("nan")
+        """Return the scene of one stream, whose mixture is drawn, and when its share passes `LIMIT` [s]; nan: never."""
+        drawn = float(generator(seed, _PURPOSE, number).random())
+        mixture, crossing = self.content["stream"]["mixture"], float("nan")
         if self.share is not None:
-            mixture = {"times": [0.0], GANGUE: [round(self.share[0] + (self.share[1] - self.share[0]) * drawn, 3)]}
+            mixture = {"times": [0.0], GANGUE: [round(float(np.interp(drawn, (0, 1), self.share)), 3)]}
         elif self.shift is not None:
-            later = round(self.shift[0] + (self.shift[1] - self.shift[0]) * drawn, 1)
+            later = round(float(np.interp(drawn, (0, 1), self.shift)), 1)
             times = [mixture["times"][0], *(round(time + later, 1) for time in mixture["times"][1:])]
-            mixture = {"times": times, GANGUE: mixture[GANGUE]}
-            crossing = float(np.interp(LIMIT, mixture[GANGUE], times))
-        content["stream"]["mixture"] = mixture
-        return parse_scene({**content, "name": f"open benchmark, {self.name}"}), crossing
+            mixture, crossing = mixture | {"times": times}, float(np.interp(LIMIT, mixture[GANGUE], times))
+        content = {**self.content, "stream": self.content["stream"] | {"mixture": mixture}}
+        return parse_scene(content | {"name": f"open benchmark, {self.name}"}), crossing
 
 
 def all_sets() -> dict[str, Set]:
@@ -127,27 +132,11 @@ def _merged(old: Any, new: Any) -> Any:
 def make(output: Path, *, private: int | None = None, most: int | None = None) -> tuple[Path, Path]:
     """Make all sets: `signals`, for entrants, and `truth`, which they do not get; return both folders.
 
-    Parameters
-    ----------
-    output : Path
-        New folder.
-    private : int, optional
-        Seed of the test parts; by default the public one. The training parts are always the public ones.
-    most : int, optional
-        At most this many frames and streams of each part, for a trial; their sums are not compared.
+    `private` is the seed of the test parts, by default the public one; the training parts are always the public ones.
+    `most` frames and streams of each part are made for a trial, and their sums are not compared.
 
-    Returns
-    -------
-    tuple of two Paths
-
-    Raises
-    ------
-    CannotCreate
-        The folder exists and is not empty.
-    InvalidValue
-        The private seed could be guessed.
-    BadData
-        A file has another sum than the one kept in the repository.
+    Raises `CannotCreate` if the folder exists and is not empty, `InvalidValue` if the private seed could be guessed,
+    `BadData` if a file has another sum than the one kept in the repository.
     """
     if private is not None and not LEAST_PRIVATE <= private < 2**63 - 100:
         raise InvalidValue(
@@ -158,38 +147,39 @@ def make(output: Path, *, private: int | None = None, most: int | None = None) -
         raise InvalidValue(f"--most: must be 1 or more, got {most}; leave it out for all")
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise CannotCreate(f"{output}: must be new or empty; choose another folder or move this one away")
-    folders = signals, truth = output / "signals", output / "truth"
+    folders = {"train": output / "signals", "test": output / "truth"}
     try:
-        for folder in folders:
+        for folder in folders.values():
             folder.mkdir(parents=True)
     except OSError as error:
         raise CannotCreate(f"{output}: cannot be made ({error.strerror}); choose another place") from None
-    listed: list[tuple[Any, ...]] = []
-    known: Truth = {name: [] for name in TRUTH_COLUMNS}
-    hits: list[tuple[Any, ...]] = []
-    learned: list[tuple[Any, ...]] = []
+    seeds = {"train": TRAIN_SEED, "test": PUBLIC_SEED if private is None else private}
+    known: dict[str, dict[str, Rows]] = {part: {name: [] for name in COLUMNS} for part in folders}
+    listed: Rows = []
     for one in all_sets().values():
         for part, n in one.signals.items():
-            seed = one.number + (TRAIN_SEED if part == "train" else PUBLIC_SEED if private is None else private)
             few = n if most is None else min(n, most)
-            samples, own = (_streams if one.is_stream else _frames)(one, seed, few, known if part == "test" else None)
-            (hits if one.is_stream else learned).extend(own)
-            name = f"{one.name}-{part}.npy"
-            with whole_file(signals / name) as temporary, temporary.open("wb") as file:
-                np.save(file, samples)
-            listed.append((name, one.name, part, *_about(one, *samples.shape)))
-    write_rows(signals / "sets.csv", _SET_COLUMNS, listed)
-    write_rows(signals / "train_labels.csv", TRUTH_COLUMNS["labels.csv"], learned)
-    write_rows(signals / "train_impacts.csv", ("set", "id", "time", "bounce", "label"), hits)
-    for name, columns in TRUTH_COLUMNS.items():
-        write_rows(truth / name, columns, known[name])
+            signals, rows = (_streams if one.is_stream else _frames)(one, seeds[part] + one.number, few)
+            for name, own in rows.items():
+                known[part][name] += own
+            file = f"{one.name}-{part}.npy"
+            with whole_file(output / "signals" / file) as temporary, temporary.open("wb") as stream:
+                np.save(stream, signals)
+            sampling, unit = one.scene.sampling, one.scene.sensor.unit
+            kind, trigger = ("stream", 0) if one.is_stream else ("frame", sampling.pre_trigger)
+            about = (kind, *signals.shape, f"{sampling.sampling_rate:g}", unit, trigger, one.learn, one.about)
+            listed.append((file, one.name, part, *about))
+    write_rows(output / "signals" / "sets.csv", _SET_COLUMNS, listed)
+    for part, folder in folders.items():
+        for name, columns in COLUMNS.items():
+            write_rows(folder / name, columns, known[part][name])
     if private is not None:
-        write_whole(truth / "seed.txt", f"{private}\n".encode())
-    for folder in folders:
+        write_whole(output / "truth" / "seed.txt", f"{private}\n".encode())
+    for folder in folders.values():
         write_whole(folder / SUMS, sums_text(folder))
     if most is None:
         _compare(output, private is None)
-    return folders
+    return folders["train"], folders["test"]
 
 
 def draw_seed() -> int:
@@ -197,48 +187,31 @@ def draw_seed() -> int:
     return LEAST_PRIVATE + secrets.randbelow(2**62)
 
 
-_SET_COLUMNS = (
-    *("file", "set", "part", "kind", "signals", "samples", "sampling_rate [Hz]", "unit", "pre_trigger"),
-    *("learn", "about"),
-)
-
-
-def _about(one: Set, n: int, samples: int) -> tuple[Any, ...]:
-    scene, kind = one.scene, "stream" if one.is_stream else "frame"
-    trigger = 0 if one.is_stream else scene.sampling.pre_trigger
-    rate = f"{scene.sampling.sampling_rate:g}"
-    return kind, n, samples, rate, scene.sensor.unit, trigger, one.learn, one.about
-
-
-def _frames(one: Set, seed: int, n: int, known: Truth | None) -> tuple[NDArray[Any], list[tuple[Any, ...]]]:
-    """Return frames, and the rows of labels to learn from; the rows of a test part go to `known`."""
+def _frames(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]]:
+    """Return frames and their rows of labels."""
     batches = list(synthesise(one.scene, n, seed))
     labels = np.concatenate([batch.labels for batch in batches]).tolist()
-    rows = [(one.name, k, label if label in (COAL, GANGUE) else OTHER) for k, label in enumerate(labels)]
-    if known is not None:
-        known["labels.csv"] += rows
-    return np.concatenate([batch.signals for batch in batches]), [] if known is not None else rows
+    rows: Rows = [(one.name, k, label if label in (COAL, GANGUE) else OTHER) for k, label in enumerate(labels)]
+    return np.concatenate([batch.signals for batch in batches]), {"labels.csv": rows}
 
 
-def _streams(one: Set, seed: int, n: int, known: Truth | None) -> tuple[NDArray[Any], list[tuple[Any, ...]]]:
-    """Return streams, and the rows of blows to learn from; rocks and crossings of a test part go to `known`."""
+def _streams(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]]:
+    """Return streams and the rows of their impacts and crossings."""
     signals: list[NDArray[Any]] = []
-    rows: list[tuple[Any, ...]] = []
+    rows: dict[str, Rows] = {"impacts.csv": [], "crossings.csv": []}
     for number in range(n):
         scene, crossing = one.stream(seed, number)
         signal, truth = record(scene, seed, number)
         signals.append(signal.samples)
         columns = (truth[name].tolist() for name in ("time", "bounce", "label"))
-        blows = [(one.name, number, f"{t:.4f}", int(bounce), label) for t, bounce, label in zip(*columns, strict=True)]
-        if known is None:
-            rows += blows
-        else:
-            known["rocks.csv"] += [(name, k, time, label) for name, k, time, bounce, label in blows if bounce == 0]
-            known["crossings.csv"].append((one.name, number, "" if np.isnan(crossing) else f"{crossing:.3f}"))
+        for time, bounce, label in zip(*columns, strict=True):
+            rows["impacts.csv"].append((one.name, number, f"{time:.4f}", int(bounce), label))
+        rows["crossings.csv"].append((one.name, number, "" if np.isnan(crossing) else f"{crossing:.3f}"))
     return np.stack(signals), rows
 
 
-def write_rows(path: Path, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
+def write_rows(path: Path, columns: tuple[str, ...], rows: Rows) -> None:
+    """Write a table as CSV."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([columns, *rows])
     write_whole(path, stream.getvalue().encode())
@@ -260,18 +233,15 @@ def _sums(folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def _compare(output: Path, public: bool) -> None:
-    """Raise `BadData` if a file is not the one whose sum is kept: all of the public sets, else the training parts."""
-    path = HERE / SUMS
-    if not path.exists():  # about to be made
-        return
-    kept = dict(line.split("  ")[::-1] for line in path.read_text(encoding="utf-8").splitlines())
-    for folder in ("signals", "truth"):
-        for name, digest in _sums(output / folder):
-            own = f"{folder}/{name}"
-            if (public or "train" in name) and kept.get(own) != digest:
+    """Raise `BadData` if a file is not the one whose sum is kept; of a contest the training parts count alone."""
+    kept = dict(line.split("  ")[::-1] for line in KEPT_SUMS.read_text(encoding="utf-8").splitlines())
+    for folder in ("signals", "truth") if public else ("signals",):
+        for file, digest in _sums(output / folder):
+            name = f"{folder}/{file}"
+            if (public or not file.endswith("-test.npy")) and kept.get(name) != digest:
                 raise BadData(
-                    f"{output / own}: must have the sum {kept.get(own, 'of no file')} of {path.name}, has {digest}; "
-                    "use the versions of cgid and of sets.toml that belong together"
+                    f"{output / name}: must have the sum {kept.get(name, 'of no file')} of {KEPT_SUMS.name}, has "
+                    f"{digest}; use the versions of cgid and of sets.toml that belong together"
                 )
 
 
