@@ -289,24 +289,19 @@ def judged_streams(own: Streams, streams: Sequence[Stream]) -> Iterator[Result]:
     """Yield the metrics of a set of streams; intervals are Student's over streams."""
     errors = np.array([np.nanmean((row - one.shares()) ** 2) for row, one in zip(own.share, streams, strict=True)])
     yield _mean_of("share error", errors, lambda square: np.sqrt(np.maximum(square, 0.0)))
-    shut = [float(TIMES[row.argmax()]) if row.any() else float(DURATION) for row in own.shut]
-    crossing = [one.crossing for one in streams]
-    if np.isnan(crossing).all():
+    if np.isnan([one.crossing for one in streams]).all():
         false = [row.any() for row, one in zip(own.shut, streams, strict=True) if one.gangue.mean() < LIMIT]
         if false:
             yield _share_of("false shut", np.array(false))
         return
-    late, let_through, lost, cost = [], [], [], []
-    for time, one in zip(shut, streams, strict=True):
+    rows = []
+    for row, one in zip(own.shut, streams, strict=True):
+        time = float(TIMES[row.argmax()] if row.any() else DURATION)
         coal, gangue = one.drawn(*sorted((one.crossing, time)))
-        is_late = time > one.crossing
-        late.append(time - one.crossing)
-        let_through.append(gangue if is_late else 0)
-        lost.append(0 if is_late else coal)
-        cost.append(gangue - coal if is_late else coal - gangue)
-    for metric, values in zip(_TIMING, (cost, let_through, lost, late), strict=True):
-        yield _mean_of(metric, np.array(values, float))
-    yield Result("never shut", float(np.mean(~own.shut.any(axis=1))), np.nan, np.nan, len(streams))
+        late = time > one.crossing
+        rows.append((*((gangue - coal, gangue, 0) if late else (coal - gangue, 0, coal)), time - one.crossing))
+    for metric, values in zip(_TIMING, np.array(rows, float).T, strict=True):
+        yield _mean_of(metric, values)
 
 
 def _mean_of(metric: str, values: Floats, scale: Callable[[Floats], Floats] = np.asarray) -> Result:
@@ -354,6 +349,10 @@ def read_results(path: Path, digest: str | None = None) -> list[dict[str, str]]:
     if not lines or tuple(lines[0][1]) != RESULT_COLUMNS or any(len(c) != len(RESULT_COLUMNS) for _, c in lines):
         raise BadData(f"{path}: results must have the columns {','.join(RESULT_COLUMNS)}; give a file made by enter")
     rows = [dict(zip(RESULT_COLUMNS, cells, strict=True)) for _, cells in lines[1:]]
+    try:
+        _ = [float(row[key]) for row in rows for key in ("value", "low", "high")]
+    except ValueError as error:
+        raise BadData(f"{path}: results must be numbers ({error}); give a file made by enter") from None
     others = {row["truth"] for row in rows} - ({digest} if digest else {row["truth"] for row in rows[:1]})
     if others:
         raise BadData(f"{path}: results must be of one truth, got {min(others)}; give another file with --results")
