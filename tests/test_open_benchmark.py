@@ -424,13 +424,17 @@ def test_a_stranger_reads_the_sets_as_the_readme_says(made: Path, monkeypatch: p
     )
 
 
-def test_entries_write_files_that_can_be_entered(made: Path, tmp_path: Path) -> None:
+def test_entries_write_files_that_can_be_entered(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert program.run(["answer", "constant", "-d", str(made), "-o", str(tmp_path)]) == 0
     for path in write_predictions(ENTRIES["defaults"][1](made / "signals"), tmp_path, "defaults"):
         assert path.exists()
     for name in ("constant", "defaults"):
         files = [str(tmp_path / f"{name}-{kind}.csv") for kind in ("frames", "streams")]
         assert program.run(["enter", name, *files, "-d", str(made), "--results", str(tmp_path / "results.csv")]) == 0
+    assert program.run(["answer", "limit", "-d", str(made.with_name("private")), "-o", str(tmp_path)]) == 65
+    assert "limit must have the public sets, reference has another seed" in capsys.readouterr().err
     with (tmp_path / "results.csv").open() as file:
         found = {(row["entry"], row["set"], row["metric"]): float(row["value"]) for row in csv.DictReader(file)}
     assert found["constant", "reference", "accuracy"] == 0.5 and found["constant", "strangers", "unknown"] == 0

@@ -32,7 +32,7 @@ def options() -> argparse.ArgumentParser:
     )
     made.add_argument("--most", type=int, help="at most this many signals of each part, for a trial")
     answer = commands.add_parser("answer", help="predict as one of our own entries does")
-    answer.add_argument("entry", choices=("constant", "statistics", "defaults", "trained"))
+    answer.add_argument("entry", choices=("constant", "statistics", "defaults", "trained", "limit"))
     answer.add_argument("-d", "--sets", type=Path, required=True, help="folder that make has made")
     answer.add_argument("-o", "--output", type=Path, required=True, help="folder of the predictions")
     enter = commands.add_parser("enter", help="judge predictions and put them into the results")

@@ -1,6 +1,6 @@
 """Entries that the table begins with: a guess, simple statistics by scikit-learn, cgid as it is shipped, cgid trained.
 
-Each sees the folder `signals` alone, as every entrant does. `statistics` shows how little an entry without cgid needs.
+But for `limit`, each sees the folder `signals` alone, as every entrant does.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.open.judge import FRAME_COLUMNS, STREAM_COLUMNS, TIMES, WINDOW, Frames, Predictions, Streams, Truth
-from benchmarks.open.sets import GANGUE, LARGEST, TRAIN_SEED, all_sets, write_rows
+from benchmarks.open.sets import COAL, GANGUE, LARGEST, PUBLIC_SEED, TRAIN_SEED, all_sets, write_rows
 from cgid import shipped
+from cgid.ceiling import ceiling
+from cgid.errors import InvalidValue
 from cgid.files import read_cells
 from cgid.identification.answers import identify_frames
 from cgid.identification.model import Model
@@ -24,6 +26,7 @@ from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, measure
 from cgid.identification.share import CavingWatch, Share
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
+from cgid.scene import synthesise
 from cgid.signals import Batch
 from cgid.site.streams import finished, rows_of_streams, whole_beam
 
@@ -63,6 +66,26 @@ def constant(folder: Path) -> Predictions:
         n, windows = len(part.signals), (len(part.signals), len(TIMES))
         never = Streams(np.full(windows, 0.5), np.zeros(windows, bool))
         found[name] = never if part.is_stream else Frames(np.full(n, 0.5), np.zeros(n, bool))
+    return found
+
+
+def limit(folder: Path) -> Predictions:
+    """Return what whoever knows the populations, laws and noise of a public set of forces can say at best.
+
+    Raises `InvalidValue` for sets of a private seed. Sets of several laws have no such limit in closed form.
+    """
+    found: Predictions = {}
+    for name, part in parts_of(folder, "test").items():
+        one = all_sets()[name]
+        seed, scene = PUBLIC_SEED + one.number, one.scene
+        if part.is_stream or part.unit != "N" or {rock.label for rock in scene.populations} != {COAL, GANGUE}:
+            continue
+        if (next(synthesise(scene, 1, seed)).signals[0] != part.signals[0]).any():
+            raise InvalidValue(f"{folder}: limit must have the public sets, {name} has another seed; make them anew")
+        if len(set(scene.dissipations)) == 1:
+            known = ceiling(scene, len(part.signals), seed)
+            probability = known.probabilities[:, known.labels.index(GANGUE)]
+            found[name] = Frames(probability, np.zeros(len(probability), bool))
     return found
 
 
@@ -199,11 +222,12 @@ ENTRIES: dict[str, tuple[str, Callable[[Path], Predictions]]] = {
     "statistics": ("scikit-learn, simple statistics", statistics),
     "defaults": ("cgid, models as shipped", defaults),
     "trained": ("cgid, trained on each set", trained),
+    "limit": ("limit, who knows the scene", limit),
 }
 
 
 def write_predictions(predictions: Predictions, folder: Path, name: str) -> list[Path]:
-    """Write the predictions of frames and of streams, and return the paths of the two files."""
+    """Write the predictions of frames and of streams, and return the paths of the files."""
     frames: list[tuple[Any, ...]] = []
     streams: list[tuple[Any, ...]] = []
     for of, one in predictions.items():
@@ -213,7 +237,9 @@ def write_predictions(predictions: Predictions, folder: Path, name: str) -> list
         else:
             for (k, at), share in np.ndenumerate(one.share):
                 streams.append((of, k, int(TIMES[at]), f"{share:.4f}", int(one.shut[k, at])))
-    paths = [folder / f"{name}-{kind}.csv" for kind in ("frames", "streams")]
-    write_rows(paths[0], FRAME_COLUMNS, frames)
-    write_rows(paths[1], STREAM_COLUMNS, streams)
+    paths = []
+    for kind, columns, rows in (("frames", FRAME_COLUMNS, frames), ("streams", STREAM_COLUMNS, streams)):
+        if rows:
+            paths.append(folder / f"{name}-{kind}.csv")
+            write_rows(paths[-1], columns, rows)
     return paths
