@@ -224,6 +224,7 @@ def test_bad_settings_end_with_one_line(truth_folder: Path, tmp_path: Path, caps
         (["make", "-o", str(tmp_path / "new"), "--private", "7"], 65, "smaller seeds can be guessed, got 7"),
         (["make", "-o", str(tmp_path / "new"), "--most", "0"], 65, "--most: must be 1 or more, got 0"),
         (["answer", "constant", "-d", str(tmp_path), "-o", str(tmp_path)], 66, "cannot be read"),
+        (["answer", "constant", "-d", str(tmp_path), "-o", str(tmp_path / "none")], 73, "must be an existing folder"),
     ):
         assert program.run(arguments) == code, arguments
         out, err = capsys.readouterr()

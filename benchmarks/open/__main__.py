@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.open.sets import HERE, SUMS, draw_seed, make, sums_text
-from cgid.errors import BadData, CgidError
+from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import read_regular, write_whole
 
 #: Results of the public sets; the table goes between these lines of a page.
@@ -68,6 +68,8 @@ def _make(chosen: argparse.Namespace) -> int:
 def _answer(chosen: argparse.Namespace) -> int:
     from benchmarks.open.entries import ENTRIES, write_predictions
 
+    if not chosen.output.is_dir():  # before minutes of work
+        raise CannotCreate(f"{chosen.output}: must be an existing folder; make it first")
     name, predict = ENTRIES[chosen.entry]
     for path in write_predictions(predict(chosen.sets / "signals"), chosen.output, chosen.entry):
         print(f"{path}: {name}")
