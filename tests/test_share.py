@@ -407,6 +407,19 @@ def test_too_few_answers_are_no_confusion() -> None:
     assert Confusion.from_arrays(found.arrays).rates.tolist() == found.rates.tolist()  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_answers_as_sure_as_can_be_leave_no_bin_empty(sign: int) -> None:
+    """A network that trained on few impacts is certain of many others."""
+    logits = sign * np.append(np.full(300, -6.9), np.linspace(-6, 6, 300))
+    second = np.arange(600) % 3 == 0
+    found = Confusion.counted(logits, second, (400, 200))
+    assert found is not None
+    answers = np.array([np.sum(~second) / 400, np.sum(second) / 200])
+    assert found.rates.sum(axis=1) == pytest.approx(answers)
+    bins = np.searchsorted(found.edges, logits, side="right")
+    assert set(bins.tolist()) == set(range(found.edges.size + 1))
+
+
 @pytest.mark.parametrize(
     ("changed", "says"),
     [

@@ -135,6 +135,7 @@ class Confusion:
         shares = np.cumsum(weights[order]) / weights.sum()
         quantiles = logits[order][np.searchsorted(shares, np.arange(1, n_bins) / n_bins)]
         edges, _ = np.unique(quantiles, return_counts=True)  # without counts, it would import numpy.ma
+        edges = edges[edges > logits.min()]  # where many are as sure as can be, nothing lies below the first edge
         bins = np.searchsorted(edges, logits, side="right")
         counts = np.stack([np.bincount(bins[second == k], minlength=edges.size + 1) for k in (False, True)])
         pooled = counts.sum(axis=0) / counts.sum()

@@ -1,0 +1,103 @@
+"""The open benchmark: make its sets, answer for them, enter predictions, print the table.
+
+python -m benchmarks.open make -o sets                     # public sets; two to three minutes, 480 MB
+python -m benchmarks.open make -o contest --private        # test parts of a seed that is drawn
+python -m benchmarks.open answer defaults -d sets -o .     # predictions of one of our own entries
+python -m benchmarks.open enter "my network" mine.csv -d sets
+python -m benchmarks.open table --page docs/benchmarks/open.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.open.sets import HERE, SUMS, draw_seed, make, sums_text
+from cgid.errors import BadData, CannotCreate, CgidError
+from cgid.files import read_regular, write_whole
+
+#: Results of the public sets; the table goes between these lines of a page.
+RESULTS, BEGIN, END = HERE / "results.csv", "<!-- table -->\n", "<!-- end of table -->\n"
+
+
+def options() -> argparse.ArgumentParser:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.open", description=(__doc__ or "").splitlines()[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    made = commands.add_parser("make", help="make signals/, for entrants, and truth/, for the judge")
+    made.add_argument("-o", "--output", type=Path, required=True, help="new folder")
+    made.add_argument(
+        "--private", type=int, nargs="?", const=-1, metavar="SEED", help="for a contest; drawn if left out"
+    )
+    made.add_argument("--most", type=int, help="at most this many signals of each part, for a trial")
+    answer = commands.add_parser("answer", help="predict as one of our own entries does")
+    answer.add_argument("entry", choices=("constant", "statistics", "defaults", "trained", "limit"))
+    answer.add_argument("-d", "--sets", type=Path, required=True, help="folder that make has made")
+    answer.add_argument("-o", "--output", type=Path, required=True, help="folder of the predictions")
+    enter = commands.add_parser("enter", help="judge predictions and put them into the results")
+    enter.add_argument("name", help="of the entry in the table")
+    enter.add_argument("files", type=Path, nargs="+", help="CSV of predictions of frames or streams")
+    enter.add_argument("-d", "--sets", type=Path, required=True, help="folder that make has made")
+    table = commands.add_parser("table", help="print the table of all entries")
+    table.add_argument("--page", type=Path, help="put it into this page instead")
+    for one in (enter, table):
+        one.add_argument("--results", type=Path, default=RESULTS, help="CSV of results (default: the public ones)")
+    return parser
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run a command and return its exit code; an error is one line on stderr."""
+    chosen = options().parse_args(arguments)
+    try:
+        return {"make": _make, "answer": _answer, "enter": _enter, "table": _table}[chosen.command](chosen)
+    except CgidError as error:
+        print(f"benchmarks.open: error: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def _make(chosen: argparse.Namespace) -> int:
+    private = draw_seed() if chosen.private == -1 else chosen.private
+    for folder in make(chosen.output, private=private, most=chosen.most):
+        print(f"{folder}: {len(sums_text(folder).splitlines())} files, sums in {folder / SUMS}")
+    if private is not None:
+        print(f"Publish the sums of both, give signals/ away and keep truth/, which holds the seed {private}.")
+    return 0
+
+
+def _answer(chosen: argparse.Namespace) -> int:
+    from benchmarks.open.entries import ENTRIES, write_predictions
+
+    if not chosen.output.is_dir():  # before minutes of work
+        raise CannotCreate(f"{chosen.output}: must be an existing folder; make it first")
+    name, predict = ENTRIES[chosen.entry]
+    for path in write_predictions(predict(chosen.sets / "signals"), chosen.output, chosen.entry):
+        print(f"{path}: {name}")
+    return 0
+
+
+def _enter(chosen: argparse.Namespace) -> int:
+    from benchmarks.open.judge import Truth, enter
+
+    n = enter(chosen.name, chosen.files, Truth.read(chosen.sets / "truth"), chosen.results)
+    print(f"{chosen.results}: {chosen.name} entered with {n} sets")
+    return 0
+
+
+def _table(chosen: argparse.Namespace) -> int:
+    from benchmarks.open.judge import markdown, read_results
+
+    text = markdown(read_results(chosen.results))
+    if chosen.page is None:
+        print(text, end="")
+        return 0
+    page = read_regular(chosen.page, "page", 1 << 24).decode()
+    if page.count(BEGIN) != 1 or page.count(END) != 1 or page.index(BEGIN) > page.index(END):
+        raise BadData(f"{chosen.page}: must have the lines {BEGIN.strip()} and {END.strip()} once each; add them")
+    before, after = page.split(BEGIN)[0], page.split(END)[1]
+    write_whole(chosen.page, f"{before}{BEGIN}\n{text}\n{END}{after}".encode())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run())

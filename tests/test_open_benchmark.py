@@ -1,0 +1,443 @@
+"""The open benchmark: sets from seeds, metrics against slow twins, all that a file of predictions can get wrong."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.open import __main__ as program
+from benchmarks.open import sets
+from benchmarks.open.entries import ENTRIES, write_predictions
+from benchmarks.open.judge import (
+    TIMES,
+    Frames,
+    Stream,
+    Streams,
+    Truth,
+    calibration_error,
+    judged_frames,
+    judged_streams,
+)
+from cgid.errors import BadData
+from cgid.scene import generate
+from cgid.scene.recordings import generate_recordings
+from cgid.store import Dataset
+from cgid.store.reading import Recording
+from tests.bad_input import Case
+
+N = 40
+ALL = sets.all_sets()
+#: One stream of 20 s a part.
+SHORT = replace(
+    ALL["caving-constant"],
+    signals={"train": 1, "test": 1},
+    content={**ALL["caving-constant"].content, "stream": ALL["caving-constant"].content["stream"] | {"duration": 20.0}},
+)
+
+
+@pytest.fixture(scope="module")
+def truth_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a benchmark's folder with the truth of a small set of frames, of strangers, and of two streams."""
+    folder = tmp_path_factory.mktemp("open")
+    (folder / "truth").mkdir()
+    rng = np.random.default_rng(3)
+    labels = [("reference", k, "gangue" if k % 3 == 0 else "coal") for k in range(N)]
+    labels += [("strangers", k, "other") for k in range(4)]
+    rocks = [
+        ("caving-crossing", k, f"{time:.4f}", 0, "gangue" if rng.random() < time / 60 else "coal")
+        for k in range(2)
+        for time in np.sort(rng.uniform(0, 60, 400))
+    ]
+    rows = {
+        "labels.csv": labels,
+        "impacts.csv": rocks,
+        "crossings.csv": [("caving-crossing", 0, "30.000"), ("caving-crossing", 1, "30.000")],
+    }
+    for name, columns in sets.COLUMNS.items():
+        sets.write_rows(folder / "truth" / name, columns, rows[name])
+    (folder / "truth" / sets.SUMS).write_bytes(sets.sums_text(folder / "truth"))
+    return folder
+
+
+def frames_text(change: Callable[[list[str]], object] = lambda lines: None, header: str = "set,id,coal,gangue") -> str:
+    """Return predictions of the small set, with a change of its lines."""
+    lines = [header, *(f"reference,{k},0.3,0.7" for k in range(N))]
+    change(lines)
+    return "\n".join(lines) + "\n"
+
+
+def streams_text(change: Callable[[list[str]], object] = lambda lines: None) -> str:
+    """Return predictions of the streams, with a change of their lines."""
+    lines = ["set,id,time,share,shut", *(f"caving-crossing,{k},{t},0.4,0" for k in range(2) for t in TIMES)]
+    change(lines)
+    return "\n".join(lines) + "\n"
+
+
+def to(number: int, line: str) -> Callable[[list[str]], object]:
+    """Return what replaces one line."""
+    return lambda lines: lines.__setitem__(number, line)
+
+
+#: Case and content of the file of predictions; None: no file.
+BAD: list[tuple[Case, str | bytes | None]] = [
+    (Case("missing file", ("x",), 66, ("cannot be read (No such file", "check the name")), None),
+    (Case("empty file", ("x",), 65, ("must have a header and rows, is empty",)), ""),
+    (Case("no text", ("x",), 65, ("must be UTF-8 text",)), b"\xff\xfe\x00set"),
+    (Case("endless cell", ("x",), 65, ("must be comma-separated values",)), "set," + "1" * 200_000),
+    (
+        Case("header of labels", ("x",), 65, ("the header must be set,id,coal,gangue,unknown", "got 'set,id,label'")),
+        "set,id,label\n",
+    ),
+    (
+        Case("other labels", ("x",), 65, ("got 'set,id,coal,shale'", "no other labels")),
+        frames_text(header="set,id,coal,shale"),
+    ),
+    (Case("columns swapped", ("x",), 65, ("got 'set,id,gangue,coal'",)), frames_text(header="set,id,gangue,coal")),
+    (Case("header alone", ("x",), 65, ("must have rows below its header",)), "set,id,coal,gangue\n"),
+    (
+        Case(
+            "missing row", ("x",), 65, ("reference has 39 of 40 rows and lacks reference 7", "leave out the whole set")
+        ),
+        frames_text(lambda lines: lines.pop(8)),
+    ),
+    (
+        Case("twice", ("x",), 65, ("line 42: reference 3 must be given once, is also in line 5",)),
+        frames_text(lambda lines: lines.append("reference,3,0.5,0.5")),
+    ),
+    (
+        Case("unknown id", ("x",), 65, ("line 3: id must be a whole number from 0 to 39, got '40'",)),
+        frames_text(to(2, "reference,40,0.3,0.7")),
+    ),
+    (
+        Case("id is no number", ("x",), 65, ("line 3: id must be a whole number", "got '1.0'")),
+        frames_text(to(2, "reference,1.0,0.3,0.7")),
+    ),
+    (
+        Case("unknown set", ("x",), 65, ("got 'refernce'; did you mean 'reference'?",)),
+        frames_text(to(2, "refernce,1,0.3,0.7")),
+    ),
+    (
+        Case("set of streams", ("x",), 65, ("caving-crossing has streams, whose predictions have another header",)),
+        frames_text(to(2, "caving-crossing,1,0.3,0.7")),
+    ),
+    (
+        Case(
+            "sum", ("x",), 65, ("line 3: probabilities must sum to 1 within 0.001, 0.3 and 0.8 sum to 1.1; normalise",)
+        ),
+        frames_text(to(2, "reference,1,0.3,0.8")),
+    ),
+    (
+        Case("nan", ("x",), 65, ("line 3: coal must be a number from 0 to 1, got 'nan'; if unknown, give 0.5",)),
+        frames_text(to(2, "reference,1,nan,nan")),
+    ),
+    (
+        Case("infinite", ("x",), 65, ("gangue must be a number from 0 to 1, got 'inf'",)),
+        frames_text(to(2, "reference,1,0.3,inf")),
+    ),
+    (
+        Case("logits", ("x",), 65, ("coal must be a number from 0 to 1, got '-2.3'",)),
+        frames_text(to(2, "reference,1,-2.3,3.3")),
+    ),
+    (
+        Case("label for a probability", ("x",), 65, ("coal must be a number from 0 to 1, got 'gangue'",)),
+        frames_text(to(2, "reference,1,gangue,1")),
+    ),
+    (
+        Case("too few cells", ("x",), 65, ("line 3: must have 4 cells as the header has, got 3",)),
+        frames_text(to(2, "reference,1,0.3")),
+    ),
+    (
+        Case("unknown is no flag", ("x",), 65, ("unknown must be 0 or 1, got 'yes'",)),
+        "set,id,coal,gangue,unknown\nreference,0,.5,.5,yes\n",
+    ),
+    (
+        Case("time beside the windows", ("x",), 65, ("time must be a whole number from 10 to 60 s, got '9'",)),
+        streams_text(to(1, "caving-crossing,0,9,0.4,0")),
+    ),
+    (
+        Case("share", ("x",), 65, ("share must be a number from 0 to 1, got '40'",)),
+        streams_text(to(1, "caving-crossing,0,10,40,0")),
+    ),
+    (
+        Case("shut is no flag", ("x",), 65, ("shut must be 0 or 1, got '0.7'",)),
+        streams_text(to(1, "caving-crossing,0,10,0.4,0.7")),
+    ),
+    (
+        Case(
+            "missing second", ("x",), 65, ("caving-crossing has 101 of 102 rows and lacks caving-crossing 0 at 12 s",)
+        ),
+        streams_text(lambda lines: lines.pop(3)),
+    ),
+    (Case("name", ("a|b",), 65, ("NAME must be 1 to 60 letters", "got 'a|b'")), frames_text()),
+]
+
+
+@pytest.mark.parametrize(("case", "content"), BAD, ids=[case.name for case, _ in BAD])
+def test_bad_predictions_end_with_one_line(
+    case: Case, content: str | bytes | None, truth_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, results = tmp_path / "mine.csv", tmp_path / "results.csv"
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    options = ["-d", str(truth_folder), "--results", str(results)]
+    assert program.run(["enter", *case.arguments, str(path), *options]) == case.exit_code
+    out, err = capsys.readouterr()
+    assert not out and err.startswith("benchmarks.open: error: ") and err.count("\n") == 1
+    assert all(text in err for text in case.says), err
+    assert not results.exists()
+
+
+def test_bad_settings_end_with_one_line(truth_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, other = tmp_path / "good.csv", tmp_path / "other.csv"
+    good.write_text(frames_text())
+    other.write_text("entry,set,metric,value,low,high,n,truth\na,reference,accuracy,1,1,1,2,000000000000\n")
+    (tmp_path / "odd.csv").write_text("a,b\n")
+    (tmp_path / "worded.csv").write_text(other.read_text().replace("accuracy,1,", "accuracy,good,"))
+    (tmp_path / "page.md").write_text("no place for a table\n")
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "file").touch()
+    enter = ["enter", "me", str(good), "-d", str(truth_folder), "--results"]
+    for arguments, code, says in (
+        (
+            [*enter[:3], str(good), *enter[3:], str(tmp_path / "new.csv")],
+            65,
+            "must be predicted once, reference is also",
+        ),
+        ([*enter, str(other)], 65, "results must be of one truth, got 000000000000"),
+        ([*enter, str(tmp_path / "odd.csv")], 65, "results must have the columns entry,set"),
+        (["enter", "me", str(good), "-d", str(tmp_path)], 66, "cannot be read"),
+        (
+            ["table", "--results", str(other), "--page", str(tmp_path / "page.md")],
+            65,
+            "must have the lines <!-- table -->",
+        ),
+        (["table", "--results", str(tmp_path / "worded.csv")], 65, "results must be numbers (could not convert"),
+        (["table", "--results", str(tmp_path / "none.csv")], 66, "cannot be read"),
+        (["make", "-o", str(full)], 73, "must be new or empty"),
+        (["make", "-o", str(tmp_path / "new"), "--private", "7"], 65, "smaller seeds can be guessed, got 7"),
+        (["make", "-o", str(tmp_path / "new"), "--most", "0"], 65, "--most: must be 1 or more, got 0"),
+        (["answer", "constant", "-d", str(tmp_path), "-o", str(tmp_path)], 66, "cannot be read"),
+        (["answer", "constant", "-d", str(tmp_path), "-o", str(tmp_path / "none")], 73, "must be an existing folder"),
+    ):
+        assert program.run(arguments) == code, arguments
+        out, err = capsys.readouterr()
+        assert not out and says in err and err.count("\n") == 1, (arguments, err)
+    assert (tmp_path / "page.md").read_text() == "no place for a table\n"
+    assert not (tmp_path / "new").exists() and not (tmp_path / "new.csv").exists()
+
+
+def test_a_changed_truth_is_refused(truth_folder: Path, tmp_path: Path) -> None:
+    for path in (truth_folder / "truth").iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes().replace(b",coal\n", b",gangue\n", 1))
+    with pytest.raises(BadData, match="must be as it was made"):
+        Truth.read(tmp_path)
+
+
+# -- metrics ---------------------------------------------------------------------------------------------------------
+
+
+def test_metrics_of_frames_are_those_by_hand() -> None:
+    labels = np.array(["coal"] * 6 + ["gangue"] * 4)
+    gangue = np.array([0.1, 0.1, 0.1, 0.1, 0.7, 0.5, 0.9, 0.9, 0.9, 0.1])
+    unknown = np.array([0, 0, 0, 0, 1, 0, 0, 0, 0, 1], bool)
+    found = {one.metric: one for one in judged_frames(Frames(gangue, unknown), labels)}
+    assert found["accuracy"].value == pytest.approx((4 + 0.5 + 3) / 10)
+    assert found["accuracy of the answered"].value == pytest.approx(7.5 / 8)
+    assert found["unknown"].value == pytest.approx(0.2)
+    # Bins of .1: 5 frames, one gangue; .5 and .7: one coal each; .9: three gangue.
+    assert found["calibration error"].value == pytest.approx((abs(0.5 - 1) + 0.5 + 0.7 + abs(2.7 - 3)) / 10)
+    for end in found["accuracy"][2:4]:  # Wilson's ends are where the score is the normal quantile
+        assert (end - 0.75) ** 2 / (end * (1 - end) / 10) == pytest.approx(1.959963984540054**2)
+    strangers = list(judged_frames(Frames(gangue, unknown), np.array(["other"] * 10)))
+    assert [one.metric for one in strangers] == ["unknown"]
+
+
+def test_calibration_error_and_its_resampling_are_those_of_a_slow_twin() -> None:
+    rng = np.random.default_rng(0)
+    p, truth = rng.random(300), rng.random(300) < 0.4
+    weights = rng.multinomial(300, np.full(300, 1 / 300), 5)
+    for row, found in zip(weights, calibration_error(p, truth, weights), strict=True):
+        values, said = np.repeat(truth, row), np.repeat(p, row)
+        bins = [(said >= k / 10) & (said < (k + 1) / 10) for k in range(10)]
+        slow = sum(abs(said[own].mean() - values[own].mean()) * own.sum() for own in bins if own.any()) / 300
+        assert found == pytest.approx(slow, rel=1e-12)
+
+
+@pytest.mark.parametrize("stretch", [1.6, 2.5])
+def test_intervals_of_the_calibration_error_hold_the_true_one(stretch: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Overconfident answers, whose true error over the bins is that of a million of them."""
+    monkeypatch.setattr("benchmarks.open.judge.RESAMPLINGS", 300)
+
+    def draw(n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        logit = rng.normal(0, 1.5, n)
+        return 1 / (1 + np.exp(-stretch * logit)), rng.random(n) < 1 / (1 + np.exp(-logit))
+
+    rng = np.random.default_rng(1)
+    true = float(calibration_error(*draw(1_000_000, rng), np.ones((1, 1_000_000)))[0])
+    held = 0
+    for _ in range(40):
+        p, truth = draw(1000, rng)
+        labels = np.where(truth, "gangue", "coal")
+        one = next(o for o in judged_frames(Frames(p, np.zeros(1000, bool)), labels) if o.metric == "calibration error")
+        held += one.low <= true <= one.high
+    assert held >= 34  # 40 times .95 is 38; fewer than 34 has a probability of .003
+
+
+def test_shares_and_the_cost_of_a_wrong_time_are_counted_by_hand() -> None:
+    # A rock each second at .5; coal until 20 s, then three gangue to one coal.
+    time = np.arange(60) + 0.5
+    gangue = (time > 20) & (np.arange(60) % 4 != 0)
+    stream = Stream(time, gangue, 20.0)
+    assert stream.shares()[[0, 10, 20]].tolist() == [0.0, 0.0, 0.7]
+    slow = [gangue[(time > t - 10) & (time <= t)].mean() for t in TIMES]
+    assert np.allclose(stream.shares(), slow)
+
+    def cost(at: int | None) -> dict[str, float]:
+        shut = np.zeros((1, TIMES.size), bool) if at is None else (at <= TIMES)[None]
+        own = Streams(stream.shares()[None] + 0.1, shut)
+        return {one.metric: one.value for one in judged_streams(own, [stream])}
+
+    late, early, never = cost(28), cost(16), cost(None)
+    assert late == pytest.approx(
+        {
+            "share error": 0.1,
+            "cost of the wrong time": 4,
+            "gangue let through": 6,
+            "coal lost": 0,
+            "delay": 8,
+        }
+    )
+    assert (early["cost of the wrong time"], early["coal lost"], early["gangue let through"]) == (4, 4, 0)
+    assert (never["cost of the wrong time"], never["gangue let through"], never["delay"]) == (20, 30, 40)
+    steady = Stream(time, gangue & (time < 50), float("nan"))
+    false = list(judged_streams(Streams(steady.shares()[None], (TIMES >= 50)[None]), [steady]))
+    assert [(one.metric, one.value) for one in false] == [("share error", 0.0), ("false shut", 1.0)]
+
+
+def test_an_entry_replaces_its_earlier_one_and_fills_the_page(
+    truth_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames, streams, page = tmp_path / "f.csv", tmp_path / "s.csv", tmp_path / "page.md"
+    frames.write_text(frames_text())
+    streams.write_text(streams_text())
+    page.write_text("# Title\n\n<!-- table -->\nold\n<!-- end of table -->\nafter\n")
+    results = ["--results", str(tmp_path / "results.csv")]
+    truth = ["-d", str(truth_folder), *results]
+    assert program.run(["enter", "first", str(frames), str(streams), *truth]) == 0
+    assert program.run(["enter", "second", str(frames), *truth]) == 0
+    frames.write_text(frames_text().replace("0.3,0.7", "0.7,0.3"))
+    assert program.run(["enter", "first", str(frames), *truth]) == 0
+    assert program.run(["table", "--page", str(page), *results]) == 0
+    text = page.read_text()
+    assert text.startswith("# Title\n") and text.endswith("<!-- end of table -->\nafter\n") and "old" not in text
+    assert "|  | second | first |" in text
+    assert "| `reference` | 0.350 (0.221 to 0.505) | 0.650 (0.495 to 0.779) |" in text
+    assert "Streams" not in text  # the first entry was replaced
+    with (tmp_path / "results.csv").open() as file:
+        assert {row["entry"] for row in csv.DictReader(file)} == {"first", "second"}
+
+
+# -- making ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_sets_say_what_the_issue_asks_for() -> None:
+    found = sets.all_sets()
+    assert all(found[one.learn].signals.get("train") and one.signals.get("test") for one in found.values())
+    assert {one.name for one in found.values() if one.is_stream} == {
+        "caving-constant",
+        "caving-crossing",
+        "caving-seam",
+    }
+    assert found["seam-apart"].scene.populations[0].youngs_modulus.median == 2.5e9  # type: ignore[union-attr]
+    assert (
+        found["laws"].scene.dissipations.count("thornton") == 4
+        and "hunt-crossley" not in found["laws"].scene.dissipations
+    )
+    assert all(one.curvature is not None for one in found["lumps"].scene.populations)
+    assert found["beam-recorder"].scene.sensor.noise_density is None
+    crossings = [found["caving-crossing"].stream(5, k)[1] for k in range(40)]
+    assert 24 <= min(crossings) < 28 and 40 < max(crossings) <= 44
+    size = sum(
+        4 * n * one.scene.sampling.samples for one in found.values() if not one.is_stream for n in one.signals.values()
+    )
+    size += sum(4 * n * 60 * 25_600 for one in found.values() if one.is_stream for n in one.signals.values())
+    assert size < 500e6
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a trial of three sets, with one stream a part."""
+    folder = tmp_path_factory.mktemp("made") / "sets"
+    few = {name: ALL[name] for name in ("reference", "strangers")}
+    few["caving-constant"] = SHORT
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sets, "all_sets", lambda: few)
+        assert program.run(["make", "-o", str(folder), "--most", "3"]) == 0
+        assert (
+            program.run(["make", "-o", str(folder.with_name("private")), "--most", "3", "--private", str(2**50)]) == 0
+        )
+    return folder
+
+
+def test_signals_are_those_of_cgid_generate(made: Path, tmp_path: Path) -> None:
+    seed = sets.PUBLIC_SEED + ALL["reference"].number
+    generate(ALL["reference"].scene, tmp_path / "r.h5", 3, seed)
+    batch = next(iter(Dataset(tmp_path / "r.h5")))
+    assert np.load(made / "signals" / "reference-test.npy").tobytes() == batch.signals.tobytes()
+    truth = Truth.read(made / "truth")
+    assert truth.frames["reference"].tolist() == batch.labels.tolist()
+    assert set(truth.frames["strangers"]) == {"other"}
+    seed = sets.PUBLIC_SEED + SHORT.number
+    scene, crossing = SHORT.stream(seed, 0)
+    generate_recordings(scene, tmp_path / "s.h5", 1, seed)
+    stored = np.load(made / "signals" / "caving-constant-test.npy")[0]
+    assert stored.tobytes() == Recording(tmp_path / "s.h5").samples().tobytes()
+    assert np.isnan(crossing) and truth.streams["caving-constant"][0].time.size > 100
+
+
+def test_a_private_seed_changes_the_test_parts_alone_and_entrants_get_no_truth(made: Path) -> None:
+    private = made.with_name("private")
+    names = sorted(path.name for path in (made / "signals").iterdir())
+    assert names == sorted(path.name for path in (private / "signals").iterdir())
+    for name in names:
+        same = (made / "signals" / name).read_bytes() == (private / "signals" / name).read_bytes()
+        assert same == (not name.endswith("-test.npy") and name != sets.SUMS), name
+    assert (private / "truth" / "seed.txt").read_text() == f"{2**50}\n" and not (made / "truth" / "seed.txt").exists()
+    for folder in (private / "signals", private / "truth"):
+        sets.require_unchanged(folder)
+    assert not any(str(2**50) in path.read_text() for path in (private / "signals").glob("*.csv"))
+
+
+def test_a_stranger_reads_the_sets_as_the_readme_says(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(sets.HERE) / "README.md").read_text()
+    found: dict[str, Any] = {}
+    monkeypatch.chdir(made.parent)
+    exec(text.split("```python\n")[1].split("```")[0], found)
+    assert (
+        found["signals"].shape == (3, 2048) and set(found["labels"]) <= {"coal", "gangue"} and len(found["labels"]) == 3
+    )
+
+
+def test_entries_write_files_that_can_be_entered(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert program.run(["answer", "constant", "-d", str(made), "-o", str(tmp_path)]) == 0
+    for path in write_predictions(ENTRIES["defaults"][1](made / "signals"), tmp_path, "defaults"):
+        assert path.exists()
+    for name in ("constant", "defaults"):
+        files = [str(tmp_path / f"{name}-{kind}.csv") for kind in ("frames", "streams")]
+        assert program.run(["enter", name, *files, "-d", str(made), "--results", str(tmp_path / "results.csv")]) == 0
+    assert program.run(["answer", "limit", "-d", str(made.with_name("private")), "-o", str(tmp_path)]) == 65
+    assert "limit must have the public sets, reference has another seed" in capsys.readouterr().err
+    with (tmp_path / "results.csv").open() as file:
+        found = {(row["entry"], row["set"], row["metric"]): float(row["value"]) for row in csv.DictReader(file)}
+    assert found["constant", "reference", "accuracy"] == 0.5 and found["constant", "strangers", "unknown"] == 0
+    own = found["defaults", "caving-constant", "share error"]
+    assert own < 0.2 and own < found["constant", "caving-constant", "share error"]
