@@ -30,7 +30,7 @@ from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
 from cgid.identification.rows import measure
 from cgid.identification.training import train
-from cgid.measure.beam import Beam, gain, nodes
+from cgid.measure.beam import Beam, corrected, gain, nodes
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
@@ -38,7 +38,7 @@ from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of
 from cgid.site import calibrate
 from cgid.site.calibration import _blows, _evidence
-from cgid.site.learning import corrected, learn
+from cgid.site.learning import learn
 
 #: Modes that a 10 kHz anti-alias filter passes [Hz].
 HEARD = 10e3
@@ -217,8 +217,8 @@ def main() -> None:
     scene = load_scene("tail_beam")
     nominal = beam_modes(scene).frequency
     heard = nominal < HEARD
-    print("start  seed  freq. error below 10 kHz [%]   damping   covered      evidence a sample          s  accuracy")
-    print("             median  90 %    largest       median    f.    d.   before   after  expected")
+    print("start  seed  freq. error below 10 kHz [%]   damping   covered      evidence a sample          s  accuracy  exact")
+    print("             median  90 %    largest       median    f.    d.   before   after  expected                  modes")
     for start in options.start:
         for seed in range(options.first, options.first + options.seeds):
             if options.shapes:
@@ -226,6 +226,7 @@ def main() -> None:
             else:
                 truth = with_errors(scene, start / 100, seed)
             blows = np.concatenate([batch.signals for batch in synthesise(truth, options.impacts, 100 + seed)])
+            best = accuracy(truth, truth, options.signals, options.test, seed) if options.signals else np.nan
             begin = time.process_time()
             with threadpool_limits(1):
                 try:
@@ -239,7 +240,7 @@ def main() -> None:
                         most_blows=options.impacts,
                     )
                 except BadData as error:
-                    print(f"{start:4g} %  {seed:>3}  refused: {error}", flush=True)
+                    print(f"{start:4g} %  {seed:>3}  exact modes {best:.4f}, refused: {error}", flush=True)
                     continue
                 seconds = time.process_time() - begin
                 own = found.learned
@@ -260,7 +261,7 @@ def main() -> None:
                 right = accuracy(found.scene, truth, options.signals, options.test, seed) if options.signals else np.nan
             print(
                 f"{start:4g} %  {seed:>3}  {text}  {found.before:7.3g} {found.after:7.4f} {found.expected:7.4f}   "
-                f"{seconds:5.0f}  {right:.4f}",
+                f"{seconds:5.0f}  {right:.4f}  {best:.4f}",
                 flush=True,
             )
 

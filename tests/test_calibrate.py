@@ -19,7 +19,7 @@ from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of
 from cgid.site import calibrate
 from cgid.site.calibration import check_scene, table_beside, usable_blows
-from cgid.site.learning import _STEP, Blows, _searched, _System, corrected, learn
+from cgid.site.learning import _STEP, Blows, _searched, _System, learn
 
 RATE, BEFORE = 6400.0, 64
 

@@ -198,7 +198,7 @@ def test_the_search_maximises_the_evidence_of_a_gaussian(height: float) -> None:
     inversion = eight_modes()
     sample = rung(inversion, 0.93, 0.31, height, 3)
     weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
-    found, place, level = inversion._search(inversion.transformed(sample[None]), weight, np.zeros(1), None)
+    found, place, level = inversion._search(inversion.transformed(sample[None]), weight, np.zeros(1), None, np.ones(1))
 
     def evidence(place: int, height: float) -> float:
         response = dense(inversion, inversion._grid.x[place], inversion._grid.y[place])
@@ -219,7 +219,7 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     sample = rung(inversion, 0.93, 0.31, 30.0, 4)
     weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
     samples = inversion.transformed(sample[None])
-    _, place, level = inversion._search(samples, weight, np.zeros(1), None)
+    _, place, level = inversion._search(samples, weight, np.zeros(1), None, np.ones(1))
     x, y = inversion._grid.x[place], inversion._grid.y[place]
     found = inversion._refined(samples, weight, x, y, level)
     x, y, force = found["x"][0], found["y"][0], found["coefficients"][0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,7 @@ from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.synthesis import synthesise
 from cgid.scene.through_beam import beam_of
-from cgid.site.learning import MOST_ROUNDS, Blows, corrected, evidence_of, learn
+from cgid.site.learning import MOST_ROUNDS, Blows, evidence_of, learn
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def calibrate(
             + (", and below the sensor's range" if left_out else "")
         )
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most_blows)).round().astype(np.intp))
-    beam = beam_of(scene)
+    beam = replace(beam_of(scene), errors=None)  # errors are what is learned
     start = _start(scene)
     deviation = _prior(scene, start, start_error, drift, participation_error)
     with threadpool_limits(1):
