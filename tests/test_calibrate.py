@@ -11,7 +11,7 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.inversion import Inversion
-from cgid.measure.beam import respond
+from cgid.measure.beam import corrected, respond
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, read_learned_modes
 from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes

@@ -53,7 +53,9 @@ _RATIO, _FAINTEST = 8.0, 2
 #: Coefficients with less than this share of the usual weight are drowned.
 _DROWNED = 0.02
 #: Ratio of the squares of forces for which errors of the modes have a grid of their own, and the least weight.
-_STRONGER, _LEAST_WEIGHT = 4.0, 1e-30
+_STRONGER, _LEAST_WEIGHT = 16.0, 1e-30
+#: Share of the energy of a blow below which errors of the modes do not count, as after calibration with 300 blows.
+_NEGLIGIBLE = 1e-4
 #: Exponents of coloured noise, f^-a, for which there is a grid of its own.
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
@@ -376,7 +378,7 @@ class Inversion:
         n_modes, n_each = len(self.beam.poles), 2 * (self.bins.stop - self.bins.start)
         out = np.empty((n_modes, len(self.forces), self.beam.n_sensors, n_each), np.float32)
         covariance = np.zeros((self.beam.n_sensors, n_each, n_each))
-        loud = np.mean(np.square(self.beam.participation), axis=(1, 2))
+        loud = np.mean(np.square(self.beam.grid(GRID)[2], dtype=np.float64), axis=0)
         for first in range(0, n_modes, _ROWS):
             part = slice(first, first + _ROWS)
             errors = None if self.beam.errors is None else self.beam.errors[:, part]
@@ -404,8 +406,9 @@ class Inversion:
 
     @cached_property
     def _errors(self) -> _Errors | None:
-        """The errors of the modes; None if they are known."""
-        return None if self.beam.errors is None else self._responses[1]
+        """The errors of the modes; None if these are known well enough."""
+        found = None if self.beam.errors is None else self._responses[1]
+        return found if found is not None and found.power.sum() > _NEGLIGIBLE * found.energy.sum() else None
 
     def _turned(self, coefficients: Singles) -> Singles:
         """Return coefficients whose noise is independent, from Fourier coefficients, each (n, n_coefficients)."""
@@ -564,11 +567,11 @@ class Inversion:
         recorded = _cut(sought.frames, begun, self.n_samples) / sought.level[:, None, None]
         bounds = _cut(sought.clipped, begun, self.n_samples) > 0
         for _ in range(_UNCLIPPING):
-            spectrum = np.zeros((*recorded.shape[:2], self.n_samples // 2 + 1), complex)
-            predicted = found["predicted"]
+            heard = found["predicted"]
             if self._errors is not None:
-                predicted = self._errors.turned(predicted, self._errors.turn.swapaxes(1, 2))
-            spectrum[:, :, self.bins] = _complex(predicted, self.beam.n_sensors) / np.sqrt(2)
+                heard = self._errors.turned(heard, self._errors.turn.swapaxes(1, 2))
+            spectrum = np.zeros((*recorded.shape[:2], self.n_samples // 2 + 1), complex)
+            spectrum[:, :, self.bins] = _complex(heard, self.beam.n_sensors) / np.sqrt(2)
             expected = np.fft.irfft(spectrum, self.n_samples, axis=2, norm="ortho")
             further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
             samples = np.where(bounds, further, recorded)
@@ -601,9 +604,7 @@ class Inversion:
             self._low_tables[fainter] = rotation, share, cost, weight
         return self._low_tables[fainter]
 
-    def _start(
-        self, sought: Sought, start: NDArray[np.intp], weight: Singles, strength: Floats
-    ) -> NDArray[np.intp]:
+    def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles, strength: Floats) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
         first = np.asarray(start[:, 0] - TOUCH // 2)
         steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)

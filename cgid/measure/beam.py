@@ -345,16 +345,17 @@ def respond_on_average(beam: Beam, forces: Floats, n_samples: int) -> tuple[Floa
     The error of a frequency turns a response by radians, so it is averaged by the rule of Gauss and Hermite; errors of
     damping and participation are small enough for their slopes.
     """
-    if beam.errors is None:
+    errors = beam.errors
+    if errors is None:
         return respond(beam, forces, n_samples), []
 
     def off(row: int, deviations: float) -> Floats:
         correction = np.zeros((len(CORRECTED), len(beam.poles)))
-        correction[row] = deviations * beam.errors[row]
+        correction[row] = deviations * errors[row]
         return respond(corrected(beam, correction), forces, n_samples)
 
     places, shares = np.polynomial.hermite_e.hermegauss(_DRAWS)
     drawn = [off(0, place) for place in places.tolist()]
     mean = np.tensordot(shares / shares.sum(), drawn, 1)
     found = [np.sqrt(share) * (one - mean) for share, one in zip(shares / shares.sum(), drawn, strict=True)]
-    return mean, [*found, (off(1, 1.0) - off(1, -1.0)) / 2, beam.errors[2][:, None, None] * mean]
+    return mean, [*found, (off(1, 1.0) - off(1, -1.0)) / 2, errors[2][:, None, None] * mean]

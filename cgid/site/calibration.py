@@ -17,7 +17,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, write_together
 from cgid.identification.contact import REACH, clipped_samples
 from cgid.identification.inversion import Inversion
-from cgid.measure.beam import Beam
+from cgid.measure.beam import Beam, corrected
 from cgid.measure.colour import colour_of
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
