@@ -217,8 +217,8 @@ def main() -> None:
     scene = load_scene("tail_beam")
     nominal = beam_modes(scene).frequency
     heard = nominal < HEARD
-    print("start  seed  freq. error below 10 kHz [%]   damping   covered      evidence a sample         s  accuracy,")
-    print("             median  90 %    largest       median    f.    d.   before   after  expected              exact modes")
+    print("start  seed  freq. error below 10 kHz [%]   damping   covered      evidence a sample         s  accuracy;")
+    print("             median  90 %    largest       median    f.    d.   before   after  expected            exact")
     for start in options.start:
         for seed in range(options.first, options.first + options.seeds):
             if options.shapes:

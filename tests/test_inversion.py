@@ -342,13 +342,16 @@ def test_errors_of_the_modes_are_noise_of_their_covariance(height: float) -> Non
     assert ratio.max() > 20 if height == 300 else ratio.max() < 3
 
 
+@pytest.mark.long
 def test_tiny_errors_of_the_modes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the beam's own rate, at another, in coloured noise and where samples are clipped."""
     monkeypatch.setattr("cgid.identification.inversion._NEGLIGIBLE", 0.0)
     batch = at_rate(25_600, 96)
     certain, exact = ThroughBeam(replace(tail_beam().beam, errors=np.full((3, 188), 1e-6))), tail_beam()
     loud = np.abs(batch.signals).max(axis=1, keepdims=True)
-    coloured = batch.signals + 0.02 * loud * np.random.default_rng(9).normal(size=batch.signals.shape).cumsum(axis=1) / 9
+    coloured = (
+        batch.signals + 0.02 * loud * np.random.default_rng(9).normal(size=batch.signals.shape).cumsum(axis=1) / 9
+    )
     for signals, rate in (
         (batch.signals, 25_600.0),
         (batch.signals[:, ::2], 12_800.0),

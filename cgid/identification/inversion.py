@@ -612,7 +612,7 @@ class Inversion:
             return first
         kinds, kind = np.unique(self._fainter(weight), axis=0, return_inverse=True)
         if self._errors is not None:
-            weight = weight / (1 + weight * (strength[:, None] * self._errors.untold)).astype(np.float32)
+            weight = weight / (1 + weight * np.float32(strength[:, None] * self._errors.untold))
         for number, of_sensors in enumerate(kinds.tolist()):
             rows = np.flatnonzero(kind.ravel() == number)
             own = weight[rows][:, self._low.kept]

@@ -230,6 +230,15 @@ def calibrate(
     )
 
 
+def uncertain(scene: Scene, start_error: float) -> Scene:
+    """Return a scene that knows the modes of its beam no better than this; arguments and errors as in `calibrate`."""
+    check_numbers(start_error, start_error, 0.0, 1)
+    check_scene(scene, scene.sampling.sampling_rate)
+    start = _start(scene)
+    deviation = _prior(scene, start, start_error, start_error, 0.0)
+    return _with_learned(scene, replace(start, **dict(zip(list(LEARNED_COLUMNS)[3:], deviation, strict=True))))
+
+
 def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:
     """Raise `InvalidValue` if a number of `calibrate` breaks its rule."""
     for name, value, most in (
