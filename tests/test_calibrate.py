@@ -276,17 +276,17 @@ def test_the_command_writes_a_scene_that_trains(known, tmp_path, capsys):
 def test_a_model_of_modes_that_nobody_has_learned(known, tmp_path, capsys):
     """It trains on drawn modes, its file says how far they may be off, and it answers blows on a beam that is off."""
     scene = uncertain(known[0], 0.02)
-    assert (beam_of(scene).errors == [[0.02], [0.2], [0.0]]).all() and beam_of(known[0]).errors is None
-    again = beam_of(uncertain(scene, 0.02)).errors
+    assert (beam_modes(scene).errors == [[0.02], [0.2], [0.0]]).all() and beam_modes(known[0]).errors is None
+    again = beam_modes(uncertain(scene, 0.02)).errors
     assert again[0] == pytest.approx(0.02 * np.sqrt(2)) and again[1] == pytest.approx(0.2 * np.sqrt(2))
     # Measured modes are sorted by frequency, and their errors with them.
     content = json.loads(tapped(1.0).text)
     rows = [{"frequency": f, "damping_ratio": 0.02, "frequency_deviation": f / 1e5} for f in (350, 300, 560, 905)]
     content["tail_beam"]["learned"] = rows
-    assert (beam_of(parse_scene(content)).errors[0] == np.array([300, 350, 560, 905]) / 1e5).all()
+    assert (beam_modes(parse_scene(content)).errors[0] == np.array([300, 350, 560, 905]) / 1e5).all()
     scene_file, model = tmp_path / "panel.toml", tmp_path / "model.npz"
     scene_file.write_text("\n".join(_toml(json.loads(known[0].text))))
-    told = ["train", str(scene_file), "-n", "512", "--start-error", "2 %", "-o", str(model), "--json"]
+    told = ["train", str(scene_file), "-n", "256", "--start-error", "2 %", "-o", str(model), "--json"]
     assert run(told) == 0
     capsys.readouterr()
     beam = load_model(model).beam.beam
