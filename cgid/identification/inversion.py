@@ -377,8 +377,9 @@ class Inversion:
         """
         n_modes, n_each = len(self.beam.poles), 2 * (self.bins.stop - self.bins.start)
         out = np.empty((n_modes, len(self.forces), self.beam.n_sensors, n_each), np.float32)
-        covariance = np.zeros((self.beam.n_sensors, n_each, n_each))
-        loud = np.mean(np.square(self.beam.grid(GRID)[2], dtype=np.float64), axis=0)
+        covariance, loud = np.zeros((self.beam.n_sensors, n_each, n_each)), np.zeros(n_modes)
+        if self.beam.errors is not None:
+            loud = np.mean(np.square(self.beam.grid(GRID)[2], dtype=np.float64), axis=0)
         for first in range(0, n_modes, _ROWS):
             part = slice(first, first + _ROWS)
             errors = None if self.beam.errors is None else self.beam.errors[:, part]
