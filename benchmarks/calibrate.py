@@ -3,11 +3,13 @@
 The beam of `tail_beam` with every natural frequency and damping ratio off by independent normal errors of their
 logarithms strikes; the scene with the nominal beam learns from its blows, without labels. A model is then trained on
 simulations through the learned beam alone, and asked about other blows of the true one. With --shapes the true beam is
-that of other drawings instead: all its measures are off. With --plates it is one of finite elements, not made by the
-package (`independent_beam`), and the shipped model looks through it: from the plate's own modes with errors, as taps
-would tell them, and from the drawings, the scene itself.
+that of other drawings instead: all its measures are off. With --unlearned nothing is learned: the model trains on beams
+whose modes are drawn, and looks with and without their errors as noise. With --plates the true beam is one of finite
+elements, not made by the package (`independent_beam`), and the shipped model looks through it: from the plate's own
+modes with errors, as taps would tell them, and from the drawings, the scene itself.
 
     python benchmarks/calibrate.py --start 1 3 5 --seeds 5 --impacts 300 --signals 8000
+    python benchmarks/calibrate.py --start 0.3 1 3 --seeds 5 --unlearned
     python benchmarks/calibrate.py --start 1 --impacts 200 --plates "0.01 mindlin" "0.1 mindlin" plain
 """
 
@@ -30,15 +32,15 @@ from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
 from cgid.identification.rows import measure
 from cgid.identification.training import train
-from cgid.measure.beam import Beam, gain, nodes
+from cgid.measure.beam import Beam, corrected, gain, nodes
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of
 from cgid.site import calibrate
-from cgid.site.calibration import _blows, _evidence
-from cgid.site.learning import corrected, learn
+from cgid.site.calibration import _blows, _evidence, uncertain
+from cgid.site.learning import learn
 
 #: Modes that a 10 kHz anti-alias filter passes [Hz].
 HEARD = 10e3
@@ -74,6 +76,26 @@ def accuracy(site: Scene, truth: Scene, n_train: int, n_test: int, seed: int) ->
     rows = measure(synthesise(truth, n_test, 2000 + seed), model.measured, beam=model.beam.beam)
     probabilities = model.probabilities(rows.features[:, : len(model.features)])
     return float(np.mean(model.decide(probabilities) == rows.labels))
+
+
+def unlearned(scene: Scene, error: float, options: argparse.Namespace) -> str:
+    """Return a row: how often models that know only how far modes may be off are right on beams that are."""
+    stated, cells = uncertain(scene, error), []
+    for beam in (beam_of(stated), replace(beam_of(stated), errors=None)):
+        model: Model = train(synthesise(stated, options.signals, 1000), beam=beam).model
+        right, sure, spent = [], [], 0.0
+        for seed in range(options.first, options.first + options.seeds):
+            batches = list(synthesise(with_errors(scene, error, seed), options.test, 2000 + seed))
+            clock = time.process_time()
+            rows = measure(batches, model.measured, beam=beam)
+            spent += time.process_time() - clock
+            likely = model.probabilities(rows.features[:, : len(model.features)])
+            right.append(float(np.mean(model.decide(likely) == rows.labels)))
+            sure.append(float(likely.max(axis=1).mean()))
+        each = ", ".join(f"{one:.3f}" for one in right)
+        ms = 1e3 * spent / (options.seeds * options.test)
+        cells.append(f"{np.mean(right):.3f} ({each}) | {np.mean(sure):.3f} | {ms:.2f}")
+    return f"| {100 * error:g} % | " + " | ".join(cells) + " |"
 
 
 def plate_of(beam: Beam, variant: Any, most: int, apart: float, rng: np.random.Generator) -> tuple[Beam, Beam]:
@@ -210,15 +232,22 @@ def main() -> None:
     parser.add_argument(
         "--drawings", type=float, default=2.0, help="start from drawings, too, this far off [%%]; 0: no"
     )
+    parser.add_argument("--unlearned", action="store_true", help="learn nothing, say how far modes may be off")
     options = parser.parse_args()
     if options.plates:
         on_plates(options)
         return
     scene = load_scene("tail_beam")
+    if options.unlearned:
+        print("| modes off | accuracy (each beam) | confidence | ms | accuracy, errors no noise | confidence | ms |")
+        print("|---|---|---|---|---|---|---|")
+        for start in options.start:
+            print(unlearned(scene, start / 100, options), flush=True)
+        return
     nominal = beam_modes(scene).frequency
     heard = nominal < HEARD
-    print("start  seed  freq. error below 10 kHz [%]   damping   covered      evidence a sample          s  accuracy")
-    print("             median  90 %    largest       median    f.    d.   before   after  expected")
+    print("start  seed  freq. error below 10 kHz [%]   damping   covered      evidence a sample         s  accuracy;")
+    print("             median  90 %    largest       median    f.    d.   before   after  expected            exact")
     for start in options.start:
         for seed in range(options.first, options.first + options.seeds):
             if options.shapes:
@@ -226,6 +255,7 @@ def main() -> None:
             else:
                 truth = with_errors(scene, start / 100, seed)
             blows = np.concatenate([batch.signals for batch in synthesise(truth, options.impacts, 100 + seed)])
+            best = accuracy(truth, truth, options.signals, options.test, seed) if options.signals else np.nan
             begin = time.process_time()
             with threadpool_limits(1):
                 try:
@@ -239,7 +269,7 @@ def main() -> None:
                         most_blows=options.impacts,
                     )
                 except BadData as error:
-                    print(f"{start:4g} %  {seed:>3}  refused: {error}", flush=True)
+                    print(f"{start:4g} %  {seed:>3}  exact modes {best:.4f}, refused: {error}", flush=True)
                     continue
                 seconds = time.process_time() - begin
                 own = found.learned
@@ -260,7 +290,7 @@ def main() -> None:
                 right = accuracy(found.scene, truth, options.signals, options.test, seed) if options.signals else np.nan
             print(
                 f"{start:4g} %  {seed:>3}  {text}  {found.before:7.3g} {found.after:7.4f} {found.expected:7.4f}   "
-                f"{seconds:5.0f}  {right:.4f}",
+                f"{seconds:5.0f}  {right:.4f}  {best:.4f}",
                 flush=True,
             )
 

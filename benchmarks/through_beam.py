@@ -24,7 +24,7 @@ from cgid.identification.contact import ThroughBeam
 from cgid.identification.model import Model
 from cgid.identification.next_steps import CHANGED, _Channel
 from cgid.identification.prediction import load_model
-from cgid.measure.beam import Beam, nodes
+from cgid.measure.beam import Beam, corrected, nodes
 from cgid.measure.features import extract_array
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
@@ -179,10 +179,8 @@ def is_noticed(unexplained: Any) -> bool:
 
 def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:
     """Return a beam with its modes off by a share."""
-    size, ratio = np.abs(beam.poles), -beam.poles.real / np.abs(beam.poles)
-    size = size * np.exp(share * random.normal(size=size.size))
-    ratio = np.minimum(ratio * np.exp(10 * share * random.normal(size=size.size)), 0.9)
-    return replace(beam, poles=size * (-ratio + 1j * np.sqrt(1 - ratio**2)))
+    normal = random.normal(size=(2, len(beam.poles)))
+    return corrected(beam, np.stack([share * normal[0], 10 * share * normal[1], np.zeros(len(beam.poles))]))
 
 
 def slow_rocks() -> Scene:

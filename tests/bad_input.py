@@ -932,6 +932,18 @@ CASES = (
         "no mode that is heard", ("check", "still.toml"), 65, ("tail_beam", "shape is not 0", "nothing would be heard")
     ),
     Case("impedance of measured modes", ("check", "endless.toml"), 65, ("coupling", "auto or modes", "no impedance")),
+    Case(
+        "errors of modes of a scene without a beam",
+        ("train", "reference", "-n", "100", "--start-error", "1 %", "-o", "new.npz"),
+        65,
+        ("reference", "[tail_beam]", "sensor of motion"),
+    ),
+    Case(
+        "errors of modes that nobody can look through",
+        ("train", "tail_beam", "-n", "100", "--start-error", "90 %", "-o", "new.npz"),
+        65,
+        ("start_error", "at most 0.1", "0.9"),
+    ),
     Case("learned modes of another beam", ("check", "learned.toml"), 65, ("a row for each of the 188 modes", "got 1")),
     Case("learned mode without sense", ("check", "unsure.toml"), 65, ("unsure_modes.csv, line 2", "deviation", "-1")),
     Case("calibration of no beam", (*_CALIBRATE[:3], "reference", *_CALIBRATE[4:]), 65, ("[tail_beam]", "add them")),

@@ -437,6 +437,9 @@ def _beams() -> dict[str, Callable[[], bytes]]:
         "poles of three parts": {"poles": np.concatenate([poles, poles[:1]])},
         "poles of whole numbers": {"poles": poles.astype(np.int64)},
         "beam of another array": {"more": np.ones(3)},
+        "beam of errors below 0": {"errors": np.full((3, 3), -0.01)},
+        "beam of errors of other modes": {"errors": np.full((3, 4), 0.01)},
+        "beam of huge errors": {"errors": np.full((3, 3), 1e9)},
         "beam without poles": {"poles": None},
     }
     crafted = {name: (lambda own=own: with_beam(None, **own)) for name, own in changes.items()}

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +21,10 @@ from cgid.identification.contact import Contact, ThroughBeam
 from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
 from cgid.identification.training import train
-from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, lagrange, nodes, points_of, respond
+from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, lagrange, nodes, points_of, respond, respond_on_average
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.vibration import VibrationBatch
+from cgid.physics.modes import LEARNED_COLUMNS
 from cgid.physics.response import Response
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
@@ -198,7 +202,7 @@ def test_the_search_maximises_the_evidence_of_a_gaussian(height: float) -> None:
     inversion = eight_modes()
     sample = rung(inversion, 0.93, 0.31, height, 3)
     weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
-    found, place, level = inversion._search(inversion.transformed(sample[None]), weight, np.zeros(1), None)
+    found, place, level = inversion._search(inversion.transformed(sample[None]), weight, np.zeros(1), None, np.ones(1))
 
     def evidence(place: int, height: float) -> float:
         response = dense(inversion, inversion._grid.x[place], inversion._grid.y[place])
@@ -219,7 +223,7 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     sample = rung(inversion, 0.93, 0.31, 30.0, 4)
     weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
     samples = inversion.transformed(sample[None])
-    _, place, level = inversion._search(samples, weight, np.zeros(1), None)
+    _, place, level = inversion._search(samples, weight, np.zeros(1), None, np.ones(1))
     x, y = inversion._grid.x[place], inversion._grid.y[place]
     found = inversion._refined(samples, weight, x, y, level)
     x, y, force = found["x"][0], found["y"][0], found["coefficients"][0]
@@ -275,6 +279,123 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     assert np.abs(by_frequency - 1).mean() < 0.12
     white_noise = Colour(np.zeros((1, ORDER)), np.ones(1))
     assert (inversion._weights(sought(white_noise, np.ones(1)))[0] == 1).all()
+
+
+# -- modes that are not known exactly -------------------------------------------------------------------------------
+
+#: Standard deviations of the logarithms of frequency, damping ratio and participation.
+ERRORS = np.tile([[0.006], [0.06], [0.02]], (1, 8))
+
+
+def uncertain(errors: np.ndarray) -> Inversion:
+    """The small beam of eight modes with errors, (3, 8)."""
+    return Inversion(replace(eight_modes().beam, errors=errors))
+
+
+def drawn(inversion: Inversion, n: int, n_samples: int) -> Iterator[np.ndarray]:
+    """Responses (n_modes, n_shapes, n_samples) of beams whose modes are drawn, with their participation."""
+    beam, random = inversion.beam, np.random.default_rng(7)
+    size, ratio = np.abs(beam.poles), -beam.poles.real / np.abs(beam.poles)
+    for _ in range(n):
+        w, z, p = np.exp(ERRORS * random.normal(size=ERRORS.shape)) * [size, ratio, np.ones(8)]
+        other = replace(beam, poles=w * (-z + 1j * np.sqrt(1 - z**2)))
+        yield p[:, None, None] * respond(other, inversion.forces, n_samples)
+
+
+def test_the_mean_response_and_its_variance_are_those_of_drawn_modes() -> None:
+    inversion = uncertain(ERRORS)
+    made = np.array(list(drawn(inversion, 3000, 60)))
+    mean, ways = respond_on_average(inversion.beam, inversion.forces, 60)
+    size = made.std(axis=0)
+    assert np.abs((made.mean(axis=0) - mean) / size)[size > 0].max() < 6 / np.sqrt(3000)
+    variance = np.sum(np.square(ways), axis=0)
+    np.testing.assert_allclose(np.sqrt(variance.sum(axis=2)), np.sqrt((size**2).sum(axis=2)), rtol=0.04)
+
+
+@pytest.mark.parametrize("height", [3.0, 300.0])
+def test_errors_of_the_modes_are_noise_of_their_covariance(height: float) -> None:
+    """What is told of the force at a known place, against a dense covariance of drawn beams, places and forces."""
+    inversion, known = uncertain(ERRORS), eight_modes()
+    n, beam, random = inversion.n_samples, inversion.beam, np.random.default_rng(8)
+    mean = respond_on_average(beam, inversion.forces, n)[0]
+    low, high = beam.region[::2], beam.region[1::2]
+    covariance, n_drawn = np.zeros((n, n)), 1500
+    for made in drawn(inversion, n_drawn, n):
+        at = beam.weights(*random.uniform(low, high, (2, 2)).T)[0].astype(np.float64)
+        wrong = np.einsum("pm,mkt->pkt", at, made - mean).reshape(-1, n)
+        covariance += wrong.T @ wrong / (2 * n_drawn)
+    own = basis(inversion)
+    at = beam.weights(np.array([0.93]), np.array([0.31]))[0][0].astype(np.float64)
+    response = own @ np.einsum("m,mkt->tk", at, mean)
+    strength = height**2 / np.mean(np.square(response).sum(axis=0))
+    noise = np.eye(len(own)) + strength * own @ covariance @ own.T
+    errors = inversion._errors
+    assert errors is not None
+    # Noise as a weight: turned coefficients are independent, and tell what the dense covariance tells.
+    weight = errors.weight(np.ones((1, len(own)), np.float32), np.array([strength]))[0]
+    turned = errors.turned(response.T)
+    found, true = (turned * weight) @ turned.T, response.T @ np.linalg.solve(noise, response)
+    np.testing.assert_allclose(np.linalg.eigvalsh(found), np.linalg.eigvalsh(true), rtol=0.12)
+    # Strong blows tell far less than through modes that are known.
+    exact = own @ dense(known, 0.93, 0.31)
+    ratio = np.linalg.eigvalsh(exact.T @ exact) / np.linalg.eigvalsh(found)
+    assert ratio.max() > 20 if height == 300 else ratio.max() < 3
+
+
+@pytest.mark.long
+def test_tiny_errors_of_the_modes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the beam's own rate, at another, in coloured noise and where samples are clipped."""
+    monkeypatch.setattr("cgid.identification.inversion._NEGLIGIBLE", 0.0)
+    batch = at_rate(25_600, 96)
+    certain, exact = ThroughBeam(replace(tail_beam().beam, errors=np.full((3, 188), 1e-6))), tail_beam()
+    loud = np.abs(batch.signals).max(axis=1, keepdims=True)
+    coloured = (
+        batch.signals + 0.02 * loud * np.random.default_rng(9).normal(size=batch.signals.shape).cumsum(axis=1) / 9
+    )
+    for signals, rate in (
+        (batch.signals, 25_600.0),
+        (batch.signals[:, ::2], 12_800.0),
+        (coloured, 25_600.0),
+        (np.clip(batch.signals, -0.7 * loud, 0.7 * loud), 25_600.0),
+    ):
+        seen = VibrationBatch(signals, rate, pre_trigger=round(128 * rate / 25_600))
+        (found, pulse), (true, same) = certain.look(seen), exact.look(seen)
+        apart, change = np.hypot(found.x - true.x, found.y - true.y), np.abs(np.log(pulse.peak / same.peak))
+        assert np.median(apart) < 5e-4 and np.quantile(apart, 0.9) < 5e-3, (rate, apart)
+        assert np.median(change) < 1e-3 and np.quantile(change, 0.9) < 0.03, (rate, change)
+    assert certain.inversion._errors is not None and Inversion(tail_beam().beam)._errors is None
+    monkeypatch.undo()
+    assert Inversion(certain.beam)._errors is None
+
+
+def test_stated_errors_of_the_modes_leave_true_deviations() -> None:
+    """A beam that is truly 1 % off, looked at as one that is known and as one that may be off."""
+    nominal, random = tail_beam().beam, np.random.default_rng(10)
+    errors = np.tile([[0.01], [0.1], [0.0]], (1, 188))
+    content = json.loads(load_scene("tail_beam").text)
+    own = beam_modes(load_scene("tail_beam"))
+    normal = random.normal(size=(2, 188))
+    content["tail_beam"]["learned"] = [
+        dict.fromkeys(LEARNED_COLUMNS, 0.0) | {"frequency": f, "damping_ratio": z, "participation": 1.0}
+        for f, z in zip(
+            (own.frequency * np.exp(0.01 * normal[0])).tolist(),
+            (own.damping_ratio * np.exp(0.1 * normal[1])).tolist(),
+            strict=True,
+        )
+    ]
+    batch = next(iter(synthesise(parse_scene(content), 192, SEED)))
+    spread, apart = {}, {}
+    for name, beam in (("known", nominal), ("stated", replace(nominal, errors=errors))):
+        inverted, contact = ThroughBeam(beam).look(vibrations(batch))
+        z = np.log(contact.peak / batch.parameters["peak_force"]) / np.sqrt(contact.covariance[:, 0, 0])
+        spread[name] = np.median(np.abs(z)) / 0.6745
+        apart[name] = np.median(
+            np.hypot(inverted.x - batch.parameters["impact_x"], inverted.y - batch.parameters["impact_y"])
+        )
+        left = np.median(inverted.unexplained)
+        assert left < 0.005 if name == "stated" else left > 0.03
+    assert 0.8 < spread["stated"] < 1.25 < 1.6 < spread["known"], spread
+    assert apart["stated"] < 0.8 * apart["known"], apart
 
 
 # -- impacts of the scene -------------------------------------------------------------------------------------------

@@ -17,9 +17,18 @@ from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
 from cgid.identification.share import CavingWatch, Share
 from cgid.identification.stream import identify_blocks
 from cgid.scene import Scene, load_scene, parse_scene
+from cgid.scene.impacts import beam_modes
 from cgid.scene.stream import record
 from cgid.site import streams
-from cgid.site.streams import StreamRows, finished, is_streamable, rows_of_streams, train_on_streams, variations
+from cgid.site.calibration import uncertain
+from cgid.site.streams import (
+    StreamRows,
+    finished,
+    is_streamable,
+    rows_of_streams,
+    train_on_streams,
+    variations,
+)
 
 NAMES = (*BEAM_FEATURES, *BEAM_GUARDS)
 
@@ -58,6 +67,14 @@ def test_variations_fill_the_shares_and_keep_the_rocks(caving: Scene) -> None:
     assert [point == caving.tail_beam.impact_point for point in points] == [True, False] * 10
     assert [one.text for one in variations(caving, 20, 3)] == [one.text for one in scenes]
     assert variations(caving, 20, 4)[0].text != scenes[0].text
+
+
+def test_each_stream_has_modes_of_its_own_where_nobody_knows_them(caving: Scene) -> None:
+    stated = uncertain(caving, 0.01)
+    nominal, modes = beam_modes(caving), [beam_modes(one) for one in variations(stated, 4, 3)]
+    errors = np.log([one.frequency / nominal.frequency for one in modes])
+    assert np.std(errors, axis=1) == pytest.approx(0.01, rel=0.3) and np.abs(np.corrcoef(errors)).min() < 0.2
+    assert all(one.errors is None for one in modes)
 
 
 def test_rows_are_what_the_detector_finds_with_the_truth_of_the_rock(short) -> None:

@@ -27,6 +27,7 @@ _OF_TRAINING = {
     "test_share": "--test-share",
     "calibration_share": "--calibration-share",
     "drop_height": "--drop-height",
+    "start_error": "--start-error",
     "n_signals": "--signals",
     "shuffle_labels": "--shuffle-labels",
 }

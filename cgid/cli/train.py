@@ -12,7 +12,7 @@ import click
 
 from cgid import validation
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew
+from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew, share_of
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.terminal import counted
@@ -39,6 +39,7 @@ _OF_DATASETS = {
     "test_share": "--test-share",
     "calibration_share": "--calibration-share",
     "drop_height": "--drop-height",
+    "start_error": "--start-error",
 }
 
 
@@ -78,6 +79,12 @@ _OF_DATASETS = {
     help="Keep this share of the specimens to calibrate the prediction sets.",
 )
 @click.option("--drop-height", is_flag=True, help="Give the model the drop height of each rock, too.")
+@click.option(
+    "--start-error",
+    metavar="SHARE",
+    help="Say how far the natural frequencies of a scene's beam may be off (one standard deviation), if nothing has "
+    "taught them; dampings 10 times as far.",
+)
 @click.option(
     "-n",
     "--signals",
@@ -297,7 +304,12 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     """Return the training on datasets and scenes, and no errors."""
     from cgid.identification.training import train as train_model
 
-    scene = _streamable(data, options)
+    given = options["start_error"]
+    error = None if given is None else share_of("--start-error", given)
+    made = next((item for item in data if not _means_scene(item)), None)
+    if given is not None and made is not None:
+        raise InvalidValue(f"{made}: --start-error must be left out, the signals of a dataset are made; give its scene")
+    scene = _streamable(data, options, error)
     with progress_bar(None, "signals") as progress:
         if scene is not None:
             from cgid.site.streams import train_on_streams
@@ -305,9 +317,9 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
             own = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share") if name != "features"}
             return train_on_streams(scene, options["n_signals"], progress=progress, **own), []
         training = train_model(
-            _batches(data, options["n_signals"], options["seed"]),
+            _batches(data, options["n_signals"], options["seed"], error),
             known=("drop_height",) if options["drop_height"] else (),
-            beam=_beam(data, options["features"]),
+            beam=_beam(data, options["features"], error),
             progress=progress,
             **{name: options[name] for name in (*_COMMON, "test_share", "calibration_share")},
         )
@@ -362,7 +374,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
         raise InvalidValue(
             f"{data[0]}: scenes hold single impacts; give --by impact to train on both, or leave them out"
         )
-    batches = _batches(data, options["n_signals"], options["seed"])
+    batches = _batches(data, options["n_signals"], options["seed"], None)
     first = next(batches, None)
     if first is None:
         raise BadData(f"{data[0]}: there must be signals to train on; there are none")
@@ -434,28 +446,38 @@ def _class_weights(text: str | None) -> dict[str, float] | str | None:
     return weights
 
 
-def _beam(data: list[str], features: tuple[str, ...] | None) -> Any:
+def _scene(item: str, start_error: float | None) -> Any:
+    """Return a scene; with an error, its beam is known no better."""
+    from cgid.scene import load_scene
+
+    scene = load_scene(item)
+    if start_error is None:
+        return scene
+    from cgid.site.calibration import uncertain
+
+    return uncertain(scene, start_error)
+
+
+def _beam(data: list[str], features: tuple[str, ...] | None, start_error: float | None) -> Any:
     """Return the beam of the only scene, if it has one to look through and the features, or the default, do."""
     from cgid.measure.features import FEATURES
 
     asked = features is None or any(FEATURES[name].beam for name in features)
     if not asked or len(data) != 1 or not _means_scene(data[0]):
         return None
-    from cgid.scene import load_scene
     from cgid.scene.through_beam import beam_of, has_beam
 
-    scene = load_scene(data[0])
+    scene = _scene(data[0], start_error)
     return beam_of(scene) if has_beam(scene) else None
 
 
-def _streamable(data: list[str], options: dict[str, Any]) -> Any:
+def _streamable(data: list[str], options: dict[str, Any], start_error: float | None) -> Any:
     """Return the only scene, if it is one of streams to train on with the default features."""
     if len(data) != 1 or options["features"] is not None or options["drop_height"] or not _means_scene(data[0]):
         return None
-    from cgid.scene import load_scene
     from cgid.site.streams import is_streamable
 
-    scene = load_scene(data[0])
+    scene = _scene(data[0], start_error)
     return scene if is_streamable(scene) else None
 
 
@@ -467,15 +489,15 @@ def _means_scene(item: str) -> bool:
     return Path(item).suffix == ".toml" or (named and not Path(item).exists())
 
 
-def _batches(data: list[str], n_signals: int, seed: int) -> Iterator[Any]:
+def _batches(data: list[str], n_signals: int, seed: int, start_error: float | None) -> Iterator[Any]:
     from cgid.store import Dataset
 
     for item in data:
         if _means_scene(item):
-            from cgid.scene import load_scene, synthesise
+            from cgid.scene import synthesise
             from cgid.scene.generation import MOST_SIGNALS
 
             validation.whole("signals", n_signals, 1, MOST_SIGNALS)
-            yield from synthesise(load_scene(item), n_signals, seed)
+            yield from synthesise(_scene(item, start_error), n_signals, seed)
         else:
             yield from Dataset(item).batches(check_sums=True)

@@ -91,23 +91,18 @@ def _spectra() -> NDArray[np.complex128]:
 
     Frequencies are multiples of `_POINTS / _LENGTH` over the width.
     """
-    out = np.empty((_SHAPES.size, _LENGTH // 2 + 1), complex)
-    for row, shape in enumerate(_SHAPES.tolist()):
-        restitution = np.array([min(np.exp(-abs(shape)), family.HIGHEST_RESTITUTION)])
-        contact, top, _ = (float(one[0]) for one in family.times(restitution))
-        height = float(family.force(np.array([[top]]), restitution)[0, 0])
-        width = (1 + restitution[0]) / height
-        lasts, rises = contact / width, top / width
-        if shape > 0:
-            rises = lasts - rises
-        inside = np.arange(int(lasts * _POINTS) + 1) / _POINTS
-        own = lasts - inside if shape > 0 else inside
-        pulse = family.force(np.clip(own * width, 0, contact)[None], restitution)[0] / height
-        padded = np.zeros(_LENGTH)
-        padded[: inside.size] = pulse
-        out[row] = np.fft.rfft(padded) / _POINTS
-        out[row] *= np.exp(2j * np.pi * np.fft.rfftfreq(_LENGTH, 1 / _POINTS) * rises)
-    return out
+    restitution = np.minimum(np.exp(-np.abs(_SHAPES)), family.HIGHEST_RESTITUTION)
+    contact, top, _ = family.times(restitution)
+    height = family.force(top[:, None], restitution)[:, 0]
+    width = (1 + restitution) / height
+    lasts, rises = (contact / width)[:, None], (top / width)[:, None]
+    backwards = _SHAPES[:, None] > 0
+    time = np.arange(int(lasts.max() * _POINTS) + 1) / _POINTS
+    own = np.where(backwards, lasts - time, time) * width[:, None]
+    pulse = family.force(np.clip(own, 0, contact[:, None]), restitution) / height[:, None]
+    spectrum = np.fft.rfft(np.where(time > lasts, 0, pulse), _LENGTH) / _POINTS
+    peak = np.where(backwards, lasts - rises, rises)
+    return np.asarray(spectrum * np.exp(2j * np.pi * np.fft.rfftfreq(_LENGTH, 1 / _POINTS) * peak))
 
 
 class ContactFit:

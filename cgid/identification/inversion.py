@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.measure.beam import GRID, TOUCH, Beam, Singles, filtered, gain, respond
+from cgid.measure.beam import GRID, TOUCH, Beam, Singles, filtered, gain, respond_on_average
 from cgid.measure.colour import ORDER
 from cgid.validation import Floats
 
@@ -52,6 +52,10 @@ _SAME, _NEARLY = 3e-4, 3e-3
 _RATIO, _FAINTEST = 8.0, 2
 #: Coefficients with less than this share of the usual weight are drowned.
 _DROWNED = 0.02
+#: Ratio of the squares of forces for which errors of the modes have a grid of their own, and the least weight.
+_STRONGER, _LEAST_WEIGHT = 16.0, 1e-30
+#: Share of the energy of a blow below which errors of the modes do not count, as after calibration with 300 blows.
+_NEGLIGIBLE = 1e-4
 #: Exponents of coloured noise, f^-a, for which there is a grid of its own.
 _COLOURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
@@ -278,16 +282,62 @@ class _Few:
         return (self.at @ by_mode.reshape(n_modes, -1)).reshape(len(self.at), n_shapes, -1)
 
 
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """Errors of the modes as noise whose power is proportional to the square of the force.
+
+    Attributes
+    ----------
+    turn : ndarray, (n_sensors, n_each, n_each)
+        Columns turn the coefficients of a sensor to others, in which this noise is independent.
+    power, untold : ndarray, (n_coefficients,)
+        Of this noise for a force of 1 N, in those and in Fourier coefficients.
+    energy : ndarray, (n_coefficients,)
+        Expected square of Fourier coefficients for a force of 1 N.
+    """
+
+    turn: Singles
+    power: Floats
+    untold: Floats
+    energy: Floats
+
+    @classmethod
+    def of(cls, covariance: Floats, energy: Floats) -> _Errors:
+        """Return the errors of covariances (n_sensors, n_each, n_each): those of two sensors count as independent."""
+        power, turn = np.linalg.eigh(covariance)
+        diagonal = covariance[:, range(power.shape[1]), range(power.shape[1])]
+        return cls(turn.astype(np.float32), np.maximum(power, 0.0).ravel(), diagonal.ravel(), energy)
+
+    def turned(self, coefficients: NDArray[Any], turn: Singles | None = None) -> NDArray[Any]:
+        """Return Fourier coefficients (..., n_coefficients) turned, or what another matrix makes of them."""
+        turn = self.turn if turn is None else turn
+        parts = coefficients.reshape(-1, len(turn), turn.shape[1]).swapaxes(0, 1) @ turn
+        return np.ascontiguousarray(parts.swapaxes(0, 1)).reshape(coefficients.shape)
+
+    def strength(self, samples: Singles, weight: Singles) -> Floats:
+        """Return the square of the force that samples of weights suggest, each (n, n_coefficients), over the noise."""
+        left = np.sum(np.square(samples, dtype=np.float64) * weight, axis=1) - (weight > 0).sum(axis=1)
+        return np.asarray(np.maximum(left, 1.0) / np.maximum(weight @ self.energy, 1e-300))
+
+    def weight(self, weight: NDArray[Any], strength: Floats) -> Singles:
+        """Return weights of turned coefficients, from those of Fourier coefficients without errors of the modes."""
+        noise = self.turned(1 / np.maximum(weight, _LEAST_WEIGHT).astype(np.float64), np.square(self.turn))
+        found = 1 / (noise + strength[:, None] * self.power)
+        return np.where(found > np.sqrt(_LEAST_WEIGHT), found, 0).astype(np.float32)
+
+
 class Inversion:
     """The tables of one beam, and the inversion of accelerations through them.
 
     Parameters
     ----------
     beam : Beam
+    limit : float, optional
+        Frequency up to which the samples tell [Hz].
     """
 
-    def __init__(self, beam: Beam) -> None:
-        self.beam = beam
+    def __init__(self, beam: Beam, limit: float = np.inf) -> None:
+        self.beam, self.limit = beam, limit
         self.n_samples = beam.n_samples
 
     # -- tables ---------------------------------------------------------------------------------------
@@ -301,7 +351,7 @@ class Inversion:
     def bins(self) -> slice:
         """Frequencies that tell: above 0, up to where the filters leave 1 % or, without them, below half the rate."""
         frequencies = np.fft.rfftfreq(self.n_samples, 1 / self.beam.sampling_rate)
-        heard = np.abs(gain(self.beam.filters, frequencies)) > 0.01
+        heard = (np.abs(gain(self.beam.filters, frequencies)) > 0.01) & (frequencies <= self.limit)
         return slice(1, min(max(int(np.flatnonzero(heard)[-1]) + 1, _FEWEST_BINS), (self.n_samples + 1) // 2))
 
     def transformed(self, samples: Floats) -> Singles:
@@ -318,8 +368,8 @@ class Inversion:
         return np.tile(of_one, self.beam.n_sensors)
 
     @cached_property
-    def _table(self) -> Singles:
-        """Transformed responses of each mode to each shape for participation 1.
+    def _responses(self) -> tuple[Singles, _Errors | None]:
+        """Transformed mean responses of each mode to each shape for participation 1, and the errors of the modes.
 
         Shape (n_modes, n_shapes * n_coefficients), the coefficients of each sensor in turn.
 
@@ -327,20 +377,53 @@ class Inversion:
         """
         n_modes, n_each = len(self.beam.poles), 2 * (self.bins.stop - self.bins.start)
         out = np.empty((n_modes, len(self.forces), self.beam.n_sensors, n_each), np.float32)
+        covariance, loud = np.zeros((self.beam.n_sensors, n_each, n_each)), np.zeros(n_modes)
+        if self.beam.errors is not None:
+            loud = np.mean(np.square(self.beam.grid(GRID)[2], dtype=np.float64), axis=0)
         for first in range(0, n_modes, _ROWS):
             part = slice(first, first + _ROWS)
-            own = replace(self.beam, poles=self.beam.poles[part])
+            errors = None if self.beam.errors is None else self.beam.errors[:, part]
+            own = replace(
+                self.beam, poles=self.beam.poles[part], participation=self.beam.participation[part], errors=errors
+            )
             with np.errstate(over="ignore"):
-                found = self.transformed(respond(own, self.forces, self.n_samples))
+                mean, others = respond_on_average(own, self.forces, self.n_samples)
                 shares = self.beam.shares.T[part, None, :, None].astype(np.float32)
-                np.multiply(found[:, :, None], shares, out=out[part])
+                np.multiply(self.transformed(mean)[:, :, None], shares, out=out[part])
+            for other in others:
+                for sensor, heard in enumerate(self.beam.shares[:, part] * np.sqrt(loud[part])):
+                    rows = (self.transformed(other) * heard[:, None, None].astype(np.float32)).reshape(-1, n_each)
+                    covariance[sensor] += rows.T @ rows
         loudest = float(np.abs(self.beam.participation).max()) * max(float(out.max()), -float(out.min()))
         if not _LOUDNESS[0] < loudest < _LOUDNESS[1]:
             raise BadData(
                 f"a beam must ring between {_LOUDNESS[0]:g} and {_LOUDNESS[1]:g} for a force of 1 N, got {loudest:g}; "
                 "train the model again"
             )
-        return out.reshape(n_modes, -1)
+        if self.beam.errors is None:
+            return out.reshape(n_modes, -1), None
+        energy = np.tensordot(loud, np.sum(np.square(out), axis=1, dtype=np.float64), 1)
+        return out.reshape(n_modes, -1), _Errors.of(covariance, energy.ravel())
+
+    @cached_property
+    def _errors(self) -> _Errors | None:
+        """The errors of the modes; None if these are known well enough."""
+        found = None if self.beam.errors is None else self._responses[1]
+        return found if found is not None and found.power.sum() > _NEGLIGIBLE * found.energy.sum() else None
+
+    def _turned(self, coefficients: Singles) -> Singles:
+        """Return coefficients whose noise is independent, from Fourier coefficients, each (n, n_coefficients)."""
+        return coefficients if self._errors is None else self._errors.turned(coefficients)
+
+    def _weighed(self, weight: Singles, strength: Floats) -> Singles:
+        """Return the weights of turned coefficients from those of Fourier coefficients."""
+        return weight if self._errors is None else self._errors.weight(weight, strength)
+
+    @cached_property
+    def _table(self) -> Singles:
+        """Turned mean responses, shape as in `_responses`."""
+        found = self._responses[0]
+        return self._turned(found.reshape(found.shape[0] * len(self.beam.deviations), -1)).reshape(found.shape)
 
     @cached_property
     def _colour_tables(self) -> dict[tuple[Any, ...], tuple[Singles, Floats, Singles, Singles, Singles]]:
@@ -358,36 +441,38 @@ class Inversion:
         few = table.reshape(len(table), len(self.beam.deviations), -1)[:, :_LEADING]
         return np.ascontiguousarray(few).reshape(len(table), -1)
 
-    def _few(self, top: float, most: int, apart: float) -> _Few:
-        """Return the part of the tables below a frequency [Hz], of the first shapes and a grid of places."""
+    def _few(self, responses: Singles, top: float, most: int, apart: float) -> _Few:
+        """Return the part of a table below a frequency [Hz], of the first shapes and a grid of places."""
         n_bins = self.bins.stop - self.bins.start
         n_low = min(max(int(top * self.n_samples / self.beam.sampling_rate), 16), n_bins)
         kept = np.add.outer(np.arange(2 * self.beam.n_sensors) * n_bins, np.arange(n_low)).ravel()
         n_shapes = min(most, len(self.beam.deviations))
-        table = self._table.reshape(len(self._table), len(self.beam.deviations), -1)[:, :n_shapes][:, :, kept]
+        table = responses.reshape(len(responses), len(self.beam.deviations), -1)[:, :n_shapes][:, :, kept]
         beam, table = _compressed(self.beam, table.reshape(len(table), -1), _NEARLY)
         return _Few(kept, table.reshape(len(table), n_shapes, -1), *beam.grid(apart))
 
     @cached_property
     def _grid(self) -> _Few:
         """The tables of the grid on which the place is sought."""
-        return self._few(_TOP, _GRID_SHAPES, GRID)
+        # What is turned has no frequency.
+        top = _TOP if self._errors is None else self.beam.sampling_rate
+        return self._few(self._table, top, _GRID_SHAPES, GRID)
 
     def _coarse(
-        self, exponent: float, limit: float | None = None, fainter: tuple[int, ...] = ()
+        self, exponent: float, limit: float | None = None, strong: int = 0, fainter: tuple[int, ...] = ()
     ) -> tuple[Singles, Floats, Singles, Singles, Singles]:
         """Return the rotation of the shapes at each place of the grid, `_shares`, and the weight of each coefficient.
 
         The rotation diagonalises what the samples tell of the coefficients in noise of power f^-exponent, (n_places,
         n_shapes, n_shapes). The power of the noise of each sensor is that of the quietest times `_RATIO` to the power
-        of `fainter`.
+        of `fainter`, and the square of the force that errors of the modes follow is `_STRONGER` to that of `strong`.
         """
-        key = exponent, limit, fainter
+        key = exponent, limit, strong, fainter
         if key not in self._colour_tables:
             weight = self._each(self._law(exponent) * self._heard(limit))
             for sensor, part in enumerate(np.split(weight, self.beam.n_sensors) if any(fainter) else ()):
                 part *= _RATIO ** -fainter[sensor]
-            weight = weight[self._grid.kept]
+            weight = self._weighed(weight[None], np.array([_STRONGER**strong]))[0, self._grid.kept]
             power, rotation = self._grid.powers(np.sqrt(weight))
             self._colour_tables[key] = rotation, *_shares(power), weight
         return self._colour_tables[key]
@@ -416,17 +501,36 @@ class Inversion:
         -------
         Inverted
         """
+        if sought.limit is not None and self.beam.errors is not None:  # errors are turned in the band that tells
+            return self._up_to(sought.limit).invert(replace(sought, limit=None), start)
         sought = sought.by_sensor()
         n_rows = max(_ROWS // self.beam.n_sensors, 1)
         parts = [slice(first, first + n_rows) for first in range(0, max(len(start), 1), n_rows)]
         return Inverted.joined([self._inverted(sought.rows(part), start[part]) for part in parts])
 
+    @cached_property
+    def _narrower(self) -> dict[float, Inversion]:
+        return {}
+
+    def _up_to(self, limit: float) -> Inversion:
+        """Return the inversion of a narrower band; its tables are made once."""
+        return self._narrower.setdefault(limit, Inversion(self.beam, limit))
+
     def _inverted(self, sought: Sought, start: NDArray[np.intp]) -> Inverted:
         weight, exponent = self._weights(sought)
-        begun = self._start(sought, start, weight)
-        samples = self._stacked(_cut(sought.frames, begun, self.n_samples), sought.level)
-        _, place, level = self._search(samples, weight, exponent, sought.limit)
+        strength = np.ones(len(start))
+        if self._errors is not None:
+            early = _cut(sought.frames, start[:, 0] - TOUCH // 2, self.n_samples)
+            strength = self._errors.strength(self._stacked(early, sought.level), weight)
+        begun = self._start(sought, start, weight, strength)
+        samples = self._turned(self._stacked(_cut(sought.frames, begun, self.n_samples), sought.level))
+        _, place, level = self._search(samples, weight, exponent, sought.limit, strength)
+        weight, told = self._weighed(weight, strength), weight
         found = self._refined(samples, weight, self._grid.x[place], self._grid.y[place], level)
+        if self._errors is not None:
+            peak = (found["coefficients"] @ (self.beam.shapes * self.beam.deviations[:, None])).max(axis=1)
+            weight = self._errors.weight(told, np.square(peak))
+            found = self._refined(samples, weight, found["x"], found["y"], level)
         if sought.clipped is not None and sought.clipped.any():
             rows = np.flatnonzero(sought.clipped.any(axis=(1, 2)))
             before = {name: array[rows] for name, array in found.items()}
@@ -464,12 +568,15 @@ class Inversion:
         recorded = _cut(sought.frames, begun, self.n_samples) / sought.level[:, None, None]
         bounds = _cut(sought.clipped, begun, self.n_samples) > 0
         for _ in range(_UNCLIPPING):
+            heard = found["predicted"]
+            if self._errors is not None:
+                heard = self._errors.turned(heard, self._errors.turn.swapaxes(1, 2))
             spectrum = np.zeros((*recorded.shape[:2], self.n_samples // 2 + 1), complex)
-            spectrum[:, :, self.bins] = _complex(found["predicted"], self.beam.n_sensors) / np.sqrt(2)
+            spectrum[:, :, self.bins] = _complex(heard, self.beam.n_sensors) / np.sqrt(2)
             expected = np.fft.irfft(spectrum, self.n_samples, axis=2, norm="ortho")
             further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
             samples = np.where(bounds, further, recorded)
-            samples_of = self.transformed(samples).reshape(len(samples), -1)
+            samples_of = self._turned(self.transformed(samples).reshape(len(samples), -1))
             found = self._refined(samples_of, weight, found["x"], found["y"], level)
         # The bounded samples are no measurements: they take their share of the energy out of what is known.
         whole = np.sum(samples**2, axis=(1, 2))
@@ -482,7 +589,7 @@ class Inversion:
     @cached_property
     def _low(self) -> _Few:
         """The tables that find the start."""
-        return self._few(_LOW, _LOW_SHAPES, _LOW_GRID)
+        return self._few(self._responses[0], _LOW, _LOW_SHAPES, _LOW_GRID)
 
     @cached_property
     def _low_tables(self) -> dict[tuple[int, ...], tuple[Singles, Singles, Singles, Floats]]:
@@ -498,13 +605,15 @@ class Inversion:
             self._low_tables[fainter] = rotation, share, cost, weight
         return self._low_tables[fainter]
 
-    def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles) -> NDArray[np.intp]:
+    def _start(self, sought: Sought, start: NDArray[np.intp], weight: Singles, strength: Floats) -> NDArray[np.intp]:
         """Return the sample at which the table of forces begins, (n,): touch lies within `TOUCH` samples of it."""
         first = np.asarray(start[:, 0] - TOUCH // 2)
         steps = np.arange(0, int((start[:, 1] - start[:, 0]).max(initial=0)) + 1, _STRIDE)
         if steps.size == 1:
             return first
         kinds, kind = np.unique(self._fainter(weight), axis=0, return_inverse=True)
+        if self._errors is not None:
+            weight = weight / (1 + weight * np.float32(strength[:, None] * self._errors.untold))
         for number, of_sensors in enumerate(kinds.tolist()):
             rows = np.flatnonzero(kind.ravel() == number)
             own = weight[rows][:, self._low.kept]
@@ -546,23 +655,23 @@ class Inversion:
         return np.asarray(np.round(trust @ steps / trust.sum(axis=1)).astype(np.intp) - early)
 
     def _search(
-        self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None
+        self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None, strength: Floats
     ) -> tuple[Floats, NDArray[np.intp], Floats]:
         """Return the evidence of the best place of the grid, its number, and the best level of the force, each (n,)."""
         n, few = len(samples), self._grid
-        fainter = self._fainter(weight)
-        samples, weight = samples[:, few.kept], weight[:, few.kept]
+        fainter, strong = self._fainter(weight), np.round(np.log(strength) / np.log(_STRONGER)).astype(np.intp)
+        samples, weight = samples[:, few.kept], self._weighed(weight, strength)[:, few.kept]
         nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
         out = np.full(n, -np.inf), np.zeros(n, np.intp), np.ones(n)
-        kinds, kind = np.unique(np.column_stack([nearest, fainter]), axis=0, return_inverse=True)
-        for number, (colour, *of_sensors) in enumerate(kinds.tolist()):
+        kinds, kind = np.unique(np.column_stack([nearest, strong, fainter]), axis=0, return_inverse=True)
+        for number, (colour, force, *of_sensors) in enumerate(kinds.tolist()):
             rows = np.flatnonzero(kind.ravel() == number)
-            turned, levels, share, cost, law = self._coarse(_COLOURS[colour], limit, tuple(of_sensors))
+            turned, levels, share, cost, law = self._coarse(_COLOURS[colour], limit, force, tuple(of_sensors))
             # The law has a mean weight of 1; the level of the noise is that of its middle, at the quietest sensors.
             heard_at = (law > 0) & np.repeat(np.equal(of_sensors, 0), law.size // len(of_sensors))
             scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
             own = weight[rows]
-            if self.beam.n_sensors > 1:
+            if self.beam.n_sensors > 1 or self._errors is not None:
                 own = self._lawful(own, law * scale[:, None], np.equal(of_sensors, _FAINTEST))
             told = np.square(turned @ few.heard(samples[rows] * own / np.sqrt(scale)[:, None]))
             evidence = share @ told

@@ -18,6 +18,10 @@ from cgid import validation
 from cgid.errors import BadData
 from cgid.validation import Floats
 
+#: What may be wrong about a mode, in logarithms.
+CORRECTED = ("frequency", "damping_ratio", "participation")
+#: Limits of a damping ratio that is corrected, and places of an average over the error of a frequency.
+_LEAST_DAMPING, _MOST_DAMPING, _DRAWS = 1e-4, 0.7, 5
 #: Points of a contact force to a sample, and length of a table of forces [s].
 FINE, FORCE_TIME = 16, 3.9e-3
 #: Samples at the start of a table of forces, within which touch lies.
@@ -65,10 +69,14 @@ class Beam:
         Standard deviation of the coefficient of each, for a force of peak 1.
     sensors : ndarray, (n_sensors, n_modes) [1], optional
         Shares of `participation` that each of several sensors hears; by default there is one, which hears all.
+    errors : ndarray, (3, n_modes) [1], optional
+        Standard deviations of ln frequency, ln damping ratio and ln participation (`CORRECTED`) of modes that are not
+        known exactly.
     """
 
-    #: Names of the arrays in a model file; `sensors` only where there are several.
-    ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations", "sensors")
+    #: Names of the arrays in a model file; the last may be missing.
+    OPTIONAL: ClassVar = ("sensors", "errors")
+    ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations", *OPTIONAL)
 
     sampling_rate: float
     poles: NDArray[np.complex128]
@@ -79,6 +87,7 @@ class Beam:
     shapes: Floats
     deviations: Floats
     sensors: Floats | None = None
+    errors: Floats | None = None
 
     @property
     def n_sensors(self) -> int:
@@ -132,7 +141,7 @@ class Beam:
             "beam.filters": np.stack([self.filters.real, self.filters.imag]),
             "beam.shapes": self.shapes,
             "beam.deviations": self.deviations,
-            "beam.sensors": np.empty(0) if self.sensors is None else self.sensors,
+            **{f"beam.{name}": getattr(self, name) for name in self.OPTIONAL if getattr(self, name) is not None},
         }
         # A file holds no empty array.
         return {name: array for name, array in found.items() if array.size}
@@ -144,9 +153,10 @@ class Beam:
         if not own:
             return None
         own.setdefault("filters", np.empty((2, 0)))
-        names = cls.ARRAYS if "sensors" in own else cls.ARRAYS[:-1]
+        needed = cls.ARRAYS[: -len(cls.OPTIONAL)]
+        names = (*needed, *(name for name in cls.OPTIONAL if name in own))
         if own.keys() != set(names) or any(own[name].dtype.kind != "f" for name in names):
-            raise BadData(f"a beam must have the arrays {', '.join(cls.ARRAYS[:-1])} of real numbers")
+            raise BadData(f"a beam must have the arrays {', '.join(needed)} of real numbers")
         for name in names:
             validation.real(f"beam.{name}", own[name])
         if own["scalars"].shape != (2,):
@@ -187,6 +197,7 @@ class Beam:
             and self.shares.ndim == 2
             and self.shares.shape[1] == n_modes
             and _inside(np.abs(self.shares).max(axis=1, initial=0.0), *_SHARES)
+            and (self.errors is None or (self.errors.shape == (len(CORRECTED), n_modes) and _inside(self.errors, 0, 1)))
         )
         if not sound:
             raise BadData("the arrays of a beam must fit each other, with poles that decay; train the model again")
@@ -308,3 +319,43 @@ def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
     free = (amplitude[:, None] * np.exp(np.outer(pole / beam.sampling_rate, np.arange(n_samples - n_driven))))[:, None]
     out[:, :, n_driven:] = state.real[:, :, None] * free.real - state.imag[:, :, None] * free.imag
     return out
+
+
+def corrected(beam: Beam, correction: Floats) -> Beam:
+    """Return a beam with corrected modes.
+
+    Parameters
+    ----------
+    beam : Beam
+    correction : ndarray, (3, n_modes)
+        Of ln frequency, ln damping ratio and ln participation (`CORRECTED`).
+    """
+    size = np.abs(beam.poles)
+    ratio = np.clip(-beam.poles.real / size * np.exp(correction[1]), _LEAST_DAMPING, _MOST_DAMPING)
+    return replace(
+        beam,
+        poles=size * np.exp(correction[0]) * (-ratio + 1j * np.sqrt(1 - ratio**2)),
+        participation=beam.participation * np.exp(correction[2])[:, None, None],
+    )
+
+
+def respond_on_average(beam: Beam, forces: Floats, n_samples: int) -> tuple[Floats, list[Floats]]:
+    """Return the mean of `respond` over the errors of the modes, and deviations whose squares add up to its variance.
+
+    The error of a frequency turns a response by radians, so it is averaged by the rule of Gauss and Hermite; errors of
+    damping and participation are small enough for their slopes.
+    """
+    errors = beam.errors
+    if errors is None:
+        return respond(beam, forces, n_samples), []
+
+    def off(row: int, deviations: float) -> Floats:
+        correction = np.zeros((len(CORRECTED), len(beam.poles)))
+        correction[row] = deviations * errors[row]
+        return respond(corrected(beam, correction), forces, n_samples)
+
+    places, shares = np.polynomial.hermite_e.hermegauss(_DRAWS)
+    drawn = [off(0, place) for place in places.tolist()]
+    mean = np.tensordot(shares / shares.sum(), drawn, 1)
+    found = [np.sqrt(share) * (one - mean) for share, one in zip(shares / shares.sum(), drawn, strict=True)]
+    return mean, [*found, (off(1, 1.0) - off(1, -1.0)) / 2, errors[2][:, None, None] * mean]

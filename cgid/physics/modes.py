@@ -186,11 +186,10 @@ class LearnedModes:
     participation_deviation: Floats
 
     @property
-    def uncertain(self) -> bool:
-        """Whether any deviation is above 0."""
-        return bool(self.frequency_deviation.any() or self.damping_ratio_deviation.any()) or bool(
-            self.participation_deviation.any()
-        )
+    def deviations(self) -> Floats | None:
+        """Those of frequency, damping ratio and participation, (3, n_modes); None if all are 0."""
+        found = np.stack([self.frequency_deviation, self.damping_ratio_deviation, self.participation_deviation])
+        return found if found.any() else None
 
     def drawn(self, uniform: Floats) -> LearnedModes:
         """Return certain modes, drawn from these for uniform numbers (3, n_modes), each mode by itself."""

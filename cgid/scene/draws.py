@@ -278,7 +278,7 @@ def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
 def with_drawn_modes(scene: Scene, seed: int, block: int) -> Scene:
     """Return the scene of one block with its learned modes drawn; the scene itself where these are certain or none."""
     learned = None if scene.tail_beam is None else scene.tail_beam.learned_modes
-    if learned is None or not learned.uncertain:
+    if learned is None or learned.deviations is None:
         return scene
     assert scene.tail_beam is not None
     raw = generator(seed, MODES, block).random((3, learned.frequency.size))

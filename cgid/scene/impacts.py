@@ -40,6 +40,7 @@ class BeamModes:
 
     modes: Modes | MeasuredModes
     at_sensor: Floats  # (n_modes,)
+    errors: Floats | None = None  # (3, n_modes): deviations of ln frequency, ln damping ratio and ln participation
 
     @property
     def frequency(self) -> Floats:
@@ -112,14 +113,15 @@ def _learned(section: TailBeamSection, own: BeamModes) -> BeamModes:
             f"tail_beam.learned: must have a row for each of the {own.at_sensor.size} modes of this beam in the band "
             f"of its recorder, got {learned.frequency.size}; calibrate again (cgid calibrate), or leave it out"
         )
-    at_sensor = own.at_sensor * learned.participation
+    at_sensor, errors = own.at_sensor * learned.participation, learned.deviations
     if isinstance(own.modes, Modes):
         modes = replace(own.modes, frequency=learned.frequency, damping_ratio=learned.damping_ratio)
-        return BeamModes(modes, at_sensor)
+        return BeamModes(modes, at_sensor, errors)
     order = np.argsort(learned.frequency, kind="stable")  # measured modes ascend
     columns = {name: np.asarray(getattr(own.modes, name))[order] for name in ("modal_mass", "shape_impact")}
     columns |= {"frequency": learned.frequency[order], "damping_ratio": learned.damping_ratio[order]}
-    return BeamModes(MeasuredModes(**columns, shape_sensor=at_sensor[order]), at_sensor[order])
+    measured = MeasuredModes(**columns, shape_sensor=at_sensor[order])
+    return BeamModes(measured, at_sensor[order], None if errors is None else errors[:, order])
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,7 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
         shapes=np.zeros((0, points_of(rate))),
         deviations=np.zeros(0),
         sensors=at_sensors / np.where(best == 0, 1, best) if len(at_sensors) > 1 else None,
+        errors=modes.errors,
     )
     forces = contact_forces(scene)
     heard = filtered(beam, forces)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, write_together
 from cgid.identification.contact import REACH, clipped_samples
 from cgid.identification.inversion import Inversion
-from cgid.measure.beam import Beam
+from cgid.measure.beam import Beam, corrected
 from cgid.measure.colour import colour_of
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
@@ -26,7 +26,7 @@ from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.synthesis import synthesise
 from cgid.scene.through_beam import beam_of
-from cgid.site.learning import MOST_ROUNDS, Blows, corrected, evidence_of, learn
+from cgid.site.learning import MOST_ROUNDS, Blows, evidence_of, learn
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def calibrate(
             + (", and below the sensor's range" if left_out else "")
         )
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most_blows)).round().astype(np.intp))
-    beam = beam_of(scene)
+    beam = replace(beam_of(scene), errors=None)  # errors are what is learned
     start = _start(scene)
     deviation = _prior(scene, start, start_error, drift, participation_error)
     with threadpool_limits(1):
@@ -228,6 +228,15 @@ def calibrate(
         crossings=crossings,
         at_rest=found.at_rest,
     )
+
+
+def uncertain(scene: Scene, start_error: float) -> Scene:
+    """Return a scene that knows the modes of its beam no better than this; arguments and errors as in `calibrate`."""
+    check_numbers(start_error, start_error, 0.0, 1)
+    check_scene(scene, scene.sampling.sampling_rate)
+    start = _start(scene)
+    deviation = _prior(scene, start, start_error, start_error, 0.0)
+    return _with_learned(scene, replace(start, **dict(zip(list(LEARNED_COLUMNS)[3:], deviation, strict=True))))
 
 
 def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:

@@ -10,18 +10,16 @@ sought alone over a wider range.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.identification.inversion import Inversion, Sought
-from cgid.measure.beam import Beam, Singles, respond
+from cgid.measure.beam import CORRECTED, Beam, Singles, corrected, respond
 from cgid.measure.colour import Colour
 from cgid.validation import Floats
 
-#: What is corrected of a mode.
-CORRECTED = ("frequency", "damping_ratio", "participation")
 #: Relative step of the difference quotients in a pole: at the end of a response, it turns the fastest mode by some
 #: thousandths of a radian.
 _STEP = 1e-6
@@ -45,26 +43,6 @@ _MOST_MODES, _AT_REST = 0.97, 0.5
 _WIDEST, _WIDEST_SHARE, _FINEST = 3.0, 0.12, 0.35
 #: Least gain in log likelihood of a mode that moves to another valley, and how far modes are apart that move together.
 _LEAST_GAIN, _APART = 10.0, 0.04
-#: Limits of a damping ratio.
-_LEAST_DAMPING, _MOST_DAMPING = 1e-4, 0.7
-
-
-def corrected(beam: Beam, correction: Floats) -> Beam:
-    """Return a beam with corrected modes.
-
-    Parameters
-    ----------
-    beam : Beam
-    correction : ndarray, (3, n_modes)
-        Of ln frequency, ln damping ratio and ln participation (`CORRECTED`).
-    """
-    size = np.abs(beam.poles)
-    ratio = np.clip(-beam.poles.real / size * np.exp(correction[1]), _LEAST_DAMPING, _MOST_DAMPING)
-    return replace(
-        beam,
-        poles=size * np.exp(correction[0]) * (-ratio + 1j * np.sqrt(1 - ratio**2)),
-        participation=beam.participation * np.exp(correction[2])[:, None, None],
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,9 @@ from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
 from cgid.identification.training import Training, train
 from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
+from cgid.physics.modes import LEARNED_COLUMNS
 from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.sections import rows_of
 from cgid.scene.stream import record
 from cgid.scene.through_beam import has_beam, spread_over, whole_beam
 from cgid.validation import Floats
@@ -81,7 +83,7 @@ def is_streamable(scene: Scene) -> bool:
 def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
     """Return streams like that of a scene, each with a constant mixture, and with other rates, places and noises.
 
-    Shares of the second label fill 0 to 1 evenly.
+    Shares of the second label fill 0 to 1 evenly. Modes that are not known exactly are drawn for each stream.
 
     Raises
     ------
@@ -109,6 +111,10 @@ def _variation(scene: Scene, number: int, share: float, rng: np.random.Generator
         sensor["noise_density"] *= factor
     if number % 2 == 1:
         spread_over(content["tail_beam"])
+    learned = None if scene.tail_beam is None else scene.tail_beam.learned_modes
+    if learned is not None and learned.deviations is not None:
+        modes = learned.drawn(rng.uniform(2.0**-54, 1, learned.deviations.shape))
+        content["tail_beam"]["learned"] = rows_of(modes, LEARNED_COLUMNS)
     return parse_scene(content | {"name": f"{scene.name}, stream {number}"})
 
 
