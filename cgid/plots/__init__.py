@@ -13,7 +13,19 @@ from cgid.plots.figure import (
     stabilisation_picture,
     survey_picture,
 )
-from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, recording_picture, share_figure, written
+from cgid.plots.recording import (
+    MOST_CHANNELS,
+    Mark,
+    draw_drawn,
+    drawn_figure,
+    finish_drawn,
+    gangue_at,
+    hertz,
+    overview_figure,
+    recording_picture,
+    share_figure,
+    written,
+)
 
 __all__ = [
     "COLOURS",
@@ -21,6 +33,10 @@ __all__ = [
     "MOST_CHANNELS",
     "Mark",
     "colours_of",
+    "draw_drawn",
+    "drawn_figure",
+    "finish_drawn",
+    "gangue_at",
     "hertz",
     "judgement_pictures",
     "modes_picture",

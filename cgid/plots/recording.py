@@ -350,6 +350,8 @@ def _shares(
 #: Height of a panel of shares and of the title [inches].
 _SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
 _LINE, _LIMIT = COLOURS[0], COLOURS[1]
+#: Height of the operators' curve [inches], rocks before it is drawn, and times between its marks [s].
+_DRAWN_HEIGHT, _FIRST_ROCKS, _STEPS = 4.2, 20, (1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
 
 
 def share_figure(
@@ -420,3 +422,107 @@ def _turn(axes: Any, turn: Turn, clock: Clock) -> None:
         fontsize="small",
         fontweight="bold" if turn.shut else "normal",
     )
+
+
+def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Sequence[Turn]) -> Any:
+    """Draw the cumulative share of gangue against the recovered coal, one curve per channel.
+
+    Parameters
+    ----------
+    times : mapping of str to ndarray, (n_answers,) [s]
+        Times of the answers of each channel, each of which counts as one rock; at most `MOST_CHANNELS` are drawn.
+    shares : sequence of Share
+        Known at two or more times for each of these channels.
+    turns : sequence of Turn
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtra
+        matplotlib is not installed.
+    """
+    names = list(times)[:MOST_CHANNELS]
+    figure = require_matplotlib()(figsize=(_WIDTH, _DRAWN_HEIGHT), layout="constrained")
+    axes = figure.subplots()
+    for name, colour in zip(names, colours_of(names).values(), strict=True):
+        own = [share for share in shares if share.channel == name]
+        title = f"channel {plain(name, _LONGEST_LABEL)}" if len(names) > 1 else "by the answers"
+        shut = [turn.time for turn in turns if turn.shut and turn.share.channel == name]
+        draw_drawn(axes, times[name], gangue_at(times[name], own), shut, colour=colour, title=title)
+    finish_drawn(axes)
+    return figure
+
+
+def gangue_at(times: Floats, shares: Sequence[Share]) -> Floats:
+    """Return the expected share of gangue at some times [s], between the middles of windows of one channel."""
+    known = [((share.start + share.time) / 2, share.mean) for share in shares if share.n_impacts]
+    return np.interp(times, *np.array(known).T)
+
+
+def draw_drawn(
+    axes: Any,
+    times: Floats,
+    gangue: Floats,
+    shut: Sequence[float] = (),
+    *,
+    colour: str,
+    title: str,
+    width: float = 2.2,
+    says_times: bool = True,
+) -> None:
+    """Draw the operators' curve of one support, with the time along it and SHUT.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    times, gangue : ndarray, (n_rocks,)
+        Time of each rock [s], and whether it is gangue, or the probability of that.
+    shut : sequence of float [s]
+    colour, title : str
+    width : float
+        Of the line [points].
+    says_times : bool
+        Whether the marks of times are named.
+    """
+    from matplotlib.patheffects import withStroke
+
+    # The share of the first rocks is that of chance.
+    recovered, share = np.cumsum(1 - gangue) / np.sum(1 - gangue), np.cumsum(gangue) / np.arange(1, len(gangue) + 1)
+    shown = np.arange(len(gangue)) >= min(_FIRST_ROCKS, len(gangue) // 2)
+    axes.plot(100 * recovered[shown], 100 * share[shown], color=colour, lw=width, label=title)
+    settings: dict[str, Any] = {"textcoords": "offset points", "color": colour, "fontsize": "small", "zorder": 5}
+    settings["path_effects"] = [withStroke(linewidth=3, foreground="w")]
+    step = next(step for step in _STEPS if times[-1] <= 8 * step or step == _STEPS[-1])
+    for mark in np.arange(step, times[-1], step):
+        row = np.searchsorted(times, mark)
+        if shown[row]:
+            place = 100 * recovered[row], 100 * share[row]
+            axes.plot(*place, "o", color=colour, ms=2.2 * width)
+            axes.annotate(f"{mark:g} s" if says_times else "", place, (5, -5), va="top", **settings)
+    for time in shut:
+        row = min(np.searchsorted(times, time), len(times) - 1)
+        place = 100 * recovered[row], 100 * share[row]
+        axes.plot(*place, "s", color=colour, ms=9, mec="k", mew=1, zorder=4)
+        axes.annotate(
+            f"SHUT at {time:.0f} s:\n{place[0]:.0f} % of the coal,\n{place[1]:.0f} % gangue in all",
+            place,
+            (-45, 16),
+            ha="right",
+            fontweight="bold",
+            arrowprops={"arrowstyle": "-", "color": colour},
+            **settings,
+        )
+
+
+def finish_drawn(axes: Any) -> None:
+    """Name the axes of the operators' curve."""
+    axes.set(xlim=(0, 100), xlabel="recovered coal [% of that of the recording]", ylabel="gangue in all drawn [%]")
+    axes.set_ylim(0, 1.25 * axes.dataLim.ymax)
+    axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
+    if len(axes.get_legend_handles_labels()[1]) > 1:
+        for text in axes.legend(fontsize="small", loc="upper left").get_texts():
+            text.set_parse_math(False)
