@@ -169,8 +169,7 @@ def fold(files: list[Path], number: str, channel: int, seed: int, folder: Path) 
             f"{alone.right.mean():.3f}",
             f"{beside.mean():.3f}",
             f"{same:.3f}",
-            *joined(votes).cells()[:2],
-            joined(votes).cells()[3],
+            *joined(votes).cells(),
             tally,
         ]
 
@@ -185,9 +184,9 @@ def main() -> None:
     if not files:
         print(f"skipped: there are no recordings in {asked.real}; say --real FOLDER")
         return
-    titles = "fold, noise, answered, right, sure, error, right of all, peer, peer same, votes answered, right, error"
+    titles = "fold, noise, answered, right, sure, error, right of all, peer, peer same, votes answered, right, sure, error"
     print(f"| {' | '.join([*titles.split(', '), 'recordings'])} |")
-    print("|---" * 13 + "|")
+    print("|---" * 14 + "|")
     with tempfile.TemporaryDirectory() as folder:
         for number in "123":
             for cells in fold(files, number, asked.channel, asked.seed, Path(folder)):
