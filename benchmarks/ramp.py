@@ -184,7 +184,9 @@ def main() -> None:
     if not files:
         print(f"skipped: there are no recordings in {asked.real}; say --real FOLDER")
         return
-    titles = "fold, noise, answered, right, sure, error, right of all, peer, peer same, votes answered, right, sure, error"
+    titles = (
+        "fold, noise, answered, right, sure, error, right of all, peer, peer same, votes answered, right, sure, error"
+    )
     print(f"| {' | '.join([*titles.split(', '), 'recordings'])} |")
     print("|---" * 14 + "|")
     with tempfile.TemporaryDirectory() as folder:
