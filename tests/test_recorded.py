@@ -968,6 +968,9 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
     with pytest.raises(BadData, match=r"contrast\.mean must have shape"):
         replace(harm, arrays={**harm.arrays, "contrast.mean": np.zeros(3)})
     recorded = {**harm.training["recorded"], "fewest_groups": "many"}
+    for value, says in ((1.1, "vote_correlation must be at most 1"), ([0.5], "vote_correlation must be one number")):
+        with pytest.raises(BadData, match=says):
+            replace(harm, training={**harm.training, "vote_correlation": value})
     with pytest.raises(InvalidValue, match="fewest_groups must be"):
         replace(harm, training={**harm.training, "recorded": recorded})
 
