@@ -15,10 +15,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import cgid
 from cgid import shipped
@@ -38,6 +39,7 @@ class Rates:
     runs : time [s] and peak memory of the largest process [bytes] of a whole run, by the number of jobs
     written, made, read : time [s]: made and written by all jobs; made again, or read, by one process
     streamed : time [s] in the batches of `cgid.stream`, by the number of workers, once they have started
+    loaded : the same of the workers of a `DataLoader` of PyTorch, nan where it is not installed
     bytes, parameter_bytes : on the disk: with its samples, and of its drawn parameters alone
     """
 
@@ -46,6 +48,7 @@ class Rates:
     made: float
     read: float
     streamed: dict[int, float]
+    loaded: dict[int, float]
     bytes: float
     parameter_bytes: float
 
@@ -70,16 +73,30 @@ def looked_at(batches: Iterable[Batch]) -> float:
     return (time.perf_counter() - start) / count
 
 
-def streamed(scene: Scene, workers: int, n_signals: int) -> float:
+def streamed(batches: Iterator[Any], workers: int, n_signals: int) -> float:
     """Return the time of a signal of a training stream [s], of batches that are only looked at."""
-    batches = iter(cgid.stream(scene, batch_size=BATCH, workers=workers))
-    total = sum(float(signals[0, 0]) for signals, _, _ in islice(batches, 16 * workers))
+    total = sum(float(signals[0, 0]) for signals, *_ in islice(batches, 16 * workers))
     start = time.perf_counter()
-    for signals, _, _ in islice(batches, n_signals // BATCH):
+    for signals, *_ in islice(batches, n_signals // BATCH):
         total += float(signals[:, ::64].sum())
-    seconds = time.perf_counter() - start
-    batches.close()
-    return seconds / (n_signals // BATCH * BATCH)
+    return (time.perf_counter() - start) / (n_signals // BATCH * BATCH)
+
+
+def loaded(scene: Scene, workers: int, n_signals: int) -> float:
+    """Return the time of a signal [s] through the workers of a `DataLoader`, as in docs/how-to/learners.md."""
+    try:
+        import torch
+        from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+    except ImportError:
+        return float("nan")
+
+    class Impacts(IterableDataset):  # type: ignore[misc]
+        def __iter__(self) -> Iterator[Any]:
+            info = get_worker_info()
+            for signals, numbers, _ in cgid.stream(scene, batch_size=BATCH, shard=(info.id, info.num_workers)):
+                yield torch.from_numpy(signals), torch.from_numpy(numbers)
+
+    return streamed(iter(DataLoader(Impacts(), batch_size=None, num_workers=workers)), workers, n_signals)
 
 
 def measured(name: str, n_signals: int, folder: Path) -> Rates:
@@ -97,7 +114,8 @@ def measured(name: str, n_signals: int, folder: Path) -> Rates:
         written=max(runs[JOBS][0] - start_up, 0.0) / n_signals,
         made=looked_at(synthesise(scene, n_signals)),
         read=min(looked_at(Dataset(data).batches()) for _ in range(2)),
-        streamed={workers: streamed(scene, workers, n_signals) for workers in (1, 2)},
+        streamed={n: streamed(iter(cgid.stream(scene, batch_size=BATCH, workers=n)), n, n_signals) for n in (1, 2)},
+        loaded={n: loaded(scene, n, n_signals) for n in (1, 2)},
         bytes=sum(file.stat().st_size for file in data.iterdir()) / n_signals,
         parameter_bytes=table.stat().st_size / n_signals,
     )
@@ -149,10 +167,11 @@ def main() -> None:
         limit = size(one.bytes / one.made)
         print(f"| `{scene}` | {1e6 * one.made:.0f} us | {1e6 * one.read:.0f} us | {limit}/s for each process |")
     print(
-        f"\n| batches of {BATCH} a second | `cgid.stream`, 1 worker | 2 workers | read from HDF5 |\n|---|---|---|---|"
+        f"\n| batches of {BATCH} a second | `cgid.stream`, 1 worker | 2 workers | `DataLoader`, 1 worker | 2 workers | "
+        "read from HDF5 |\n|---|---|---|---|---|---|"
     )
     for scene, one in rates.items():
-        cells = [1 / (BATCH * seconds) for seconds in (one.streamed[1], one.streamed[2], one.read)]
+        cells = [1 / (BATCH * seconds) for seconds in (*one.streamed.values(), *one.loaded.values(), one.read)]
         print(f"| `{scene}` | {' | '.join(f'{cell:.0f}' for cell in cells)} |")
 
 

@@ -1,6 +1,6 @@
 """Honest models of few recordings: train on two recordings of each material, judge on the third, three times.
 
-    python benchmarks/ramp.py [--real FOLDER] [--channel 1]
+    python benchmarks/ramp.py [--real FOLDER] [--channel 1] [--seed 0]
 
 The recordings are those of ../shared/realdata/bulk_ramp: five materials on a ramp, three recordings each. `cgid train`
 and `cgid predict` run as a user runs them; a recording is judged as it is, and with white noise of a hundredth and a
@@ -134,7 +134,7 @@ def is_voted(rows: list[dict[str, Any]], truth: str) -> str:
     return "right" if max(sums, key=lambda label: sums[label]) == truth else "wrong"
 
 
-def fold(files: list[Path], number: str, channel: int, folder: Path) -> Iterator[list[str]]:
+def fold(files: list[Path], number: str, channel: int, seed: int, folder: Path) -> Iterator[list[str]]:
     """Yield a row of the table for each noise, for the recordings of one number."""
     samples = {file: np.asarray(read_recording(file, channel=channel)[0].samples, np.float64) for file in files}
     training = [file for file in files if file.stem[-1] != number]
@@ -152,7 +152,7 @@ def fold(files: list[Path], number: str, channel: int, folder: Path) -> Iterator
     for noise in NOISES:
         single, votes, voted, others = [], [], [], []
         for k, file in enumerate(file for file in files if file not in training):
-            heard = noisy(samples[file], noise, k)
+            heard = noisy(samples[file], noise, seed + k)
             wavfile.write(folder / "heard.wav", RATE, heard)
             rows_alone = answers(folder / "heard.wav", model, 0.0)
             single.append(told(rows_alone, material(file)))
@@ -169,8 +169,7 @@ def fold(files: list[Path], number: str, channel: int, folder: Path) -> Iterator
             f"{alone.right.mean():.3f}",
             f"{beside.mean():.3f}",
             f"{same:.3f}",
-            *joined(votes).cells()[:2],
-            joined(votes).cells()[3],
+            *joined(votes).cells(),
             tally,
         ]
 
@@ -179,17 +178,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--real", type=Path, default=REAL)
     parser.add_argument("--channel", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=0, help="of the noise")
     asked = parser.parse_args()
     files = sorted(asked.real.glob("*_[123].wav"))
     if not files:
         print(f"skipped: there are no recordings in {asked.real}; say --real FOLDER")
         return
-    titles = "fold, noise, answered, right, sure, error, right of all, peer, peer same, votes answered, right, error"
+    titles = (
+        "fold, noise, answered, right, sure, error, right of all, peer, peer same, votes answered, right, sure, error"
+    )
     print(f"| {' | '.join([*titles.split(', '), 'recordings'])} |")
-    print("|---" * 13 + "|")
+    print("|---" * 14 + "|")
     with tempfile.TemporaryDirectory() as folder:
         for number in "123":
-            for cells in fold(files, number, asked.channel, Path(folder)):
+            for cells in fold(files, number, asked.channel, asked.seed, Path(folder)):
                 print(f"| {' | '.join(cells)} |", flush=True)
 
 

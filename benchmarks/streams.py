@@ -1,10 +1,11 @@
 """The gangue share of streams and the decision to shut, against the truth.
 
-    python benchmarks/streams.py [MODEL] [-n 10] [--rising 6] [--first 0]
+    python benchmarks/streams.py [MODEL] [-n 10] [--rising 6] [--first 0] [--picture FILE]
 
 Minutes of `caving` with constant shares from 0 to .5, the same of a changed scene (blows elsewhere on the beam, 10
 rocks a second, another seam), and `caving` itself, whose share rises. No training uses their seeds. The watch is that
-of `cgid monitor`: windows of 10 s, each second, and a drawn gangue costs as much as a lost coal.
+of `cgid monitor`: windows of 10 s, each second, and a drawn gangue costs as much as a lost coal. The picture is the
+operators' curve of the first stream whose share rises, by its answers as in `cgid predict --report`, and in truth.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cgid import shipped
+from cgid import plots, shipped
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.question import EVIDENCE, Question
@@ -141,10 +143,12 @@ def alarms(streams: list[Stream], shares: np.ndarray, model: Model) -> Iterator[
         yield f"| {evidence:g} | {rates[0]:.0f} | {rates[1]:.0f} |"
 
 
-def rising(model: Model, n: int, seed: int) -> Iterator[str]:
+def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[str]:
     """Yield the table of the decision on `caving`."""
     scene = load_scene(shipped.scene_path("caving"))
     streams = [Stream.of(scene, seed, number, model) for number in range(n)]
+    if picture is not None:
+        picture.write_bytes(picture_of(streams[0], model))
     assert scene.stream is not None and scene.stream.mixture is not None
     times, rises = scene.stream.mixture.times, scene.stream.mixture.shares["gangue"]
     yield (
@@ -174,6 +178,21 @@ def rising(model: Model, n: int, seed: int) -> Iterator[str]:
         yield drawn_row(f"at the true crossing of {1 / (1 + cost):.2f}", streams, np.full(n, crossings[cost]))
 
 
+def picture_of(stream: Stream, model: Model) -> bytes:
+    """Return the operators' curve of a stream as PNG."""
+    figure = plots.require_matplotlib()(figsize=(9, 4.2), layout="constrained")
+    axes, times = figure.subplots(), np.array([answer.time for answer in stream.answers])
+    blue, red, *_ = plots.COLOURS
+    order = np.argsort(stream.time)
+    truth = stream.time[order], stream.gangue[order].astype(float)
+    plots.draw_drawn(axes, *truth, colour=red, title="in truth", width=1.2, says_times=False)
+    shares = [one for one in stream.watched(model, share_step=1.0) if isinstance(one, Share)]
+    shut = [turn.time for turn in stream.turns(model) if turn.shut]
+    plots.draw_drawn(axes, times, plots.gangue_at(times, shares), shut, colour=blue, title="by the answers")
+    plots.finish_drawn(axes)
+    return plots.png(figure)
+
+
 def drawn_row(name: str, streams: list[Stream], until: np.ndarray) -> str:
     """Return a row of the operators' curve, the mean of streams that are shut at these times [s]."""
     recovery, share = np.mean([s.drawn(t) for s, t in zip(streams, until.tolist(), strict=True)], axis=0)
@@ -187,6 +206,7 @@ def main() -> None:
     parser.add_argument("-n", "--streams", type=int, default=10)
     parser.add_argument("--rising", type=int, default=6, help="number of streams with a rising share")
     parser.add_argument("--first", type=int, default=0, help="added to the seeds")
+    parser.add_argument("--picture", type=Path, help="PNG file of the operators' curve")
     arguments = parser.parse_args()
     model = Model.load(arguments.model)
     shares = np.round(HIGHEST * (np.arange(arguments.streams) % 10) / 9, 4)
@@ -203,7 +223,7 @@ def main() -> None:
         )
         print(row(name, made[-1], shares, model), flush=True)
     print("\n" + "\n".join(alarms(made[0], shares, model)) + "\n", flush=True)
-    print("\n".join(rising(model, arguments.rising, SEEDS[2] + arguments.first)))
+    print("\n".join(rising(model, arguments.rising, SEEDS[2] + arguments.first, arguments.picture)))
 
 
 if __name__ == "__main__":

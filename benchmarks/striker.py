@@ -352,7 +352,7 @@ def masses(path: Path, n: int, name: str = "caving") -> None:
 
 
 def picture(path: Path, found: Any, true: Any, own: Strikers, hit: dict[str, Floats]) -> None:
-    from cgid.plots.sizes import draw_sizes
+    from cgid.plots.answers import draw_sizes
 
     figure = require_matplotlib()(figsize=(11, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)

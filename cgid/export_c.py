@@ -142,7 +142,7 @@ def _missing(model: Model) -> Iterable[str]:
     if model.sensors:
         yield "Nor the equalisation of the sensors: measure the features of equalised samples."
     if model.kind == "window":
-        yield "Nor the vote of successive windows: cgid averages the logarithms of their probabilities."
+        yield "Nor the vote of successive windows: cgid adds the logarithms of their probabilities."
 
 
 def _sizes(model: Model) -> str:

@@ -13,14 +13,27 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cgid import __version__
 from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.next_steps import Hint
-from cgid.identification.share import Share, Turn
+from cgid.identification.share import FEWEST_IMPACTS, Share, Turn
 from cgid.measure.overview import Overview
-from cgid.plots import COLOURS, Mark, colours_of, hertz, overview_figure, picture, share_figure, written
+from cgid.plots import (
+    COLOURS,
+    Mark,
+    colours_of,
+    drawn_figure,
+    hertz,
+    overview_figure,
+    picture,
+    share_figure,
+    written,
+)
 from cgid.plots.figure import NEUTRAL
 from cgid.recordings import Channel, RecordingFile
 from cgid.terminal import counted, printable
@@ -99,8 +112,17 @@ class Report:
     @property
     def has_course(self) -> bool:
         """Whether the share of some channel is known at two or more times."""
+        return bool(self._followed)
+
+    @property
+    def _followed(self) -> list[str]:
         known = Counter(share.channel for share in self.shares if share.n_impacts)
-        return max(known.values(), default=0) > 1
+        return [channel for channel, count in known.items() if count > 1]
+
+    def times_of_shares(self) -> dict[str, NDArray[np.float64]]:
+        """Return the times of the answers of channels whose share has a course, if they are enough for a decision."""
+        found = {name: np.array([one.time for one in self.answers if one.channel == name]) for name in self._followed}
+        return {name: times for name, times in found.items() if len(times) >= FEWEST_IMPACTS}
 
 
 def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
@@ -291,6 +313,13 @@ def _pictures(report: Report) -> Iterator[str]:
     if report.has_course:
         shares = share_figure(report.shares, report.turns, report.overview.duration, threshold=report.threshold)
         yield _figure(shares, "Share of gangue over a sliding window, with its interval.")
+    times = report.times_of_shares()
+    if times:
+        yield _figure(
+            drawn_figure(times, report.shares, report.turns),
+            "What is drawn until the window is shut: gangue in all against recovered coal, each answer "
+            "counted as a rock, of the share above.",
+        )
 
 
 def _marks(report: Report) -> Iterator[Mark]:

@@ -6,6 +6,7 @@ import itertools
 import json
 import wave
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from scipy import signal as scipy_signal
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.measure.overview import OverviewStream
-from cgid.plots import COLOURS, FORMATS, Mark, judgement_pictures, overview_figure, picture, share_figure
+from cgid.plots import COLOURS, FORMATS, Mark, drawn_figure, judgement_pictures, overview_figure, picture, share_figure
 from cgid.plots.figure import NEUTRAL
 from cgid.recordings import Channel
 from cgid.scene import generate
@@ -198,6 +199,38 @@ def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
     assert band[:, 1].min() == min(one.low for one in shares) and band[:, 1].max() == max(one.high for one in shares)
     assert set(threshold.get_ydata()) == {0.25} and set(turn.get_xdata()) == {turns[0].time}
     assert axes.get_ylabel() == "share of gangue" and axes.texts[0].get_text() == "shut"
+
+
+def test_the_curve_of_the_operators_is_that_of_a_slow_count() -> None:
+    """One share that rises in steps, and two channels, of which the second never shuts."""
+    from cgid.identification.share import Share, Turn
+
+    def share(time: float, mean: float, channel: str) -> Share:
+        own = {"start": time - 10.0, "share": mean, "low": 0.0, "high": 1.0, "n_impacts": 20, "mean": mean}
+        return Share(time=time, channel=channel, **own)
+
+    rises = [share(10.0 * k, level, "1") for k, level in enumerate((0.1, 0.1, 0.5, 0.9, 0.9), start=1)]
+    turn = Turn(time=31.0, shut=True, cost=0.1, evidence=0.96, share=rises[2])
+    times = {"1": np.arange(0.25, 50, 0.5), "2": np.arange(0.5, 50, 1.0)}
+    figure = drawn_figure(times, [*rises, *(replace(one, channel="2", mean=0.2) for one in rises)], [turn])
+    (axes,) = figure.axes
+    coal = gangue = 0.0
+    found = []
+    for time in times["1"]:
+        # Windows are those of their middles, 5 to 45 s, and the share is straight between them.
+        chance = float(np.interp(time, [5, 15, 25, 35, 45], [0.1, 0.1, 0.5, 0.9, 0.9]))
+        coal, gangue = coal + 1 - chance, gangue + chance
+        found.append((coal, gangue / (coal + gangue)))
+    recovered, dilution = np.array(found).T * [[100 / coal], [100]]
+    curves = {line.get_label(): line for line in axes.lines}
+    np.testing.assert_allclose(curves["channel 1"].get_xdata(), recovered[20:])
+    np.testing.assert_allclose(curves["channel 1"].get_ydata(), dilution[20:])
+    np.testing.assert_allclose(curves["channel 2"].get_ydata(), 20.0)
+    (shut,) = (line for line in axes.lines if line.get_marker() == "s")
+    after = np.flatnonzero(times["1"] >= 31)[0]
+    assert (shut.get_xdata()[0], shut.get_ydata()[0]) == pytest.approx((recovered[after], dilution[after]))
+    (told,) = (text.get_text() for text in axes.texts if "SHUT" in text.get_text())
+    assert told.startswith("SHUT at 31 s")
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import signal as filters
-from scipy import stats
+from scipy import special, stats
 from scipy.io import wavfile
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
@@ -35,6 +35,7 @@ from cgid.identification.grouped import (
     leave_groups_out,
     require_groups,
     smallest_as_good,
+    vote_correlation,
 )
 from cgid.identification.labelled_recordings import Reading, record
 from cgid.identification.manifest import read_manifest
@@ -139,6 +140,52 @@ def test_running_vote_is_the_mean_of_logarithms_in_any_portions() -> None:
     vote = RunningVote(7)
     portions = [vote.feed(part) for part in np.split(probabilities, [1, 4, 30])]
     assert (np.concatenate(portions) == whole).all()
+
+
+def test_windows_that_are_unknown_do_not_vote_and_correlated_ones_count_as_fewer() -> None:
+    probabilities = np.random.default_rng(3).dirichlet(np.ones(3), 40)
+    known = np.random.default_rng(4).random(40) < 0.6
+    known[10:16] = False
+    whole = RunningVote(5, 0.4).feed(probabilities, known)
+    for row in range(40):
+        own = np.arange(max(row - 4, 0), row + 1)[known[max(row - 4, 0) : row + 1]]
+        if not len(own):
+            np.testing.assert_allclose(whole[row], probabilities[row], rtol=1e-12)
+            continue
+        slow = np.prod(probabilities[own], axis=0) ** (1 / (1 + (len(own) - 1) * 0.4))
+        np.testing.assert_allclose(whole[row], slow / slow.sum(), rtol=1e-12)
+    vote = RunningVote(5, 0.4)
+    parts = zip(np.split(probabilities, [1, 12, 13]), np.split(known, [1, 12, 13]), strict=True)
+    assert (np.concatenate([vote.feed(*part) for part in parts]) == whole).all()
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.5, 1.0])
+def test_votes_of_windows_with_a_common_error_are_calibrated(shared: float) -> None:
+    """Log odds z ~ N(+-m, 2 m) are calibrated; n of them that correlate by c add up to sum(z) / (1 + (n - 1) c)."""
+    mean, n_windows, n_recordings = 1.2, 20, 3000
+
+    def drawn(seed: int) -> tuple[Rows, np.ndarray]:
+        random, second = np.random.default_rng(seed), np.arange(n_recordings) % 2 == 1
+        common, own = random.normal(size=(n_recordings, 1)), random.normal(size=(n_recordings, n_windows))
+        errors = np.sqrt(2 * mean) * (np.sqrt(shared) * common + np.sqrt(1 - shared) * own)
+        odds = np.where(second, mean, -mean)[:, None] + errors
+        owner = np.repeat(np.arange(n_recordings), n_windows)
+        rows = Rows(
+            names=("window_level",),
+            features=np.zeros((owner.size, 1)),
+            labels=np.where(second, "b", "a")[owner],
+            group=owner,
+            source=owner,
+            slicing=Slicing(by="window"),
+        )
+        return rows, special.expit(np.stack([-odds, odds], axis=2))
+
+    rows, probabilities = drawn(1)
+    correlation = vote_correlation(rows, probabilities.reshape(-1, 2), 0.0)
+    assert correlation == pytest.approx(shared, abs=0.05)
+    voted = np.stack([RunningVote(9, correlation).feed(own)[8:] for own in drawn(2)[1]])
+    right = voted.argmax(axis=2) == (np.arange(n_recordings) % 2)[:, None]
+    assert voted.max(axis=2).mean() == pytest.approx(right.mean(), abs=0.03)
 
 
 # -- from files to rows -----------------------------------------------------------------------------------
@@ -542,7 +589,7 @@ def test_labels_of_subfolders_are_trained_on(folder: Path, tmp_path: Path, capsy
 
 def rows_of(labels: np.ndarray, group: np.ndarray, features: np.ndarray) -> Rows:
     names = tuple(f"window_mel_{centre:.0f}_hz" for centre in MEL_BANDS.centres[: features.shape[1]])
-    return Rows(names=names, features=features, labels=labels, group=group)
+    return Rows(names=names, features=features, labels=labels, group=group, source=group, slicing=Slicing(by="window"))
 
 
 def lesson_of(rows: Rows, candidates: list[Candidate]) -> Lesson:
@@ -921,6 +968,9 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
     with pytest.raises(BadData, match=r"contrast\.mean must have shape"):
         replace(harm, arrays={**harm.arrays, "contrast.mean": np.zeros(3)})
     recorded = {**harm.training["recorded"], "fewest_groups": "many"}
+    for value, says in ((1.1, "vote_correlation must be at most 1"), ([0.5], "vote_correlation must be one number")):
+        with pytest.raises(BadData, match=says):
+            replace(harm, training={**harm.training, "vote_correlation": value})
     with pytest.raises(InvalidValue, match="fewest_groups must be"):
         replace(harm, training={**harm.training, "recorded": recorded})
 

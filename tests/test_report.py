@@ -90,7 +90,7 @@ def test_a_model_may_say_little_of_its_accuracy() -> None:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not about pictures need not wait for them."""
-    for name in ("overview_figure", "share_figure"):
+    for name in ("overview_figure", "share_figure", "drawn_figure"):
         monkeypatch.setattr(page, name, lambda *_, **__: None)
     monkeypatch.setattr(page, "picture", lambda *_, **__: b"\x89PNG")
 
@@ -148,7 +148,7 @@ def test_the_page_holds_everything(report: Report) -> None:
         assert told in text
     (turn,) = re.findall(r"Shut the window at (\d\.\d\d) s", text)
     assert float(turn) == pytest.approx(report.turns[0].time, abs=0.006)
-    assert len(seen.references) == 2
+    assert len(seen.references) == 3
     for reference in seen.references:
         kind, data = reference.split(",")
         drawn = base64.b64decode(data)
@@ -210,7 +210,7 @@ def test_a_share_is_drawn_where_it_goes_on(report: Report) -> None:
     first, second = report.shares[:2]
     unknown = replace(first, share=float("nan"), low=0.0, high=1.0, n_impacts=0)
     assert seen(first) == (1, [f"gangue at the end ({first.low:.0%} to {first.high:.0%})"])
-    assert seen(first, second)[0] == 2
+    assert seen(first, second)[0] == 3
     assert seen(first, unknown) == (1, ["gangue at the end (not known)"])
     assert seen(first, replace(unknown, channel="2"))[1][1] == "gangue at the end (not known, channel 2)"
 

@@ -105,7 +105,7 @@ class Masses:
     def write(self, strikers: StrikerColumns, source: str) -> None:
         """Draw all impacts that were looked at; raises `BadData` if they are too few."""
         from cgid.files import write_whole
-        from cgid.plots.sizes import sizes_picture
+        from cgid.plots.answers import sizes_picture
 
         content = sizes_picture(strikers.sizes(), source, self._path.suffix.lower())
         write_whole(self._path, content, overwrite=self._overwrite)

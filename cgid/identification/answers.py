@@ -316,15 +316,16 @@ def answers_from(
     model: Model,
     question: Question,
     sampling_rate: float,
-    vote: Callable[[Floats], Floats] = lambda probabilities: probabilities,
+    vote: Callable[[Floats, NDArray[np.bool_]], Floats] = lambda probabilities, _: probabilities,
 ) -> Iterator[Answer]:
     """Yield answers at time 0 from measured inputs (n, n_inputs) and guards (n, n_guards).
 
-    `vote` averages the probabilities (n, n_labels) of successive rows.
+    `vote` joins the probabilities (n, n_labels) of successive rows, of which some lie in the training range.
     """
     if not len(inputs):
         return
-    probabilities, novelties = vote(model.probabilities(inputs)), model.novelty(inputs, guards)
+    novelties = model.novelty(inputs, guards)
+    probabilities = vote(model.probabilities(inputs), novelties <= 1)
     outliers = np.flatnonzero(novelties > 1)
     causes = dict(zip(outliers.tolist(), causes_of(model, inputs[outliers], guards[outliers]), strict=True))
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None

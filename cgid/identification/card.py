@@ -173,7 +173,10 @@ def _of_recordings(model: Model, recorded: Record) -> list[tuple[str, str]]:
         weights = plain(weights or "all rows count the same")
     by = "single impacts, where the detector finds them"
     if model.kind == "window":
-        by = f"windows of {model.window_time * 1e3:g} ms, a new one every {model.hop_time * 1e3:g} ms"
+        by = (
+            f"windows of {model.window_time * 1e3:g} ms, a new one every {model.hop_time * 1e3:g} ms; in a vote, "
+            f"they repeat each other with a correlation of {model.vote_correlation:.2f}"
+        )
     rows = f"{model.training['n_train']} {recorded['by']}s"
     found = [
         ("decides on", by),
@@ -240,8 +243,8 @@ def _votes(model: Model) -> list[str]:
     return [
         *table(("decision on", "right", "95 % interval", "number"), shares),
         "",
-        "Votes are means of logarithms of probabilities. The intervals count groups, not what lies in them, and hold "
-        "for recordings like these: of their support, sensor, bodies and days.",
+        "Votes add logarithms of probabilities, as of fewer windows that do not repeat each other. The intervals count "
+        "groups, not what lies in them, and hold for recordings like these: of their support, sensor, bodies and days.",
         *(["", _FEW] if model.is_of_few else []),
         *(["", *table(("recording", "label", "vote", "rows", "right"), votes)] if votes else []),
     ]

@@ -408,7 +408,16 @@ def _scores_left_out(
 def best_temperature(
     scores: Floats, encoded: NDArray[np.intp], weights: Floats | None = None, doubt: float = 0.0
 ) -> float:
-    """Return the divisor of held-out scores whose probabilities have the smallest log loss.
+    """Return the divisor of held-out scores whose probabilities have the smallest log loss; see `log_loss`."""
+
+    def loss(log_temperature: float) -> float:
+        return log_loss(scores / np.exp(log_temperature), encoded, weights, doubt)
+
+    return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))
+
+
+def log_loss(scores: Floats, encoded: NDArray[np.intp], weights: Floats | None = None, doubt: float = 0.0) -> float:
+    """Return the mean log loss of the probabilities of scores.
 
     `doubt` is the share of rows that would be of any other class: without it, rows that all are right would have the
     smallest loss at no temperature at all (Platt 2000).
@@ -416,16 +425,11 @@ def best_temperature(
     `scores` are those of a scikit-learn decision function, (n_impacts, n_classes) or (n_impacts,); `encoded` holds the
     numbers of the true classes.
     """
-    rows = np.arange(len(encoded))
-
-    def loss(log_temperature: float) -> float:
-        logs = np.log(np.maximum(softmax(scores / np.exp(log_temperature)), 1e-300))
-        chosen = logs[rows, encoded]
-        if doubt:
-            chosen = (1 - doubt) * chosen + doubt * (logs.sum(axis=1) - chosen) / (logs.shape[1] - 1)
-        return float(-np.average(chosen, weights=weights))
-
-    return float(np.exp(minimize_scalar(loss, bounds=(-3.0, 3.0), method="bounded").x))
+    logs = np.log(np.maximum(softmax(scores), 1e-300))
+    chosen = logs[np.arange(len(encoded)), encoded]
+    if doubt:
+        chosen = (1 - doubt) * chosen + doubt * (logs.sum(axis=1) - chosen) / (logs.shape[1] - 1)
+    return float(-np.average(chosen, weights=weights))
 
 
 #: The families of models; all can be exported as plain numbers.

@@ -15,17 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
-from cgid.identification.classifier import ImpactClassifier, best_temperature, noise_contrast
+from cgid.identification.classifier import ImpactClassifier, best_temperature, log_loss, noise_contrast
 from cgid.identification.events import EVENT_TIME
 from cgid.identification.families import Contrast, Neighbourhood, softmax
 from cgid.identification.metrics import paired_difference
 from cgid.identification.model import FEWEST_GROUPS
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
-from cgid.identification.windows import CLEAR
+from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independent_windows
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -64,11 +65,12 @@ class Lesson:
 
 
 class Choice(NamedTuple):
-    """Result of the inner loop: the best candidate, the accuracy of each, and the temperature of the best."""
+    """Result of the inner loop: the best candidate, the accuracies of all, its temperature, and that of its votes."""
 
     best: int
     accuracies: tuple[float, ...]
     temperature: float
+    vote_correlation: float = 1.0
 
 
 class Judged(NamedTuple):
@@ -166,7 +168,30 @@ def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     # A fold leaves out one of n groups of a label, so its model is less certain than that of all. What few groups do
     # not determine goes as one over their number, and so does the logarithm of the temperature, unless doubt sets it.
     n_groups = np.inf if hits[best].all() else np.mean(list(groups_of_labels(rows).values()))
-    return Choice(best, accuracies, float(temperature ** (1 - 1 / n_groups)))
+    own = rows[judged]
+    correlation = vote_correlation(own, softmax(scores[best] / temperature), doubt) if rows.kind == "window" else 1.0
+    return Choice(best, accuracies, float(temperature ** (1 - 1 / n_groups)), correlation)
+
+
+def vote_correlation(rows: Rows, probabilities: Floats, doubt: float) -> float:
+    """Return the correlation of windows whose votes have the smallest log loss, from 0 to 1.
+
+    `probabilities` (n_rows, n_labels) are those of left-out groups. What a group has of its own is the same in all of
+    its windows, so they are worth less than the overlap of their samples tells. For `doubt` see `best_temperature`.
+    """
+    assert rows.slicing is not None
+    truth, parts = np.unique(rows.labels, return_inverse=True)[1], []
+    for source in np.unique(rows.source[rows.is_recorded]):
+        own = (rows.source == source) & rows.is_recorded
+        vote = RunningVote.over(VOTE_TIME, rows.slicing.window_time, rows.slicing.hop_time)
+        counts = np.minimum(np.arange(1, np.sum(own) + 1), vote.n_windows)
+        parts.append((np.log(vote.feed(probabilities[own])), truth[own], counts))
+    logs, encoded, counts = (np.concatenate(part) for part in zip(*parts, strict=True))
+
+    def loss(correlation: float) -> float:
+        return log_loss(logs * independent_windows(counts, correlation)[:, None], encoded, doubt=doubt)
+
+    return float(minimize_scalar(loss, bounds=(0.0, 1.0), method="bounded").x)
 
 
 def smallest_as_good(

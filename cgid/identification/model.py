@@ -25,6 +25,7 @@ from cgid.identification.model_file import (
     SCHEMA_VERSION,
     STANDARDISER,
     UNEXPLAINED,
+    VOTE_CORRELATION,
     NewerSchema,
     arrays_of,
     check_names,
@@ -185,6 +186,11 @@ class Model:
     def unexplained(self) -> float:
         """Median share of energy that the beam left unexplained in the training [%]; 0 where the file does not say."""
         return float(self.training.get(UNEXPLAINED, 0.0))
+
+    @property
+    def vote_correlation(self) -> float:
+        """How much successive windows repeat each other in a vote: 0 not at all, 1 wholly or not known."""
+        return float(self.training.get(VOTE_CORRELATION, 1.0))
 
     @property
     def references(self) -> dict[str, Floats]:

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 #: Of the training record: the median of the guard of models that look through a beam [%].
 UNEXPLAINED = "median_beam_unexplained"
+#: Of the training record of models of windows: how much windows repeat each other in a vote.
+VOTE_CORRELATION = "vote_correlation"
 
 # -- the archive ------------------------------------------------------------------------------------------
 
@@ -314,8 +316,11 @@ def check_training(model: Model) -> None:
             numbers = validation.not_negative(name, metrics[name])
             if numbers.shape != shape or numbers.max() > _LARGEST_NUMBER:
                 raise BadData(f"{name} must be numbers of shape {shape} up to {_LARGEST_NUMBER:g}")
-    if UNEXPLAINED in training and np.ndim(validation.not_negative(UNEXPLAINED, training[UNEXPLAINED])):
-        raise BadData(f"{UNEXPLAINED} must be one number")
+    for name in (UNEXPLAINED, VOTE_CORRELATION):
+        if name in training and np.ndim(validation.not_negative(name, training[name])):
+            raise BadData(f"{name} must be one number")
+    if training.get(VOTE_CORRELATION, 0.0) > 1:
+        raise BadData(f"{VOTE_CORRELATION} must be at most 1, got {training[VOTE_CORRELATION]:g}")
     if "confusion" in metrics and np.sum(metrics["confusion"]) < 1:
         raise BadData("confusion must count at least one impact")
     if "fewest_groups" in recorded:

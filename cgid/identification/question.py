@@ -71,7 +71,7 @@ class Question:
     dead_time : float, optional [s]
         Time after an impact in which no other begins, see `find_impacts`.
     vote_time : float, optional [s]
-        Windows are decided on the mean log-probability over this time; 0: no voting; None: `VOTE_TIME`.
+        Windows that are known are decided on together over this time; 0: no voting; None: `VOTE_TIME`.
     batch : int
         Number of impacts to collect before identification; 1: no waiting.
     share_time : float, optional [s]

@@ -263,7 +263,8 @@ def _windows(
 ) -> Iterator[Step]:
     """Yield the answers for windows as they complete."""
     names = answering_channels(model, channels)
-    votes = [RunningVote.over(question.vote_over(model), model.window_time, model.hop_time) for _ in names]
+    times = question.vote_over(model), model.window_time, model.hop_time
+    votes = [RunningVote.over(*times, model.vote_correlation) for _ in names]
     sensors = question.heard_by(model, names)
     equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
     drifts, seen = _Drifts(model, sensors, sampling_rate), False

@@ -39,7 +39,7 @@ from cgid.identification.grouped import (
 )
 from cgid.identification.metrics import evaluate, evaluate_recordings, evaluate_sets
 from cgid.identification.model import Model
-from cgid.identification.model_file import UNEXPLAINED
+from cgid.identification.model_file import UNEXPLAINED, VOTE_CORRELATION
 from cgid.identification.rows import (
     BEAM_GUARDS,
     DEFAULT_FEATURES,
@@ -480,7 +480,12 @@ def _left_out(
         final(lesson, choice, crew),
         (own.labels, judged.probabilities),
         evaluate_recordings(own, judged.probabilities),
-        {**record, "n_train": len(own.labels), "recorded": recorded},
+        {
+            **record,
+            "n_train": len(own.labels),
+            "recorded": recorded,
+            **({VOTE_CORRELATION: choice.vote_correlation} if rows.kind == "window" else {}),
+        },
         features=lesson.candidates[choice.best].features,
         contrast=noise_guard(lesson, choice, crew),
     )

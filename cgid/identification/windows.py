@@ -170,16 +170,28 @@ class NoisyCopies:
             yield snr, gain[:, None, None] * (window + noise * np.sqrt(ratio)[:, :, None])
 
 
-class RunningVote:
-    """Running mean of log-probabilities over the last `n_windows` windows; at the beginning over all so far."""
+def independent_windows(n_windows: Floats, correlation: float) -> Floats:
+    """Return how many independent windows successive ones are worth (the design effect of Kish 1965, 8.2).
 
-    def __init__(self, n_windows: int) -> None:
+    >>> independent_windows(np.array([1, 9]), 0.5).tolist()
+    [1.0, 1.8]
+    """
+    return np.asarray(n_windows / (1 + np.maximum(n_windows - 1, 0) * correlation))
+
+
+class RunningVote:
+    """Running vote of the last `n_windows` windows, at the beginning of all so far.
+
+    Log-probabilities are added as of `independent_windows`; a correlation of 1 is their mean.
+    """
+
+    def __init__(self, n_windows: int, correlation: float = 1.0) -> None:
         self.n_windows = validation.count("n_windows", n_windows)
+        self._correlation = correlation
         self._last: Floats | None = None
-        self._seen = 0
 
     @classmethod
-    def over(cls, vote_time: float, window_time: float, hop_time: float) -> RunningVote:
+    def over(cls, vote_time: float, window_time: float, hop_time: float, correlation: float = 1.0) -> RunningVote:
         """Return the vote over the windows that lie entirely within a time, at least one; all times in seconds.
 
         >>> RunningVote.over(0.5, 0.1, 0.05).n_windows
@@ -190,22 +202,26 @@ class RunningVote:
             raise InvalidValue(
                 f"vote_time must be at most {_MOST_VOTING} hops of {hop_time:g} s, got {vote_time:g} s; decide on less"
             )
-        return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1))
+        return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1), correlation)
 
-    def feed(self, probabilities: Floats) -> Floats:
-        """Return the averaged probabilities for more windows, (n, n_labels); each row sums to 1.
+    def feed(self, probabilities: Floats, known: NDArray[np.bool_] | None = None) -> Floats:
+        """Return the probabilities by vote for more windows, (n, n_labels); each row sums to 1.
 
-        The rows are identical to the last digit however they are divided into calls.
+        Windows that are not `known` do not vote; where none does, they keep their own probabilities. The rows are
+        identical to the last digit however they are divided into calls.
 
         >>> RunningVote(2).feed(np.array([[0.5, 0.5], [0.9, 0.1], [0.9, 0.1]])).round(2).tolist()
         [[0.5, 0.5], [0.75, 0.25], [0.9, 0.1]]
         """
+        counted = np.ones(len(probabilities)) if known is None else known.astype(np.float64)
         logs = np.log(np.maximum(probabilities, LEAST_PROBABILITY))
-        before = np.zeros((self.n_windows - 1, logs.shape[1])) if self._last is None else self._last
-        both = np.concatenate([before, logs])
-        total = np.zeros_like(logs)
+        votes = np.column_stack([counted[:, None] * logs, counted])
+        before = np.zeros((self.n_windows - 1, votes.shape[1])) if self._last is None else self._last
+        both = np.concatenate([before, votes])
+        total = np.zeros_like(votes)
         for k in range(self.n_windows):  # the same order for every row
-            total += both[k : k + len(logs)]
-        counts = np.minimum(self._seen + 1 + np.arange(len(logs)), self.n_windows)
-        self._last, self._seen = both[len(logs) :], self._seen + len(logs)
-        return softmax(total / counts[:, None])
+            total += both[k : k + len(votes)]
+        self._last = both[len(votes) :]
+        counts = total[:, -1:]
+        voted = total[:, :-1] / np.maximum(counts, 1) * independent_windows(counts, self._correlation)
+        return softmax(np.where(counts > 0, voted, logs))

@@ -47,6 +47,7 @@ class Support:
     labels: Counter[str] = field(default_factory=Counter)
     turns: Counter[str] = field(default_factory=Counter)
     shares: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=_SHARES))
+    marks: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_SHARES))
     answers: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_ANSWERS))
 
     def take(self, kind: str, record: dict[str, Any]) -> None:
@@ -63,6 +64,7 @@ class Support:
         else:
             self.state, self.turned_at = (SHUT if kind == "shut" else OPEN), time.monotonic()
             self.turns[kind] += 1
+            self.marks.append([record["time_s"], kind])
 
     def content(self) -> dict[str, Any]:
         """Return the state in words, the share and the counts, for JSON."""
@@ -144,7 +146,7 @@ class Plant:
                     "name": name,
                     **one.content(),
                     "labels": dict(one.labels),
-                    "turns": dict(one.turns),
+                    "turns": list(one.marks),
                     "shares": list(one.shares),
                     "answers": list(one.answers),
                 }

@@ -1,5 +1,6 @@
 """All pictures. matplotlib (extra `plot`) is imported only here, and only on use."""
 
+from cgid.plots.answers import draw_drawn, drawn_figure, finish_drawn, gangue_at, share_figure
 from cgid.plots.figure import (
     COLOURS,
     FORMATS,
@@ -13,7 +14,7 @@ from cgid.plots.figure import (
     stabilisation_picture,
     survey_picture,
 )
-from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, recording_picture, share_figure, written
+from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, recording_picture, written
 
 __all__ = [
     "COLOURS",
@@ -21,6 +22,10 @@ __all__ = [
     "MOST_CHANNELS",
     "Mark",
     "colours_of",
+    "draw_drawn",
+    "drawn_figure",
+    "finish_drawn",
+    "gangue_at",
     "hertz",
     "judgement_pictures",
     "modes_picture",

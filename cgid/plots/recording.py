@@ -1,10 +1,10 @@
-"""Pictures of recordings: waveform, spectrogram and spectrum with marked impacts, and the share of gangue over time."""
+"""Pictures of recordings: waveform, spectrogram and spectrum with marked impacts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,10 @@ from cgid.recordings import Channel
 from cgid.signals import Signal
 from cgid.validation import Floats
 
-if TYPE_CHECKING:
-    from cgid.identification.share import Share, Turn
-
 #: A picture with more channels is illegible.
 MOST_CHANNELS = 8
 #: Longest name of a channel in a legend [characters].
-_LONGEST_LABEL = 32
+LONGEST_LABEL = 32
 #: Longest and shortest range of a level scale [dB].
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
 #: Largest number of marks that are also drawn through the waveform of a channel, if they leave room.
@@ -31,7 +28,7 @@ _NARROWEST_MARK = (3e-3, 1.2e-3)
 #: Shorter recordings [s] have a time axis in milliseconds.
 _MILLISECONDS_BELOW = 0.5
 #: Sizes [inches].
-_WIDTH, _TITLE, _STRIP_ROW, _WAVEFORM, _SPECTROGRAM, _SPECTRUM = 11.0, 0.6, 0.19, 1.5, 1.9, 2.7
+WIDTH, _TITLE, _STRIP_ROW, _WAVEFORM, _SPECTROGRAM, _SPECTRUM = 11.0, 0.6, 0.19, 1.5, 1.9, 2.7
 #: Largest number of channels with rows of full size, and the factor that reduces the rows of more.
 _FULL_SIZE, _SHRUNK = 3, 0.65
 #: Space for text between two rows [inches].
@@ -94,7 +91,7 @@ def overview_figure(
     strip = [_STRIP_ROW * len(colours)] if colours else []
     shrunk = 1.0 if len(channels) <= _FULL_SIZE else _SHRUNK
     heights = [*[*strip, _WAVEFORM * shrunk, _SPECTROGRAM * shrunk] * len(channels), _SPECTRUM]
-    figure = require_matplotlib()(figsize=(_WIDTH, sum(heights) + _ROOM * len(heights) + _TITLE), layout="constrained")
+    figure = require_matplotlib()(figsize=(WIDTH, sum(heights) + _ROOM * len(heights) + _TITLE), layout="constrained")
     figure.suptitle("\n".join(plain(line) for line in (title, facts) if line), parse_math=False, fontsize="medium")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=(1, 0.016), wspace=0.01)
     rows, clock, shared = iter(range(len(heights))), Clock(begin, begin + overview.duration), None
@@ -179,7 +176,7 @@ def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clo
         spans = [(start, max(width, narrowest)) for start, width in _spans(own, clock)]
         axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=colour, lw=0)
         axes.axhline(row + 0.5, color="0.85", lw=0.5)
-        names.append(f"{plain(label, _LONGEST_LABEL)} ({len(own)})")
+        names.append(f"{plain(label, LONGEST_LABEL)} ({len(own)})")
     axes.set_yticks(range(len(names)), names, parse_math=False, fontsize="small")
     axes.set(xlim=clock.limits, ylim=(len(names) - 0.5, -0.5))
     axes.tick_params(length=0, axis="y")
@@ -212,7 +209,7 @@ def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> Non
     for k, channel in enumerate(channels):
         style = "-" if k < len(COLOURS) else "--"
         axes.plot(
-            overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name, _LONGEST_LABEL)
+            overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name, LONGEST_LABEL)
         )
     units = {channel.unit for channel in channels}
     unit = _density(units.pop()) if len(units) == 1 else "unit²/Hz of each channel"
@@ -345,78 +342,3 @@ def _shares(
     axes.set(ylim=(0, 1), ylabel=f"share of the arriving rocks\n(within {width * duration:g} s)", xlabel=clock.title)
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small", loc="center left")
-
-
-#: Height of a panel of shares and of the title [inches].
-_SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
-_LINE, _LIMIT = COLOURS[0], COLOURS[1]
-
-
-def share_figure(
-    shares: Sequence[Share], turns: Sequence[Turn], duration: float, *, threshold: float | None = None
-) -> Any:
-    """Draw the share of gangue over time with its interval, in one panel per channel.
-
-    Parameters
-    ----------
-    shares : sequence of Share
-        At least one; only the first `MOST_CHANNELS` channels are drawn.
-    turns : sequence of Turn
-    duration : float
-        Duration of the recording [s].
-    threshold : float, optional
-        Share above which further caving costs more than it brings.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    MissingExtra
-        matplotlib is not installed.
-    """
-    names = list(dict.fromkeys(share.channel for share in shares))[:MOST_CHANNELS]
-    figure = require_matplotlib()(figsize=(_WIDTH, _SHARE_TITLE + _SHARE_PANEL * len(names)), layout="constrained")
-    clock = Clock(0.0, duration)
-    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, name in zip(panels, names, strict=True):
-        own = [share for share in shares if share.channel == name]
-        _share(axes, own, clock)
-        if threshold is not None:
-            axes.axhline(
-                threshold, color="0.4", ls="--", lw=1, label=f"above {threshold:.3g} going on costs more than it brings"
-            )
-        for turn in turns:
-            if turn.share.channel == name:
-                _turn(axes, turn, clock)
-        if len(names) > 1:
-            axes.set_title(f"channel {plain(name)}", loc="left", fontsize="medium", parse_math=False)
-        axes.set(ylim=(0, 1), ylabel="share of gangue", xlim=clock.limits)
-        axes.grid(alpha=0.3)
-    panels[0].legend(loc="lower left", bbox_to_anchor=(0.15, 1.0), ncols=3, fontsize="small", frameon=False)
-    panels[-1].set_xlabel(f"{clock.title}, ends of the windows")
-    return figure
-
-
-def _share(axes: Any, shares: Sequence[Share], clock: Clock) -> None:
-    times = clock.of(np.array([share.time for share in shares]))
-    low, mean, high = np.array([(share.low, share.share, share.high) for share in shares]).T
-    axes.fill_between(times, low, high, color=_LINE, alpha=0.2, lw=0, label="95 % interval")
-    axes.plot(times, mean, color=_LINE, marker="o", ms=3, lw=1.4, label="share of gangue")
-
-
-def _turn(axes: Any, turn: Turn, clock: Clock) -> None:
-    (place,) = clock.of(np.array([turn.time]))
-    axes.axvline(place, color=_LIMIT, lw=1.8 if turn.shut else 1.0, ls="-" if turn.shut else ":")
-    axes.annotate(
-        "shut" if turn.shut else "open again",
-        (place, 0.97),
-        xytext=(-4, 0),
-        textcoords="offset points",
-        ha="right",
-        va="top",
-        color=_LIMIT,
-        fontsize="small",
-        fontweight="bold" if turn.shut else "normal",
-    )

@@ -1,0 +1,243 @@
+"""Pictures of what the answers add up to: shares of gangue, the operators' curve, distributions of sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cgid.plots.figure import COLOURS, colours_of, picture, plain, require_matplotlib
+from cgid.plots.recording import LONGEST_LABEL, MOST_CHANNELS, WIDTH, Clock
+from cgid.validation import Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.share import Share, Turn
+
+#: Height of a panel of shares and of the title [inches].
+_SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
+_LINE, _LIMIT = COLOURS[0], COLOURS[1]
+#: Height of the operators' curve [inches], rocks before it is drawn, and times between its marks [s].
+_DRAWN_HEIGHT, _FIRST_ROCKS, _STEPS = 4.2, 20, (1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
+
+
+def share_figure(
+    shares: Sequence[Share], turns: Sequence[Turn], duration: float, *, threshold: float | None = None
+) -> Any:
+    """Draw the share of gangue over time with its interval, in one panel per channel.
+
+    Parameters
+    ----------
+    shares : sequence of Share
+        At least one; only the first `MOST_CHANNELS` channels are drawn.
+    turns : sequence of Turn
+    duration : float
+        Duration of the recording [s].
+    threshold : float, optional
+        Share above which further caving costs more than it brings.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtra
+        matplotlib is not installed.
+    """
+    names = list(dict.fromkeys(share.channel for share in shares))[:MOST_CHANNELS]
+    figure = require_matplotlib()(figsize=(WIDTH, _SHARE_TITLE + _SHARE_PANEL * len(names)), layout="constrained")
+    clock = Clock(0.0, duration)
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(panels, names, strict=True):
+        own = [share for share in shares if share.channel == name]
+        _share(axes, own, clock)
+        if threshold is not None:
+            axes.axhline(
+                threshold, color="0.4", ls="--", lw=1, label=f"above {threshold:.3g} going on costs more than it brings"
+            )
+        for turn in turns:
+            if turn.share.channel == name:
+                _turn(axes, turn, clock)
+        if len(names) > 1:
+            axes.set_title(f"channel {plain(name)}", loc="left", fontsize="medium", parse_math=False)
+        axes.set(ylim=(0, 1), ylabel="share of gangue", xlim=clock.limits)
+        axes.grid(alpha=0.3)
+    panels[0].legend(loc="lower left", bbox_to_anchor=(0.15, 1.0), ncols=3, fontsize="small", frameon=False)
+    panels[-1].set_xlabel(f"{clock.title}, ends of the windows")
+    return figure
+
+
+def _share(axes: Any, shares: Sequence[Share], clock: Clock) -> None:
+    times = clock.of(np.array([share.time for share in shares]))
+    low, mean, high = np.array([(share.low, share.share, share.high) for share in shares]).T
+    axes.fill_between(times, low, high, color=_LINE, alpha=0.2, lw=0, label="95 % interval")
+    axes.plot(times, mean, color=_LINE, marker="o", ms=3, lw=1.4, label="share of gangue")
+
+
+def _turn(axes: Any, turn: Turn, clock: Clock) -> None:
+    (place,) = clock.of(np.array([turn.time]))
+    axes.axvline(place, color=_LIMIT, lw=1.8 if turn.shut else 1.0, ls="-" if turn.shut else ":")
+    axes.annotate(
+        "shut" if turn.shut else "open again",
+        (place, 0.97),
+        xytext=(-4, 0),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        color=_LIMIT,
+        fontsize="small",
+        fontweight="bold" if turn.shut else "normal",
+    )
+
+
+def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Sequence[Turn]) -> Any:
+    """Draw the cumulative share of gangue against the recovered coal, one curve per channel.
+
+    Parameters
+    ----------
+    times : mapping of str to ndarray, (n_answers,) [s]
+        Times of the answers of each channel, each of which counts as one rock; at most `MOST_CHANNELS` are drawn.
+    shares : sequence of Share
+        Known at two or more times for each of these channels.
+    turns : sequence of Turn
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtra
+        matplotlib is not installed.
+    """
+    names = list(times)[:MOST_CHANNELS]
+    figure = require_matplotlib()(figsize=(WIDTH, _DRAWN_HEIGHT), layout="constrained")
+    axes = figure.subplots()
+    for name, colour in zip(names, colours_of(names).values(), strict=True):
+        own = [share for share in shares if share.channel == name]
+        title = f"channel {plain(name, LONGEST_LABEL)}" if len(names) > 1 else "by the answers"
+        shut = [turn.time for turn in turns if turn.shut and turn.share.channel == name]
+        draw_drawn(axes, times[name], gangue_at(times[name], own), shut, colour=colour, title=title)
+    finish_drawn(axes)
+    return figure
+
+
+def gangue_at(times: Floats, shares: Sequence[Share]) -> Floats:
+    """Return the expected share of gangue at some times [s], between the middles of windows of one channel."""
+    known = [((share.start + share.time) / 2, share.mean) for share in shares if share.n_impacts]
+    return np.asarray(np.interp(times, *np.array(known).T))
+
+
+def draw_drawn(
+    axes: Any,
+    times: Floats,
+    gangue: Floats,
+    shut: Sequence[float] = (),
+    *,
+    colour: str,
+    title: str,
+    width: float = 2.2,
+    says_times: bool = True,
+) -> None:
+    """Draw the operators' curve of one support, with the time along it and SHUT.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    times, gangue : ndarray, (n_rocks,)
+        Time of each rock [s], and whether it is gangue, or the probability of that.
+    shut : sequence of float [s]
+    colour, title : str
+    width : float
+        Of the line [points].
+    says_times : bool
+        Whether the marks of times are named.
+    """
+    from matplotlib.patheffects import withStroke
+
+    # The share of the first rocks is that of chance.
+    recovered, share = np.cumsum(1 - gangue) / np.sum(1 - gangue), np.cumsum(gangue) / np.arange(1, len(gangue) + 1)
+    shown = np.arange(len(gangue)) >= min(_FIRST_ROCKS, len(gangue) // 2)
+    axes.plot(100 * recovered[shown], 100 * share[shown], color=colour, lw=width, label=title)
+    settings: dict[str, Any] = {"textcoords": "offset points", "color": colour, "fontsize": "small", "zorder": 5}
+    settings["path_effects"] = [withStroke(linewidth=3, foreground="w")]
+    step = next(step for step in _STEPS if times[-1] <= 8 * step or step == _STEPS[-1])
+    for mark in np.arange(step, times[-1], step):
+        row = np.searchsorted(times, mark)
+        if shown[row]:
+            place = 100 * recovered[row], 100 * share[row]
+            axes.plot(*place, "o", color=colour, ms=2.2 * width)
+            axes.annotate(f"{mark:g} s" if says_times else "", place, (5, -5), va="top", **settings)
+    for time in shut:
+        row = min(int(np.searchsorted(times, time)), len(times) - 1)
+        place = 100 * recovered[row], 100 * share[row]
+        axes.plot(*place, "s", color=colour, ms=9, mec="k", mew=1, zorder=4)
+        axes.annotate(
+            f"SHUT at {time:.0f} s:\n{place[0]:.0f} % of the coal,\n{place[1]:.0f} % gangue in all",
+            place,
+            (-45, 16),
+            ha="right",
+            fontweight="bold",
+            arrowprops={"arrowstyle": "-", "color": colour},
+            **settings,
+        )
+
+
+def finish_drawn(axes: Any) -> None:
+    """Name the axes of the operators' curve."""
+    axes.set(xlim=(0, 100), xlabel="recovered coal [% of that of the recording]", ylabel="gangue in all drawn [%]")
+    axes.set_ylim(0, 1.25 * axes.dataLim.ymax)
+    axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
+    if len(axes.get_legend_handles_labels()[1]) > 1:
+        for text in axes.legend(fontsize="small", loc="upper left").get_texts():
+            text.set_parse_math(False)
+
+
+def sizes_picture(distribution: Any, source: str, suffix: str = ".png", truth: Any = None) -> bytes:
+    """Return how many impacts were of each class of size, found and corrected, as the content of a file.
+
+    Parameters
+    ----------
+    distribution : SizeDistribution
+    source : str
+        What was recorded.
+    suffix : str
+        One of `cgid.plots.FORMATS`.
+    truth : ndarray, (n_classes,), optional
+        The true number of impacts of each class.
+
+    Returns
+    -------
+    bytes
+    """
+    figure = require_matplotlib()(figsize=(7, 4.2), layout="constrained")
+    axes = figure.subplots()
+    draw_sizes(axes, distribution, truth)
+    axes.set(title=plain(source))
+    return picture(figure, suffix)
+
+
+def draw_sizes(axes: Any, distribution: Any, truth: Any = None) -> None:
+    """Draw a distribution of sizes, with the true numbers if known, (n_classes,)."""
+    units = {"mass": "mass [kg]", "radius": "radius [m]", "speed": "speed [m/s]"}
+    edges = distribution.edges
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    axes.stairs(distribution.found, edges, color="0.6", fill=True, alpha=0.5, label="found")
+    known = np.isfinite(distribution.total)
+    below = (distribution.total - distribution.low_total)[known].clip(0)
+    above = (distribution.high_total - distribution.total)[known].clip(0)
+    axes.errorbar(
+        middle[known], distribution.total[known], (below, above), fmt="o", ms=4, capsize=2, color=COLOURS[0],
+        label="corrected for what is not found (90 %)",
+    )  # fmt: skip
+    if truth is not None:
+        axes.stairs(truth, edges, color=COLOURS[1], lw=1.5, label="truth")
+    lacking = np.flatnonzero(~known)
+    if lacking.size and lacking[0] == 0:
+        last = int(np.argmax(known)) if known.any() else known.size
+        axes.axvspan(edges[0], edges[last], color="0.92", zorder=0, label="too small to be found")
+    axes.set(xscale="log", xlabel=units[distribution.quantity], ylabel="impacts")
+    axes.legend(fontsize="small")
+    axes.grid(alpha=0.3)
