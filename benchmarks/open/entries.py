@@ -28,8 +28,9 @@ from cgid.identification.share import CavingWatch, Share
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
 from cgid.scene import synthesise
+from cgid.scene.through_beam import whole_beam
 from cgid.signals import Batch
-from cgid.site.streams import finished, rows_of_streams, whole_beam
+from cgid.site.streams import finished, rows_of_streams
 
 _AT_ONCE = 512
 
