@@ -46,6 +46,9 @@ _SAME_RATE, _TOP = 1e-6, 0.41
 _LARGEST_RATIO = 1000
 #: A touch within this of the ends of the table of forces is sought so much further on [samples].
 _EDGE, _BESIDE = 0.35, 4
+#: Where more than this share of the energy is unexplained, and the misfit is above this, touch is sought so much
+#: later [samples].
+_MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
 #: Samples before touch that show ringing: fewest and most.
 _FEWEST_QUIET, _MOST_QUIET = 64, 256
 #: Samples at a limit share their value within this, and are at least so many.
@@ -439,14 +442,18 @@ class ThroughBeam:
         contact = self.fit.fit(inverted)
         # Where touch lies at the edge of the table of forces, look there.
         edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
+        begun = inverted.start + edge + TOUCH // 2
         rows = np.flatnonzero(edge)
-        if rows.size:
-            begun = inverted.start[rows] + edge[rows] + TOUCH // 2
-            other = self.inversion.invert(sought.rows(rows), np.stack([begun, begun], axis=1))
-            better = np.flatnonzero(other.misfit < inverted.misfit[rows])
-            if better.size:
-                inverted = inverted.replaced(rows[better], other.rows(better))
-                contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+        for step in (0, *_LATER):
+            if step:  # A force that is sought too early is not found, and much stays unexplained.
+                rows = np.flatnonzero((inverted.unexplained > _MUCH[0]) & (inverted.misfit > _MUCH[1]))
+            if rows.size:
+                later = begun[rows] + step
+                other = self.inversion.invert(sought.rows(rows), np.stack([later, later], axis=1))
+                better = np.flatnonzero(other.misfit < inverted.misfit[rows])
+                if better.size:
+                    inverted = inverted.replaced(rows[better], other.rows(better))
+                    contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
         return inverted, contact
 
     def _prepared(self, vibrations: VibrationBatch, filters: float) -> tuple[Sought, NDArray[np.intp]]:
