@@ -252,7 +252,7 @@ def test_a_beam_that_has_not_changed_gets_no_hint(noise: float | None) -> None:
 @pytest.mark.parametrize("noise", [None, 0.003, 0.03])
 def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> None:
     answers = answers_of(0.01, noise)
-    assert np.mean([answer.label == "unknown" for answer in answers]) < 0.2  # no single impact tells it
+    assert np.mean([answer.label == "unknown" for answer in answers]) > 0.5  # most single impacts tell it, too
     hint = change_of(answers)
     assert hint is not None
     assert hint.cause == "beam"

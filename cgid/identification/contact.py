@@ -49,6 +49,8 @@ _EDGE, _BESIDE = 0.35, 4
 #: Where more than this share of the energy is unexplained, and the misfit is above this, touch is sought so much
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
+#: Noise alone leaves a misfit of less than this: five deviations of chi-square of the coefficients of a frame.
+_BY_NOISE = 1.28
 #: Samples before touch that show ringing: fewest and most.
 _FEWEST_QUIET, _MOST_QUIET = 64, 256
 #: Samples at a limit share their value within this, and are at least so many.
@@ -405,6 +407,8 @@ class ThroughBeam:
         inverted, contact = self.look(vibrations)
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = contact.covariance / (deviation[:, :, None] * deviation[:, None])
+        # The share of what is unexplained that noise cannot leave.
+        surely = np.maximum(inverted.misfit - _BY_NOISE, 0.0) / np.maximum(inverted.misfit - 1, 1e-9)
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -420,6 +424,7 @@ class ThroughBeam:
             "beam_place_deviation": np.hypot(*inverted.place_deviation.T),
             "beam_misfit": inverted.misfit,
             "beam_unexplained": 100 * inverted.unexplained,
+            "beam_surely_unexplained": 100 * inverted.unexplained * surely,
         }
 
     def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
