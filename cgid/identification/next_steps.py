@@ -296,7 +296,8 @@ class Diagnosis:
     @property
     def is_clear(self) -> bool:
         """Whether a live stream can have its hint already."""
-        unknown = any(c.n_answers >= _ENOUGH and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
+        enough = _ENOUGH if self._model.beam is None else _LATEST[0]  # by then it shows whether the beam has changed
+        unknown = any(c.n_answers >= enough and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
         return unknown or bool(self._changed())
 
     def _changed(self) -> dict[str, list[float]]:
