@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cgid import family
 from cgid.identification.inversion import Inversion, Inverted, Ringing, Rowwise, Sought
-from cgid.measure.beam import FINE, TOUCH, Beam, gain
+from cgid.measure.beam import FINE, SPAN_TIME, TOUCH, Beam, gain
 from cgid.measure.colour import Colour, colour_of
 from cgid.measure.template import relative_times
 from cgid.measure.vibration import VibrationBatch
@@ -407,8 +407,12 @@ class ThroughBeam:
         inverted, contact = self.look(vibrations)
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = contact.covariance / (deviation[:, :, None] * deviation[:, None])
-        # The share of what is unexplained that noise cannot leave.
+        # Noise leaves no more than chance; what was there before touch, such as ringing, may go on beside its model.
         surely = np.maximum(inverted.misfit - _BY_NOISE, 0.0) / np.maximum(inverted.misfit - 1, 1e-9)
+        event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
+        before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
+        energy = np.maximum(self._loudest(np.sum(np.square(event), axis=1)), 1e-300)
+        surely = np.maximum(inverted.unexplained * surely - before / energy, 0.0)
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -424,8 +428,12 @@ class ThroughBeam:
             "beam_place_deviation": np.hypot(*inverted.place_deviation.T),
             "beam_misfit": inverted.misfit,
             "beam_unexplained": 100 * inverted.unexplained,
-            "beam_surely_unexplained": 100 * inverted.unexplained * surely,
+            "beam_surely_unexplained": 100 * surely,
         }
+
+    def _loudest(self, values: Floats) -> Floats:
+        """Return the largest value of the sensors of each blow."""
+        return np.asarray(values.reshape(-1, self.n_sensors).max(axis=1))
 
     def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
         """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
