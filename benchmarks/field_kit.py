@@ -1,8 +1,8 @@
 """The field kit on a beam that no training saw: accuracy after taps, drops, unlabelled and labelled impacts.
 
-    python benchmarks/field_kit.py [--seed 0] [--impacts 300] [--lumps 30] [--test 1024]
+    python benchmarks/field_kit.py [--beam thin] [--seed 0] [--impacts 300] [--lumps 30] [--test 1024]
 
-The beam is one of finite elements (`independent_beam`), made without `cgid`, with other sizes than its drawing, which
+The beam is one of finite elements (`independent_beam`), made without `cgid`, with another build than its drawing, which
 is the scene `tail_beam`; its recorder has a gain of its own. Each row is the model so far on the same further impacts.
 The last row also has the accuracy that the kit itself expects.
 """
@@ -10,7 +10,8 @@ The last row also has the accuracy that the kit itself expects.
 import argparse
 import json
 import time
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import independent_beam as other
@@ -38,9 +39,44 @@ from cgid.site import calibrate, tap_test
 from cgid.site.matching import matched
 
 Floats = NDArray[np.float64]
-VARIANT = "0.01 mindlin"
-#: Gain of the recorder, and sizes of the beam over those of its drawing: length, width, thickness, depth of the ribs.
-GAIN, SIZES = 0.85, (1.008, 0.995, 0.99, 1.01)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Built:
+    """A beam as it was built: what differs from its drawing, as factors; its losses, and the gain of its recorder."""
+
+    factors: Mapping[str, float]
+    gain: float
+    mindlin: str = "0.01 mindlin"
+    damping: str = "constant"
+
+    @property
+    def beam(self) -> other.Beam:
+        """The beam of finite elements."""
+        own = other.Beam()
+        return replace(own, **{name: factor * getattr(own, name) for name, factor in self.factors.items()})
+
+    @property
+    def variant(self) -> other.Variant:
+        """Its ribs and losses."""
+        return replace(other.VARIANTS[self.mindlin], damping=self.damping)
+
+
+#: Another plate; another steel, thicker, with less loss at low frequencies; other ribs, more shear, Rayleigh's losses.
+BEAMS = {
+    "thin": Built(factors={"length": 1.008, "width": 0.995, "thickness": 0.99, "depth": 1.01}, gain=0.85),
+    "steel": Built(
+        factors={"length": 0.994, "width": 1.006, "thickness": 1.012, "depth": 0.99, "youngs_modulus": 0.985},
+        gain=1.2,
+        damping="rising",
+    ),
+    "ribs": Built(
+        factors={"width": 1.008, "depth": 0.985, "rib_thickness": 1.03, "density": 0.99},
+        gain=0.95,
+        mindlin="0.03 mindlin",
+        damping="rayleigh",
+    ),
+}
 #: Place of the taps [m], their number, the band in which modes are asked [Hz], and what the drawing may be off by.
 TAP, TAPS, BAND, OFF = (1.1, 0.9), 6, (60.0, 1500.0), 0.02
 #: Radius [m], heights [m] and place of the steel balls that are dropped.
@@ -48,23 +84,10 @@ BALL, HEIGHTS, PLACE = 0.02, (0.3, 0.4, 0.5, 0.6, 0.7), (1.2, 0.8)
 _FINER = 4
 
 
-def foreign() -> other.Beam:
-    """Return the beam as it was built."""
-    own = other.Beam()
-    length, width, thickness, depth = SIZES
-    return replace(
-        own,
-        length=length * own.length,
-        width=width * own.width,
-        thickness=thickness * own.thickness,
-        depth=depth * own.depth,
-    )
-
-
-def taps(beam: other.Beam, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def taps(built: Built, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return acceleration [m/s^2] and force [N] of taps by a sledge hammer with a force sensor."""
-    modes = other.modes_for(other.VARIANTS[VARIANT], beam)
-    damping = other.damping_ratios(modes.frequency, other.VARIANTS[VARIANT].damping)
+    modes = other.modes_for(built.variant, built.beam)
+    damping = other.damping_ratios(modes.frequency, built.damping)
     low = modes.frequency < 6e3
     place, sensor = (modes.shape(*(np.array([side]) for side in at))[0][low] for at in (TAP, other.SENSOR))
     fine = other.RATE * _FINER
@@ -78,7 +101,7 @@ def taps(beam: other.Beam, rng: np.random.Generator) -> tuple[Floats, Floats]:
     moved = fftconvolve(force, ring)[: force.size] / fine
     edge = butter(8, 10e3, fs=fine, output="sos")
     motion, push = (sosfilt(edge, one)[::_FINER] for one in (np.gradient(np.gradient(moved)) * fine**2, force))
-    return GAIN * motion + rng.normal(0, other.NOISE, motion.size), push + rng.normal(0, 5.0, push.size)
+    return built.gain * motion + rng.normal(0, other.NOISE, motion.size), push + rng.normal(0, 5.0, push.size)
 
 
 def with_learned(scene: Scene, learned: LearnedModes) -> Scene:
@@ -88,7 +111,7 @@ def with_learned(scene: Scene, learned: LearnedModes) -> Scene:
     return parse_scene(content)
 
 
-def gain_of(scene: Scene, beam: other.Beam, seed: int) -> float:
+def gain_of(scene: Scene, built: Built, seed: int) -> float:
     """Return the gain of the recorder that drops of a steel ball on a known place tell."""
     n = len(HEIGHTS)
     speed = np.sqrt(2 * 9.80665 * np.array(HEIGHTS))
@@ -102,9 +125,9 @@ def gain_of(scene: Scene, beam: other.Beam, seed: int) -> float:
         np.full(n, 0.9),
         *(np.full(n, side) for side in PLACE),
     )
-    made = other.generate(n, seed, VARIANT, beam=beam, given=balls)
+    made = other.generate(n, seed, built.variant, beam=built.beam, given=balls)
     blows = []
-    for samples, v in zip(GAIN * made["acceleration"], speed, strict=True):
+    for samples, v in zip(built.gain * made["acceleration"], speed, strict=True):
         motion = Signal(samples=samples, sampling_rate=other.RATE, unit="m/s^2", pre_trigger=other.PRE_TRIGGER)
         impact = dropped(scene, float(v))
         blows.append(Blow(motion=motion, impact=impact, impact_point=PLACE))
@@ -126,16 +149,17 @@ def dropped(scene: Scene, speed: float) -> Impact:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--beam", choices=BEAMS, default="thin")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--impacts", type=int, default=300, help="unlabelled")
     parser.add_argument("--lumps", type=int, default=30, help="labelled impacts")
     parser.add_argument("--test", type=int, default=1024)
     parser.add_argument("--signals", type=int, default=8000, help="simulated, to train on")
     asked = parser.parse_args()
-    beam, rng, scene = foreign(), np.random.default_rng(asked.seed), load_scene("tail_beam")
+    built, rng, scene = BEAMS[asked.beam], np.random.default_rng(asked.seed), load_scene("tail_beam")
     n = asked.impacts + asked.lumps + asked.test
-    made = other.generate(n, 777_000_001 + asked.seed, VARIANT, beam=beam)
-    made["acceleration"] = GAIN * made["acceleration"]
+    made = other.generate(n, 777_000_001 + asked.seed, built.variant, beam=built.beam)
+    made["acceleration"] = built.gain * made["acceleration"]
 
     def part(first: int, last: int, gain: float = 1.0) -> dict[str, Any]:
         own = {key: value[first:last] if np.ndim(value) else value for key, value in made.items()}
@@ -152,7 +176,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|")
     shipped = load_model("default-acceleration")
     row("nothing: the default model", shipped)
-    response, force = taps(beam, rng)
+    response, force = taps(built, rng)
     test = tap_test(response[None], other.RATE, hammer=force, band=BAND)
     own = beam_modes(scene)
     learned, known = matched(test, own.frequency, own.damping_ratio, OFF)
@@ -170,7 +194,7 @@ def main() -> None:
     told = f"evidence {found.before:.3g} to {found.after:.3g}, {found.expected:.3g} expected"
     row(f"{asked.impacts} unlabelled impacts", through(shipped, found.scene), more=told)
     try:
-        gain = gain_of(found.scene, beam, asked.seed)
+        gain = gain_of(found.scene, built, asked.seed)
         row(f"{len(HEIGHTS)} drops of a steel ball", through(shipped, found.scene), gain, f"gain {gain:.3f}")
     except CgidError as error:
         gain = 1.0

@@ -36,7 +36,7 @@ DIAMETERS, TABLE = (6, 10), {6: 26.0, 10: 43.0}
 #: Samples before the trigger that show baseline and noise, and samples kept before the lobe.
 QUIET, BEFORE, LENGTH = 450, 200, 400
 #: Newtons (or m/s^2) that a volt may stand for, which nobody says.
-GAINS = (1.0, 1e2, 1e4)
+GAINS = 10.0 ** np.arange(7)
 #: Draws of a bootstrap.
 RESAMPLED = 2000
 
@@ -158,23 +158,37 @@ def radii(one: Ball) -> tuple[Floats, Floats, Floats]:
     return 1e3 * low, 1e3 * found.median("radius"), 1e3 * high
 
 
+def extended(signal: Signal) -> Signal:
+    """Return a recording with its own quiet part before and after it, to and fro: what follows the blow is known."""
+    quiet = signal.samples[: QUIET - 10] - signal.samples[: QUIET - 10].mean()
+    both = np.concatenate([quiet, quiet[::-1]])
+    level = signal.samples[: QUIET - 10].mean()
+    return replace(signal, samples=np.concatenate([np.tile(both, 6), signal.samples - level, np.tile(both, 30)]))
+
+
 def answers(balls: list[Ball]) -> None:
-    """Print how many blows each default model calls unknown, whole recordings, for several gains."""
-    print("| model | a volt is | blows answered | unknown |\n|---|---|---|---|")
+    """Print how many blows each default model calls unknown, as recorded and extended, for all gains."""
+    print("| model | recordings | a volt is | unknown, fewest | median |\n|---|---|---|---|---|")
     for name, unit in (("default", "N"), ("default-acceleration", "m/s^2")):
         model = load_model(name)
-        for gain in GAINS:
-            labels: list[str] = []
-            for one in balls:
-                for signal in one.signals:
-                    turned = replace(signal, unit=unit, samples=-gain * signal.samples)
+        for how in ("as recorded", "extended"):
+            unknown = []
+            for gain in GAINS:
+                labels: list[str] = []
+                for signal in (signal for one in balls for signal in one.signals):
+                    own = extended(signal) if how == "extended" else signal
                     with warnings.catch_warnings():
                         warnings.simplefilter("ignore")
-                        table = predict(turned, model=model)
+                        table = predict(replace(own, unit=unit, samples=-gain * own.samples), model=model)
                     # The blow is the first; echoes of the block follow it.
-                    labels += table["label"].tolist()[:1] or ["no answer"]
-            silent = labels.count("no answer")
-            print(f"| {name} | {gain:g} {unit} | {len(labels) - silent} | {labels.count('unknown')} |")
+                    labels += table["label"].tolist()[:1]
+                unknown.append(labels.count("unknown"))
+            low, high = GAINS[0], GAINS[-1]
+            print(
+                f"| {name} | {how} | {low:g} to {high:g} {unit}, {len(GAINS)} gains | {min(unknown)} "
+                f"| {np.median(unknown):g} |",
+                flush=True,
+            )
 
 
 def picture(path: Path, balls: list[Ball]) -> None:

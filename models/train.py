@@ -3,8 +3,8 @@
     python models/train.py                        # models/default.npz, default.md and its pictures
     python models/train.py --drop-height          # the same with known drop height: default-drop-height.npz
     python models/train.py --acceleration         # for the vibration of a tail beam: default-acceleration.npz
+    python models/train.py --finish -n 5000       # the same with what it learned, its guards and streams anew
     python models/train.py -o mine.npz -n 20000   # elsewhere, smaller
-    python models/train.py --unexplained models/default-acceleration.npz -n 2200 --streams 6    # only store a median
 
 It trains on impacts of the shipped scenes `rock` (five laws of loss, spheres and lumps) and `reference`, both on the
 rig of `reference` and on many others (`RIGS`: rates, noises and their colours, hum, bits, filters, clipping), which are
@@ -32,11 +32,11 @@ from domain_shift import domain_shift, domain_shift_table
 from selection import select, selection_section
 
 from cgid import shipped
-from cgid.files import write_whole
-from cgid.identification.card import Section, check_model_output, write_model
+from cgid.files import write_together
+from cgid.identification.card import PICTURES, Section, check_model_output, write_card, write_model
+from cgid.identification.families import Neighbourhood
 from cgid.identification.model import Model
 from cgid.identification.model_file import UNEXPLAINED
-from cgid.identification.prediction import load_model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS, Rows, measure
 from cgid.identification.training import train
 from cgid.measure.beam import Beam
@@ -125,20 +125,6 @@ def streams(n_streams: int, seed: int, beam: Beam) -> list[StreamRows]:
     return rows_of_streams(scenes, seed, (*BEAM_FEATURES, *BEAM_GUARDS), beam)
 
 
-def with_unexplained(model: Model, n: int, n_streams: int, seed: int) -> Model:
-    """Return a model of acceleration with the median of what its beam leaves unexplained of impacts like its own.
-
-    For a file that was made without it; 120 streams go with an `n` of 44,000.
-    """
-    assert model.beam is not None
-    beam, scenes = model.beam.beam, acceleration_scenes(n)
-    batches = chain.from_iterable(synthesise(scene, m, seed + number) for number, (scene, m) in enumerate(scenes))
-    parts = [measure(batches, (*BEAM_FEATURES, *BEAM_GUARDS), beam=beam)]
-    parts += [stream.rows for stream in streams(n_streams, seed + 10, beam)]
-    left = float(np.median(np.concatenate([part.columns(BEAM_GUARDS) for part in parts])))
-    return replace(model, training=model.training | {UNEXPLAINED: left})
-
-
 def strangers(n: int, seed: int) -> Rows:
     """Return rows of anything, on the rig of `reference` and on many others."""
     anything = shipped_scene("anything")
@@ -169,7 +155,24 @@ def sections(model: Model) -> list[Section]:
         found.append(("What is lost against the force", force_table(told["beside_force"])))
     if "selection" in told:
         found.append(("Selection", selection_section(told["selection"], model.family)))
+        if "streams" in told:
+            found[-1][1].append("\nIt compares the families on single blows in frames of their own, without streams.")
     return found
+
+
+def finish(model: Model, n_impacts: int, n_streams: int, seed: int) -> Model:
+    """Return a model of acceleration with the guards of this version, finished on streams anew."""
+    sizes = acceleration_scenes(n_impacts)
+    beam, names = beam_of(sizes[-1][0]), (*BEAM_FEATURES, *BEAM_GUARDS)
+    seeded = [(scene, n, seed + number) for number, (scene, n) in enumerate(sizes)]
+    frames = measure(chain.from_iterable(synthesise(*one) for one in seeded), names, beam=beam)
+    further = streams(n_streams, seed + 11, beam)
+    guards = Rows.joined([frames, *(stream.rows for stream in further)]).columns(BEAM_GUARDS)
+    limits = tuple(np.quantile(guards, Neighbourhood.INSIDE, axis=0).tolist())
+    model = replace(model, guards=BEAM_GUARDS, guard_limits=limits)
+    model = finished(model, further)
+    told = {UNEXPLAINED: float(np.median(guards[:, 0])), "domain_shift": domain_shift(model)}
+    return replace(model, training={**model.training, **told})
 
 
 def main() -> None:
@@ -181,24 +184,23 @@ def main() -> None:
     parser.add_argument("--family", default="network")
     parser.add_argument("--drop-height", action="store_true", help="the model also gets the drop height")
     parser.add_argument("--acceleration", action="store_true", help="the model of a tail beam's vibration")
+    parser.add_argument("--finish", action="store_true", help="give the model of acceleration its guards anew")
     parser.add_argument("--streams", type=int, default=120, help="for acceleration; half as many finish the model")
     parser.add_argument("--selection", type=int, default=10_000, help="of each scene, to compare families on; 0: none")
-    parser.add_argument(
-        "--unexplained", type=Path, metavar="MODEL", help="only store in this model what is unexplained"
-    )
     arguments = parser.parse_args()
-    if arguments.unexplained is not None:
-        model = with_unexplained(
-            load_model(arguments.unexplained), arguments.signals, arguments.streams, arguments.seed
-        )
-        write_whole(arguments.unexplained, model.to_bytes(), overwrite=True)
-        print(f"{arguments.unexplained}: median {model.unexplained:.4f} %")
-        return
     if arguments.acceleration and arguments.drop_height:
         parser.error("--acceleration and --drop-height make two models; give one of them")
     name = shipped.DROP_HEIGHT_MODEL if arguments.drop_height else shipped.DEFAULT_MODEL
     name = shipped.ACCELERATION_MODEL if arguments.acceleration else name
     output = check_model_output(arguments.output or HERE / name, plots=True, overwrite=True)
+    if arguments.finish:
+        name = shipped.ACCELERATION_MODEL
+        output = arguments.output or HERE / name
+        model = finish(Model.load(HERE / name), arguments.signals, arguments.streams // 2, arguments.seed)
+        pictures = tuple(f"{Path(name).stem}-{picture}.png" for picture in PICTURES)
+        card = write_card(model, output.name, pictures, sections(model))
+        write_together({output: model.to_bytes(), output.with_suffix(".md"): card.encode()}, overwrite=True)
+        return
     known = ("drop_height",) if arguments.drop_height else ()
     sizes = force_scenes(arguments.signals)
     if arguments.acceleration:

@@ -554,3 +554,13 @@ def test_real_bulk_on_a_ramp_is_found_as_ever():
     channels = [signal for file in files for signal in read_recording(file)]
     counts = [len(detected(one.samples, sampling_rate=one.sampling_rate)) for one in channels]
     assert sum(counts) == BULK_IMPACTS
+
+
+@pytest.mark.parametrize(("after", "problem"), [(4.5e-3, True), (5.5e-3, False)])
+def test_a_vibration_needs_5_ms_of_recording_even_if_it_is_over(after, problem):
+    rate, rng = 50_000, np.random.default_rng(2)
+    samples = rng.normal(0, 1e-3, round((0.05 + after) * rate))
+    ring = np.arange(samples.size - 2500) / rate
+    samples[2500:] += np.exp(-ring / 3e-4) * np.sin(2 * np.pi * 5000 * ring)
+    (event,) = find_impacts(Signal(samples=samples, sampling_rate=rate, unit="m/s^2"), kind="vibration")
+    assert event.problem.startswith("the vibration must last 5 ms inside the recording") == problem

@@ -18,7 +18,7 @@ from cgid.identification.detection import find_impacts
 from cgid.measure.features import FEATURES as ALL_FEATURES
 from cgid.measure.features import choose, extract, extract_array
 from cgid.measure.frames import MINIMUM_FRAME
-from cgid.measure.pulses import PulseBatch
+from cgid.measure.pulses import MOST_RINGING, MOST_UNEXPLAINED, PulseBatch
 from cgid.measure.spectra import PulseSpectrum
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
@@ -61,6 +61,27 @@ def measure(samples, rate=MEGAHERTZ, features=None, **options):
     """One signal's features by name."""
     names = choose(features)
     return dict(zip(names, extract_array(samples, rate, names, **options)[0].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_what_rings_after_a_force_is_strange(share):
+    """A tone whose half period is the contact: differences over 1.5 contacts have the rms of the tone."""
+    duration, rate = 100e-6, MEGAHERTZ
+    pulse = family_pulse(0.6, duration, rate, 4000, 300.0)
+    after = (np.arange(pulse.size) - 300) / rate - duration
+    tone = share * pulse.max() * np.sin(np.pi * after / duration) * (after > 0)
+    seen = PulseBatch((pulse + tone)[None], rate, pre_trigger=250)
+    assert seen.ringing[0] == pytest.approx(share / np.sqrt(2), rel=0.05)
+    assert (seen.remainder.unexplained[0] > MOST_UNEXPLAINED) == (share / np.sqrt(2) > MOST_RINGING)
+
+
+def test_hum_and_noise_do_not_ring():
+    rng, rate = np.random.default_rng(4), MEGAHERTZ
+    pulse = family_pulse(0.6, 100e-6, rate, 4000, 300.0, peak=1.0)
+    hum = 0.1 * np.sin(2 * np.pi * 50 * np.arange(4000) / rate + rng.uniform(0, 6, (200, 1)))
+    noise = rng.normal(0, 0.1, (200, 4000))
+    for disturbed in (pulse + hum, pulse + noise):
+        assert np.mean(PulseBatch(disturbed, rate, pre_trigger=250).ringing < MOST_RINGING) > 0.98
 
 
 # -- exact pulses ---------------------------------------------------------------------------------------------

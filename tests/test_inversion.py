@@ -26,7 +26,7 @@ from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.modes import LEARNED_COLUMNS
 from cgid.physics.response import Response
-from cgid.scene import load_scene, parse_scene, synthesise
+from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, has_beam
 from cgid.signals import Batch
@@ -416,6 +416,21 @@ def test_place_and_peak_of_the_tail_beam() -> None:
     assert np.mean(apart < 0.02) > 0.95
     assert np.median(np.abs(contact.peak / p["peak_force"] - 1)) < 0.01
     assert np.quantile(np.abs(np.log(inverted.misfit)), 0.95) < 0.4
+
+
+def test_noise_leaves_nothing_that_surely_is_unexplained() -> None:
+    """On the right beam, at any noise; on one whose modes are 1 % off most blows leave much."""
+    scene, rng = load_scene("tail_beam"), np.random.default_rng(1)
+    own = tail_beam().beam
+    off = replace(own, poles=own.poles * np.exp(0.01 * rng.normal(size=own.poles.size)))
+    for noise, seen in ((0.003, 0.8), (0.03, 0.3), (0.2, 0.0)):
+        noisy = varied(scene, noise_density=None, range=None, bits=None, relative_noise=noise)
+        batch = next(iter(synthesise(noisy, 128, 5)))
+        right, wrong = (
+            beam.measured(vibrations(batch))["beam_surely_unexplained"] for beam in (tail_beam(), ThroughBeam(off))
+        )
+        assert np.mean(right < 1.0) > 0.97
+        assert np.mean(wrong > 2.0) >= seen
 
 
 def test_stated_deviations_are_true() -> None:

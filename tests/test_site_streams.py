@@ -106,13 +106,13 @@ def test_a_model_is_finished(short, shipped_model: Model) -> None:
     plain = replace(
         shipped_model,
         arrays={name: array for name, array in shipped_model.arrays.items() if not name.startswith("share.")},
-        guard_limits=(1.0,),
+        guard_limits=(50.0, 1.0),
     )
     assert plain.confusion is None
     repeated = [replace(one, rows=Rows.joined([one.rows] * 3), n_found=3 * one.n_found) for one in measured]
     model = finished(plain, repeated)
     told = model.training["streams"]
-    assert model.guard_limits[0] > 1.0
+    assert model.guard_limits[0] == 50.0 and model.guard_limits[1] >= 1.0
     assert told["unknown_share"] < 0.15
     assert told["n_found"] == 3 * sum(one.n_found for one in measured)
     again = Model.from_bytes(model.to_bytes())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cgid import family
 from cgid.identification.inversion import Inversion, Inverted, Ringing, Rowwise, Sought
-from cgid.measure.beam import FINE, TOUCH, Beam, gain
+from cgid.measure.beam import FINE, SPAN_TIME, TOUCH, Beam, gain
 from cgid.measure.colour import Colour, colour_of
 from cgid.measure.template import relative_times
 from cgid.measure.vibration import VibrationBatch
@@ -46,6 +46,11 @@ _SAME_RATE, _TOP = 1e-6, 0.41
 _LARGEST_RATIO = 1000
 #: A touch within this of the ends of the table of forces is sought so much further on [samples].
 _EDGE, _BESIDE = 0.35, 4
+#: Where more than this share of the energy is unexplained, and the misfit is above this, touch is sought so much
+#: later [samples].
+_MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
+#: Noise alone leaves a misfit of less than this: five deviations of chi-square of the coefficients of a frame.
+_BY_NOISE = 1.28
 #: Samples before touch that show ringing: fewest and most.
 _FEWEST_QUIET, _MOST_QUIET = 64, 256
 #: Samples at a limit share their value within this, and are at least so many.
@@ -397,6 +402,12 @@ class ThroughBeam:
         inverted, contact = self.look(vibrations)
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = contact.covariance / (deviation[:, :, None] * deviation[:, None])
+        # Noise leaves no more than chance; what was there before touch, such as ringing, may go on beside its model.
+        surely = np.maximum(inverted.misfit - _BY_NOISE, 0.0) / np.maximum(inverted.misfit - 1, 1e-9)
+        event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
+        before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
+        energy = np.maximum(self._loudest(np.sum(np.square(event), axis=1)), 1e-300)
+        surely = np.maximum(inverted.unexplained * surely - before / energy, 0.0)
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -412,7 +423,12 @@ class ThroughBeam:
             "beam_place_deviation": np.hypot(*inverted.place_deviation.T),
             "beam_misfit": inverted.misfit,
             "beam_unexplained": 100 * inverted.unexplained,
+            "beam_surely_unexplained": 100 * surely,
         }
+
+    def _loudest(self, values: Floats) -> Floats:
+        """Return the largest value of the sensors of each blow."""
+        return np.asarray(values.reshape(-1, self.n_sensors).max(axis=1))
 
     def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
         """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
@@ -434,14 +450,18 @@ class ThroughBeam:
         contact = self.fit.fit(inverted)
         # Where touch lies at the edge of the table of forces, look there.
         edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
+        begun = inverted.start + edge + TOUCH // 2
         rows = np.flatnonzero(edge)
-        if rows.size:
-            begun = inverted.start[rows] + edge[rows] + TOUCH // 2
-            other = self.inversion.invert(sought.rows(rows), np.stack([begun, begun], axis=1))
-            better = np.flatnonzero(other.misfit < inverted.misfit[rows])
-            if better.size:
-                inverted = inverted.replaced(rows[better], other.rows(better))
-                contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+        for step in (0, *_LATER):
+            if step:  # A force that is sought too early is not found, and much stays unexplained.
+                rows = np.flatnonzero((inverted.unexplained > _MUCH[0]) & (inverted.misfit > _MUCH[1]))
+            if rows.size:
+                later = begun[rows] + step
+                other = self.inversion.invert(sought.rows(rows), np.stack([later, later], axis=1))
+                better = np.flatnonzero(other.misfit < inverted.misfit[rows])
+                if better.size:
+                    inverted = inverted.replaced(rows[better], other.rows(better))
+                    contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
         return inverted, contact
 
     def _prepared(self, vibrations: VibrationBatch, filters: float) -> tuple[Sought, NDArray[np.intp]]:

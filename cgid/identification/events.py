@@ -269,7 +269,7 @@ class FrameCutter:
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
             clipped=_is_clipped(own[: end - onset.sample] - mine),
             cut=began_cut or ended_cut,
-            problem=self._problem(began_cut, ended_cut, end - onset.sample),
+            problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample),
         )
 
     def _frame(
@@ -296,7 +296,7 @@ class FrameCutter:
             frame[:, :missing] = np.pad(quiet, ((0, 0), (missing, 0)), mode="symmetric")[:, :missing]
         return frame, baseline
 
-    def _problem(self, began_cut: bool, ended_cut: bool, lasted: int) -> str:
+    def _problem(self, began_cut: bool, ended_cut: bool, recorded: int) -> str:
         framing = self._framing
         if began_cut:
             return (
@@ -305,10 +305,10 @@ class FrameCutter:
             )
         if ended_cut and framing.pre_trigger is None:
             return "the pulse must end inside the recording, it is cut off by its end: record a longer frame"
-        if ended_cut and lasted < framing.shortest:
+        if recorded < framing.shortest:  # Even if it is over: what comes then tells one structure from another.
             return (
                 f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the recording, it is cut off by its end "
-                f"after {lasted / framing.sampling_rate * 1e3:.3g} ms: record longer"
+                f"after {recorded / framing.sampling_rate * 1e3:.3g} ms: record longer"
             )
         return ""
 

@@ -296,7 +296,8 @@ class Diagnosis:
     @property
     def is_clear(self) -> bool:
         """Whether a live stream can have its hint already."""
-        unknown = any(c.n_answers >= _ENOUGH and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
+        enough = _ENOUGH if self._model.beam is None else _LATEST[0]  # by then it shows whether the beam has changed
+        unknown = any(c.n_answers >= enough and c.n_unknown >= _CLEARLY * c.n_answers for c in self._channels.values())
         return unknown or bool(self._changed())
 
     def _changed(self) -> dict[str, list[float]]:
@@ -319,6 +320,8 @@ class Diagnosis:
         cause = counts.most_common(1)[0][0]
         if self.upside_down & own.keys():
             cause = "upside_down"
+        if cause == "shape" and own.keys() & self._changed().keys():
+            return self._hint_of_change()
         examples = [answer for channel in own.values() for answer in channel.examples.get(cause, ())]
         problem = sum((channel.problems for channel in own.values()), Counter[str]()).most_common(1)
         n_unknown, n_answers = (sum(getattr(c, name) for c in own.values()) for name in ("n_unknown", "n_answers"))
@@ -521,5 +524,6 @@ def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
         return ("noise" if answer.problem.startswith("no impact") else "unmeasured"), False
     if not cause:
         return "coverage", False
-    own = {"misfit": "shape", "unexplained": "shape", "beam_unexplained": "shape", **{name: name for name in _TESTED}}
-    return own.get(cause, "features"), False
+    if cause.endswith(("misfit", "unexplained")):
+        return "shape", False
+    return (cause if cause in _TESTED else "features"), False

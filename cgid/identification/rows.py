@@ -58,7 +58,7 @@ BEAM_FEATURES = (
     "beam_peak_restitution_correlation",
     "beam_width_restitution_correlation",
 )
-BEAM_GUARDS = ("beam_unexplained",)
+BEAM_GUARDS = ("beam_unexplained", "beam_surely_unexplained")
 #: Synthetic rows of a label per recorded one; more would outweigh the measurements.
 MOST_SYNTHETIC = 10
 

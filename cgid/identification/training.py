@@ -70,8 +70,9 @@ CALIBRATION_SHARE = 0.1
 MANY_FEATURES = 5_000
 #: Impacts from which a network is larger and trains longer.
 MANY = 100_000
-#: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted.
-LEAST_LIMITS = {"overload": 0.05}
+#: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted, and 1 % of
+#: the energy where the beam is not quite as it was learned.
+LEAST_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
 #: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
 MOST_LIMITS = {"unexplained": MOST_UNEXPLAINED}
 #: Fewest calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
@@ -397,7 +398,7 @@ def _held_out(
         **record,
         **{f"n_{part}_specimens": len(np.unique(specimen[own])) for part, own in parts.items()},
         "n_train": int(training.sum()),
-        **({UNEXPLAINED: float(np.median(rows.columns(BEAM_GUARDS)[training]))} if guards == BEAM_GUARDS else {}),
+        **({UNEXPLAINED: float(np.median(rows.columns(BEAM_GUARDS[:1])[training]))} if guards == BEAM_GUARDS else {}),
         **({} if class_weights is None else {"class_weights": class_weights}),
     }
     return _trained(

@@ -39,6 +39,11 @@ _WIDTH_OVER_HALF_WIDTH = 1.08
 _FLAT_TOP = 3
 #: A remainder that is no single impact, and a fitted peak over the level where it is clipped, minus 1, that is a guess.
 MOST_UNEXPLAINED, MOST_OVERLOAD = 4.5, 1.2
+#: A force is over with the contact. What rings on is seen in differences over this time, from this time after touch on
+#: and up to that one, in contact durations; hum and drift hardly change over it. Such a share of the peak is strange.
+_RING_LAG, _RING_FROM, _RING_TO, MOST_RINGING = 1.5, 1.2, 11.2, 0.03
+#: Samples of a contact duration that are looked at, and the fewest differences that show ringing.
+_RING_STEPS, _FEWEST_RINGING = 8, 8
 
 
 class PulseBatch(Frames):
@@ -296,9 +301,25 @@ class PulseBatch(Frames):
             pulse = (fit.peak[own], fit.width[own], fit.onset[own], fit.shape[own])
             found = remainder(samples, *pulse, noise[own])
             components[own], unexplained[own] = found.components, found.unexplained
-        # Steep, so that what is clipped less stays as it is.
+        # Steep, so that what is clipped less, or rings less, stays as it is.
         guessed = MOST_UNEXPLAINED * np.minimum((self.overload / MOST_OVERLOAD) ** 8, 100.0)
-        return Remainder(components, np.maximum(np.maximum(unexplained, fit.stray), guessed))
+        ringing = MOST_UNEXPLAINED * np.minimum((self.ringing / MOST_RINGING) ** 4, 100.0)
+        return Remainder(components, np.maximum(np.maximum(unexplained, fit.stray), np.maximum(guessed, ringing)))
+
+    @cached_property
+    def ringing(self) -> Floats:
+        """Root mean square of what rings after the pulse beyond twice the power of the noise, over the peak."""
+        fit, last = self.fit, self.samples.shape[1] - 1
+        times = np.arange(_RING_FROM, _RING_TO, 1 / _RING_STEPS)
+        at = np.nan_to_num(fit.onset[:, None] + fit.duration[:, None] * times, nan=2.0 * last)
+        column = np.clip(np.rint(at), 0, last).astype(np.intp)
+        after = np.take_along_axis(self.samples, column, axis=1).astype(np.float64)
+        lag = round(_RING_LAG * _RING_STEPS)
+        inside = at[:, lag:] <= last
+        count, step = inside.sum(axis=1), after[:, lag:] - after[:, :-lag]
+        power = np.sum(step**2, axis=1, where=inside) / (2 * np.maximum(count, 1)) - 2 * self.noise**2
+        seen = (count >= _FEWEST_RINGING) & (fit.peak > 0)
+        return np.where(seen, np.sqrt(np.maximum(power, 0.0)) / np.where(seen, fit.peak, 1.0), 0.0)
 
     def fit_problems(self) -> dict[int, str]:
         """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
@@ -487,7 +508,7 @@ PULSE_FEATURES = (
         "unexplained",
         "1",
         "mean square of what no known pulse explains, over what noise and 1 % of the peak would leave; more for a "
-        "stray sample outside the pulse, or a peak of more than twice the level where it is clipped",
+        "stray sample outside the pulse, ringing after it, or a peak of more than twice the level where it is clipped",
         measure=lambda p: p.remainder.unexplained,
         positive=True,
         whole_frame=True,

@@ -575,4 +575,5 @@ VIBRATION_FEATURES: tuple[Feature | Bank, ...] = (
     _through("beam_place_deviation", "m", "standard deviation of the place, of both directions together"),
     _through("beam_misfit", "1", "mean square of what the beam leaves unexplained, over that of the noise", True),
     _through("beam_unexplained", "1", "share of the signal's energy that the beam leaves unexplained, in %", True),
+    _through("beam_surely_unexplained", "1", "the part of beam_unexplained beyond what noise alone can leave", True),
 )

@@ -24,7 +24,7 @@ from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
-from cgid.identification.training import Training, train
+from cgid.identification.training import LEAST_LIMITS, Training, train
 from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
 from cgid.physics.modes import LEARNED_COLUMNS
@@ -44,7 +44,7 @@ _RATES, _NOISES = (0.5, 1.5), (0.3, 10.0)
 _BEFORE, _AFTER = 4e-3, 1.5e-3
 #: Impacts found a rock, about; and streams, at least, to train on and to finish with.
 _IMPACTS_A_ROCK, _FEWEST_STREAMS = 1.6, 8
-#: This share of the impacts in streams of its own is unknown to a model by a guard.
+#: This share of the impacts in streams of its own is unknown to a model by its last guard.
 UNKNOWN_SHARE = 0.035
 
 
@@ -290,8 +290,9 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     found = sum(stream.n_found for stream in streams)
     left = max(1 - UNKNOWN_SHARE * found / len(rows.labels), 0.0)
     # Tighter than in the training, whose rows of streams reach far: another beam must be unknown, too.
-    limits = tuple(float(np.quantile(rows.columns((name,))[:, 0], left)) for name in model.guards)
-    model = replace(model, guard_limits=limits)
+    last = model.guards[-1]
+    limit = max(float(np.quantile(rows.columns((last,)), left)), LEAST_LIMITS.get(last, 0.0))
+    model = replace(model, guard_limits=(*model.guard_limits[:-1], limit))
     heard = [_heard(model, stream) for stream in streams]
     confusion = Confusion.of_streams(heard)
     if confusion is None:
