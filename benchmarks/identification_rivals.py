@@ -29,9 +29,11 @@ from threadpoolctl import threadpool_limits
 
 from cgid import shipped
 from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.contact import ThroughBeam
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
 from cgid.identification.share import wilson_interval
+from cgid.measure import features as known
 from cgid.measure.features import extract_array
 from cgid.scene import load_scene, synthesise
 from cgid.scene.through_beam import beam_of
@@ -48,7 +50,7 @@ CUTS = {
 def write_rivals(folder: Path, name: str, n_train: int, n_test: int) -> float:
     """Write pulses, features and labels of a scene; return the time that cgid measures a signal for [s]."""
     scene = limits()[name] if name == "dull" else load_scene(shipped.scene_path(name))
-    beam = beam_of(scene) if name == "tail_beam" else None
+    beam = ThroughBeam(beam_of(scene)) if name == "tail_beam" else None
     features = (*BEAM_FEATURES, *BEAM_GUARDS) if beam else (*DEFAULT_FEATURES, *DEFAULT_GUARDS)
     spent = 0.0
     for kind, n, first in (("train", n_train, 0), ("test", n_test, FIRST_TEST)):
@@ -76,9 +78,12 @@ def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
     else:
         table, labels = (rows(folder, f"train_{kind}", 0, slice(size)) for kind in ("features", "labels"))
         sound = np.isfinite(table).all(axis=1)
+        names = BEAM_FEATURES if scene == "tail_beam" else DEFAULT_FEATURES
+        linear = tuple(k for k, name in enumerate(names) if known.FEATURES[name].unit == "1")
         found = {}
         for family in ("logistic", "network"):
-            classifier, fit = timed(ImpactClassifier(family, rejects=False).fit, table[sound, :-1], labels[sound])
+            learner = ImpactClassifier(family, linear=linear, rejects=False)
+            classifier, fit = timed(learner.fit, table[sound, :-1], labels[sound])
             answers, seconds = timed(classifier.predict, x[measured])
             found[f"cgid, {family}"] = (answers, fit, seconds)
     for name, (answers, fit, seconds) in found.items():
