@@ -57,6 +57,7 @@ BLOCK = 256  # signals that share random numbers
 FIRST_TEST, FIRST_UNLIMITED = BLOCK * 10_000, BLOCK * 20_000
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+ENVIRONMENT = _CACHE / "cgid" / "identification_peers"
 
 
 class Row(NamedTuple):
@@ -353,7 +354,7 @@ def compare(folder: Path, options: argparse.Namespace) -> tuple[list[Row], list[
 def main() -> None:
     """Print the tables, write CSV and picture."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--environment", type=Path, default=_CACHE / "cgid" / "identification_peers", metavar="DIR")
+    parser.add_argument("--environment", type=Path, default=ENVIRONMENT, metavar="DIR")
     parser.add_argument("--reuse", action="store_true", help="peers' kept answers where they are of the same signals")
     parser.add_argument("--seconds", type=float, default=120.0, help="of the processor for a peer's test signals")
     parser.add_argument("--unlimited", type=int, default=100_000, help="signals of a second training of cgid; 0: none")

@@ -10,6 +10,12 @@ informative. Rocket does not normalise the series, for the same reason (on the p
 sets are followed by the better of random forest and ridge in cross-validation on the training signals. Rocket and
 MiniRocket are followed by the scaled ridge of aeon's own classifiers, separated so that features and answers are timed
 individually. Times are processor times, not wall-clock, after a first call that compiles.
+
+The rivals learn from more signals. Boosters receive cgid's features (frame "features") and keep their own settings. The
+others receive the pulse and answer from it directly, so that all of their time is that of the answer: MultiRocket-HYDRA
+as aeon has it, which does not normalise; a convolutional network of 81,000 weights; and InceptionTime with the layers
+of Ismail Fawaz et al. (2020, doi:10.1007/s10618-020-00710-y), one network of their five, and fewer epochs than their
+1,500. Both networks receive the pulse over its height, and the logarithm of the height as a second channel.
 """
 
 from __future__ import annotations
@@ -26,7 +32,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.base import clone
+from sklearn.base import BaseEstimator, ClassifierMixin, clone
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.feature_selection import VarianceThreshold
 from sklearn.impute import SimpleImputer
@@ -41,6 +47,8 @@ Transform = Callable[[Array], Array]
 #: Samples that a peer receives. The pulse begins at sample 100 and ends before sample 342, so only noise is cut away;
 #: cgid also receives the 100.
 FRAMES = {"whole": slice(None), "pulse": slice(88, 344)}
+#: Instead of samples, cgid's features.
+FEATURES = "features"
 CHUNK = 250  # signals at a time
 FOLDS = 3
 _ALPHAS = np.logspace(-3, 3, 10)  # aeon's own
@@ -146,6 +154,124 @@ def _kernel_classifiers() -> dict[str, Any]:
     return {"ridge": make_pipeline(StandardScaler(with_mean=False), RidgeClassifierCV(_ALPHAS))}
 
 
+def _as_they_are(_: Array) -> Transform:
+    return lambda table: table
+
+
+def _series(train: Array) -> Transform:
+    """Series of one channel in units of the standard deviation of the training signals."""
+    unit = train.std()
+    return lambda frames: (frames[:, None, :] / unit).astype(np.float32)
+
+
+def _lightgbm() -> dict[str, Any]:
+    from lightgbm import LGBMClassifier
+
+    return {"boosting": LGBMClassifier(n_jobs=1, random_state=0, verbose=-1)}
+
+
+def _catboost() -> dict[str, Any]:
+    from catboost import CatBoostClassifier
+
+    return {"boosting": CatBoostClassifier(thread_count=1, random_seed=0, verbose=0, allow_writing_files=False)}
+
+
+def _multirocket_hydra() -> dict[str, Any]:
+    from aeon.classification.convolution_based import MultiRocketHydraClassifier
+
+    return {"ridge": MultiRocketHydraClassifier(n_jobs=1, random_state=0)}
+
+
+def convolutional() -> Any:
+    """Return four convolutions of stride 2 and a hidden layer, 81,000 weights."""
+    from torch import nn
+
+    layers: list[Any] = []
+    for before, after, width in ((2, 32, 9), (32, 48, 7), (48, 64, 5), (64, 64, 5)):
+        layers += [nn.Conv1d(before, after, width, 2, width // 2), nn.BatchNorm1d(after), nn.ReLU()]
+    head = (nn.AdaptiveAvgPool1d(8), nn.Flatten(), nn.Linear(8 * 64, 64), nn.ReLU(), nn.Linear(64, 2))
+    return nn.Sequential(*layers, *head)
+
+
+def inception(filters: int = 32) -> Any:
+    """Return one InceptionTime network: six modules, a residual connection around each three, 390,000 weights."""
+    import torch
+    from torch import nn
+
+    class Module(nn.Module):  # type: ignore[misc]
+        def __init__(self, before: int) -> None:
+            super().__init__()
+            inner = filters if before > 2 else before
+            self.bottleneck = nn.Conv1d(before, filters, 1, bias=False) if before > 2 else nn.Identity()
+            widths = (39, 19, 9)
+            self.branches = nn.ModuleList(nn.Conv1d(inner, filters, w, padding=w // 2, bias=False) for w in widths)
+            self.pooled = nn.Sequential(nn.MaxPool1d(3, 1, 1), nn.Conv1d(before, filters, 1, bias=False))
+            self.end = nn.Sequential(nn.BatchNorm1d(4 * filters), nn.ReLU())
+
+        def forward(self, x: Any) -> Any:
+            inner = self.bottleneck(x)
+            return self.end(torch.cat([*(branch(inner) for branch in self.branches), self.pooled(x)], 1))
+
+    class Three(nn.Module):  # type: ignore[misc]
+        def __init__(self, before: int) -> None:
+            super().__init__()
+            self.path = nn.Sequential(*(Module(width) for width in (before, 4 * filters, 4 * filters)))
+            self.around = nn.Sequential(nn.Conv1d(before, 4 * filters, 1, bias=False), nn.BatchNorm1d(4 * filters))
+
+        def forward(self, x: Any) -> Any:
+            return torch.relu(self.path(x) + self.around(x))
+
+    mean = (nn.AdaptiveAvgPool1d(1), nn.Flatten(), nn.Linear(4 * filters, 2))
+    return nn.Sequential(Three(2), Three(4 * filters), *mean)
+
+
+class Network(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
+    """A network of PyTorch: AdamW, one cycle of the learning rate, `epochs` on 1,500 signals, fewer on more."""
+
+    def __init__(self, build: Callable[[], Any], epochs: int = 40, batch: int = 64, rate: float = 3e-3) -> None:
+        self.build, self.epochs, self.batch, self.rate = build, epochs, batch, rate
+
+    def fit(self, frames: Array, labels: Array) -> Network:
+        """Fit to signals (n, samples)."""
+        import torch
+
+        torch.set_num_threads(1)
+        torch.manual_seed(0)
+        self.classes_, numbers = np.unique(labels, return_inverse=True)
+        n = len(frames)
+        heights = np.log(np.abs(frames).max(1))
+        self.scale_ = heights.mean(), heights.std()
+        x, y = self._channels(frames), torch.from_numpy(numbers)
+        self.net_ = self.build()
+        epochs = round(self.epochs * (1500 / n) ** 0.5)
+        batch = self.batch if n < 10_000 else 4 * self.batch
+        steps = -(-n // batch)
+        optimiser = torch.optim.AdamW(self.net_.parameters(), weight_decay=0.01)
+        cycle = torch.optim.lr_scheduler.OneCycleLR(optimiser, self.rate, total_steps=epochs * steps)
+        for _ in range(epochs):
+            for chosen in torch.randperm(n).tensor_split(steps):
+                optimiser.zero_grad()
+                torch.nn.functional.cross_entropy(self.net_(x[chosen]), y[chosen]).backward()
+                optimiser.step()
+                cycle.step()
+        self.net_.eval()
+        return self
+
+    def _channels(self, frames: Array) -> Any:
+        import torch
+
+        height = np.abs(frames).max(1, keepdims=True)
+        size = (np.log(height) - self.scale_[0]) / self.scale_[1]
+        return torch.from_numpy(np.stack([frames / height, np.broadcast_to(size, frames.shape)], 1).astype(np.float32))
+
+    def predict(self, frames: Array) -> Array:
+        """Return labels of signals (n, samples)."""
+        import torch
+
+        with torch.no_grad():
+            return np.asarray(self.classes_[self.net_(self._channels(frames)).argmax(1).numpy()])
+
+
 class Peer(NamedTuple):
     """A package, the function that prepares its features from training signals, and its usual classifiers."""
 
@@ -153,6 +279,9 @@ class Peer(NamedTuple):
     prepare: Callable[[Array], Transform]
     classifiers: Callable[[], dict[str, Any]]
     learns: bool = False  # the features depend on the training signals
+    on_features: bool = False  # cgid's
+    most: int = 150_000  # training signals of a rival
+    most_test: int = 20_000
 
 
 #: By name, slow ones first, so that none runs alone at the end.
@@ -163,6 +292,16 @@ PEERS: dict[str, Peer] = {
     "pycatch22": Peer("pycatch22", pycatch22, _feature_classifiers),
     "MiniRocket": Peer("aeon", minirocket, _kernel_classifiers, learns=True),
     "aeon catch22": Peer("aeon", aeon_catch22, _feature_classifiers),
+}
+
+
+#: By name; these learn from more signals than the peers.
+RIVALS: dict[str, Peer] = {
+    "LightGBM": Peer("lightgbm", _as_they_are, _lightgbm, on_features=True),
+    "CatBoost": Peer("catboost", _as_they_are, _catboost, on_features=True),
+    "1-D CNN": Peer("torch", _as_they_are, lambda: {"network": Network(convolutional)}),
+    "MultiRocket-HYDRA": Peer("aeon", _series, _multirocket_hydra, most=5000, most_test=4000),
+    "InceptionTime": Peer("torch", _as_they_are, lambda: {"network": Network(inception, 6)}, most=5000, most_test=4000),
 }
 
 
@@ -184,19 +323,26 @@ def chosen(candidates: dict[str, Any], table: Array, labels: Array) -> str:
 
 
 class Contest:
-    """One peer of `PEERS` on one frame of `FRAMES`; `folder` holds the signals."""
+    """One peer or rival on one frame of `FRAMES`, or on features; `folder` holds the signals.
 
-    def __init__(self, name: str, frame: str, folder: Path) -> None:
-        self.name, self.frame, self.folder = name, frame, folder
-        self.peer, self.classifiers = PEERS[name], PEERS[name].classifiers()
+    `to_train` are the signals of a training set that it learns from, by default all.
+    """
+
+    def __init__(self, name: str, frame: str, folder: Path, to_train: int | None = None) -> None:
+        self.name, self.frame, self.folder, self.to_train = name, frame, folder, to_train
+        self.peer = (PEERS | RIVALS)[name]
+        self.classifiers = self.peer.classifiers()
 
     def signals(self, kind: str, *place: int | slice) -> Array:
         """Return frames as the peer receives them."""
+        if self.frame == FEATURES:
+            return rows(self.folder, f"{kind}_features", *place)
         return rows(self.folder, kind, *place)[..., FRAMES[self.frame]].astype(np.float64)
 
     def trained(self, number: int, choice: str = "") -> dict[str, Any]:
         """Return transform and classifier fitted to a set of training signals, with their times."""
-        train, labels = self.signals("train", number), rows(self.folder, "train_labels", number)
+        part = slice(self.to_train)
+        train, labels = self.signals("train", number, part), rows(self.folder, "train_labels", number, part)
         transform, preparation = timed(self.peer.prepare, train)
         table, seconds = timed(table_of, transform, train)
         table = sound(table)
@@ -220,7 +366,7 @@ class Contest:
                 tables += [sound(table)]
                 features += seconds
             found, seconds = timed(trained["classifier"].predict, tables[k])
-            predictions += found.tolist()
+            predictions += np.ravel(found).tolist()
             predict += seconds
             if self.peer.learns:
                 tables[k] = np.empty(0)  # large, and useless for another training set
@@ -234,7 +380,7 @@ class Contest:
         """
         self.peer.prepare(self.signals("train", 0, slice(20)))(self.signals("train", 0, slice(20)))  # compiles
         trained = self.trained(0)
-        n = int(np.clip(seconds / trained["a_signal"], least, most))
+        n = int(np.clip(seconds / max(trained["a_signal"], 1e-9), least, min(most, self.peer.most_test)))
         tables: list[Array] = []
         answer = self.answers(trained, n, tables)
         truth = rows(self.folder, "test_labels", slice(n))
@@ -262,16 +408,17 @@ class Contest:
 def main() -> None:
     """Run one peer on one frame and write the results as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("name", choices=PEERS)
-    parser.add_argument("frame", choices=FRAMES)
+    parser.add_argument("name", choices=PEERS | RIVALS)
+    parser.add_argument("frame", choices=[*FRAMES, FEATURES])
     parser.add_argument("folder", type=Path)
     parser.add_argument("answer", type=Path)
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--least", type=int, default=500)
     parser.add_argument("--most", type=int, default=20_000)
     parser.add_argument("--sets", type=int, default=10)
+    parser.add_argument("--to-train", type=int, help="of a training set; default: all")
     a = parser.parse_args()
-    answer = Contest(a.name, a.frame, a.folder).run(a.seconds, a.least, a.most, a.sets)
+    answer = Contest(a.name, a.frame, a.folder, a.to_train).run(a.seconds, a.least, a.most, a.sets)
     a.answer.write_text(json.dumps(answer))
 
 

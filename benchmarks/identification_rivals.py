@@ -1,0 +1,167 @@
+"""cgid against learners of another kind, on several scenes, with up to 150,000 signals to train.
+
+    python benchmarks/identification_rivals.py reference peers dull tail_beam    # 1,500 and 15,000 to train
+    python benchmarks/identification_rivals.py dull --sizes 1500 15000 150000 --only LightGBM "1-D CNN"
+
+Boosters (LightGBM, CatBoost) learn from cgid's features; a convolutional network, InceptionTime and MultiRocket-HYDRA
+from the pulse, `identification_peers.py` says how. "dull" is rock of low restitution, as in `rock.py`. All train on the
+first of the same signals, and answer others, from other blocks of random numbers. Intervals are Wilson's. Differences
+are paired, from cgid's logistic regression on as many signals; a shipped model answers as it is.
+
+The environment is that of `identification.py`; it also keeps signals, features and answers, for --reuse. Each rival is
+a separate process on one thread. Times are processor times of a busy machine: compare ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from identification import ENVIRONMENT, FIRST_TEST, HERE, SEED, install, run_process
+from identification_peers import FEATURES, RIVALS, rows, timed
+from rock import limits
+from threadpoolctl import threadpool_limits
+
+from cgid import shipped
+from cgid.identification.classifier import ImpactClassifier
+from cgid.identification.contact import ThroughBeam
+from cgid.identification.model import Model
+from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, DEFAULT_FEATURES, DEFAULT_GUARDS
+from cgid.identification.share import wilson_interval
+from cgid.measure import features as known
+from cgid.measure.features import extract_array
+from cgid.scene import load_scene, synthesise
+from cgid.scene.through_beam import beam_of
+
+#: Samples that rivals receive of each scene: the pulse, or the first 20 ms of what a beam does.
+CUTS = {
+    "reference": slice(188, 444),
+    "peers": slice(88, 344),
+    "dull": slice(188, 444),
+    "tail_beam": slice(116, 628),
+}
+
+
+def write_rivals(folder: Path, name: str, n_train: int, n_test: int) -> float:
+    """Write pulses, features and labels of a scene; return the time that cgid measures a signal for [s]."""
+    scene = limits()[name] if name == "dull" else load_scene(shipped.scene_path(name))
+    beam = ThroughBeam(beam_of(scene)) if name == "tail_beam" else None
+    features = (*BEAM_FEATURES, *BEAM_GUARDS) if beam else (*DEFAULT_FEATURES, *DEFAULT_GUARDS)
+    spent = 0.0
+    for kind, n, first in (("train", n_train, 0), ("test", n_test, FIRST_TEST)):
+        found = []
+        for batch in synthesise(scene, n, SEED, first=first):
+            arguments = (batch.signals, batch.sampling_rate, features)
+            measuring = partial(extract_array, pre_trigger=batch.pre_trigger, invalid="nan", beam=beam)
+            measured, seconds = timed(measuring, *arguments)
+            spent += seconds
+            found.append((batch.signals[:, CUTS[name]].astype(np.float32), measured, batch.labels))
+        for suffix, column in zip(("", "_features", "_labels"), zip(*found, strict=True), strict=True):
+            whole = np.concatenate(column)
+            np.save(folder / f"{kind}{suffix}.npy", whole[None] if kind == "train" else whole)
+    return spent / (n_train + n_test)
+
+
+def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
+    """Yield cgid's records: families trained on features of `size` signals, and the shipped model (`size` 0)."""
+    x = rows(folder, "test_features")[:, :-1]  # without the guard, which boosters may use
+    measured = np.isfinite(x).all(axis=1)
+    if not size:
+        model = Model.load(shipped.model_path("default-acceleration" if scene == "tail_beam" else "default"))
+        proba, seconds = timed(model.probabilities, x[measured])
+        found = {"cgid as shipped": (np.array(model.labels)[proba.argmax(1)], 0.0, seconds)}
+    else:
+        table, labels = (rows(folder, f"train_{kind}", 0, slice(size)) for kind in ("features", "labels"))
+        sound = np.isfinite(table).all(axis=1)
+        names = BEAM_FEATURES if scene == "tail_beam" else DEFAULT_FEATURES
+        linear = tuple(k for k, name in enumerate(names) if known.FEATURES[name].unit == "1")
+        found = {}
+        for family in ("logistic", "network"):
+            learner = ImpactClassifier(family, linear=linear, rejects=False)
+            classifier, fit = timed(learner.fit, table[sound, :-1], labels[sound])
+            answers, seconds = timed(classifier.predict, x[measured])
+            found[f"cgid, {family}"] = (answers, fit, seconds)
+    for name, (answers, fit, seconds) in found.items():
+        predictions = np.full(len(x), "", dtype="U16")
+        predictions[measured] = answers
+        yield {"name": name, "predictions": predictions.tolist(), "fit": fit, "predict": seconds / len(x)}
+
+
+def rivals(scene: str, options: argparse.Namespace) -> Iterator[str]:
+    """Yield the table of a scene, line by line."""
+    folder = options.environment / "rivals" / f"{scene}-{max(options.sizes)}-{options.test}"
+    if not (folder / "time.json").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        seconds = write_rivals(folder, scene, max(options.sizes), options.test)
+        (folder / "time.json").write_text(json.dumps(seconds))
+    features = json.loads((folder / "time.json").read_text())
+    names = [name for name in RIVALS if not options.only or name in options.only]
+    problems = install(options.environment, {RIVALS[name].package: None for name in names})
+    truth = rows(folder, "test_labels")
+    heads = "scene", "to train", "", "accuracy", "95 % interval", "better than the first by", "signals", "fit [s]"
+    yield f"| {' | '.join(heads)} | ms a signal |\n|{'---|' * (len(heads) + 1)}"
+    for size in (0, *options.sizes):
+        with threadpool_limits(1):
+            records = list(own_rivals(folder, scene, size))
+        ours = np.array(records[0]["predictions"]) == truth
+        for record in records:
+            yield line_of(scene, size, record | {"features": features}, truth, ours)
+        for name in names if size else ():
+            if name in problems:
+                yield f"Left out, {RIVALS[name].package} cannot be installed: {name} ({problems[name]})."
+            elif size <= RIVALS[name].most:
+                record = rival_process(options, folder, name, size)
+                if RIVALS[name].on_features and "error" not in record:
+                    record["features"] += features
+                yield line_of(scene, size, record, truth, ours)
+
+
+def rival_process(options: argparse.Namespace, folder: Path, name: str, size: int) -> dict[str, Any]:
+    """Return the record of a rival that learns from `size` signals, from a process in the peers' environment."""
+    answer = folder / f"{name}-{size}.json"
+    if options.reuse and answer.exists():
+        return json.loads(answer.read_text())
+    frame = FEATURES if RIVALS[name].on_features else "whole"
+    program = [options.environment / "bin" / "python", "-E", "-W", "ignore", HERE / "identification_peers.py"]
+    command = [*program, name, frame, folder, answer, "--sets", "1"]
+    command += ["--to-train", str(size), "--most", str(options.test)]
+    return {"name": name, **run_process(command, answer)}
+
+
+def line_of(scene: str, size: int, record: dict[str, Any], truth: np.ndarray, ours: np.ndarray) -> str:
+    """Return a line of the table of rivals; `ours`: where cgid's logistic regression on as many signals is right."""
+    if "error" in record:
+        return f"Left out, failed: {record['name']}, {size} to train ({record['error']})."
+    n = len(record["predictions"])
+    right = np.array(record["predictions"]) == truth[:n]
+    low, high = wilson_interval(float(right.mean()), n)
+    better = right.astype(float) - ours[:n]
+    paired = f"{better.mean():+.4f} ± {1.96 * better.std() / n**0.5:.4f}"
+    cells = [scene, str(size or "-"), record["name"], f"{right.mean():.4f}", f"{low:.4f} to {high:.4f}", paired, str(n)]
+    cells += [f"{record['fit']:.2g}" if size else "-", f"{(record['features'] + record['predict']) * 1e3:.3g}"]
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Print a table for each scene."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="+", choices=CUTS, metavar="SCENE", help=f"of {', '.join(CUTS)}")
+    parser.add_argument("--sizes", type=int, nargs="+", default=(1500, 15_000), help="signals to train")
+    parser.add_argument("--test", type=int, default=10_000, help="signals to answer")
+    parser.add_argument("--only", nargs="+", choices=RIVALS, metavar="RIVAL", help=f"of {', '.join(RIVALS)}")
+    parser.add_argument("--environment", type=Path, default=ENVIRONMENT, metavar="DIR")
+    parser.add_argument("--reuse", action="store_true", help="rivals' kept answers")
+    options = parser.parse_args()
+    options.environment = options.environment.expanduser().absolute()
+    for scene in options.scenes:
+        for line in rivals(scene, options):
+            print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
