@@ -213,7 +213,10 @@ def main() -> None:
     for name, gap in (("after another", since), ("before another", until)):
         for low, high in itertools.pairwise(GAPS):
             if ((gap > low) & (gap <= high) & both).any():
-                row(f"{1e3 * low:g} to {1e3 * high:g} ms {name}", (gap > low) & (gap <= high))
+                row(
+                    f"{1e3 * low:g} {f'to {1e3 * high:g}' if high < np.inf else 'or more'} ms {name}",
+                    (gap > low) & (gap <= high),
+                )
     for way in WAYS:
         mended, spoilt = (
             int(np.sum(both & one & ~other))
