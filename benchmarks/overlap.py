@@ -1,6 +1,6 @@
 """What neighbours cost an impact of a stream, and what subtracting their ringing wins back.
 
-    python benchmarks/overlap.py [MODEL] [--rate 8] [-n 3] [--first 0]
+    python benchmarks/overlap.py [MODEL] [--rate 8] [-n 3] [--first 0] [--blows 1024]
 
 Minutes of `caving` with a share of gangue of .4 and other rates of arrival. Each impact is answered for three times: in
 its stream as `cgid predict` does; alone, where the same rock hits the same place with .3 s of silence around it, which
@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from unittest import mock
@@ -22,6 +22,7 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 from streams import constant
+from through_beam import after_another, judged
 
 from cgid import shipped
 from cgid.identification.answers import Answer, identify_frames
@@ -33,10 +34,11 @@ from cgid.identification.question import Question
 from cgid.identification.stream import identify_blocks
 from cgid.measure.beam import respond
 from cgid.measure.vibration import VibrationBatch
-from cgid.scene import parse_scene, stream
+from cgid.scene import load_scene, parse_scene, stream, synthesise
 from cgid.scene.impacts import recorder_of
 from cgid.scene.plan import plan
 from cgid.scene.rocks import Rocks
+from cgid.signals import Batch
 
 #: First seed, share of gangue, time between impacts that are alone [s], and how far an onset may lie from touch [s].
 SEED, SHARE, APART, NEAR = 77_000, 0.4, 0.3, 2.5e-3
@@ -45,6 +47,8 @@ RINGS, LEFT = 0.15, 0.8
 #: Time from the touch before or to the touch after [s].
 GAPS = (0.0, 3.2e-3, 10e-3, 25e-3, 50e-3, 100e-3, np.inf)
 WAYS = ("earlier", "both")
+#: Time from the touch of one single blow to that of the next [s].
+BLOW_GAPS = (0.01, 0.03)
 
 
 @dataclass(frozen=True)
@@ -163,6 +167,38 @@ class Neighbours:
         return [replace(answer, time=event.time) for event, answer in named], changed
 
 
+def blows(model: Model, n: int) -> Iterator[str]:
+    """Yield the table of single blows of `tail_beam` into the ringing of another, which was recorded from its touch."""
+    assert model.beam is not None
+    batches = list(synthesise(load_scene(shipped.scene_path("tail_beam")), n, SEED))
+    inversion = model.beam.inversion
+    length = batches[0].signals.shape[1]
+    modes = respond(model.beam.beam, inversion.forces, length).astype(np.float32).reshape(len(inversion.beam.poles), -1)
+
+    def subtracted(gap: float) -> Iterator[Batch]:
+        for before, batch in zip(batches, after_another(iter(batches), gap), strict=False):
+            later, touch = round(gap * batch.sampling_rate), batch.pre_trigger
+            frames = before.signals.astype(float)
+            frames -= frames[:, :touch].mean(axis=1, keepdims=True)
+            frames[:, touch + later - 8 :] = 0.0
+            found = model.beam.look(VibrationBatch(frames, batch.sampling_rate, pre_trigger=touch))[0]
+            at = inversion.beam.weights(found.x, found.y)[0]
+            signals = batch.signals.astype(float)
+            for row, start in enumerate((found.start - later).tolist()):
+                force = found.coefficients[row] * found.noise[row]
+                rings = force @ (at[row] @ modes).reshape(-1, length)
+                first, lost = max(start, 0), max(-start, 0)
+                signals[row, first : length - lost] -= rings[lost : length - first]
+            yield replace(batch, signals=signals)
+
+    yield "| gap | number | accuracy: as now, earlier subtracted | answered | unknown | calibration error |"
+    yield "|---|---|---|---|---|---|"
+    for gap in BLOW_GAPS:
+        rows = judged(model, after_another(iter(batches), gap)), judged(model, subtracted(gap))
+        told = [f"{rows[0][key]:.3f}, {rows[1][key]:.3f}" for key in ("accuracy", "answered", "unknown", "calibration")]
+        yield f"| {1e3 * gap:g} ms | {rows[0]['n']} | {' | '.join(told)} |"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -170,8 +206,13 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=8.0, help="rocks a second")
     parser.add_argument("-n", "--streams", type=int, default=3)
     parser.add_argument("--first", type=int, default=0, help="added to the seeds")
+    parser.add_argument("--blows", type=int, help="that many single blows after another in place of streams")
     arguments = parser.parse_args()
     model = Model.load(arguments.model)
+    if arguments.blows:
+        for line in blows(model, arguments.blows):
+            print(line, flush=True)
+        return
     given: dict[str, list[Given]] = {name: [] for name in ("stream", "alone", *WAYS)}
     truths, changed = [], dict.fromkeys(WAYS, 0)
     for seed in range(SEED + arguments.first, SEED + arguments.first + arguments.streams):
