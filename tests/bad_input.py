@@ -583,7 +583,7 @@ CASES = (
     Case("model that lost its beam", ("predict", "slow.csv", "--model", "beamless.npz"), 65, ("arrays of a beam",)),
     Case("model whose beam grows", ("predict", "slow.csv", "--model", "growing.npz"), 65, ("poles that decay",)),
     Case(
-        "beam of two sensors", ("predict", "vibration.csv", "--model", "pair.npz"), 65, ("be 2,", "got 1", "--channel")
+        "one of two sensors", ("predict", "vibration.csv", "--model", "pair.npz"), 65, ("be 2,", "got 1", "--channel")
     ),
     *(
         Case(f"sensors that are {name}", ("train", *data, "--sensor", point, "-o", "new.npz"), 65, says)

@@ -12,7 +12,7 @@ from scipy import signal
 
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify, identify_frames
-from cgid.identification.contact import ThroughBeam
+from cgid.identification.contact import ThroughBeam, clipped_samples
 from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
 from cgid.identification.question import Question
@@ -200,6 +200,28 @@ def test_a_dead_sensor_is_left_out() -> None:
     assert np.isfinite(found[5:]).all()
     with pytest.raises(BadData, match=r"signal 0: no impact: all samples are 0.*\(5 of signals 0 to 95 "):
         extract_array(signals, batch.sampling_rate, BEAM_FEATURES, pre_trigger=batch.pre_trigger, beam=pair)
+
+
+@pytest.mark.parametrize("clipped", [(0,), (0, 1)])
+def test_clipped_samples_tell_nothing(clipped: tuple[int, ...]) -> None:
+    """The peak is found beside them, within its deviations: they would pull it towards the limit."""
+    batch, _, _ = looked(OFF)
+    signals = batch.signals[:48].copy()
+    limit = 0.2 * np.abs(signals).max(axis=2, keepdims=True)
+    for sensor in clipped:
+        signals[:, sensor] = np.clip(signals[:, sensor], -limit[:, sensor], limit[:, sensor])
+    values = features_of(signals, batch, beam_at(*OFF))
+    error = np.log(values[:, 0] / batch.parameters["peak_force"][:48])
+    assert np.median(np.abs(error)) < 0.02
+    assert np.mean(np.abs(error) < 1.96 * values[:, 3]) > 0.75
+
+
+def test_a_limit_on_either_side() -> None:
+    """A value that two samples share is a limit, and the other side has the same, even for a single sample."""
+    frames = np.array([[0.0, 3, 3, 1, -3, 2, 0], [0.0, 3, 3, 1, -2, 2, 0], [0.0, 3, 2, 1, -3, 2, 0]])
+    found = clipped_samples(frames)
+    assert found is not None
+    assert [np.flatnonzero(row).tolist() for row in found] == [[1, 2, 4], [1, 2], []]
 
 
 def test_the_first_sensor_is_the_beam_itself() -> None:

@@ -49,7 +49,7 @@ _EDGE, _BESIDE = 0.35, 4
 #: Samples before touch that show ringing: fewest and most.
 _FEWEST_QUIET, _MOST_QUIET = 64, 256
 #: Samples at a limit share their value within this, and are at least so many.
-_SAME, _SHARED = 1e-6, 3
+_SAME, _SHARED, _ALIKE = 1e-6, 2, 0.01
 #: Least noise over the signal.
 _FLOOR = 1e-3
 
@@ -359,13 +359,17 @@ def _cubic(place: Floats) -> tuple[Floats, Floats]:
 def clipped_samples(frames: Floats) -> NDArray[np.bool_] | None:
     """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none.
 
-    A limit is a value that three samples share at the top or the bottom, at least half as far out as the other side.
+    A limit is a value that samples share at the top or the bottom, at least half as far out as the other side. Of a
+    limit the other side has its own as far out, even where a single sample reaches it.
     """
     high, low = frames.max(axis=1), frames.min(axis=1)
     out = np.zeros(frames.shape, bool)
-    for extreme, other in ((high, low), (low, high)):
+    beyond = np.zeros(len(frames), bool)
+    for extreme, other in ((high, low), (low, high), (high, low)):
         at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
         limit = (at.sum(axis=1) >= _SHARED) & (np.abs(extreme) >= 0.5 * np.abs(other))
+        limit |= beyond & (np.abs(extreme + other) <= _ALIKE * np.abs(extreme))
+        beyond |= limit
         out |= at & limit[:, None]
     return out if out.any() else None
 
