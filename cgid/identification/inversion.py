@@ -665,7 +665,7 @@ def _beside(coefficients: Singles, directions: Singles | None) -> Singles:
     if directions is None:
         return coefficients
     own = coefficients.reshape(len(coefficients), -1, coefficients.shape[-1])
-    rest: Singles = own - own @ directions.transpose(0, 2, 1) @ directions
+    rest = np.asarray(own - own @ directions.transpose(0, 2, 1) @ directions, np.float32)
     return rest.reshape(coefficients.shape)
 
 
