@@ -582,7 +582,18 @@ CASES = (
     ),
     Case("model that lost its beam", ("predict", "slow.csv", "--model", "beamless.npz"), 65, ("arrays of a beam",)),
     Case("model whose beam grows", ("predict", "slow.csv", "--model", "growing.npz"), 65, ("poles that decay",)),
-    Case("beam of two sensors", ("predict", "vibration.csv", "--model", "pair.npz"), 65, ("one sensor", "has 2;")),
+    Case(
+        "one of two sensors", ("predict", "vibration.csv", "--model", "pair.npz"), 65, ("be 2,", "got 1", "--channel")
+    ),
+    *(
+        Case(f"sensors that are {name}", ("train", *data, "--sensor", point, "-o", "new.npz"), 65, says)
+        for name, data, point, says in (
+            ("no point", ("tail_beam",), "0.5;0.45", ("--sensor", "X,Y", "0.5,0.45", "'0.5;0.45'")),
+            ("off the beam", ("tail_beam",), "9,0.45", ("sensor_point.x", "0 and 1.6 m", "9 m")),
+            ("of a force", ("reference",), "0.5,0.45", ("--sensor must be left out", "reference", "tail_beam")),
+            ("of a stream", ("caving",), "0.5,0.45", ("caving", "stream", "left out")),
+        )
+    ),
     Case("recording slower than a beam", ("predict", "slow.csv", "--model", "through.npz"), 65, ("at least 2000 Hz",)),
     Case(
         "drop height of no use",

@@ -11,19 +11,21 @@ import pytest
 from scipy import signal
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import identify_frames
-from cgid.identification.contact import ThroughBeam
+from cgid.identification.answers import Answer, identify, identify_frames
+from cgid.identification.contact import ThroughBeam, clipped_samples
 from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
+from cgid.identification.question import Question
 from cgid.identification.rows import BEAM_FEATURES
+from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
 from cgid.measure.beam import Beam, filtered, lagrange, respond
 from cgid.measure.features import extract_array
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene import load_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
-from cgid.scene.through_beam import _at_sensors, beam_of, moved
-from cgid.signals import Batch
+from cgid.scene.through_beam import _at_sensors, beam_of, moved, recorded_together
+from cgid.signals import Batch, Signal
 from tests.hostile_models import beam_arrays
 from tests.test_inversion import basis, eight_modes
 
@@ -137,6 +139,12 @@ def looked(points: tuple[tuple[float, float], ...]) -> tuple[Batch, Inverted, np
     return batch, beam_at(*points).look(rows)[0], features_of(batch.signals, batch, beam_at(*points))
 
 
+@functools.cache
+def pair() -> Model:
+    """A model of two sensors."""
+    return train([looked(OFF)[0]], beam=beam_at(*OFF).beam).model
+
+
 def far(points: tuple[tuple[float, float], ...]) -> np.ndarray:
     batch, inverted, _ = looked(points)
     return np.hypot(inverted.x - batch.parameters["impact_x"], inverted.y - batch.parameters["impact_y"])
@@ -194,6 +202,28 @@ def test_a_dead_sensor_is_left_out() -> None:
         extract_array(signals, batch.sampling_rate, BEAM_FEATURES, pre_trigger=batch.pre_trigger, beam=pair)
 
 
+@pytest.mark.parametrize("clipped", [(0,), (0, 1)])
+def test_clipped_samples_tell_nothing(clipped: tuple[int, ...]) -> None:
+    """The peak is found beside them, within its deviations: they would pull it towards the limit."""
+    batch, _, _ = looked(OFF)
+    signals = batch.signals[:48].copy()
+    limit = 0.4 * np.abs(signals).max(axis=2, keepdims=True)
+    for sensor in clipped:
+        signals[:, sensor] = np.clip(signals[:, sensor], -limit[:, sensor], limit[:, sensor])
+    values = features_of(signals, batch, beam_at(*OFF))
+    error = np.log(values[:, 0] / batch.parameters["peak_force"][:48])
+    assert np.nanmedian(np.abs(error)) < 0.02
+    assert np.mean(np.abs(error) < 1.96 * values[:, 3]) > 0.7
+
+
+def test_a_limit_on_either_side() -> None:
+    """A value that two samples share is a limit, and the other side has the same, even for a single sample."""
+    frames = np.array([[0.0, 3, 3, 1, -3, 2, 0], [0.0, 3, 3, 1, -2, 2, 0], [0.0, 3, 2, 1, -3, 2, 0]])
+    found = clipped_samples(frames)
+    assert found is not None
+    assert [np.flatnonzero(row).tolist() for row in found] == [[1, 2, 4], [1, 2], []]
+
+
 def test_the_first_sensor_is_the_beam_itself() -> None:
     """A sensor at the scene's point hears what that of the scene does, and others what the shapes there say."""
     scene, both = load_scene("tail_beam"), beam_at(*OFF).beam
@@ -207,8 +237,7 @@ def test_the_first_sensor_is_the_beam_itself() -> None:
 
 
 def test_a_model_of_two_sensors(tmp_path: Path) -> None:
-    batch, _, _ = looked(OFF)
-    model = train([batch], beam=beam_at(*OFF).beam).model
+    batch, model = looked(OFF)[0], pair()
     path = tmp_path / "pair.npz"
     path.write_bytes(model.to_bytes())
     loaded = Model.load(path)
@@ -219,6 +248,41 @@ def test_a_model_of_two_sensors(tmp_path: Path) -> None:
     assert np.mean(np.array(labels) == batch.labels[:20]) > 0.7
     with pytest.raises(BadData, match=r"must be \(n_signals, 2, n_samples\), one row for each of the 2 sensors"):
         identify_frames(batch.signals[:, 0], batch.sampling_rate, loaded, pre_trigger=batch.pre_trigger)
+
+
+def test_signals_of_sensors_together() -> None:
+    """The impacts are those of the scene, each sensor has noise of its own, and the first has that of the scene."""
+    scene, points = load_scene("tail_beam"), [(0.5, 0.45), (1.1, 1.0), (0.5, 0.45)]
+    together, alone = next(recorded_together(scene, points, 64, 7)), next(synthesise(scene, 64, 7))
+    np.testing.assert_array_equal(together.signals[:, 0], alone.signals)
+    np.testing.assert_array_equal(together.labels, alone.labels)
+    quiet = together.signals[..., : alone.pre_trigger - 2].transpose(1, 0, 2).reshape(3, -1)
+    assert np.abs(np.corrcoef(quiet) - np.eye(3)).max() < 0.05
+    rest = together.signals[:, 2] - alone.signals
+    assert np.std(rest) == pytest.approx(np.sqrt(2) * np.std(quiet[0]), rel=0.05)
+
+
+def test_a_recording_of_sensors_together() -> None:
+    """One answer a blow, as for its frames, however the recording is cut in blocks; swapped channels are unknown."""
+    model, batch = pair(), next(recorded_together(load_scene("tail_beam"), OFF, 6, 4))
+    recording, names = np.concatenate(list(batch.signals), axis=1).astype(np.float64), ["left", "right"]
+
+    def answers(samples: np.ndarray, length: int) -> list[Answer]:
+        blocks = (samples[:, first : first + length] for first in range(0, samples.shape[1], length))
+        return [one for s in identify_blocks(blocks, 25600.0, model, names, Question()) for one in s.answers]
+
+    found = answers(recording, 1 << 20)
+    assert [answer.channel for answer in found] == ["left+right"] * 6
+    assert [answer.probabilities for answer in answers(recording, 777)] == [one.probabilities for one in found]
+    own = identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
+    apart = [a.probabilities["coal"] - b.probabilities["coal"] for a, b in zip(found, own, strict=True)]
+    assert np.median(np.abs(apart)) < 0.05
+    assert np.mean([answer.label == "unknown" for answer in answers(recording[::-1], 1 << 20)]) > 0.8
+    with pytest.raises(BadData, match="channels must be 2, which this model looks at together, got 1"):
+        list(identify_blocks(iter([recording[:1]]), 25600.0, model, ["left"], Question()))
+    one = Signal(samples=recording[0], sampling_rate=25600.0, unit="m/s^2")
+    with pytest.raises(BadData, match="channels must be 2, one for each sensor"):
+        identify(one, model)
 
 
 def test_what_sensors_must_be() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -40,6 +40,7 @@ _OF_DATASETS = {
     "calibration_share": "--calibration-share",
     "drop_height": "--drop-height",
     "start_error": "--start-error",
+    "sensors": "--sensor",
 }
 
 
@@ -77,6 +78,13 @@ _OF_DATASETS = {
     default=0.1,
     show_default=True,
     help="Keep this share of the specimens to calibrate the prediction sets.",
+)
+@click.option(
+    "--sensor",
+    "sensors",
+    multiple=True,
+    metavar="X,Y",
+    help="Look through a scene's beam with sensors at these points [m], the recording's channels in this order.",
 )
 @click.option("--drop-height", is_flag=True, help="Give the model the drop height of each rock, too.")
 @click.option(
@@ -192,6 +200,7 @@ def train(
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
+    options["sensors"] = [_point(text) for text in options["sensors"]]
     recorded = [item for item in data if _recorded(item)]
     others = [item for item in data if item not in recorded]
     _refuse_stray_options(context, _OF_DATASETS if recorded else _OF_RECORDINGS, bool(recorded))
@@ -317,9 +326,9 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
             own = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share") if name != "features"}
             return train_on_streams(scene, options["n_signals"], progress=progress, **own), []
         training = train_model(
-            _batches(data, options["n_signals"], options["seed"], error),
+            _batches(data, options["n_signals"], options["seed"], error, options["sensors"]),
             known=("drop_height",) if options["drop_height"] else (),
-            beam=_beam(data, options["features"], error),
+            beam=_beam(data, options["features"], error, options["sensors"]),
             progress=progress,
             **{name: options[name] for name in (*_COMMON, "test_share", "calibration_share")},
         )
@@ -458,22 +467,47 @@ def _scene(item: str, start_error: float | None) -> Any:
     return uncertain(scene, start_error)
 
 
-def _beam(data: list[str], features: tuple[str, ...] | None, start_error: float | None) -> Any:
-    """Return the beam of the only scene, if it has one to look through and the features, or the default, do."""
+def _point(text: str) -> tuple[float, float]:
+    """Return the point [m] of a sensor."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InvalidValue(f"--sensor must be a point X,Y [m] such as 0.5,0.45, got {text!r}") from None
+    return x, y
+
+
+def _beam(
+    data: list[str],
+    features: tuple[str, ...] | None,
+    start_error: float | None,
+    sensors: list[tuple[float, float]],
+) -> Any:
+    """Return the beam of the only scene, if it has one to look through and the features, or the default, do.
+
+    Raises `InvalidValue` if there are sensors, but no such beam.
+    """
     from cgid.measure.features import FEATURES
 
     asked = features is None or any(FEATURES[name].beam for name in features)
-    if not asked or len(data) != 1 or not _means_scene(data[0]):
-        return None
-    from cgid.scene.through_beam import beam_of, has_beam
+    if asked and len(data) == 1 and _means_scene(data[0]):
+        from cgid.scene.through_beam import beam_of, has_beam
 
-    scene = _scene(data[0], start_error)
-    return beam_of(scene) if has_beam(scene) else None
+        scene = _scene(data[0], start_error)
+        if has_beam(scene):
+            return beam_of(scene, sensors=sensors)
+    if sensors:
+        raise InvalidValue(
+            f"--sensor must be left out, {', '.join(data)} is no single scene whose beam the features look through; "
+            "give one such as tail_beam"
+        )
+    return None
 
 
 def _streamable(data: list[str], options: dict[str, Any], start_error: float | None) -> Any:
     """Return the only scene, if it is one of streams to train on with the default features."""
-    if len(data) != 1 or options["features"] is not None or options["drop_height"] or not _means_scene(data[0]):
+    if options["features"] is not None or options["drop_height"] or options["sensors"]:
+        return None
+    if len(data) != 1 or not _means_scene(data[0]):
         return None
     from cgid.site.streams import is_streamable
 
@@ -489,7 +523,13 @@ def _means_scene(item: str) -> bool:
     return Path(item).suffix == ".toml" or (named and not Path(item).exists())
 
 
-def _batches(data: list[str], n_signals: int, seed: int, start_error: float | None) -> Iterator[Any]:
+def _batches(
+    data: list[str],
+    n_signals: int,
+    seed: int,
+    start_error: float | None = None,
+    sensors: Sequence[tuple[float, float]] = (),
+) -> Iterator[Any]:
     from cgid.store import Dataset
 
     for item in data:
@@ -498,6 +538,12 @@ def _batches(data: list[str], n_signals: int, seed: int, start_error: float | No
             from cgid.scene.generation import MOST_SIGNALS
 
             validation.whole("signals", n_signals, 1, MOST_SIGNALS)
-            yield from synthesise(_scene(item, start_error), n_signals, seed)
+            scene = _scene(item, start_error)
+            if sensors:
+                from cgid.scene.through_beam import recorded_together
+
+                yield from recorded_together(scene, sensors, n_signals, seed)
+            else:
+                yield from synthesise(scene, n_signals, seed)
         else:
             yield from Dataset(item).batches(check_sums=True)

@@ -197,10 +197,10 @@ def identify_events(
 
     `channels` holds the names of the channels of the recording. Raises as `identify`.
     """
-    if model.beam is not None and model.beam.n_sensors > 1:
+    if model.kind != "window" and any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
         raise BadData(
-            f"the model must look through its beam with one sensor to answer for a recording, this one has "
-            f"{model.beam.n_sensors}; take a model of one, or cut frames of all channels for identify_frames in Python"
+            f"channels must be {model.together}, one for each sensor that this model looks through its beam with, in "
+            "the order of its training; give a whole recording of them, or take a model of one sensor"
         )
     sensors = question.heard_by(model, channels)
     answers: dict[int, Answer] = {}

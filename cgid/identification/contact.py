@@ -54,7 +54,7 @@ _BY_NOISE = 1.28
 #: Samples before touch that show ringing: fewest and most.
 _FEWEST_QUIET, _MOST_QUIET = 64, 256
 #: Samples at a limit share their value within this, and are at least so many.
-_SAME, _SHARED = 1e-6, 3
+_SAME, _SHARED, _ALIKE = 1e-6, 2, 0.01
 #: Least noise over the signal.
 _FLOOR = 1e-3
 
@@ -356,16 +356,20 @@ def _cubic(place: Floats) -> tuple[Floats, Floats]:
     return weights, slopes
 
 
-def clipped_samples(frames: Floats) -> NDArray[np.bool_] | None:
+def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
     """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none.
 
-    A limit is a value that three samples share at the top or the bottom, at least half as far out as the other side.
+    A limit is a value that `shared` samples have in common at the top or the bottom, at least half as far out as the
+    other side. Of a limit the other side has its own as far out, even where a single sample reaches it.
     """
     high, low = frames.max(axis=1), frames.min(axis=1)
     out = np.zeros(frames.shape, bool)
-    for extreme, other in ((high, low), (low, high)):
+    beyond = np.zeros(len(frames), bool)
+    for extreme, other in ((high, low), (low, high), (high, low)):
         at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
-        limit = (at.sum(axis=1) >= _SHARED) & (np.abs(extreme) >= 0.5 * np.abs(other))
+        limit = (at.sum(axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other))
+        limit |= beyond & (np.abs(extreme + other) <= _ALIKE * np.abs(extreme))
+        beyond |= limit
         out |= at & limit[:, None]
     return out if out.any() else None
 

@@ -30,10 +30,8 @@ from cgid.validation import Floats
 _LEVELS = np.geomspace(2.0, 2e4, 12)
 #: Gauss-Newton steps from the grid to the place, and the longest [m].
 _STEPS, _LONGEST_STEP = 3, 0.012
-#: Rounds in which clipped samples are replaced by what the beam says.
-_UNCLIPPING = 6
-#: Least share of what is known that clipping leaves.
-_LEAST_SHARE = 0.01
+#: Singular values of the clipped samples, of the largest, below which they reach beyond the band alone.
+_IN_BAND = 1e-3
 #: Fewest frequencies that tell, and limits of the response to a force of 1 N: squares keep to single precision.
 _FEWEST_BINS, _LOUDNESS = 17, (1e-12, 1e11)
 #: Prior deviation of the place about the best of the grid [m].
@@ -179,7 +177,7 @@ class Sought(Rowwise):
     error : ndarray, (n, n_sensors, n_coefficients), optional
         Power of further errors over that of the noise.
     clipped : ndarray of bool, (n, n_sensors, n_samples), optional
-        Samples that only bound the motion: it went at least as far.
+        Samples that only bound the motion, which went at least as far: the force is found from the others.
     limit : float, optional
         Frequency up to which the samples tell [Hz].
     """
@@ -533,11 +531,17 @@ class Inversion:
             found = self._refined(samples, weight, found["x"], found["y"], level)
         if sought.clipped is not None and sought.clipped.any():
             rows = np.flatnonzero(sought.clipped.any(axis=(1, 2)))
-            before = {name: array[rows] for name, array in found.items()}
-            own = self._unclipped(before, sought.rows(rows), begun[rows], weight[rows], level[rows])
+            unknown = _cut(sought.clipped[rows], begun[rows], self.n_samples) > 0
+            own = self._refined(
+                samples[rows],
+                weight[rows],
+                found["x"][rows],
+                found["y"][rows],
+                level[rows],
+                self._directions(unknown, weight[rows]),
+            )
             for name, array in found.items():
                 array[rows] = own[name]
-        del found["predicted"]
         return Inverted(start=begun, noise=sought.level, **found)
 
     def _weights(self, sought: Sought) -> tuple[Singles, Floats]:
@@ -560,31 +564,29 @@ class Inversion:
         exponent = np.sum(exponent, axis=1, where=told) / told.sum(axis=1)
         return weight.reshape(n, -1).astype(np.float32), exponent
 
-    def _unclipped(
-        self, found: dict[str, Any], sought: Sought, begun: NDArray[np.intp], weight: Singles, level: Floats
-    ) -> dict[str, Any]:
-        """Return what is found where clipped samples are as far out as the beam says, but at least as recorded."""
-        assert sought.clipped is not None
-        recorded = _cut(sought.frames, begun, self.n_samples) / sought.level[:, None, None]
-        bounds = _cut(sought.clipped, begun, self.n_samples) > 0
-        for _ in range(_UNCLIPPING):
-            heard = found["predicted"]
-            if self._errors is not None:
-                heard = self._errors.turned(heard, self._errors.turn.swapaxes(1, 2))
-            spectrum = np.zeros((*recorded.shape[:2], self.n_samples // 2 + 1), complex)
-            spectrum[:, :, self.bins] = _complex(heard, self.beam.n_sensors) / np.sqrt(2)
-            expected = np.fft.irfft(spectrum, self.n_samples, axis=2, norm="ortho")
-            further = np.where(recorded > 0, np.maximum(recorded, expected), np.minimum(recorded, expected))
-            samples = np.where(bounds, further, recorded)
-            samples_of = self._turned(self.transformed(samples).reshape(len(samples), -1))
-            found = self._refined(samples_of, weight, found["x"], found["y"], level)
-        # The bounded samples are no measurements: they take their share of the energy out of what is known.
-        whole = np.sum(samples**2, axis=(1, 2))
-        share = 1 - np.sum(samples**2, axis=(1, 2), where=bounds) / np.maximum(whole, 1e-300)
-        share = np.maximum(share, _LEAST_SHARE)
-        found["information"] *= share[:, None, None]
-        found["vector"] *= share[:, None]
-        return found
+    def _directions(self, unknown: NDArray[np.bool_], weight: Singles) -> Singles:
+        """Return orthonormal directions of the weighted coefficients that unknown samples move, for each row.
+
+        Rows of zeros fill the shape (n, n_directions, n_coefficients).
+        """
+        n, n_sensors, _ = unknown.shape
+        found = []
+        for row in range(n):
+            sensor, sample = np.nonzero(unknown[row])
+            moves = np.zeros((sample.size, n_sensors, weight.shape[1] // n_sensors))
+            moves[np.arange(sample.size), sensor] = self._moves[sample]
+            moves = self._turned(moves.reshape(sample.size, weight.shape[1])) * np.sqrt(weight[row])
+            _, size, own = np.linalg.svd(moves, full_matrices=False)
+            found.append(own[size > _IN_BAND * size.max(initial=0.0)])
+        out = np.zeros((n, max(len(own) for own in found), weight.shape[1]), np.float32)
+        for row, own in enumerate(found):
+            out[row, : len(own)] = own
+        return out
+
+    @cached_property
+    def _moves(self) -> Singles:
+        """What each sample adds to the coefficients, (n_samples, n_coefficients)."""
+        return self.transformed(np.eye(self.n_samples))
 
     @cached_property
     def _low(self) -> _Few:
@@ -701,12 +703,17 @@ class Inversion:
         ratio = np.maximum(power, 1e-300) / np.maximum(power.max(axis=1, keepdims=True), 1e-300)
         return np.asarray(np.minimum(np.round(-np.log(ratio) / np.log(_RATIO)), _FAINTEST).astype(np.intp))
 
-    def _refined(self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats) -> dict[str, Any]:
-        """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid."""
+    def _refined(
+        self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats, without: Singles | None = None
+    ) -> dict[str, Any]:
+        """Return the fields of `Inverted` that follow from samples by Gauss-Newton steps from the grid.
+
+        Directions `without` (n, n_directions, n_coefficients) tell nothing.
+        """
         n, n_shapes = len(samples), len(self.beam.deviations)
         x_low, x_high, y_low, y_high = self.beam.region
         root = np.sqrt(weight)
-        heard = samples * root
+        heard = _beside(samples * root, without)
         coloured = bool((weight != 1).any())
         prior_place = np.eye(2) / _PLACE_DEVIATION**2
         beam, table = self._all
@@ -717,6 +724,7 @@ class Inversion:
             ways = (np.concatenate(at[1:]) @ self._leading).reshape(2, n, -1, samples.shape[1])
             if coloured:
                 own *= root[:, None]
+            own = _beside(own, without)
             prior = np.eye(own.shape[1]) / level[:, None, None] ** 2
             gram = (own @ own.transpose(0, 2, 1)).astype(np.float64)
             vector = (own @ heard[:, :, None])[:, :, 0].astype(np.float64)
@@ -725,6 +733,7 @@ class Inversion:
             slopes = (single[:, None, : ways.shape[2]] @ ways)[:, :, 0].transpose(1, 0, 2)
             if coloured:
                 slopes *= root[:, None]
+            slopes = _beside(slopes, without)
             cross = (own @ slopes.transpose(0, 2, 1)).astype(np.float64)
             inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + prior_place
             left = heard - (single[:, None] @ own)[:, 0]
@@ -740,10 +749,10 @@ class Inversion:
         push = (slopes @ heard[:, :, None])[:, :, 0].astype(np.float64)
         _, cost = np.linalg.slogdet(np.eye(n_shapes) + level[:, None, None] ** 2 * gram)
         gained = 0.5 * np.einsum("nk,nk->n", vector, force) - 0.5 * cost
-        rest, told = np.square(left, dtype=np.float64).sum(axis=1), np.maximum((weight > 0).sum(axis=1), 1)
+        told = (weight > 0).sum(axis=1) - (0 if without is None else without.any(axis=2).sum(axis=1))
+        rest, told = np.square(left, dtype=np.float64).sum(axis=1), np.maximum(told, 1)
         deviation = np.sqrt(np.maximum(np.linalg.inv(curvature)[:, [0, 1], [0, 1]], 0.0))
         return {
-            "predicted": (heard - left) / np.where(root > 0, root, 1),
             "x": x,
             "y": y,
             "place_deviation": deviation,
@@ -755,6 +764,15 @@ class Inversion:
             "unexplained": np.maximum(rest - told, 0)
             / np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300),
         }
+
+
+def _beside(coefficients: Singles, directions: Singles | None) -> Singles:
+    """Return coefficients (n, n_coefficients) or (n, n_of_them, n_coefficients) without what lies in directions."""
+    if directions is None:
+        return coefficients
+    own = coefficients.reshape(len(coefficients), -1, coefficients.shape[-1])
+    rest = np.asarray(own - own @ directions.transpose(0, 2, 1) @ directions, np.float32)
+    return rest.reshape(coefficients.shape)
 
 
 def _compressed(beam: Beam, table: Singles, share: float) -> tuple[Beam, Singles]:

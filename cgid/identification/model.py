@@ -183,6 +183,11 @@ class Model:
         return inputs_of(self.features, self.n_channels) + self.known
 
     @property
+    def together(self) -> int:
+        """Number of channels that one answer looks at: those of a window, or the sensors of the beam."""
+        return self.n_channels if self.beam is None else self.beam.n_sensors
+
+    @property
     def unexplained(self) -> float:
         """Median share of energy that the beam left unexplained in the training [%]; 0 where the file does not say."""
         return float(self.training.get(UNEXPLAINED, 0.0))

@@ -419,7 +419,8 @@ class Diagnosis:
         if cause == "shape" and model.beam is not None and not self._labelled:
             return (
                 "they are clear, but unlike those of the training: the modes of the model's beam do not explain them, "
-                "it is another beam, or it has changed",
+                "it is another beam, or it has changed"
+                + (", or the channels are in another order" if model.together > 1 else ""),
                 "learn the modes of this beam with a scene of its size and train on them, or label impacts",
                 (*self._calibration(), *self._training()),
             )

@@ -179,27 +179,32 @@ def _impacts(
 ) -> Iterator[Step]:
     """Yield the answers for impacts: when a batch is full, or when no impact waits."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
-    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time)
+    names, joint = answering_channels(model, channels), model.together > 1
+    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time, joint=joint)
     waiting: list[Event] = []
-    silent = set(range(len(channels)))
+    everything = set(range(len(channels)))
+    silent = everything
     quiet = _Quiet(sampling_rate, len(channels)) if kind == "vibration" else None
 
     def named(row: int) -> str:
         return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
 
     def answered(reasons: tuple[str, ...] = ()) -> Step:
-        answers = identify_events(waiting, model, question, channels=channels)
+        answers = identify_events(waiting, model, question, channels=names)
         waiting.clear()
         return Step(answers, detector.known_until / sampling_rate, reasons)
 
+    def found(events: list[Event]) -> None:
+        nonlocal silent
+        silent = silent - (everything if joint and events else {event.channel for event in events})
+        waiting.extend(replace(event, channel=0) if joint else event for event in events)
+
     for block in blocks:
-        waiting += detector.feed(block)
-        silent -= {event.channel for event in waiting}
+        found(detector.feed(block))
         loud = set() if quiet is None else quiet.never(block) - silent
         if loud or not waiting or len(waiting) >= question.batch:
             yield replace(answered(), warnings=tuple(f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud)))
-    waiting += detector.finish()
-    silent -= {event.channel for event in waiting}
+    found(detector.finish())
     reasons = []
     for row in sorted(silent):
         reasons.append(f"{named(row)}: {detector.why_silent(row, model.unit)}")
@@ -238,11 +243,11 @@ def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]
 
     Raises `BadData` for another number of channels than the model uses.
     """
-    if model.n_channels == 1:
+    if model.together == 1:
         return tuple(channels)
-    if model.n_channels != len(channels):
+    if model.together != len(channels):
         raise BadData(
-            f"channels must be {model.n_channels}, which this model looks at together, got {len(channels)}; pick them "
+            f"channels must be {model.together}, which this model looks at together, got {len(channels)}; pick them "
             "with --channel"
         )
     return ("+".join(channels),)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,13 +15,17 @@ from cgid.measure.beam import FINE, MOST_SENSORS, RATES, SPAN_TIME, TOUCH, Beam,
 from cgid.physics.modes import MeasuredModes
 from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import BeamModes, beam_modes, draw
-from cgid.scene.plan import highest_frequency
+from cgid.scene.impacts import BeamModes, beam_modes, blows_of, draw
+from cgid.scene.plan import highest_frequency, plan
 from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.synthesis import batch_of, blocks, require_count, require_frames
+from cgid.signals import Batch
 from cgid.validation import Floats
 
 #: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
 _BLOCKS, _SEED, N_SHAPES = 12, 0x5EED_0002_C9D1, 18
+#: Distance of the seeds of the noise of sensors that record together.
+_NOISE_APART = 0x2545_F491_4F6C_DD1D
 #: Multiples of the golden section fill an interval evenly.
 _GOLDEN = 0.6180339887498949
 #: Chebyshev nodes to a wave of the highest mode, and beyond.
@@ -147,6 +151,41 @@ def moved(scene: Scene, point: tuple[float, float]) -> Scene:
     content = json.loads(scene.text)
     content["tail_beam"]["sensor_point"] = dict(zip("xy", map(float, point), strict=True))
     return parse_scene(content, source=f"scene {scene.name} with its sensor elsewhere", folder=scene.folder)
+
+
+def recorded_together(
+    scene: Scene, sensors: Sequence[tuple[float, float]], n_signals: int, seed: int = 0
+) -> Iterator[Batch]:
+    """Yield the signals of a scene as several sensors of its beam record them, each with noise of its own.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the dimensions of a tail beam.
+    sensors : sequence of tuple of two floats [m]
+        Points (x, y) of the sensors, as in `beam_of`.
+    n_signals, seed : int
+        As in `cgid.scene.synthesise`: the impacts are those of the scene with this seed.
+
+    Yields
+    ------
+    Batch
+        With signals (n_signals, n_sensors, n_samples).
+
+    Raises
+    ------
+    InvalidValue, BadData
+        As `moved` and `cgid.scene.synthesise`.
+    """
+    require_count(n_signals, 0)
+    require_frames(scene)
+    plans = [plan(moved(scene, point), "frames") for point in sensors]
+    for block, part in blocks(n_signals, 0):
+        batches = [
+            batch_of(asked.scene, blows_of(asked, seed, block), (seed + number * _NOISE_APART) % 2**63, block, part)
+            for number, asked in enumerate(plans)
+        ]
+        yield replace(batches[0], signals=np.stack([batch.signals for batch in batches], axis=1), source=scene.sha256)
 
 
 def _at_sensors(scene: Scene, points: list[tuple[float, float]]) -> Floats:

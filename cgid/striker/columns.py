@@ -56,6 +56,8 @@ class StrikerColumns:
                 "striker needs the force: this model does not look through its beam to it; take one that does, such "
                 "as default-acceleration, or train one on a scene with a beam"
             )
+        if model.beam is not None and model.together > 1:
+            raise InvalidValue("striker needs a model of one sensor, this one looks through several together")
         if model.kind == "pulse" and model.quantity != "force":
             raise InvalidValue(f"striker needs the force [N], this model takes {model.quantity} [{model.unit}]")
 
