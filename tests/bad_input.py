@@ -585,6 +585,12 @@ CASES = (
     Case(
         "one of two sensors", ("predict", "vibration.csv", "--model", "pair.npz"), 65, ("be 2,", "got 1", "--channel")
     ),
+    Case(
+        "strikers through two sensors",
+        ("predict", "vibration.csv", "--model", "pair.npz", "--striker", "reference"),
+        65,
+        ("a model of one sensor", "several together"),
+    ),
     *(
         Case(f"sensors that are {name}", ("train", *data, "--sensor", point, "-o", "new.npz"), 65, says)
         for name, data, point, says in (
