@@ -194,7 +194,7 @@ def convolutional() -> Any:
 
 
 def inception(filters: int = 32) -> Any:
-    """Return one InceptionTime network: six modules, a residual connection around each three, 390,000 weights."""
+    """Return one InceptionTime network: six modules, a residual connection around each three, 407,000 weights."""
     import torch
     from torch import nn
 
