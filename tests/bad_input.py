@@ -456,6 +456,8 @@ def _beam_models(folder: Path, good: np.ndarray) -> None:
     poles = beam_arrays()["beam.poles"] * [[-1.0], [1.0]]
     (folder / "growing.npz").write_bytes(with_beam(None, poles=poles))
     _csv(folder / "vibration.csv", good / 9.81, f"# sampling_rate: {RATE:g} Hz\nacceleration (m/s^2)\n")
+    longer = np.concatenate([good, *[good[:250]] * 3])  # 5 ms and more after the onset
+    _csv(folder / "longer.csv", longer / 9.81, f"# sampling_rate: {RATE:g} Hz\nacceleration (m/s^2)\n")
     _csv(folder / "slow.csv", good / 9.81, "# sampling_rate: 1500 Hz\nacceleration (m/s^2)\n")
 
 
@@ -576,7 +578,7 @@ CASES = (
     ),
     Case(
         "look through a beam without a model",
-        ("features", "acceleration.csv", "--features", "beam_peak_force"),
+        ("features", "longer.csv", "--features", "beam_peak_force"),
         65,
         ("beam_peak_force must have a beam", "cgid train tail_beam"),
     ),

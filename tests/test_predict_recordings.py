@@ -450,6 +450,7 @@ def test_strict_stops_at_the_first_file_that_fails(tmp_path: Path, capsys: pytes
 
 def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     force = stream(LABELS[:2], 0.02)
+    force = np.concatenate([force, force[: round(0.01 * RATE)]])  # a vibration needs 5 ms after its onset
     times = np.arange(force.size) / RATE
     rows = [f"{t!r},{f!r},{f / 40!r}" for t, f in zip(times.tolist(), force.tolist(), strict=True)]
     (tmp_path / "m.csv").write_text("time (s),hammer (N),beam (m/s^2)\n" + "\n".join(rows) + "\n")

@@ -84,7 +84,7 @@ _OF_DATASETS = {
     "sensors",
     multiple=True,
     metavar="X,Y",
-    help="Look through a scene's beam with sensors at these points [m], the recording's channels in this order.",
+    help="Take sensors at these points [m] of a scene's beam together: the recording's channels, in this order.",
 )
 @click.option("--drop-height", is_flag=True, help="Give the model the drop height of each rock, too.")
 @click.option(

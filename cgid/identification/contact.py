@@ -462,11 +462,19 @@ class ThroughBeam:
             if rows.size:
                 later = begun[rows] + step
                 other = self.inversion.invert(sought.rows(rows), np.stack([later, later], axis=1))
-                better = np.flatnonzero(other.misfit < inverted.misfit[rows])
+                lost = self._between(sought.rows(rows), inverted.start[rows], other.start)
+                better = np.flatnonzero(other.misfit + lost < inverted.misfit[rows])
                 if better.size:
                     inverted = inverted.replaced(rows[better], other.rows(better))
                     contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
         return inverted, contact
+
+    def _between(self, sought: Sought, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+        """Return what a window that begins at the last sample leaves out, in units of the misfit of the whole, (n,)."""
+        columns = np.arange(sought.frames.shape[2])
+        out = (columns >= first[:, None]) & (columns < last[:, None])
+        power = np.square(sought.frames / sought.noise[:, :, None])
+        return np.asarray(np.sum(power, axis=(1, 2), where=out[:, None]) / (self.n_sensors * self.beam.n_samples))
 
     def _prepared(self, vibrations: VibrationBatch, filters: float) -> tuple[Sought, NDArray[np.intp]]:
         """Return what the inversion needs of vibrations, and where touch may lie."""
