@@ -169,7 +169,9 @@ def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
     # not determine goes as one over their number, and so does the logarithm of the temperature, unless doubt sets it.
     n_groups = np.inf if hits[best].all() else np.mean(list(groups_of_labels(rows).values()))
     own = rows[judged]
-    correlation = vote_correlation(own, softmax(scores[best] / temperature), doubt) if rows.kind == "window" else 1.0
+    correlation = 1.0
+    if rows.kind == "window" and rows.slicing is not None:
+        correlation = vote_correlation(own, softmax(scores[best] / temperature), doubt)
     return Choice(best, accuracies, float(temperature ** (1 - 1 / n_groups)), correlation)
 
 

@@ -41,6 +41,8 @@ _BOTH_WAYS = 0.4
 _DEVIATIONS = 3.0
 #: A live stream gets its hint when this many answers of a channel are there, and this share of them is unknown.
 _ENOUGH, _CLEARLY = 20, 0.8
+#: With this share unknown it is another beam rather than one that has changed, and labelled impacts are a way, too.
+_ANOTHER = 0.95
 #: The beam has changed where the latest impacts, so many, surely leave more than this share of their energy unexplained
 #: [%] in the median; surely is by so many deviations of a median. Not less than so many times that of the training.
 _LATEST, CHANGED, _SURE, _OVER_USUAL = (30, 100, 300), 0.5, 4.0, 3.0
@@ -320,7 +322,8 @@ class Diagnosis:
         cause = counts.most_common(1)[0][0]
         if self.upside_down & own.keys():
             cause = "upside_down"
-        if cause == "shape" and own.keys() & self._changed().keys():
+        another = all(channel.n_unknown >= _ANOTHER * channel.n_answers for channel in own.values())
+        if cause == "shape" and not another and own.keys() & self._changed().keys():
             return self._hint_of_change()
         examples = [answer for channel in own.values() for answer in channel.examples.get(cause, ())]
         problem = sum((channel.problems for channel in own.values()), Counter[str]()).most_common(1)
