@@ -993,7 +993,7 @@ def test_few_recordings_are_as_sure_as_they_are_right(real_data: Path, tmp_path:
     from benchmarks.ramp import fold
 
     files = sorted((real_data / "bulk_ramp").glob("*_[123].wav"))
-    for cells in fold(files, "3", 1, tmp_path):
+    for cells in fold(files, "3", 1, 0, tmp_path):
         assert float(cells[5]) <= 0.08
         assert float(cells[6]) >= float(cells[7]) - 0.01
         assert cells[-1] == "5 of 5"
