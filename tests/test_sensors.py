@@ -191,6 +191,7 @@ def test_a_dead_sensor_is_left_out() -> None:
     batch, _, _ = looked(OFF)
     signals, pair = batch.signals.copy(), beam_at(*OFF)
     signals[:, 1] = 0.0
+    assert clipped_samples(signals[:, 1]) is None
     both, one = features_of(signals, batch, pair), features_of(signals[:, 0], batch, alone(0))
     assert np.median(np.abs(np.log(both[:, 0] / one[:, 0]))) < 1e-3
     assert np.median(np.abs(np.log(both[:, 3] / one[:, 3]))) < 0.02

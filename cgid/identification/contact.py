@@ -360,14 +360,15 @@ def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] 
     """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none.
 
     A limit is a value that `shared` samples have in common at the top or the bottom, at least half as far out as the
-    other side. Of a limit the other side has its own as far out, even where a single sample reaches it.
+    other side. Of a limit the other side has its own as far out, even where a single sample reaches it. A constant
+    frame is that of a dead sensor.
     """
     high, low = frames.max(axis=1), frames.min(axis=1)
     out = np.zeros(frames.shape, bool)
     beyond = np.zeros(len(frames), bool)
     for extreme, other in ((high, low), (low, high), (high, low)):
         at = np.abs(frames - extreme[:, None]) <= _SAME * np.abs(extreme)[:, None]
-        limit = (at.sum(axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other))
+        limit = (at.sum(axis=1) >= shared) & (np.abs(extreme) >= 0.5 * np.abs(other)) & (high > low)
         limit |= beyond & (np.abs(extreme + other) <= _ALIKE * np.abs(extreme))
         beyond |= limit
         out |= at & limit[:, None]
