@@ -207,7 +207,7 @@ def from_drawings(
     """Return the cells of a row: the scene itself calibrated with blows on the plate."""
     before, clock = asked(beam), time.process_time()
     try:
-        found = calibrate(scene, *recorded, start_error=error, participation_error=0.2)
+        found = calibrate(scene, *recorded, participation_error=0.2, dimension_error=error)
     except BadData as refusal:
         return f"- | - | {str(refusal).partition('evidence is ')[2].partition(';')[0]} | {before} | refused", "-"
     clock = time.process_time() - clock
@@ -265,7 +265,7 @@ def main() -> None:
                         truth.sampling.sampling_rate,
                         truth.sampling.pre_trigger,
                         start_error=start / 100,
-                        participation_error=0.2 * bool(options.shapes),
+                        dimension_error=options.shapes / 100,
                         most_blows=options.impacts,
                     )
                 except BadData as error:

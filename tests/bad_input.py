@@ -969,6 +969,18 @@ CASES = (
     Case("calibration with few impacts", _CALIBRATE, 65, ("few_blows.csv", "at least 20", "record longer")),
     Case("clipped throughout", ("calibrate", "clipped_blows.csv", *_CALIBRATE[2:]), 65, ("at least 20", "clipped")),
     Case(
+        "dimensions of taps",
+        ("calibrate", "other_beam.csv", "--scene", "taps.toml", "-o", "new.toml", "--dimension-error", "3 %"),
+        65,
+        ("its modes are tapped", "dimension_error"),
+    ),
+    Case(
+        "dimensions that are far off",
+        (*_CALIBRATE, "--dimension-error", "20 %"),
+        65,
+        ("dimension_error must be at least 0 and at most 0.1, got 0.2",),
+    ),
+    Case(
         "calibration with another beam",
         ("calibrate", "other_beam.csv", "--scene", "taps.toml", "-o", "new.toml"),
         65,

@@ -19,10 +19,11 @@ from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, read_learned_modes
 from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
-from cgid.scene.through_beam import beam_of
+from cgid.scene.through_beam import beam_of, through_modes
 from cgid.site import calibrate
-from cgid.site.calibration import _toml, check_scene, table_beside, uncertain, usable_blows
-from cgid.site.learning import _STEP, Blows, _searched, _System, learn
+from cgid.site.calibration import _blows, _toml, check_scene, table_beside, uncertain, usable_blows
+from cgid.site.dimensions import _on_the_beam, learn_dimensions, with_dimensions
+from cgid.site.learning import _STEP, Blows, System, _searched, learn
 
 RATE, BEFORE = 6400.0, 64
 
@@ -112,6 +113,55 @@ def test_five_per_cent_off_is_learned_band_by_band():
     assert np.median(np.abs(after)) < 1e-3
 
 
+def test_dimensions_are_learned():
+    """Of a plain plate blows tell the ratios of all dimensions, but not its size: every force is unknown."""
+    scene, names = panel(), ["length", "width", "thickness", "sensor_point.x", "sensor_point.y", "damping_ratio"]
+    off = np.array([0.025, -0.03, 0.02, -0.04, 0.03, 0.2])
+    truth = with_dimensions(scene, names, off)
+    blows, beam = _blows(frames(truth, 60, seed=5), RATE, BEFORE), replace(beam_of(scene), errors=None)
+    own, found = learn_dimensions(scene, beam, blows, 0.03, 0.3)
+    told = {one.name: one for one in found}
+    assert sorted(told) == sorted(names)
+    change = np.log([told[name].after / told[name].before for name in names])
+    bars = np.array([told[name].deviation for name in names])
+    error = change - off
+    assert (np.abs(error) < 3.5 * bars).all()
+    # What is known, and what is not: one factor, whose deviation follows from the priors of eight parts.
+    assert bars[:2] == pytest.approx(0.03 / np.sqrt(8), rel=0.25) and bars[2] == pytest.approx(2 * bars[0], rel=0.1)
+    ratios = error[[0, 0, 0, 1]] - np.array([error[1], error[2] / 2, error[3], error[4]])
+    assert np.abs(ratios).max() < 2e-3
+    assert abs(error[5]) < 0.01
+    assert through_modes(own, beam).poles.imag[:6] == pytest.approx(beam_of(truth).poles.imag[:6], rel=1e-3)
+
+
+@pytest.mark.long
+def test_drawings_are_calibrated(known):
+    """Dimensions first, then the modes: as good as if the drawing were exact."""
+    scene, names = known[0], ["length", "width", "thickness"]
+    site, _ = modes_off(with_dimensions(scene, names, np.array([-0.03, 0.02, 0.03])), 0.003, 0.03, seed=2)
+    blows = frames(site, 100, seed=11)
+    found = calibrate(scene, blows, RATE, BEFORE, dimension_error=0.03, start_error=0.003)
+    assert found.before < found.after - 20
+    assert abs(found.after - found.expected) < 0.1
+    heard = beam_modes(found.scene).frequency < 1800
+    after = np.log(found.learned.frequency[heard] / site.tail_beam.learned_modes.frequency[: heard.size][heard])
+    assert np.median(np.abs(after)) < 1e-3
+    assert found.scene.tail_beam.length == pytest.approx(scene.tail_beam.length * np.exp(-0.03), rel=0.04)
+
+
+def test_dimensions_stay_on_the_beam():
+    """Blows fall up to the edge: a step that takes it from under them is halved."""
+    scene = panel(length=0.801)
+    now = _on_the_beam(scene, ["length"], np.zeros(1), np.array([-0.5]))
+    assert -0.002 < now[0] <= 0
+
+
+def test_dimensions_of_taps_and_of_learned_modes_are_not_learned(known):
+    for scene, what in ((tapped(1.0), "tapped"), (known[1], "learned")):
+        with pytest.raises(InvalidValue, match=f"its modes are {what}; leave dimension_error at 0"):
+            calibrate(scene, np.zeros((30, 512)), RATE, BEFORE, dimension_error=0.03)
+
+
 def test_participations_are_learned_where_asked(known):
     scene, site, _, _ = known
     modes = site.tail_beam.learned_modes
@@ -152,11 +202,10 @@ def test_a_calibrated_scene_is_followed_as_it_drifts(known, found):
 def test_pull_is_that_of_the_projected_misfit(known, monkeypatch):
     """Against difference quotients of the misfit with place and force fitted anew, by Gauss-Newton in float64."""
     scene, _, _, blows = known
-    monkeypatch.setattr(_System, "level", lambda self, row: 1e12)
+    monkeypatch.setattr(System, "level", lambda self, row: 1e12)
     beam = beam_of(scene)
-    from cgid.site.calibration import _blows
-
-    system = _System(beam, _blows(blows[:1], RATE, BEFORE), np.full(1, 100.0), np.array([0, 1]))
+    system = System(beam, _blows(blows[:1], RATE, BEFORE), np.full(1, 100.0))
+    pulls, _ = system.equations(system.by_modes(np.array([0, 1])))
     assert system.nuisance(0)[3] == 1.0  # no error of the model above this noise
     start = np.array([system.found.x[0], system.found.y[0]])
 
@@ -176,26 +225,36 @@ def test_pull_is_that_of_the_projected_misfit(known, monkeypatch):
         return 0.5 * left @ left + 50 * np.sum((place - start) ** 2)
 
     n = len(beam.poles)
-    for number in np.argsort(-np.abs(system.pulls[0]))[:4]:
+    for number in np.argsort(-np.abs(pulls[0]))[:4]:
         step = np.zeros((3, n))
         step[number // n, number % n] = h = 1e-3
         quotient = -(cost(step) - cost(-step)) / (2 * h)
-        assert system.pulls[0, number] == pytest.approx(
-            quotient, rel=0.25
-        )  # Kaufman (1975) leaves out the second derivatives
+        # Kaufman (1975) leaves out the second derivatives.
+        assert pulls[0, number] == pytest.approx(quotient, rel=0.25)
+
+
+def test_slopes_of_all_modes_are_those_of_other_beams(known):
+    """All frequencies raised together, from two beams; and the sum of the slopes of single modes."""
+    scene, _, _, blows = known
+    beam, step = beam_of(scene), np.zeros((3, len(beam_of(scene).poles)))
+    step[0] = 1e-4
+    system = System(beam, _blows(blows[:4], RATE, BEFORE), np.ones(4))
+    together = system.by_beams(lambda _: (corrected(beam, step), corrected(beam, -step)), 1, 1e-4)
+    single = system.by_modes(np.array([0]))
+    for row in range(4):
+        expected = single(row).sum(axis=0)
+        np.testing.assert_allclose(together(row)[0], expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_a_mode_in_a_wrong_valley_is_found(known):
     _, site, _, blows = known
-    from cgid.site.calibration import _blows
-
     beam = beam_of(site)
     wrong = np.zeros((3, len(beam.poles)))
     mode = int(np.argmax((beam.participation**2).mean(axis=(1, 2)) * (np.abs(beam.poles) < 2 * np.pi * 1500)))
     wrong[0, mode] = 0.09
     own = _blows(blows[:40], RATE, BEFORE)
     deviation = np.stack([np.full(len(beam.poles), spread) for spread in (0.05, 0.3, 0.0)])
-    system = _System(corrected(beam, wrong), own, np.ones(40), np.array([0, 1]))
+    system = System(corrected(beam, wrong), own, np.ones(40))
     moved = _searched(beam, wrong, deviation, system)
     assert moved is not None and abs(moved[0, mode]) < 0.02
 
@@ -217,8 +276,6 @@ def test_slopes_do_not_depend_on_their_step(known):
 
 def test_learning_needs_no_labels_and_is_reproducible(known):
     scene, _, _, blows = known
-    from cgid.site.calibration import _blows
-
     beam, own = beam_of(scene), _blows(blows[:30], RATE, BEFORE)
     deviation = np.stack([np.full(len(beam.poles), spread) for spread in (0.01, 0.1, 0.0)])
     first, second = (learn(beam, Blows(own.frames, own.start, own.noise, own.colour), deviation) for _ in range(2))

@@ -48,6 +48,12 @@ if TYPE_CHECKING:
     show_default=True,
     help="Say how far the strengths of the modes may be off; with 0 they are not learned.",
 )
+@click.option(
+    "--dimension-error",
+    default="0 %",
+    show_default=True,
+    help="Say how far the dimensions of a drawing may be off; they are then learned first, with the sensor's place.",
+)
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
 @click.option("--plot", "picture", type=PATH, help="Draw the modes before and after, with deviations, as PNG.")
 @click.option("--overwrite", is_flag=True, help="Replace existing files.")
@@ -60,6 +66,7 @@ def calibrate(
     start_error: str,
     drift: str,
     participation_error: str,
+    dimension_error: str,
     impacts: int,
     picture: str | None,
     overwrite: bool,
@@ -69,12 +76,14 @@ def calibrate(
     """Learn the modes of a beam from RECORDINGs of its impacts, or a dataset of them, and write a scene.
 
     No labels are needed. A few hundred impacts at unknown places are enough where the scene's beam is nearly right: its
-    frequencies within some per cent, its shapes, the place of the sensor and the region of the blows. Train through the
+    frequencies within some per cent, its shapes, the place of the sensor and the region of the blows. Where these come
+    from a drawing, say with --dimension-error how far it may be off. Train through the
     learned beam with cgid train site.toml. Nothing is written where the beam does not explain the impacts as well as it
     should.
     """
     from cgid.files import check_new
     from cgid.scene import load_scene
+    from cgid.site import dimensions
     from cgid.site.calibration import MOST_ROUNDS, check_numbers, check_scene, table_beside
     from cgid.site.calibration import calibrate as calibrated
 
@@ -91,11 +100,13 @@ def calibrate(
         "start_error": share_of("--start-error", start_error),
         "drift": share_of("--drift", drift),
         "participation_error": share_of("--participation-error", participation_error),
+        "dimension_error": share_of("--dimension-error", dimension_error),
     }
     check_numbers(**errors, most_blows=impacts)
-    check_scene(scene, scene.sampling.sampling_rate)
+    check_scene(scene, scene.sampling.sampling_rate, errors["dimension_error"])
     frames, rate, before = _frames(recordings, scene, reading)
-    with progress_bar(MOST_ROUNDS, "rounds") as progress:
+    n_rounds = MOST_ROUNDS + dimensions.MOST_ROUNDS * (errors["dimension_error"] > 0)
+    with progress_bar(n_rounds, "rounds") as progress:
         found = calibrated(scene, frames, rate, before, most_blows=impacts, progress=progress, **errors)
     found.save(path, overwrite=overwrite)
     if drawing is not None:
@@ -202,6 +213,9 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         "n_learned": int(known.sum()),
         "frequency_change": float(np.median(np.abs(change[known]))) if known.any() else None,
         "frequency_deviation": float(np.median(modes.frequency_deviation[known])) if known.any() else None,
+        "dimensions": {
+            own.name: {"before": own.before, "after": own.after, "deviation": own.deviation} for own in found.dimensions
+        },
         "evidence": {"before": found.before, "after": found.after, "expected": found.expected},
         "crossings": found.crossings,
         "at_rest": found.at_rest,
@@ -210,6 +224,9 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         print_json(content)
     else:
         say(f"{path}: {counted(found.n_blows, 'impact')}, {content['n_learned']} of {content['n_modes']} modes learned")
+        for own in found.dimensions:
+            unit = "" if own.name.endswith("ratio") else " m"
+            say(f"{own.name}: {own.before:.5g}{unit} before, {own.after:.5g}{unit} after, known to {own.deviation:.2%}")
         if known.any():
             say(
                 f"natural frequencies moved by {content['frequency_change']:.3%} (median), and are known to "

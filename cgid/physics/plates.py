@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -187,8 +188,9 @@ class _Line:
 
     functions: Floats
 
+    @cached_property
     def integrals(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the integrals of f f, f' f', f'' f'' and f'' f over [-1, 1], each (n_functions, n_functions).
+        """The integrals of f f, f' f', f'' f'' and f'' f over [-1, 1], each (n_functions, n_functions).
 
         Gauss quadrature with as many nodes as degrees is exact.
         """
@@ -215,7 +217,8 @@ def _integrated(series: Floats) -> Floats:
     return out
 
 
-def _line(number: int, held: str) -> list[_Line]:
+@lru_cache(maxsize=64)
+def _line(number: int, held: str) -> tuple[_Line, ...]:
     """Return `number` functions; if the line is symmetric, even and odd ones separately.
 
     Value and slope are 0 where the line is held: at "both" ends, the "start", or "none". The second derivatives are
@@ -230,12 +233,12 @@ def _line(number: int, held: str) -> list[_Line]:
         functions[:2] = 0.0  # bending only; rigid-body motions are added below
     parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
-        parts[parity] = matrix_product(part, eigenpairs(_Line(part).integrals()[0])[1])
+        parts[parity] = matrix_product(part, eigenpairs(_Line(part).integrals[0])[1])
         if held == "none":
             rigid = np.zeros((len(part), 1))
             rigid[parity] = math.sqrt(parity + 0.5)
             parts[parity] = np.hstack([rigid, parts[parity]])
-    return [_Line(part) for part in parts]
+    return tuple(_Line(part) for part in parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +258,8 @@ class _Panel:
     def of(cls, along: _Line, across: _Line, rigidities: Rigidities, length: float, width: float) -> _Panel:
         """Return the panel whose shapes are products of a function along and a function across."""
         a, b = 4 / (length * length), 4 / (width * width)
-        mass_x, slope_x, bending_x, mixed_x = along.integrals()
-        mass_y, slope_y, bending_y, mixed_y = across.integrals()
+        mass_x, slope_x, bending_x, mixed_x = along.integrals
+        mass_y, slope_y, bending_y, mixed_y = across.integrals
         stiffness = rigidities.along * (a * a) * np.kron(bending_x, mass_y)
         stiffness += rigidities.across * (b * b) * np.kron(mass_x, bending_y)
         stiffness += 4 * rigidities.twist * a * b * np.kron(slope_x, slope_y)

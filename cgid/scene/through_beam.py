@@ -65,13 +65,12 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
         )
     modes, chain = beam_modes(scene), scene.sensor.filters
     rate = scene.sampling.sampling_rate
-    poles = -2 * np.pi * modes.frequency * (modes.damping_ratio - 1j * np.sqrt(1 - modes.damping_ratio**2))
     at_sensors = _at_sensors(scene, list(sensors))
     best = np.abs(at_sensors).max(axis=0) if len(at_sensors) > 1 else at_sensors[0]
     participation, region = _participation(scene, replace(modes, at_sensor=best))
     beam = Beam(
         sampling_rate=rate,
-        poles=poles,
+        poles=_poles(modes),
         participation=participation,
         region=region,
         filters=np.concatenate([np.empty(0, complex), *(part.poles for part in chain)]),
@@ -88,6 +87,13 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
     power, shapes = eigh(heard.T @ heard, subset_by_index=(n_points - n_shapes, n_points - 1))
     power, mixes = power[::-1], heard @ (shapes / power)[:, ::-1]
     return replace(beam, shapes=mixes.T @ forces, deviations=np.sqrt(power / len(forces)))
+
+
+def through_modes(scene: Scene, beam: Beam) -> Beam:
+    """Return a beam with the modes of a scene in place of its own: those of other dimensions, without errors."""
+    modes = beam_modes(scene)
+    participation, region = _participation(scene, modes)
+    return replace(beam, poles=_poles(modes), participation=participation, region=region, errors=None)
 
 
 def whole_beam(scene: Scene) -> Beam:
@@ -194,6 +200,11 @@ def _at_sensors(scene: Scene, points: list[tuple[float, float]]) -> Floats:
         raise InvalidValue(f"sensors must be at most {MOST_SENSORS} points, got {len(points)}; leave some out")
     scenes = [moved(scene, point) for point in points] or [scene]
     return np.stack([beam_modes(one).at_sensor for one in scenes])
+
+
+def _poles(modes: BeamModes) -> Any:
+    ratio = modes.damping_ratio
+    return -2 * np.pi * modes.frequency * (ratio - 1j * np.sqrt(1 - ratio**2))
 
 
 def _participation(scene: Scene, modes: BeamModes) -> tuple[Floats, Floats]:

@@ -10,7 +10,7 @@ sought alone over a wider range.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,29 +188,23 @@ class _State:
         self.rounds = 0
         self.limit: float | None = None
 
-    def _system(self, n_blows: int) -> _System:
+    def _system(self, n_blows: int) -> System:
         rows = slice(n_blows)
-        system = _System(
-            corrected(self.beam, self.now), self.blows.taken(rows), self.raised[rows], self.kept, self.limit
-        )
-        self.raised[rows] = np.sqrt(np.maximum(system.power, 1.0))
-        return system
+        return System(corrected(self.beam, self.now), self.blows.taken(rows), self.raised[rows], self.limit)
 
     def step(self, n_blows: int) -> bool:
         """Make a Gauss-Newton step with the first blows; return whether the poles are at rest."""
         system = self._system(n_blows)
-        precision = system.curvature + np.diag(self.prior.ravel() ** -2)
-        covariance = np.linalg.inv(precision)
-        # Where the pulls of single blows scatter more than the curvature says, the model is not exact: Huber (1967).
-        scatter = np.sum(np.square(covariance @ system.pulls.T), axis=1)
-        self.own = np.sqrt(np.maximum(np.diag(covariance), scatter)).reshape(self.prior.shape)
-        pull = system.pulls.sum(axis=0) - (self.now[self.kept] / self.prior**2).ravel()
-        step = np.clip((covariance @ pull).reshape(self.prior.shape), -self.prior, self.prior)
-        self.now[self.kept] += step
+        own = np.add.outer(np.arange(self.kept.size) * len(self.beam.poles), system.active).ravel()
+        pulls, curvature = np.zeros((n_blows, self.prior.size)), np.zeros((self.prior.size,) * 2)
+        pulls[:, own], curvature[np.ix_(own, own)] = system.equations(system.by_modes(self.kept))
+        self.raised[:n_blows] = np.sqrt(np.maximum(system.power, 1.0))
+        now, step, deviation = newton(curvature, pulls, self.prior.ravel(), self.now[self.kept].ravel())
+        self.now[self.kept], self.own = now.reshape(self.prior.shape), deviation.reshape(self.prior.shape)
         self.rounds += 1
         if self.progress is not None:
             self.progress(1)
-        return bool(np.quantile(np.abs(step) / self.own, _MOST_MODES) < _AT_REST)
+        return bool(np.quantile(np.abs(step) / deviation, _MOST_MODES) < _AT_REST)
 
     def search(self, n_blows: int, deviation: Floats) -> bool:
         """Move single modes to other valleys; return whether any gains by it."""
@@ -220,6 +214,23 @@ class _State:
         return moved is not None
 
 
+def newton(curvature: Floats, pulls: Floats, prior: Floats, now: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return parameters after a Gauss-Newton step, the step, at most as long as the prior, and their deviations.
+
+    Parameters
+    ----------
+    curvature, pulls : ndarray, (n, n) and (n_blows, n)
+        Of the log likelihood, as `System.equations` returns them.
+    prior, now : ndarray, (n,)
+        Standard deviations of the parameters, which are expected to be 0, and what they are.
+    """
+    covariance = np.linalg.inv(curvature + np.diag(prior**-2))
+    # Where the pulls of single blows scatter more than the curvature says, the model is not exact: Huber (1967).
+    scatter = np.sum(np.square(covariance @ pulls.T), axis=1)
+    step = np.clip(covariance @ (pulls.sum(axis=0) - now / prior**2), -prior, prior)
+    return now + step, step, np.sqrt(np.maximum(np.diag(covariance), scatter))
+
+
 def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
     """Return the samples of each row from its start on, zeros behind the frame."""
     columns = start[:, None] + np.arange(n_samples)
@@ -227,58 +238,103 @@ def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
     return np.where((columns >= 0) & (columns < frames.shape[1]), inside, 0.0)
 
 
-class _System:
-    """The normal equations of the corrections at one beam, summed over blows.
+class System:
+    """Blows as one beam explains them, and the normal equations of what may be wrong about it.
+
+    Parameters
+    ----------
+    beam : Beam
+    blows : Blows
+    raised : ndarray, (n_blows,)
+        Factors of the noise.
+    limit : float, optional [Hz]
+        Highest frequency that is looked at.
 
     Attributes
     ----------
-    curvature, pulls : ndarray, (n, n) and (n_blows, n), n = kept quantities times modes
+    active : ndarray of int
+        Modes that act on what is looked at.
+    found : Inverted
+        Places and forces.
     power : ndarray, (n_blows,)
-        Mean square of what is left of each blow, over the noise.
+        Mean square of what is left of each blow, over the noise; from `equations`.
     """
 
-    def __init__(
-        self, beam: Beam, blows: Blows, raised: Floats, kept: NDArray[np.intp], limit: float | None = None
-    ) -> None:
-        self.beam, self.inversion = beam, Inversion(beam)
+    def __init__(self, beam: Beam, blows: Blows, raised: Floats, limit: float | None = None) -> None:
+        self.beam, self.inversion, self.raised = beam, Inversion(beam), raised
         bins = self.inversion.bins
         frequency = np.arange(bins.start, bins.stop) / self.inversion.n_samples * beam.sampling_rate
         highest = np.inf if limit is None else limit
         self.columns = np.flatnonzero(np.tile(frequency, 2) <= highest)
         self.active = np.flatnonzero(np.abs(beam.poles) / (2 * np.pi) <= _BEYOND * highest)
-        self.noise = blows.noise * raised
         self.found = self.inversion.invert(blows.sought(raised, limit), blows.start)
         self.root = np.sqrt(blows.weight(self.inversion)[:, self.columns]).astype(np.float32)
-        samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / self.noise[:, None]
+        samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / (blows.noise * raised)[:, None]
         self.samples = self.inversion.transformed(samples)[:, self.columns] * self.root
         self.table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
         self.at = self.beam.weights(self.found.x, self.found.y)
-        slopes = [self._slope(row) if row < 2 else self.table[self.active] for row in kept]
-        n = kept.size * len(beam.poles)
-        self.rows = np.add.outer(np.arange(kept.size) * len(beam.poles), self.active).ravel()
-        self.curvature, self.pulls, self.power = np.zeros((n, n)), np.zeros((len(blows), n)), np.empty(len(blows))
-        curvature = np.zeros((self.rows.size, self.rows.size))
-        for row in range(len(blows)):
-            self.pulls[row, self.rows] = self._add(row, slopes, float(raised[row]), curvature)
-        self.curvature[np.ix_(self.rows, self.rows)] = curvature
+        self.power = np.empty(len(blows))
+
+    def by_modes(self, kept: NDArray[np.intp]) -> Callable[[int], Singles]:
+        """Return the slopes of a blow in the kept corrections of the active modes, one quantity after the other."""
+        slopes = [self._slope(quantity) if quantity < 2 else self.table[self.active] for quantity in kept]
+
+        def of(row: int) -> Singles:
+            single, at = self.found.coefficients[row].astype(np.float32), self.at[0][row][self.active, None]
+            return np.concatenate([(single @ slope) * at for slope in slopes])
+
+        return of
 
     def _slope(self, row: int) -> Singles:
         """Return the slopes of the responses in ln frequency or ln damping ratio, like `table`."""
         step = np.zeros((len(CORRECTED), len(self.beam.poles)))
         step[row] = _STEP
-        sides = [
-            respond(corrected(self.beam, sign * step), self.inversion.forces, self.inversion.n_samples)
-            for sign in (1, -1)
-        ]
-        return self._told((sides[0] - sides[1])[self.active] / (2 * _STEP))
+        sides = [self._responses(corrected(self.beam, sign * step)) for sign in (1, -1)]
+        return self._told((sides[0] - sides[1]) / (2 * _STEP))
+
+    def equations(self, slopes: Callable[[int], Singles | Floats]) -> tuple[Floats, Floats]:
+        """Return the pulls of the blows on parameters, (n_blows, n), and their curvature, (n, n).
+
+        `slopes` returns how the coefficients of a blow, by its number, follow the parameters, (n, n_columns).
+        """
+        pulls, curvature = [], np.zeros(())
+        for row in range(len(self.power)):
+            every, precision, left, weight = self.nuisance(row)
+            self.power[row] = float(np.mean(np.square(left))) * self.raised[row] ** 2
+            jacobian = slopes(row) * self.root[row]
+            cross = weight * (every @ jacobian.T).astype(np.float64)
+            half = np.linalg.solve(np.linalg.cholesky(precision), cross).astype(jacobian.dtype)
+            curvature = curvature + (jacobian.dtype.type(weight) * jacobian) @ jacobian.T - half.T @ half
+            # Without the pull of the force's prior: its level is unknown, and would raise all participations.
+            push = np.linalg.solve(precision, weight * (every @ left).astype(np.float64))
+            pulls.append(weight * (jacobian @ left).astype(np.float64) - cross.T @ push)
+        return np.array(pulls), curvature
 
     def _told(self, responses: Floats) -> Singles:
         """Return the coefficients of responses that tell."""
         return np.ascontiguousarray(self.inversion.transformed(responses)[..., self.columns])
 
+    def _responses(self, beam: Beam) -> Floats:
+        """Return the responses of the active modes of another beam."""
+        return respond(replace(beam, poles=beam.poles[self.active]), self.inversion.forces, self.inversion.n_samples)
+
     def of(self, beam: Beam) -> Singles:
         """Return the table of the active modes of another beam."""
-        return self._told(respond(beam, self.inversion.forces, self.inversion.n_samples)[self.active])
+        return self._told(self._responses(beam))
+
+    def by_beams(self, sides: Callable[[int], tuple[Beam, Beam]], n: int, step: float) -> Callable[[int], Floats]:
+        """Return the slopes of a blow in n parameters, from the beams a step above and below in each.
+
+        In double precision: what no blow tells, as the size of a plain plate, is a small difference of large numbers.
+        """
+        slopes = np.zeros((len(self.power), n, self.columns.size), np.float32)
+        for number in range(n):
+            for beam, sign in zip(sides(number), (1, -1), strict=True):
+                at = beam.weights(self.found.x, self.found.y)[0]
+                weights = (at[:, :, None] * self.found.coefficients[:, None]).reshape(len(at), -1).astype(np.float32)
+                table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
+                slopes[:, number] += np.float32(sign / (2 * step)) * (weights @ table.reshape(-1, self.columns.size))
+        return lambda row: slopes[row].astype(np.float64)
 
     def level(self, row: int) -> float:
         """Return the prior variance of the coefficients of one blow."""
@@ -296,27 +352,14 @@ class _System:
         left = self.samples[row] - single @ ways[0]
         weight = 1 / max(float(np.mean(np.square(left))), 1.0)
         every = np.concatenate([ways[0], ways[1:, 0]])
-        prior = np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _PLACE_DEVIATION**-2)])
+        prior = np.diag(np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _PLACE_DEVIATION**-2)]))
+        # The level of the forces is unknown: their own prior would tell the size of a beam.
+        prior[:-2, :-2] -= np.outer(force, force) / (force @ force * self.level(row))
         exact = every.astype(np.float64)  # singles would leave a precision that is not positive
-        return every, np.asarray(weight * (exact @ exact.T) + np.diag(prior)), left, weight
-
-    def _add(self, row: int, slopes: list[Singles], raised: float, curvature: Floats) -> Floats:
-        """Add the curvature of one blow, and return its pull."""
-        every, precision, left, weight = self.nuisance(row)
-        force = self.found.coefficients[row]
-        single = force.astype(np.float32)
-        self.power[row] = float(np.mean(np.square(left))) * raised**2
-        jacobian = np.concatenate([(single @ slope) * self.at[0][row][self.active, None] for slope in slopes])
-        jacobian *= self.root[row]
-        cross = weight * (every @ jacobian.T).astype(np.float64)
-        half = np.linalg.solve(np.linalg.cholesky(precision), cross).astype(np.float32)
-        curvature += (np.float32(weight) * jacobian) @ jacobian.T - half.T @ half
-        # Without the pull of the force's prior: its level is unknown, and would raise all participations.
-        push = weight * (every @ left).astype(np.float64)
-        return np.asarray(weight * (jacobian @ left).astype(np.float64) - cross.T @ np.linalg.solve(precision, push))
+        return every, np.asarray(weight * (exact @ exact.T) + prior), left, weight
 
 
-def _searched(beam: Beam, now: Floats, deviation: Floats, system: _System) -> Floats | None:
+def _searched(beam: Beam, now: Floats, deviation: Floats, system: System) -> Floats | None:
     """Return corrections in which some modes have moved to another valley; None if none gains by it.
 
     Each mode is tried alone at frequencies all over its prior, with its prior damping and participation, while the

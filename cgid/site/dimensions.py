@@ -1,0 +1,154 @@
+"""The dimensions of a beam, learned from blows whose places and forces nobody knows.
+
+A drawing gives length, width, thickness and ribs, and they are some per cent off. Every natural frequency and every
+shape follows from these few numbers, so they are learned before the modes are: Gauss-Newton steps on the logarithms of
+all dimensions, with the places and forces of the blows projected out as in `learning`. The lowest modes come first:
+their responses turn by less than a period even where the drawing is wrong. Each wider band then learns what is left.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cgid.errors import BadData, InvalidValue
+from cgid.identification.inversion import Inversion
+from cgid.measure.beam import Beam
+from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.through_beam import through_modes
+from cgid.site.learning import Blows, System, newton
+from cgid.validation import Floats
+
+#: What is learned of a [tail_beam], where it is given; the damping ratio has a prior of its own.
+DIMENSIONS = (
+    "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", "damping_ratio",
+)  # fmt: skip
+#: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
+_BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
+MOST_ROUNDS = len(_BANDS) * _ROUNDS
+#: Fewest modes of a band.
+_LEAST_MODES = 4
+#: A band is learned where no step is longer than this share of its deviation.
+_AT_REST = 0.3
+#: Step of the difference quotients in a logarithm.
+_STEP = 1e-4
+#: A step that takes a blow or the sensor off the beam is halved so many times.
+_HALVED = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dimension:
+    """A dimension of a beam before and after blows have taught it.
+
+    Attributes
+    ----------
+    name : str
+        Key of the scene, below `tail_beam`.
+    before, after : float
+        In the SI unit of the scene.
+    deviation : float
+        Standard deviation of the logarithm.
+    """
+
+    name: str
+    before: float
+    after: float
+    deviation: float
+
+
+def learn_dimensions(
+    scene: Scene,
+    beam: Beam,
+    blows: Blows,
+    error: float,
+    damping_error: float,
+    *,
+    progress: Callable[[int], object] | None = None,
+) -> tuple[Scene, tuple[Dimension, ...]]:
+    """Return a scene with the dimensions that blows tell of, and these.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the dimensions of a tail beam, whose modes nobody has learned.
+    beam : Beam
+        Of the scene.
+    blows : Blows
+    error, damping_error : float
+        Prior standard deviation of the logarithm of each dimension, and of the damping ratio.
+    progress : callable, optional
+        Receives the number of rounds done since the last call; there are at most `MOST_ROUNDS`.
+    """
+    content = json.loads(scene.text)["tail_beam"]
+    names = [name for name in DIMENSIONS if _part(content, name) is not None]
+    prior = np.array([damping_error if name == "damping_ratio" else error for name in names])
+    now, deviation = np.zeros(len(names)), prior
+    blows = blows.taken(slice(_FEW))
+    raised = np.ones(len(blows))
+    inversion = Inversion(beam)
+    top = inversion.bins.stop / inversion.n_samples * beam.sampling_rate
+
+    def of(change: Floats) -> Beam:
+        return through_modes(with_dimensions(scene, names, change), beam)
+
+    def beside(number: int) -> tuple[Beam, Beam]:
+        step = np.zeros(len(names))
+        step[number] = _STEP
+        return of(now + step), of(now - step)
+
+    for share in _BANDS:
+        if np.count_nonzero(np.abs(of(now).poles) < 2 * np.pi * share * top) < _LEAST_MODES:
+            continue
+        for _ in range(_ROUNDS):
+            system = System(of(now), blows, raised, share * top)
+            pulls, curvature = system.equations(system.by_beams(beside, len(names), _STEP))
+            raised = np.sqrt(np.maximum(system.power, 1.0))
+            _, step, deviation = newton(curvature, pulls, prior, now)
+            now = _on_the_beam(scene, names, now, step)
+            if progress is not None:
+                progress(1)
+            if (np.abs(step) < _AT_REST * deviation).all():
+                break
+    own = with_dimensions(scene, names, now)
+    after = json.loads(own.text)["tail_beam"]
+    found = (
+        Dimension(name=name, before=_part(content, name), after=_part(after, name), deviation=float(one))
+        for name, one in zip(names, deviation, strict=True)
+    )
+    return own, tuple(found)
+
+
+def with_dimensions(scene: Scene, names: list[str], change: Floats) -> Scene:
+    """Return a scene whose beam has other dimensions; `change` is that of their logarithms."""
+    content = json.loads(scene.text)
+    for name, log in zip(names, change.tolist(), strict=True):
+        *folders, last = name.split(".")
+        part = content["tail_beam"]
+        for folder in folders:
+            part = part[folder]
+        part[last] *= float(np.exp(log))
+    return parse_scene(content, source=f"other dimensions of {scene.name}", folder=scene.folder)
+
+
+def _part(content: dict[str, object], name: str) -> float | None:
+    """Return the number at a dotted key; None where there is none."""
+    part: object = content
+    for key in name.split("."):
+        part = part.get(key) if isinstance(part, dict) else None
+    return float(part) if isinstance(part, int | float) else None
+
+
+def _on_the_beam(scene: Scene, names: list[str], now: Floats, step: Floats) -> Floats:
+    """Return `now + step`, or less of the step where a blow or the sensor would not be on the beam."""
+    for halved in range(_HALVED):
+        further = now + 0.5**halved * step
+        try:
+            with_dimensions(scene, names, further + 2 * _STEP)
+            with_dimensions(scene, names, further - 2 * _STEP)
+        except (BadData, InvalidValue):
+            continue
+        return further
+    return now
