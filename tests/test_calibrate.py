@@ -149,11 +149,16 @@ def test_drawings_are_calibrated(known):
     assert found.scene.tail_beam.length == pytest.approx(scene.tail_beam.length * np.exp(-0.03), rel=0.04)
 
 
-def test_dimensions_stay_on_the_beam():
-    """Blows fall up to the edge: a step that takes it from under them is halved."""
-    scene = panel(length=0.801)
-    now = _on_the_beam(scene, ["length"], np.zeros(1), np.array([-0.5]))
-    assert -0.002 < now[0] <= 0
+def test_blows_and_sensor_stay_on_the_beam():
+    """Blows fall on the same part of a beam; a step that takes it from under the sensor is halved."""
+    to_the_edge = {"x": {"distribution": "uniform", "lowest": 0.3, "highest": 0.9}, "y": 0.3}
+    shorter = with_dimensions(panel(impact_point=to_the_edge), ["length"], np.array([-0.1]))
+    assert shorter.tail_beam.impact_point.x.extremes == pytest.approx((0.3 * np.exp(-0.1), 0.9 * np.exp(-0.1)))
+    assert shorter.tail_beam.impact_point.y.extremes == (0.3, 0.3)
+    scene = panel(sensor_point={"x": 0.8995, "y": 0.2})
+    now = _on_the_beam(scene, ["length"], np.zeros(1), np.array([-0.01]))
+    assert -0.001 < now[0] < 0
+    assert _on_the_beam(scene, ["length"], np.zeros(1), np.array([0.01])) == 0.01
 
 
 def test_dimensions_of_taps_and_of_learned_modes_are_not_learned(known):

@@ -197,15 +197,14 @@ def calibrate(
             + (", and below the sensor's range" if left_out else "")
         )
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most_blows)).round().astype(np.intp))
-    beam, found_dimensions = replace(beam_of(scene), errors=None), ()  # errors are what is learned
+    beam = replace(beam_of(scene), errors=None)  # errors are what is learned
+    dimensions: tuple[Dimension, ...] = ()
     with threadpool_limits(1):
         blows = _blows(frames[chosen], sampling_rate, pre_trigger)
         before = _evidence(beam, blows)
         if dimension_error:
             damping_error = min(_DAMPING_A_FREQUENCY * dimension_error, _MOST_DAMPING)
-            scene, found_dimensions = learn_dimensions(
-                scene, beam, blows, dimension_error, damping_error, progress=progress
-            )
+            scene, dimensions = learn_dimensions(scene, beam, blows, dimension_error, damping_error, progress=progress)
             beam = through_modes(scene, beam)
         start = _start(scene)
         deviation = _prior(scene, start, start_error, drift, participation_error)
@@ -230,12 +229,12 @@ def calibrate(
             "sensor and the region of the blows? Else take more impacts, a larger start error"
             + (
                 ", or a dimension error of 3 % where a drawing may be off"
-                * (scene.panel is not None and not found_dimensions)
+                * (scene.panel is not None and not dimensions)
             )
         )
     return SiteCalibration(
         scene=site,
-        dimensions=found_dimensions,
+        dimensions=dimensions,
         start=LearnedModes(
             **{name: getattr(start, name) for name in ("frequency", "damping_ratio", "participation")},
             **dict(zip(list(LEARNED_COLUMNS)[3:], deviation, strict=True)),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from cgid.validation import Floats
 DIMENSIONS = (
     "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", "damping_ratio",
 )  # fmt: skip
+#: Sides, and the coordinate of the blows along each; lengths in a distribution of these.
+_SIDES = {"length": "x", "width": "y"}
+_PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
 #: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
 _BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
 MOST_ROUNDS = len(_BANDS) * _ROUNDS
@@ -35,7 +39,7 @@ _LEAST_MODES = 4
 _AT_REST = 0.3
 #: Step of the difference quotients in a logarithm.
 _STEP = 1e-4
-#: A step that takes a blow or the sensor off the beam is halved so many times.
+#: A step that takes the sensor off the beam is halved so many times.
 _HALVED = 8
 
 
@@ -82,8 +86,8 @@ def learn_dimensions(
     progress : callable, optional
         Receives the number of rounds done since the last call; there are at most `MOST_ROUNDS`.
     """
-    content = json.loads(scene.text)["tail_beam"]
-    names = [name for name in DIMENSIONS if _part(content, name) is not None]
+    before = dimensions_of(scene)
+    names = list(before)
     prior = np.array([damping_error if name == "damping_ratio" else error for name in names])
     now, deviation = np.zeros(len(names)), prior
     blows = blows.taken(slice(_FEW))
@@ -113,36 +117,55 @@ def learn_dimensions(
             if (np.abs(step) < _AT_REST * deviation).all():
                 break
     own = with_dimensions(scene, names, now)
-    after = json.loads(own.text)["tail_beam"]
+    after = dimensions_of(own)
     found = (
-        Dimension(name=name, before=_part(content, name), after=_part(after, name), deviation=float(one))
+        Dimension(name=name, before=before[name], after=after[name], deviation=float(one))
         for name, one in zip(names, deviation, strict=True)
     )
     return own, tuple(found)
 
 
+def dimensions_of(scene: Scene) -> dict[str, float]:
+    """Return the `DIMENSIONS` that a scene's beam has [m], and its damping ratio."""
+    found = {}
+    for name in DIMENSIONS:
+        part: Any = json.loads(scene.text)["tail_beam"]
+        for key in name.split("."):
+            part = part.get(key) if isinstance(part, dict) else None
+        if isinstance(part, int | float):
+            found[name] = float(part)
+    return found
+
+
 def with_dimensions(scene: Scene, names: list[str], change: Floats) -> Scene:
-    """Return a scene whose beam has other dimensions; `change` is that of their logarithms."""
+    """Return a scene whose beam has other dimensions; `change` is that of their logarithms.
+
+    Blows fall on the same part of the beam.
+    """
     content = json.loads(scene.text)
+    places = content["tail_beam"]["impact_point"]
     for name, log in zip(names, change.tolist(), strict=True):
         *folders, last = name.split(".")
         part = content["tail_beam"]
         for folder in folders:
             part = part[folder]
         part[last] *= float(np.exp(log))
+        if name in _SIDES:
+            places[_SIDES[name]] = _scaled(places[_SIDES[name]], float(np.exp(log)))
     return parse_scene(content, source=f"other dimensions of {scene.name}", folder=scene.folder)
 
 
-def _part(content: dict[str, object], name: str) -> float | None:
-    """Return the number at a dotted key; None where there is none."""
-    part: object = content
-    for key in name.split("."):
-        part = part.get(key) if isinstance(part, dict) else None
-    return float(part) if isinstance(part, int | float) else None
+def _scaled(place: Any, factor: float) -> Any:
+    """Return a number or a distribution of places in other units of length."""
+    if isinstance(place, int | float):
+        return place * factor
+    if isinstance(place, list):
+        return [_scaled(one, factor) for one in place]
+    return {key: _scaled(one, factor) if key in _PLACES else one for key, one in place.items()}
 
 
 def _on_the_beam(scene: Scene, names: list[str], now: Floats, step: Floats) -> Floats:
-    """Return `now + step`, or less of the step where a blow or the sensor would not be on the beam."""
+    """Return `now + step`, or less of the step where the sensor would not be on the beam."""
     for halved in range(_HALVED):
         further = now + 0.5**halved * step
         try:
