@@ -207,7 +207,9 @@ def from_drawings(
     """Return the cells of a row: the scene itself calibrated with blows on the plate."""
     before, clock = asked(beam), time.process_time()
     try:
-        found = calibrate(scene, *recorded, participation_error=0.2, dimension_error=error)
+        # A tape tells the sides; stiffness follows from the rest.
+        stiff = dict.fromkeys(("thickness", "ribs.depth", "ribs.thickness"), error)
+        found = calibrate(scene, *recorded, participation_error=0.2, dimension_error=stiff)
     except BadData as refusal:
         return f"- | - | {str(refusal).partition('evidence is ')[2].partition(';')[0]} | {before} | refused", "-"
     clock = time.process_time() - clock

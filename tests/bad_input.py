@@ -975,6 +975,12 @@ CASES = (
         ("its modes are tapped", "dimension_error"),
     ),
     Case(
+        "a dimension that the beam has not",
+        (*_CALIBRATE, "--dimension-error", "ribs.height = 3 %"),
+        65,
+        ("dimension_error must be of length", "ribs.depth", "got ribs.height"),
+    ),
+    Case(
         "dimensions that are far off",
         (*_CALIBRATE, "--dimension-error", "20 %"),
         65,

@@ -22,7 +22,7 @@ from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of, through_modes
 from cgid.site import calibrate
 from cgid.site.calibration import _blows, _toml, check_scene, table_beside, uncertain, usable_blows
-from cgid.site.dimensions import _on_the_beam, learn_dimensions, with_dimensions
+from cgid.site.dimensions import _on_the_beam, dimension_errors, learn_dimensions, with_dimensions
 from cgid.site.learning import _STEP, Blows, System, _searched, learn
 
 RATE, BEFORE = 6400.0, 64
@@ -119,7 +119,7 @@ def test_dimensions_are_learned():
     off = np.array([0.025, -0.03, 0.02, -0.04, 0.03, 0.2])
     truth = with_dimensions(scene, names, off)
     blows, beam = _blows(frames(truth, 60, seed=5), RATE, BEFORE), replace(beam_of(scene), errors=None)
-    own, found = learn_dimensions(scene, beam, blows, 0.03, 0.3)
+    own, found = learn_dimensions(scene, beam, blows, dimension_errors(scene, 0.03))
     told = {one.name: one for one in found}
     assert sorted(told) == sorted(names)
     change = np.log([told[name].after / told[name].before for name in names])
@@ -147,6 +147,21 @@ def test_drawings_are_calibrated(known):
     after = np.log(found.learned.frequency[heard] / site.tail_beam.learned_modes.frequency[: heard.size][heard])
     assert np.median(np.abs(after)) < 1e-3
     assert found.scene.tail_beam.length == pytest.approx(scene.tail_beam.length * np.exp(-0.03), rel=0.04)
+
+
+def test_errors_of_dimensions(known):
+    scene = panel()
+    assert dimension_errors(scene, 0.0) == {} == dimension_errors(scene, {"length": 0.0})
+    every = dimension_errors(scene, 0.02)
+    assert every == dict.fromkeys(["length", "width", "thickness", "sensor_point.x", "sensor_point.y"], 0.02) | {
+        "damping_ratio": 0.2
+    }
+    assert dimension_errors(scene, {"thickness": 0.05}) == {"thickness": 0.05, "damping_ratio": 0.3}
+    assert dimension_errors(scene, {"thickness": 0.05, "damping_ratio": 0.1})["damping_ratio"] == 0.1
+    # What is checked once may be checked again.
+    assert dimension_errors(scene, dimension_errors(scene, 0.005)) == dimension_errors(scene, 0.005)
+    with pytest.raises(InvalidValue, match=r"must be of length, width, .*, got ribs\.depth"):
+        dimension_errors(scene, {"ribs.depth": 0.02})
 
 
 def test_blows_and_sensor_stay_on_the_beam():

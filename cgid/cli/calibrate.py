@@ -52,7 +52,8 @@ if TYPE_CHECKING:
     "--dimension-error",
     default="0 %",
     show_default=True,
-    help="Say how far the dimensions of a drawing may be off; they are then learned first, with the sensor's place.",
+    help="Say how far the dimensions of a drawing may be off, all or some, as in 'thickness=3 %, ribs.depth=2 %'; they "
+    "are then learned first, with the damping ratio.",
 )
 @click.option("--impacts", type=int, default=300, show_default=True, help="Use at most this many impacts.")
 @click.option("--plot", "picture", type=PATH, help="Draw the modes before and after, with deviations, as PNG.")
@@ -96,22 +97,31 @@ def calibrate(
         drawing = check_new(Path(picture), "a picture", (".png",), overwrite=overwrite)
         require_matplotlib()
     scene = load_scene(scene_name)
-    errors = {
+    errors: dict[str, Any] = {
         "start_error": share_of("--start-error", start_error),
         "drift": share_of("--drift", drift),
         "participation_error": share_of("--participation-error", participation_error),
-        "dimension_error": share_of("--dimension-error", dimension_error),
     }
     check_numbers(**errors, most_blows=impacts)
-    check_scene(scene, scene.sampling.sampling_rate, errors["dimension_error"])
+    check_scene(scene, scene.sampling.sampling_rate)
+    of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
     frames, rate, before = _frames(recordings, scene, reading)
-    n_rounds = MOST_ROUNDS + dimensions.MOST_ROUNDS * (errors["dimension_error"] > 0)
+    n_rounds = MOST_ROUNDS + dimensions.MOST_ROUNDS * bool(of_dimensions)
     with progress_bar(n_rounds, "rounds") as progress:
+        errors["dimension_error"] = of_dimensions
         found = calibrated(scene, frames, rate, before, most_blows=impacts, progress=progress, **errors)
     found.save(path, overwrite=overwrite)
     if drawing is not None:
         _draw(found, drawing, overwrite)
     _say(found, path, as_json)
+
+
+def _of_each(text: str) -> float | dict[str, float]:
+    """Return the error of all dimensions, or of those that are named."""
+    if "=" not in text:
+        return share_of("--dimension-error", text)
+    parts = (part.partition("=") for part in text.split(","))
+    return {name.strip(): share_of("--dimension-error", value.strip()) for name, _, value in parts}
 
 
 def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tuple[NDArray[np.floating], float, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.synthesis import synthesise
 from cgid.scene.through_beam import beam_of, through_modes
-from cgid.site.dimensions import Dimension, learn_dimensions
+from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
 from cgid.site.learning import MOST_ROUNDS, Blows, evidence_of, learn
 from cgid.validation import Floats
 
@@ -141,7 +141,7 @@ def calibrate(
     start_error: float = 0.01,
     drift: float = 0.003,
     participation_error: float = 0.0,
-    dimension_error: float = 0.0,
+    dimension_error: float | Mapping[str, float] = 0.0,
     most_blows: int = 300,
     progress: Callable[[int], object] | None = None,
 ) -> SiteCalibration:
@@ -165,9 +165,10 @@ def calibrate(
         The same for a scene that has been calibrated: what has changed since.
     participation_error : float
         Standard deviation of the modes' participations, relative; with 0, they are not learned.
-    dimension_error : float
-        Standard deviation of each dimension of the beam and of its sensor's place, relative; with 0, they are exact.
-        Otherwise they are learned first, with the damping ratio, and `start_error` is what is off beside them.
+    dimension_error : float or mapping of str to float
+        Standard deviation of each dimension of the beam and of its sensor's place, relative; or of those that a mapping
+        names (`cgid.site.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned first, with the
+        damping ratio, and `start_error` is what is off beside them.
     most_blows : int
         Largest number of blows that are used.
     progress : callable, optional
@@ -184,8 +185,9 @@ def calibrate(
     BadData
         Too few blows, another sampling rate, modes that cross and cannot be told apart, or blows of another beam.
     """
-    check_numbers(start_error, drift, participation_error, most_blows, dimension_error)
-    check_scene(scene, sampling_rate, dimension_error)
+    check_numbers(start_error, drift, participation_error, most_blows)
+    check_scene(scene, sampling_rate)
+    uncertain_dimensions = dimension_errors(scene, dimension_error)
     # Two highest samples of a whole blow are equal by chance where a recorder has few steps.
     clipped = clipped_samples(np.asarray(frames, np.float64), shared=3) if len(frames) else None
     if clipped is not None:
@@ -202,9 +204,8 @@ def calibrate(
     with threadpool_limits(1):
         blows = _blows(frames[chosen], sampling_rate, pre_trigger)
         before = _evidence(beam, blows)
-        if dimension_error:
-            damping_error = min(_DAMPING_A_FREQUENCY * dimension_error, _MOST_DAMPING)
-            scene, dimensions = learn_dimensions(scene, beam, blows, dimension_error, damping_error, progress=progress)
+        if uncertain_dimensions:
+            scene, dimensions = learn_dimensions(scene, beam, blows, uncertain_dimensions, progress=progress)
             beam = through_modes(scene, beam)
         start = _start(scene)
         deviation = _prior(scene, start, start_error, drift, participation_error)
@@ -258,15 +259,12 @@ def uncertain(scene: Scene, start_error: float) -> Scene:
     return _with_learned(scene, replace(start, **dict(zip(list(LEARNED_COLUMNS)[3:], deviation, strict=True))))
 
 
-def check_numbers(
-    start_error: float, drift: float, participation_error: float, most_blows: int, dimension_error: float = 0.0
-) -> None:
+def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:
     """Raise `InvalidValue` if a number of `calibrate` breaks its rule."""
     for name, value, most in (
         ("start_error", start_error, 0.1),
         ("drift", drift, 0.1),
         ("participation_error", participation_error, 1.0),
-        ("dimension_error", dimension_error, 0.1),
     ):
         if not 0 <= value <= most or (name == "start_error" and value == 0):
             least = "above 0" if name == "start_error" else "at least 0"
@@ -274,17 +272,11 @@ def check_numbers(
     validation.count("most_blows", most_blows)
 
 
-def check_scene(scene: Scene, sampling_rate: float, dimension_error: float = 0.0) -> None:
+def check_scene(scene: Scene, sampling_rate: float) -> None:
     """Raise unless a scene has a beam that its sensor hears (`InvalidValue`), at this rate (`BadData`)."""
     if scene.tail_beam is None or scene.sensor.quantity == "force":
         raise InvalidValue(
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion on it to be calibrated; add them"
-        )
-    if dimension_error and (scene.panel is None or scene.tail_beam.learned is not None):
-        what = "tapped" if scene.panel is None else "learned"
-        raise InvalidValue(
-            f"scene {scene.name}: must have a beam given by its dimensions to learn them, its modes are {what}; leave "
-            "dimension_error at 0, or start from the drawing"
         )
     rate = scene.sampling.sampling_rate
     if abs(sampling_rate / rate - 1) > 1e-3:

@@ -9,7 +9,7 @@ their responses turn by less than a period even where the drawing is wrong. Each
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,10 +23,13 @@ from cgid.scene.through_beam import through_modes
 from cgid.site.learning import Blows, System, newton
 from cgid.validation import Floats
 
-#: What is learned of a [tail_beam], where it is given; the damping ratio has a prior of its own.
+#: What may be learned of a [tail_beam], where it is given.
+DAMPING = "damping_ratio"
 DIMENSIONS = (
-    "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", "damping_ratio",
+    "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", DAMPING,
 )  # fmt: skip
+#: Largest error of a dimension; error of the damping ratio for the largest of a dimension, and its own largest.
+MOST_ERROR, _DAMPING_A_DIMENSION, _MOST_DAMPING = 0.1, 10.0, 0.3
 #: Sides, and the coordinate of the blows along each; lengths in a distribution of these.
 _SIDES = {"length": "x", "width": "y"}
 _PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
@@ -63,12 +66,51 @@ class Dimension:
     deviation: float
 
 
+def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[str, float]:
+    """Return the errors of the dimensions that are to be learned, by name; none where all are 0.
+
+    Parameters
+    ----------
+    scene : Scene
+    error : float or mapping of str to float
+        Of each dimension, relative; or of those that a mapping names, while the others are exact. The damping ratio is
+        10 times as uncertain as the worst of them, at most 30 %.
+
+    Raises
+    ------
+    InvalidValue
+        An error is not between 0 and 0.1, the beam has no such dimension, or its modes are tapped or learned.
+    """
+    own = dimensions_of(scene)
+    given = dict(error) if isinstance(error, Mapping) else dict.fromkeys(own or DIMENSIONS, error) | {DAMPING: 0.0}
+    for name, value in given.items():
+        if not 0 <= value <= MOST_ERROR:
+            raise InvalidValue(
+                f"dimension_error must be at least 0 and at most {MOST_ERROR:g}, got {value:g} of {name}"
+            )
+    found = {name: value for name, value in given.items() if value}
+    if not found:
+        return {}
+    if scene.panel is None or (scene.tail_beam is not None and scene.tail_beam.learned is not None):
+        what = "tapped" if scene.panel is None else "learned"
+        raise InvalidValue(
+            f"scene {scene.name}: must have a beam given by its dimensions to learn them, its modes are {what}; leave "
+            "dimension_error at 0, or start from the drawing"
+        )
+    unknown = [name for name in found if name not in own]
+    if unknown:
+        raise InvalidValue(f"dimension_error must be of {', '.join(own)}, got {unknown[0]}")
+    worst = max(found.values())
+    return {name: found[name] for name in own if name in found} | {
+        DAMPING: found.get(DAMPING, min(_DAMPING_A_DIMENSION * worst, _MOST_DAMPING))
+    }
+
+
 def learn_dimensions(
     scene: Scene,
     beam: Beam,
     blows: Blows,
-    error: float,
-    damping_error: float,
+    errors: Mapping[str, float],
     *,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Scene, tuple[Dimension, ...]]:
@@ -81,14 +123,12 @@ def learn_dimensions(
     beam : Beam
         Of the scene.
     blows : Blows
-    error, damping_error : float
-        Prior standard deviation of the logarithm of each dimension, and of the damping ratio.
+    errors : mapping of str to float
+        Prior standard deviation of the logarithm of each dimension that is learned, from `dimension_errors`.
     progress : callable, optional
         Receives the number of rounds done since the last call; there are at most `MOST_ROUNDS`.
     """
-    before = dimensions_of(scene)
-    names = list(before)
-    prior = np.array([damping_error if name == "damping_ratio" else error for name in names])
+    before, names, prior = dimensions_of(scene), list(errors), np.array(list(errors.values()))
     now, deviation = np.zeros(len(names)), prior
     blows = blows.taken(slice(_FEW))
     raised = np.ones(len(blows))
@@ -129,7 +169,7 @@ def dimensions_of(scene: Scene) -> dict[str, float]:
     """Return the `DIMENSIONS` that a scene's beam has [m], and its damping ratio."""
     found = {}
     for name in DIMENSIONS:
-        part: Any = json.loads(scene.text)["tail_beam"]
+        part: Any = json.loads(scene.text).get("tail_beam")
         for key in name.split("."):
             part = part.get(key) if isinstance(part, dict) else None
         if isinstance(part, int | float):
