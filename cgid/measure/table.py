@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -155,17 +155,12 @@ class Bank:
 
     def less(self, name: str, total: Feature) -> Bank:
         """Return the bank of levels minus a total level, which cancels the gain of the sensor."""
-        return Bank(
-            name,
-            "1",
-            f"{self.name} minus {total.name}: the gain of the sensor cancels",
-            self.source,
-            lambda batch, number: self.measure(batch, number) - total.measure(batch),
-            self.labels,
-            kind=self.kind,
-            highest_frequency=self.highest_frequency,
-            shortest_frame=self.shortest_frame,
-            extra=self.extra,
+        return replace(
+            self,
+            name=name,
+            unit="1",
+            definition=f"{self.name} minus {total.name}: the gain of the sensor cancels",
+            measure=lambda batch, number: self.measure(batch, number) - total.measure(batch),
         )
 
 
