@@ -53,7 +53,7 @@ def test_a_bank_is_added_by_one_line(monkeypatch):
 def test_every_row_of_the_descriptions_is_measured():
     lines = files("cgid.measure").joinpath("features.csv").read_text(encoding="utf-8").splitlines()
     rows = {row["name"] for row in csv.DictReader(lines)}
-    assert rows == {entry.name for entry in FEATURES.entries if isinstance(entry, Feature)}
+    assert rows == {entry.name for entry in FEATURES.entries if "*" not in entry.name or "relative" not in entry.name}
 
 
 @pytest.mark.parametrize(
@@ -63,6 +63,8 @@ def test_every_row_of_the_descriptions_is_measured():
         ("level_total", f"exp(-t/{1e3 * vibration.WINDOW_TIME:g} ms)"),
         ("second_frequency", f"{vibration.APART:g} Hz"),
         ("time_to_first_maximum", f"{100 * vibration.ONSET_OVER_PEAK:g} % of the peak"),
+        ("early_level_0_500_hz", f"first {1e3 * vibration.EARLY_TIME:g} ms"),
+        ("window_mel_1000_hz", f"frames of {1e3 * windows.FRAME_TIME:g} ms"),
         ("window_flux", f"{1e3 * windows.FRAME_TIME:g} ms"),
         ("window_second_frequency", f"{2 / windows.FRAME_TIME:g} Hz"),
         ("window_envelope_variation", f"{1e3 * windows.ENVELOPE_TIME:g} ms"),

@@ -18,7 +18,7 @@ from cgid.measure.frames import Frames, constant_signal
 from cgid.measure.remainder import N_SHAPES, Remainder, remainder
 from cgid.measure.search import around
 from cgid.measure.spectra import PulseSpectrum
-from cgid.measure.table import Bank, Feature, described
+from cgid.measure.table import Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Fewest samples between the 10 % crossings of a measurable width.
@@ -398,7 +398,6 @@ def _tilt(pulses: PulseBatch) -> Floats:
 
 #: Edges of the bands of `band_energy_*_hz` [Hz].
 _BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000), (8000, 16000))
-_PEETERS = "Peeters 2004, CUIDADO report (spectral shape), on the power spectrum of the contact up to 4/T"
 
 PULSE_FEATURES: tuple[Feature | Bank, ...] = (
     *described(
@@ -422,14 +421,10 @@ PULSE_FEATURES: tuple[Feature | Bank, ...] = (
             "cutoff_10db": lambda p: p.spectrum.cutoff,
         }
     ),
-    Bank(
+    bank(
         "band_energy_*_hz",
-        "1",
-        "share of the spectrum's energy between the two frequencies of the name",
-        _PEETERS,
         lambda p, n: p.spectrum.between(*_BANDS[n]),
         [f"{low}_{high}" for low, high in _BANDS],
-        spectral=True,
     ),
     *described(
         {
@@ -443,16 +438,7 @@ PULSE_FEATURES: tuple[Feature | Bank, ...] = (
             "fitted_peak_deviation": lambda p: np.sqrt(p.fit.covariance[:, 0, 0]),
         }
     ),
-    Bank(
-        "pulse_shape_*",
-        "1",
-        "principal component * of how pulses of other laws of loss differ from the fitted one, over its peak, 0 where "
-        "noise hides it",
-        "cgid.measure.remainder: components of Thornton's, Walton's and Kuwabara's pulses",
-        lambda p, n: p.remainder.components[:, n],
-        [str(n + 1) for n in range(N_SHAPES)],
-        fitted=True,
-    ),
+    bank("pulse_shape_*", lambda p, n: p.remainder.components[:, n], [str(n + 1) for n in range(N_SHAPES)]),
     *described(
         {
             "unexplained": lambda p: p.remainder.unexplained,

@@ -1,8 +1,8 @@
 """The table of features: entries of one feature, banks of many, and the lookup by name.
 
-An entry holds the name, unit, definition and source of a feature and how to measure it. What there is to say of single
-features stands in `features.csv`, how they are measured at the end of the module that does it: `PULSE_FEATURES` in
-`pulses.py`, `VIBRATION_FEATURES` in `vibration.py`, `WINDOW_FEATURES` in `windows.py`. To add a feature, add a row::
+An entry holds the name, unit, definition and source of a feature and how to measure it. What is to be said of them
+stands in `features.csv`, how they are measured at the end of the module that does it: `PULSE_FEATURES` in `pulses.py`,
+`VIBRATION_FEATURES` in `vibration.py`, `WINDOW_FEATURES` in `windows.py`. To add a feature, add a row::
 
     form_factor,1,positive,peak_force times contact_duration over impulse,cgid
 
@@ -89,12 +89,15 @@ def described(measures: Mapping[str, Callable[[Any], Floats]], **about: Any) -> 
 
     The column `traits` names the attributes that are true.
     """
-    found = []
-    for name, measure in measures.items():
-        row = _descriptions()[name]
-        traits: dict[str, Any] = dict.fromkeys(row["traits"].split(), True)
-        found.append(Feature(name, row["unit"], row["definition"], row["source"], measure, **traits, **about))
-    return tuple(found)
+    return tuple(Feature(**_described(name), measure=measure, **about) for name, measure in measures.items())
+
+
+def _described(name: str) -> dict[str, Any]:
+    """Return what `features.csv` says of a feature or a bank."""
+    row = _descriptions()[name]
+    return {key: row[key] for key in ("name", "unit", "definition", "source")} | dict.fromkeys(
+        row["traits"].split(), True
+    )
 
 
 @cache
@@ -162,6 +165,11 @@ class Bank:
             definition=f"{self.name} minus {total.name}: the gain of the sensor cancels",
             measure=lambda batch, number: self.measure(batch, number) - total.measure(batch),
         )
+
+
+def bank(name: str, measure: Callable[[Any, int], Floats], labels: Sequence[str], **about: Any) -> Bank:
+    """Return the bank of this name in `features.csv`."""
+    return Bank(**_described(name), measure=measure, labels=labels, **about)
 
 
 class Table(Mapping[str, Feature]):

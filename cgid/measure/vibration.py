@@ -22,10 +22,7 @@ from cgid.measure.frames import Frames, constant_signal
 from cgid.measure.spectra import (
     LOWEST_SHARE,
     MEL_BANDS,
-    MEL_SOURCE,
     N_PACKETS,
-    PACKET_SOURCE,
-    THIRD_OCTAVE_SOURCE,
     THIRD_OCTAVES,
     EnergySpectrum,
     frame_spectra,
@@ -33,7 +30,7 @@ from cgid.measure.spectra import (
     passage,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, described
+from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
@@ -390,6 +387,7 @@ def _onset_threshold(peak: Floats, noise: Floats) -> Floats:
 # -- features -----------------------------------------------------------------------------------------
 
 _described = partial(described, kind="vibration", highest_frequency=LEAST_BANDWIDTH)
+_bank = partial(bank, kind="vibration")
 
 _BASIC = _described(
     {
@@ -411,51 +409,31 @@ _BASIC = _described(
 )
 _TOTAL = _BASIC[-1]
 _OCTAVES = [third_octave(number) for number in range(len(THIRD_OCTAVES))]
-_LEVELS = Bank(
+_LEVELS = _bank(
     "level_*_hz",
-    "log10(U^2 s)",
-    "log10 of the energy in the third octave at * Hz, windowed as for level_total",
-    THIRD_OCTAVE_SOURCE,
     lambda v, n: v.level(*third_octave(n)),
     THIRD_OCTAVES,
-    kind="vibration",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
     # A frame resolves frequencies one over its length apart.
     shortest_frame=[1 / (high - low) for low, high in _OCTAVES],
 )
-_EARLY_LEVELS = Bank(
+_EARLY_LEVELS = _bank(
     "early_level_*_hz",
-    "log10(U^2 s)",
-    f"log10 of the energy between the two frequencies of the name in the first {EARLY_TIME * 1e3:g} ms under half a "
-    "cosine bell, noise subtracted: the force still acts",
-    "cgid",
     lambda v, n: v.early_level(*EARLY_BANDS[n]),
     [f"{low}_{high}" for low, high in EARLY_BANDS],
-    kind="vibration",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in EARLY_BANDS],
 )
 _mel = partial(
-    Bank,
-    source=MEL_SOURCE,
+    _bank,
     labels=MEL_BANDS.labels,
-    kind="vibration",
     highest_frequency=np.maximum(MEL_BANDS.corners[2:], LEAST_BANDWIDTH).tolist(),
     shortest_frame=(2 / (MEL_BANDS.corners[2:] - MEL_BANDS.corners[:-2])).tolist(),
 )
-_MEL = _mel(
-    "mel_*_hz",
-    "log10(U^2 s)",
-    "log10 of the energy in the mel band at * Hz, windowed as for level_total",
-    measure=lambda v, n: v.mel[:, n],
-)
-_PACKETS = Bank(
+_MEL = _mel("mel_*_hz", lambda v, n: v.mel[:, n])
+_PACKETS = _bank(
     f"packet_*_of_{N_PACKETS}",
-    "log10(U^2 s)",
-    "log10 of the energy in wavelet packet *, windowed as for level_total",
-    PACKET_SOURCE,
     lambda v, n: v.packets[:, n],
     [str(number + 1) for number in range(N_PACKETS)],
-    kind="vibration",
     highest_frequency=LEAST_BANDWIDTH,
     extra="wavelets",
 )
@@ -492,12 +470,7 @@ VIBRATION_FEATURES: tuple[Feature | Bank, ...] = (
     ),
     _MEL,
     _MEL.less("relative_mel_*_hz", _TOTAL),
-    _mel(
-        "mel_delay_*_hz",
-        "s",
-        "mean time after the onset of the energy of mel_*_hz; late where it decays slowly",
-        measure=lambda v, n: v.mel_delay[:, n],
-    ),
+    _mel("mel_delay_*_hz", lambda v, n: v.mel_delay[:, n]),
     _PACKETS,
     _PACKETS.less(f"relative_packet_*_of_{N_PACKETS}", _TOTAL),
     *_described({name: _through_beam(name) for name in _BEAM}),

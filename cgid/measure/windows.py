@@ -20,10 +20,7 @@ from cgid.measure.spectra import (
     EVEN_BANDS,
     LOWEST_SHARE,
     MEL_BANDS,
-    MEL_SOURCE,
     N_PACKETS,
-    PACKET_SOURCE,
-    THIRD_OCTAVE_SOURCE,
     THIRD_OCTAVES,
     EnergySpectrum,
     TriangularBands,
@@ -32,7 +29,7 @@ from cgid.measure.spectra import (
     packet_energies,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, described
+from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Length of a frame [s]; frames overlap by half.
@@ -247,6 +244,7 @@ def _over_frames(levels: Floats) -> tuple[Floats, Floats]:
 # -- features -----------------------------------------------------------------------------------------
 
 _described = partial(described, kind="window", highest_frequency=LEAST_BANDWIDTH, shortest_frame=SHORTEST_WINDOW)
+_bank = partial(bank, kind="window", shortest_frame=SHORTEST_WINDOW)
 
 _BASIC = _described(
     {
@@ -277,77 +275,46 @@ _LEVEL = _BASIC[0]
 
 
 def _triangular(
-    of: str, band: str, source: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
+    of: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
 ) -> tuple[Bank, Bank, Bank]:
     """Return banks of the mean, of the mean relative to the total level, and of the deviation over the frames."""
-    bank = partial(
-        Bank,
-        source=source,
-        labels=bands.labels,
-        kind="window",
-        highest_frequency=np.maximum(bands.corners[2:], LEAST_BANDWIDTH).tolist(),
-        shortest_frame=SHORTEST_WINDOW,
-    )
-    mean = bank(
-        f"window_{of}_*_hz",
-        "log10(U^2)",
-        f"mean over frames of {FRAME_TIME * 1e3:g} ms, half overlapping, of log10 of the mean square in the {band} at "
-        "* Hz",
-        measure=lambda w, n: measured(w)[0][:, n],
-    )
-    deviation = bank(
-        f"window_{of}_deviation_*_hz",
-        "1",
-        f"standard deviation of what window_{of}_*_hz is a mean of",
-        measure=lambda w, n: measured(w)[1][:, n],
-    )
+    highest = np.maximum(bands.corners[2:], LEAST_BANDWIDTH).tolist()
+    own = partial(_bank, labels=bands.labels, highest_frequency=highest)
+    mean = own(f"window_{of}_*_hz", lambda w, n: measured(w)[0][:, n])
+    deviation = own(f"window_{of}_deviation_*_hz", lambda w, n: measured(w)[1][:, n])
     return mean, mean.less(f"window_relative_{of}_*_hz", _LEVEL), deviation
 
 
 _OCTAVES = [third_octave(number) for number in range(len(WINDOW_THIRD_OCTAVES))]
-_LEVELS = Bank(
+_LEVELS = _bank(
     "window_level_*_hz",
-    "log10(U^2)",
-    "log10 of the mean square in the third octave at * Hz, under one Hann bell",
-    THIRD_OCTAVE_SOURCE,
     lambda w, n: w.band_level(*third_octave(n)),
     WINDOW_THIRD_OCTAVES,
-    kind="window",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
     # A Hann window over all samples makes a line two over its length wide.
     shortest_frame=[max(2 / (high - low), SHORTEST_WINDOW) for low, high in _OCTAVES],
 )
-_PACKETS = Bank(
+_PACKETS = _bank(
     f"window_packet_*_of_{N_PACKETS}",
-    "log10(U^2)",
-    "log10 of the mean square in wavelet packet *",
-    PACKET_SOURCE,
     lambda w, n: w.packets[:, n],
     [str(number + 1) for number in range(N_PACKETS)],
-    kind="window",
     highest_frequency=LEAST_BANDWIDTH,
-    shortest_frame=SHORTEST_WINDOW,
     extra="wavelets",
 )
 
 WINDOW_FEATURES: tuple[Feature | Bank, ...] = (
     *_BASIC,
-    Bank(
+    _bank(
         "window_envelope_correlation_*_ms",
-        "1",
-        "correlation of the envelope with itself * ms later: high where vibrations decay slowly",
-        "signal shape",
         lambda w, n: w.envelope_correlation(CORRELATION_LAGS[n]),
         [f"{lag * 1e3:g}" for lag in CORRELATION_LAGS],
-        kind="window",
         highest_frequency=LEAST_BANDWIDTH,
-        shortest_frame=SHORTEST_WINDOW,
     ),
     *_described({"window_blow_rate": lambda w: w.blow_rate}),
     _LEVELS,
     _LEVELS.less("window_relative_level_*_hz", _LEVEL),
-    *_triangular("mel", "mel band", MEL_SOURCE, MEL_BANDS, lambda w: w.mel),
-    *_triangular("even", "band of an even bank", "cgid", EVEN_BANDS, lambda w: w.even),
+    *_triangular("mel", MEL_BANDS, lambda w: w.mel),
+    *_triangular("even", EVEN_BANDS, lambda w: w.even),
     _PACKETS,
     _PACKETS.less(f"window_relative_packet_*_of_{N_PACKETS}", _LEVEL),
 )
