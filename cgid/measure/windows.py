@@ -11,6 +11,7 @@ the differences between frames the kind of sound: single impacts vary, a steady 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -48,13 +49,13 @@ CORRELATION_LAGS = (2e-3, 5e-3, 10e-3)
 SHORTEST_WINDOW = 2 * FRAME_TIME
 
 
+@dataclass(eq=False, repr=False)
 class WindowBatch:
     """Windows (n_windows, n_samples) of a recording; each quantity is computed on first use, each row by itself."""
 
-    def __init__(self, samples: NDArray[np.floating], sampling_rate: float, remove_baseline: bool = True) -> None:
-        self.samples = samples
-        self.sampling_rate = sampling_rate
-        self.remove_baseline = remove_baseline
+    samples: NDArray[np.floating]
+    sampling_rate: float
+    remove_baseline: bool = True
 
     # -- samples --------------------------------------------------------------------------------------
 
