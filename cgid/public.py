@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import http.client
+import posixpath
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -148,7 +149,7 @@ def fetch(
     if urlsplit(base).scheme not in ("https", "http"):
         raise InvalidValue(f"mirror must be an address that begins with https:// or http://, got {base!r}")
     target = Path(folder) / name
-    top = len(PurePosixPath(_common([file.path for file in data.files])).parts)
+    top = len(PurePosixPath(posixpath.commonpath([posixpath.dirname(file.path) for file in data.files])).parts)
     for file in data.files:
         path = target.joinpath(*PurePosixPath(file.path).parts[top:])
         with looking_at(path):
@@ -165,13 +166,6 @@ def fetch(
         if progress is not None:
             progress(file.size)
     return target
-
-
-def _common(paths: list[str]) -> str:
-    """Return the folder that holds all files."""
-    parents = [PurePosixPath(path).parent.parts for path in paths]
-    shared = [level[0] for level in zip(*parents, strict=False) if len(set(level)) == 1]
-    return "/".join(shared)
 
 
 def _check_kept(path: Path, file: PublicFile) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib import resources
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -220,27 +221,14 @@ def report_page(reports: Sequence[Report], *, title: str = "") -> str:
     title = title or _title([Path(report.source).name for report in reports])
     style, script = _resource("report.css") + _swatches(), _resource("report.js")
     allowed = f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src '{_hash(script)}'"
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            '<html lang="en">',
-            "<head>",
-            '<meta charset="utf-8">',
-            # The file may be untrusted: only this page's own style and script run, and nothing is fetched.
-            f'<meta http-equiv="Content-Security-Policy" content="{allowed}">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{_text(title)}</title>",
-            f"<style>{style}</style>",
-            "</head>",
-            "<body>",
-            f"<h1>{_text(title)}</h1>",
-            f'<p class="faint">Report of cgid {__version__}</p>',
-            *(line for report in reports for line in _section(report)),
-            f"<script>{script}</script>",
-            "</body>",
-            "</html>",
-            "",
-        ]
+    return Template(_resource("report.html")).substitute(
+        # The file may be untrusted: only this page's own style and script run, and nothing is fetched.
+        allowed=allowed,
+        title=_text(title),
+        style=style,
+        version=__version__,
+        sections="\n".join(line for report in reports for line in _section(report)),
+        script=script,
     )
 
 

@@ -1,10 +1,13 @@
 """The table of features: lookup by name, banks, and how a feature is added."""
 
+import csv
+from importlib.resources import files
+
 import numpy as np
 import pytest
 
 from cgid.errors import InvalidValue
-from cgid.measure import features
+from cgid.measure import features, vibration, windows
 from cgid.measure.features import FEATURES, choose, extract, extract_array
 from cgid.measure.spectra import MEL_BANDS
 from cgid.measure.table import Bank, Feature, Table
@@ -16,7 +19,7 @@ def half_sine(amplitude=700.0):
 
 
 def test_a_feature_is_added_by_one_line(monkeypatch):
-    """As the docstring of the table says: one line among the features of pulses."""
+    """What a row of the descriptions and a line among the features of pulses make."""
     line = Feature(
         "form_factor",
         "1",
@@ -45,6 +48,31 @@ def test_a_bank_is_added_by_one_line(monkeypatch):
     low, high = extract_array(half_sine(), 1e5, ["width_at_*"])[0]
     expected = [(1 - 2 * np.arcsin(share) / np.pi) * 1e-3 for share in shares]
     assert [low, high] == pytest.approx(expected, rel=1e-3)
+
+
+def test_every_row_of_the_descriptions_is_measured():
+    lines = files("cgid.measure").joinpath("features.csv").read_text(encoding="utf-8").splitlines()
+    rows = {row["name"] for row in csv.DictReader(lines)}
+    assert rows == {entry.name for entry in FEATURES.entries if "*" not in entry.name or "relative" not in entry.name}
+
+
+@pytest.mark.parametrize(
+    "name, said",
+    [
+        ("strong_rms", f"until {100 * vibration.STRONG_SHARE:g} %"),
+        ("level_total", f"exp(-t/{1e3 * vibration.WINDOW_TIME:g} ms)"),
+        ("second_frequency", f"{vibration.APART:g} Hz"),
+        ("time_to_first_maximum", f"{100 * vibration.ONSET_OVER_PEAK:g} % of the peak"),
+        ("early_level_0_500_hz", f"first {1e3 * vibration.EARLY_TIME:g} ms"),
+        ("window_mel_1000_hz", f"frames of {1e3 * windows.FRAME_TIME:g} ms"),
+        ("window_flux", f"{1e3 * windows.FRAME_TIME:g} ms"),
+        ("window_second_frequency", f"{2 / windows.FRAME_TIME:g} Hz"),
+        ("window_envelope_variation", f"{1e3 * windows.ENVELOPE_TIME:g} ms"),
+        ("window_blow_rate", f"within {1e3 * windows.BLOW_TIME:g} ms and above {windows.BLOW_OVER_MEAN:g} times"),
+    ],
+)
+def test_a_definition_states_the_constants_of_its_measurement(name, said):
+    assert said in FEATURES[name].definition
 
 
 def test_names_build_no_column(monkeypatch):

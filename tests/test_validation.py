@@ -12,10 +12,10 @@ from cgid import Impact, Signal, Sphere, extract, fft_filter, validation
 from cgid.errors import InvalidValue
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.estimation import estimate, posterior
+from cgid.identification.prior import Prior
 from cgid.identification.reference import MeanSpectrum
 from cgid.measure.likelihood import cramer_rao_bound
 from cgid.measure.overview import OverviewStream
-from cgid.measure.prior import Prior
 from cgid.physics import RIGID, Elastic, HuntCrossley, ThinPlate
 from cgid.physics.materials import STEEL, Material
 from cgid.recordings import open_recording

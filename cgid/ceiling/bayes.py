@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.ceiling.coloured import Frames, Noise, noise_of, profile_in, true_parameters
 from cgid.errors import InvalidValue
+from cgid.identification.prior import Prior
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Profile, profile
-from cgid.measure.prior import Prior
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
+from cgid.identification.prior import Prior
 from cgid.measure.filters import low_pass_response
 from cgid.measure.fit import PulseFit, fit_pulses, without_impact
 from cgid.measure.frames import LARGEST, frames_of
 from cgid.measure.likelihood import Bound, cramer_rao_bound, profile
-from cgid.measure.prior import Prior
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import parameters_of
 from cgid.validation import Floats, require_rate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -49,6 +50,7 @@ def constant_signal(value: float) -> str:
     return f"no impact: all samples are {value:g}; check the sensor and its cable"
 
 
+@dataclass(eq=False, repr=False)
 class Frames:
     """Frames (n_signals, n_samples) with one impact each; baseline and noise are those of the samples before touch.
 
@@ -56,19 +58,11 @@ class Frames:
     `detection_limit` standard deviations of the noise before touch.
     """
 
-    def __init__(
-        self,
-        samples: NDArray[np.floating],
-        sampling_rate: float,
-        pre_trigger: int | None = None,
-        remove_baseline: bool = True,
-        detection_limit: float = DETECTION_LIMIT,
-    ) -> None:
-        self.samples = samples
-        self.sampling_rate = sampling_rate
-        self.pre_trigger = pre_trigger
-        self.remove_baseline = remove_baseline
-        self.detection_limit = detection_limit
+    samples: NDArray[np.floating]
+    sampling_rate: float
+    pre_trigger: int | None = None
+    remove_baseline: bool = True
+    detection_limit: float = DETECTION_LIMIT
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:

@@ -6,7 +6,7 @@ only a window around contact is used.
 
 from __future__ import annotations
 
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from cgid.measure.frames import Frames, constant_signal
 from cgid.measure.remainder import N_SHAPES, Remainder, remainder
 from cgid.measure.search import around
 from cgid.measure.spectra import PulseSpectrum
-from cgid.measure.table import Bank, Feature
+from cgid.measure.table import Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Fewest samples between the 10 % crossings of a measurable width.
@@ -398,130 +398,52 @@ def _tilt(pulses: PulseBatch) -> Floats:
 
 #: Edges of the bands of `band_energy_*_hz` [Hz].
 _BANDS = ((0, 500), (500, 1000), (1000, 2000), (2000, 4000), (4000, 8000), (8000, 16000))
-_YANG = "Yang, Zeng & Wan 2018"
-_HERTZ = "Hertz 1882: an elastic pulse is close to sin^(3/2)"
-_IEEE = "IEEE Std 181-2011 (transition durations, reference levels)"
-_PEETERS = "Peeters 2004, CUIDADO report (spectral shape), on the power spectrum of the contact up to 4/T"
 
-_spectral = partial(Feature, source=_PEETERS, spectral=True)
-_fitted = partial(Feature, source="cgid.measure.fit: maximum likelihood", fitted=True)
-
-PULSE_FEATURES = (
-    Feature("peak_force", "U", "largest sample, baseline removed", _YANG, lambda p: p.peak),
-    Feature(
-        "contact_duration",
-        "s",
-        "touch to separation T: arcsin(F^(2/3)) extrapolated to zero from crossings at 4 and 12 times the noise",
-        _HERTZ,
-        lambda p: p.duration,
+PULSE_FEATURES: tuple[Feature | Bank, ...] = (
+    *described(
+        {
+            "peak_force": lambda p: p.peak,
+            "contact_duration": lambda p: p.duration,
+            "width_10": lambda p: p.width(0.1),
+            "width_50": lambda p: p.width(0.5),
+            "rise_time": lambda p: _transition(p, 0),
+            "fall_time": lambda p: _transition(p, 1),
+            "asymmetry": _asymmetry,
+            "tilt": _tilt,
+            "skewness": lambda p: p.moments[2],
+            "deviation": lambda p: p.moments[1],
+            "impulse": lambda p: p.moments[0],
+            "energy": lambda p: p.energy,
+            "size_free_index": lambda p: p.peak / p.duration**2,
+            "spectral_centroid": lambda p: p.spectrum.moments[0],
+            "spectral_bandwidth": lambda p: p.spectrum.moments[1],
+            "spectral_rolloff": lambda p: p.spectrum.rolloff,
+            "cutoff_10db": lambda p: p.spectrum.cutoff,
+        }
     ),
-    Feature("width_10", "s", "width at 10 % of the peak", _IEEE, lambda p: p.width(0.1)),
-    Feature("width_50", "s", "width at 50 % of the peak", _IEEE, lambda p: p.width(0.5)),
-    Feature("rise_time", "s", "10 % to 90 % of the peak, rising", _IEEE, lambda p: _transition(p, 0)),
-    Feature("fall_time", "s", "90 % to 10 % of the peak, falling", _IEEE, lambda p: _transition(p, 1)),
-    Feature(
-        "asymmetry",
-        "1",
-        "(fall - rise) / (fall + rise), from the 10 % crossings to the top of a parabola fitted above 80 %",
-        "cgid",
-        _asymmetry,
-    ),
-    Feature("tilt", "1", "twice the middle at 10 % minus the middle at 50 %, over width_50", "cgid", _tilt),
-    Feature("skewness", "1", "third standardised moment of the pulse in time", "cgid", lambda p: p.moments[2]),
-    Feature("deviation", "s", "standard deviation of the pulse in time", "cgid", lambda p: p.moments[1]),
-    Feature("impulse", "U s", "integral of the pulse over contact", "mechanics", lambda p: p.moments[0]),
-    Feature("energy", "U^2 s", "integral of the squared pulse over contact", "signal energy", lambda p: p.energy),
-    Feature(
-        "size_free_index",
-        "U/s^2",
-        "peak_force / contact_duration^2: P ~ R^2 and T ~ R, so the size of the rock cancels",
-        "Hertz scaling",
-        lambda p: p.peak / p.duration**2,
-    ),
-    _spectral("spectral_centroid", "Hz", "mean frequency, weighted by power", measure=lambda p: p.spectrum.moments[0]),
-    _spectral(
-        "spectral_bandwidth", "Hz", "standard deviation about the centroid", measure=lambda p: p.spectrum.moments[1]
-    ),
-    _spectral("spectral_rolloff", "Hz", "85 % of the energy lies below", measure=lambda p: p.spectrum.rolloff),
-    _spectral(
-        "cutoff_10db",
-        "Hz",
-        "where the spectrum first is 10 dB below its value at 0 Hz",
-        measure=lambda p: p.spectrum.cutoff,
-    ),
-    Bank(
+    bank(
         "band_energy_*_hz",
-        "1",
-        "share of the spectrum's energy between the two frequencies of the name",
-        _PEETERS,
         lambda p, n: p.spectrum.between(*_BANDS[n]),
         [f"{low}_{high}" for low, high in _BANDS],
-        spectral=True,
     ),
-    _fitted("fitted_peak", "U", "peak of the most likely damped-Hertz pulse", measure=lambda p: p.fit.peak),
-    _fitted("fitted_width", "s", "its impulse over its peak", measure=lambda p: p.fit.width / p.sampling_rate),
-    _fitted("fitted_duration", "s", "its contact duration", measure=lambda p: p.fit.duration / p.sampling_rate),
-    _fitted(
-        "fitted_restitution",
-        "1",
-        "its restitution, above 1 where it rises more slowly than it falls",
-        measure=lambda p: p.fit.restitution,
+    *described(
+        {
+            "fitted_peak": lambda p: p.fit.peak,
+            "fitted_width": lambda p: p.fit.width / p.sampling_rate,
+            "fitted_duration": lambda p: p.fit.duration / p.sampling_rate,
+            "fitted_restitution": lambda p: p.fit.restitution,
+            "fitted_restitution_deviation": lambda p: p.fit.restitution_deviation,
+            "shrunken_restitution": lambda p: p.fit.expected_restitution,
+            "shrunken_restitution_deviation": lambda p: p.fit.expected_deviation,
+            "fitted_peak_deviation": lambda p: np.sqrt(p.fit.covariance[:, 0, 0]),
+        }
     ),
-    _fitted(
-        "fitted_restitution_deviation",
-        "1",
-        "standard deviation of that restitution",
-        measure=lambda p: p.fit.restitution_deviation,
-        positive=True,
-    ),
-    _fitted(
-        "shrunken_restitution",
-        "1",
-        "mean of that restitution and of .5 +- .25, weighted by their certainty: .5 where a pulse says nothing",
-        measure=lambda p: p.fit.expected_restitution,
-    ),
-    _fitted(
-        "shrunken_restitution_deviation",
-        "1",
-        "standard deviation of that mean, at most .25",
-        measure=lambda p: p.fit.expected_deviation,
-        positive=True,
-    ),
-    _fitted(
-        "fitted_peak_deviation",
-        "1",
-        "standard deviation of that peak, over it",
-        measure=lambda p: np.sqrt(p.fit.covariance[:, 0, 0]),
-        positive=True,
-    ),
-    Bank(
-        "pulse_shape_*",
-        "1",
-        "principal component * of how pulses of other laws of loss differ from the fitted one, over its peak, 0 where "
-        "noise hides it",
-        "cgid.measure.remainder: components of Thornton's, Walton's and Kuwabara's pulses",
-        lambda p, n: p.remainder.components[:, n],
-        [str(n + 1) for n in range(N_SHAPES)],
-        fitted=True,
-    ),
-    _fitted(
-        "unexplained",
-        "1",
-        "mean square of what no known pulse explains, over what noise and 1 % of the peak would leave; more for a "
-        "stray sample outside the pulse, ringing after it, or a peak of more than twice the level where it is clipped",
-        measure=lambda p: p.remainder.unexplained,
-        positive=True,
-        whole_frame=True,
-    ),
-    _fitted(
-        "misfit",
-        "1",
-        "squared residual over what the noise explains (reduced chi-square), or a stray sample outside the pulse",
-        measure=lambda p: p.fit.misfit,
-        positive=True,
-        whole_frame=True,
-    ),
-    _fitted(
-        "overload", "1", "fitted peak over the level where samples are clipped, minus 1", measure=lambda p: p.overload
+    bank("pulse_shape_*", lambda p, n: p.remainder.components[:, n], [str(n + 1) for n in range(N_SHAPES)]),
+    *described(
+        {
+            "unexplained": lambda p: p.remainder.unexplained,
+            "misfit": lambda p: p.fit.misfit,
+            "overload": lambda p: p.overload,
+        }
     ),
 )

@@ -34,14 +34,6 @@ _ZERO_PADDING = 8
 #: Smallest share of an energy: anything less is rounding, not vibration.
 LOWEST_SHARE = 1e-12
 
-#: Sources of the bands, for the table of features.
-THIRD_OCTAVE_SOURCE = "IEC 61260-1:2014 (exact mid-band frequencies, base ten, ideal edges)"
-MEL_SOURCE = "Davis & Mermelstein 1980 (mel bands); O'Shaughnessy 1987 (mel)"
-PACKET_SOURCE = (
-    f"Coifman, Meyer & Wickerhauser 1992 (wavelet packets: {WAVELET}, level {LEVEL}, {N_PACKETS} equal bands up to "
-    "half the sampling rate); PyWavelets"
-)
-
 
 def third_octave(number: int) -> tuple[float, float]:
     """Return the edges [Hz] of a third-octave band, numbered from the first of `THIRD_OCTAVES`.

@@ -1,11 +1,14 @@
 """The table of features: entries of one feature, banks of many, and the lookup by name.
 
-An entry holds the name, unit, definition and source of a feature and how to measure it. Entries are at the end of the
-module that measures them: `PULSE_FEATURES` in `pulses.py`, `VIBRATION_FEATURES` in `vibration.py`, `WINDOW_FEATURES`
-in `windows.py`. To add a feature, add a line there::
+An entry holds the name, unit, definition and source of a feature and how to measure it. What is to be said of them
+stands in `features.csv`, how they are measured at the end of the module that does it: `PULSE_FEATURES` in `pulses.py`,
+`VIBRATION_FEATURES` in `vibration.py`, `WINDOW_FEATURES` in `windows.py`. To add a feature, add a row::
 
-    Feature("form_factor", "1", "peak_force times contact_duration over impulse", "cgid",
-            lambda p: p.peak * p.duration / p.moments[0], positive=True),
+    form_factor,1,positive,peak_force times contact_duration over impulse,cgid
+
+and a line there::
+
+    "form_factor": lambda p: p.peak * p.duration / p.moments[0],
 
 and, for a new measurement, a property of the batch. Extraction, models, tables of scenes and `cgid features` find it
 by its name. Features that differ in a band, a packet or a lag are one `Bank`, whose columns are built on first use.
@@ -13,9 +16,11 @@ by its name. Features that differ in a band, a packet or a lag are one `Bank`, w
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -28,8 +33,6 @@ ImpactKind = Literal["pulse", "vibration"]
 Kind = Literal[ImpactKind, "window"]
 #: Least bandwidth of vibrations and windows: half of the lowest sampling rate [Hz].
 LEAST_BANDWIDTH = 1000.0
-#: Part of the definition of features that depend on the whole spectrum, including its faint end.
-OF_THE_RATE = "taken up to half the sampling rate, on which it depends: compare at one rate"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,28 @@ class Feature:
     def linear(self) -> bool:
         """Whether its logarithm is meaningless: it is a logarithm already, or may have either sign."""
         return self.unit.startswith("log10") or (self.unit == "1" and not self.positive)
+
+
+def described(measures: Mapping[str, Callable[[Any], Floats]], **about: Any) -> tuple[Feature, ...]:
+    """Return the features of these names in `features.csv`; `about` holds what they have in common.
+
+    The column `traits` names the attributes that are true.
+    """
+    return tuple(Feature(**_described(name), measure=measure, **about) for name, measure in measures.items())
+
+
+def _described(name: str) -> dict[str, Any]:
+    """Return what `features.csv` says of a feature or a bank."""
+    row = _descriptions()[name]
+    return {key: row[key] for key in ("name", "unit", "definition", "source")} | dict.fromkeys(
+        row["traits"].split(), True
+    )
+
+
+@cache
+def _descriptions() -> dict[str, dict[str, str]]:
+    with Path(__file__).with_name("features.csv").open(encoding="utf-8", newline="") as lines:
+        return {row["name"]: row for row in csv.DictReader(lines)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,18 +158,18 @@ class Bank:
 
     def less(self, name: str, total: Feature) -> Bank:
         """Return the bank of levels minus a total level, which cancels the gain of the sensor."""
-        return Bank(
-            name,
-            "1",
-            f"{self.name} minus {total.name}: the gain of the sensor cancels",
-            self.source,
-            lambda batch, number: self.measure(batch, number) - total.measure(batch),
-            self.labels,
-            kind=self.kind,
-            highest_frequency=self.highest_frequency,
-            shortest_frame=self.shortest_frame,
-            extra=self.extra,
+        return replace(
+            self,
+            name=name,
+            unit="1",
+            definition=f"{self.name} minus {total.name}: the gain of the sensor cancels",
+            measure=lambda batch, number: self.measure(batch, number) - total.measure(batch),
         )
+
+
+def bank(name: str, measure: Callable[[Any, int], Floats], labels: Sequence[str], **about: Any) -> Bank:
+    """Return the bank of this name in `features.csv`."""
+    return Bank(**_described(name), measure=measure, labels=labels, **about)
 
 
 class Table(Mapping[str, Feature]):
@@ -182,17 +207,3 @@ class Table(Mapping[str, Feature]):
     def expand(self, name: str) -> tuple[str, ...]:
         """Return the columns of the bank of this name; for any other name, the name alone."""
         return next((bank.columns for bank in self._banks if bank.name == name), (name,))
-
-
-def strongest_frequencies(spectral: Callable[..., Feature], prefix: str, maximum: str) -> list[Feature]:
-    """Return the features of the three strongest maxima of a spectrum, measured as `dominant_frequencies`."""
-    ranks = {"dominant": "strongest", "second": "second strongest", "third": "third strongest"}
-    return [
-        spectral(
-            f"{prefix}{rank}_frequency",
-            "Hz",
-            f"frequency of the {which} {maximum}",
-            measure=lambda batch, n=n: batch.dominant_frequencies[:, n],
-        )
-        for n, (rank, which) in enumerate(ranks.items())
-    ]

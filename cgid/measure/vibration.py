@@ -11,7 +11,7 @@ spectrum depend on the rate, because they use the whole spectrum (`EnergySpectru
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -22,10 +22,7 @@ from cgid.measure.frames import Frames, constant_signal
 from cgid.measure.spectra import (
     LOWEST_SHARE,
     MEL_BANDS,
-    MEL_SOURCE,
     N_PACKETS,
-    PACKET_SOURCE,
-    THIRD_OCTAVE_SOURCE,
     THIRD_OCTAVES,
     EnergySpectrum,
     frame_spectra,
@@ -33,7 +30,7 @@ from cgid.measure.spectra import (
     passage,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature, strongest_frequencies
+from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
@@ -389,191 +386,92 @@ def _onset_threshold(peak: Floats, noise: Floats) -> Floats:
 
 # -- features -----------------------------------------------------------------------------------------
 
-_PEETERS = "Peeters 2004, CUIDADO report (spectral shape)"
-_SCHROEDER = "Schroeder 1965 (backward integral); as T20 of ISO 3382-1, but from -5 to -15 dB, times 6"
-_WINDOWED = f"event x exp(-t/{WINDOW_TIME * 1e3:g} ms), the exponential window of impact testing (Fladung & Rost 1997)"
-_MAXIMUM = f"maximum of the same spectrum, {APART:g} Hz or more from a stronger one"
+_described = partial(described, kind="vibration", highest_frequency=LEAST_BANDWIDTH)
+_bank = partial(bank, kind="vibration")
 
-_vibration = partial(Feature, kind="vibration", highest_frequency=LEAST_BANDWIDTH)
-_spectral = partial(_vibration, source=_PEETERS)
-
-_TOTAL = _vibration(
-    "level_total",
-    "log10(U^2 s)",
-    f"log10 of the energy, noise subtracted, of the {_WINDOWED}",
-    "signal energy",
-    lambda v: v.total_level,
+_BASIC = _described(
+    {
+        "peak_amplitude": lambda v: v.peak,
+        "strong_rms": lambda v: v.strong_rms,
+        "crest_factor": lambda v: v.peak / v.strong_rms,
+        "strong_kurtosis": lambda v: v.strong_moments[1] / v.strong_moments[0] ** 2,
+        "zero_crossing_rate": lambda v: v.zero_crossing_rate,
+        "decay_time": lambda v: v.decay_time,
+        "vibration_centroid": lambda v: v.clean_spectrum.moments[0],
+        "vibration_spread": lambda v: v.clean_spectrum.moments[1],
+        "vibration_rolloff": lambda v: v.clean_spectrum.rolloff(0.85),
+        "time_to_first_maximum": lambda v: v.time_to_first_maximum,
+        "time_to_peak": lambda v: v.time_to_peak,
+        "energy_rise_50": lambda v: v.rise(0.5),
+        "energy_rise_90": lambda v: v.rise(0.9),
+        "level_total": lambda v: v.total_level,
+    }
 )
+_TOTAL = _BASIC[-1]
 _OCTAVES = [third_octave(number) for number in range(len(THIRD_OCTAVES))]
-_LEVELS = Bank(
+_LEVELS = _bank(
     "level_*_hz",
-    "log10(U^2 s)",
-    "log10 of the energy in the third octave at * Hz, windowed as for level_total",
-    THIRD_OCTAVE_SOURCE,
     lambda v, n: v.level(*third_octave(n)),
     THIRD_OCTAVES,
-    kind="vibration",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
     # A frame resolves frequencies one over its length apart.
     shortest_frame=[1 / (high - low) for low, high in _OCTAVES],
 )
-_EARLY_LEVELS = Bank(
+_EARLY_LEVELS = _bank(
     "early_level_*_hz",
-    "log10(U^2 s)",
-    f"log10 of the energy between the two frequencies of the name in the first {EARLY_TIME * 1e3:g} ms under half a "
-    "cosine bell, noise subtracted: the force still acts",
-    "cgid",
     lambda v, n: v.early_level(*EARLY_BANDS[n]),
     [f"{low}_{high}" for low, high in EARLY_BANDS],
-    kind="vibration",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in EARLY_BANDS],
 )
 _mel = partial(
-    Bank,
-    source=MEL_SOURCE,
+    _bank,
     labels=MEL_BANDS.labels,
-    kind="vibration",
     highest_frequency=np.maximum(MEL_BANDS.corners[2:], LEAST_BANDWIDTH).tolist(),
     shortest_frame=(2 / (MEL_BANDS.corners[2:] - MEL_BANDS.corners[:-2])).tolist(),
 )
-_MEL = _mel(
-    "mel_*_hz",
-    "log10(U^2 s)",
-    "log10 of the energy in the mel band at * Hz, windowed as for level_total",
-    measure=lambda v, n: v.mel[:, n],
-)
-_PACKETS = Bank(
+_MEL = _mel("mel_*_hz", lambda v, n: v.mel[:, n])
+_PACKETS = _bank(
     f"packet_*_of_{N_PACKETS}",
-    "log10(U^2 s)",
-    "log10 of the energy in wavelet packet *, windowed as for level_total",
-    PACKET_SOURCE,
     lambda v, n: v.packets[:, n],
     [str(number + 1) for number in range(N_PACKETS)],
-    kind="vibration",
     highest_frequency=LEAST_BANDWIDTH,
     extra="wavelets",
 )
 
-_INVERSION = "Tarantola 2005 (linear Gaussian inverse problem), on the modes of the beam"
+#: Features of the contact forces, recovered through the beam.
+_BEAM = (
+    *("beam_peak_force", "beam_pulse_width", "beam_restitution"),
+    *("beam_peak_force_deviation", "beam_pulse_width_deviation", "beam_restitution_deviation"),
+    *("beam_peak_width_correlation", "beam_peak_restitution_correlation", "beam_width_restitution_correlation"),
+    *("beam_impact_x", "beam_impact_y", "beam_place_deviation"),
+    *("beam_misfit", "beam_unexplained", "beam_surely_unexplained"),
+)
 
 
-def _through(name: str, unit: str, definition: str, positive: bool = False) -> Feature:
-    return _vibration(name, unit, definition, _INVERSION, lambda v: v.through_beam[name], positive=positive, beam=True)
+def _through_beam(name: str) -> Callable[[VibrationBatch], Floats]:
+    return lambda vibrations: vibrations.through_beam[name]
 
 
 VIBRATION_FEATURES: tuple[Feature | Bank, ...] = (
-    _vibration("peak_amplitude", "U", "largest distance from the baseline", "signal amplitude", lambda v: v.peak),
-    _vibration(
-        "strong_rms",
-        "U",
-        f"root mean square from the onset until {STRONG_SHARE * 100:g} % of the windowed energy (the strong part)",
-        "signal energy",
-        lambda v: v.strong_rms,
-    ),
-    _vibration(
-        "crest_factor",
-        "1",
-        "peak_amplitude over strong_rms",
-        "signal shape",
-        lambda v: v.peak / v.strong_rms,
-        positive=True,
-    ),
-    _vibration(
-        "strong_kurtosis",
-        "1",
-        "fourth moment over the square of the second, strong part",
-        "signal shape",
-        lambda v: v.strong_moments[1] / v.strong_moments[0] ** 2,
-        positive=True,
-    ),
-    _vibration(
-        "zero_crossing_rate",
-        "Hz",
-        "changes of sign over the length of the strong part; twice the frequency of one mode",
-        "Rice 1944 (zero crossings)",
-        lambda v: v.zero_crossing_rate,
-    ),
-    _vibration("decay_time", "s", "time to fall by 60 dB", _SCHROEDER, lambda v: v.decay_time),
-    _spectral(
-        "vibration_centroid",
-        "Hz",
-        f"mean frequency, weighted by energy, noise subtracted, of the {_WINDOWED}",
-        measure=lambda v: v.clean_spectrum.moments[0],
-    ),
-    _spectral(
-        "vibration_spread",
-        "Hz",
-        "standard deviation about that centroid",
-        measure=lambda v: v.clean_spectrum.moments[1],
-    ),
-    _spectral(
-        "vibration_rolloff", "Hz", "85 % of the same energy lie below", measure=lambda v: v.clean_spectrum.rolloff(0.85)
-    ),
-    _vibration(
-        "time_to_first_maximum",
-        "s",
-        "from the onset (5 % of the peak, or above the noise) to the first maximum of the amplitude",
-        "cgid",
-        lambda v: v.time_to_first_maximum,
-    ),
-    _vibration(
-        "time_to_peak",
-        "s",
-        "from the onset to the largest distance from the baseline",
-        "cgid",
-        lambda v: v.time_to_peak,
-    ),
-    _vibration("energy_rise_50", "s", f"time to half of the energy of the {_WINDOWED}", "cgid", lambda v: v.rise(0.5)),
-    _vibration("energy_rise_90", "s", "time to 90 % of it", "cgid", lambda v: v.rise(0.9)),
-    _TOTAL,
+    *_BASIC,
     _LEVELS,
     _LEVELS.less("relative_level_*_hz", _TOTAL),
     _EARLY_LEVELS,
     _EARLY_LEVELS.less("relative_early_level_*_hz", _TOTAL),
-    _spectral(
-        "vibration_skewness",
-        "1",
-        f"third standardised moment about vibration_centroid; {OF_THE_RATE}",
-        measure=lambda v: v.clean_spectrum.standardised_moments[0],
+    *_described(
+        {
+            "vibration_skewness": lambda v: v.clean_spectrum.standardised_moments[0],
+            "vibration_kurtosis": lambda v: v.clean_spectrum.standardised_moments[1],
+            "vibration_flatness": lambda v: v.spectrum.flatness,
+            "dominant_frequency": lambda v: v.dominant_frequencies[:, 0],
+            "second_frequency": lambda v: v.dominant_frequencies[:, 1],
+            "third_frequency": lambda v: v.dominant_frequencies[:, 2],
+        }
     ),
-    _spectral(
-        "vibration_kurtosis",
-        "1",
-        f"fourth standardised moment about vibration_centroid; {OF_THE_RATE}",
-        measure=lambda v: v.clean_spectrum.standardised_moments[1],
-        positive=True,
-    ),
-    _spectral(
-        "vibration_flatness",
-        "1",
-        "log10 of the geometric over the arithmetic mean of the same spectrum above 0 Hz, noise included; "
-        f"{OF_THE_RATE}",
-        measure=lambda v: v.spectrum.flatness,
-    ),
-    *strongest_frequencies(_spectral, "", _MAXIMUM),
     _MEL,
     _MEL.less("relative_mel_*_hz", _TOTAL),
-    _mel(
-        "mel_delay_*_hz",
-        "s",
-        "mean time after the onset of the energy of mel_*_hz; late where it decays slowly",
-        measure=lambda v, n: v.mel_delay[:, n],
-    ),
+    _mel("mel_delay_*_hz", lambda v, n: v.mel_delay[:, n]),
     _PACKETS,
     _PACKETS.less(f"relative_packet_*_of_{N_PACKETS}", _TOTAL),
-    _through("beam_peak_force", "N", "peak of the pulse fitted to the force recovered through the beam"),
-    _through("beam_pulse_width", "s", "impulse over peak of that pulse"),
-    _through("beam_restitution", "1", "restitution of that pulse; above 1 it rises more slowly than it falls", True),
-    _through("beam_peak_force_deviation", "1", "relative standard deviation of beam_peak_force", True),
-    _through("beam_pulse_width_deviation", "1", "relative standard deviation of beam_pulse_width", True),
-    _through("beam_restitution_deviation", "1", "relative standard deviation of beam_restitution", True),
-    _through("beam_peak_width_correlation", "1", "correlation of the errors of beam_peak_force and beam_pulse_width"),
-    _through("beam_peak_restitution_correlation", "1", "that of beam_peak_force and beam_restitution"),
-    _through("beam_width_restitution_correlation", "1", "that of beam_pulse_width and beam_restitution"),
-    _through("beam_impact_x", "m", "place of the blow along the beam, with the highest evidence"),
-    _through("beam_impact_y", "m", "place of the blow across the beam"),
-    _through("beam_place_deviation", "m", "standard deviation of the place, of both directions together"),
-    _through("beam_misfit", "1", "mean square of what the beam leaves unexplained, over that of the noise", True),
-    _through("beam_unexplained", "1", "share of the signal's energy that the beam leaves unexplained, in %", True),
-    _through("beam_surely_unexplained", "1", "the part of beam_unexplained beyond what noise alone can leave", True),
+    *_described({name: _through_beam(name) for name in _BEAM}),
 )

@@ -11,6 +11,7 @@ the differences between frames the kind of sound: single impacts vary, a steady 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -20,10 +21,7 @@ from cgid.measure.spectra import (
     EVEN_BANDS,
     LOWEST_SHARE,
     MEL_BANDS,
-    MEL_SOURCE,
     N_PACKETS,
-    PACKET_SOURCE,
-    THIRD_OCTAVE_SOURCE,
     THIRD_OCTAVES,
     EnergySpectrum,
     TriangularBands,
@@ -32,7 +30,7 @@ from cgid.measure.spectra import (
     packet_energies,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, OF_THE_RATE, Bank, Feature, strongest_frequencies
+from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Length of a frame [s]; frames overlap by half.
@@ -51,13 +49,13 @@ CORRELATION_LAGS = (2e-3, 5e-3, 10e-3)
 SHORTEST_WINDOW = 2 * FRAME_TIME
 
 
+@dataclass(eq=False, repr=False)
 class WindowBatch:
     """Windows (n_windows, n_samples) of a recording; each quantity is computed on first use, each row by itself."""
 
-    def __init__(self, samples: NDArray[np.floating], sampling_rate: float, remove_baseline: bool = True) -> None:
-        self.samples = samples
-        self.sampling_rate = sampling_rate
-        self.remove_baseline = remove_baseline
+    samples: NDArray[np.floating]
+    sampling_rate: float
+    remove_baseline: bool = True
 
     # -- samples --------------------------------------------------------------------------------------
 
@@ -246,180 +244,78 @@ def _over_frames(levels: Floats) -> tuple[Floats, Floats]:
 
 # -- features -----------------------------------------------------------------------------------------
 
-_PEETERS = "Peeters 2004, CUIDADO report (spectral shape), of the mean spectrum of Welch 1967"
-_FRAMES = f"frames of {FRAME_TIME * 1e3:g} ms, half overlapping"
-_ENVELOPE = f"root mean square over each {ENVELOPE_TIME * 1e3:g} ms"
-_MAXIMUM = f"maximum of the mean spectrum, {2 / FRAME_TIME:g} Hz or more from a stronger"
+_described = partial(described, kind="window", highest_frequency=LEAST_BANDWIDTH, shortest_frame=SHORTEST_WINDOW)
+_bank = partial(bank, kind="window", shortest_frame=SHORTEST_WINDOW)
 
-_window = partial(Feature, kind="window", highest_frequency=LEAST_BANDWIDTH, shortest_frame=SHORTEST_WINDOW)
-_spectral = partial(_window, source=_PEETERS)
-_shape = partial(_window, source="signal shape")
-
-_LEVEL = _window(
-    "window_level", "log10(U^2)", "log10 of the mean square, baseline removed", "signal energy", lambda w: w.level
+_BASIC = _described(
+    {
+        "window_level": lambda w: w.level,
+        "window_peak": lambda w: w.peak,
+        "window_crest_factor": lambda w: w.peak / w.mean_square**0.5,
+        "window_kurtosis": lambda w: w.kurtosis,
+        "window_zero_crossing_rate": lambda w: w.zero_crossing_rate,
+        "window_centroid": lambda w: w.spectrum.moments[0],
+        "window_spread": lambda w: w.spectrum.moments[1],
+        "window_spectral_skewness": lambda w: w.spectrum.standardised_moments[0],
+        "window_spectral_kurtosis": lambda w: w.spectrum.standardised_moments[1],
+        "window_rolloff_50": lambda w: w.spectrum.rolloff(0.5),
+        "window_rolloff_85": lambda w: w.spectrum.rolloff(0.85),
+        "window_flatness": lambda w: w.spectrum.flatness,
+        "window_flux": lambda w: w.flux,
+        "window_dominant_frequency": lambda w: w.dominant_frequencies[:, 0],
+        "window_second_frequency": lambda w: w.dominant_frequencies[:, 1],
+        "window_third_frequency": lambda w: w.dominant_frequencies[:, 2],
+        "window_envelope_variation": lambda w: w.envelope_moments[0],
+        "window_envelope_skewness": lambda w: w.envelope_moments[1],
+        "window_envelope_kurtosis": lambda w: w.envelope_moments[2],
+        "window_envelope_range": lambda w: w.envelope_quantile(0.9) - w.envelope_quantile(0.1),
+        "window_envelope_crest": lambda w: w.envelope_quantile(1.0) - w.envelope_quantile(0.5),
+    }
 )
+_LEVEL = _BASIC[0]
 
 
 def _triangular(
-    of: str, band: str, source: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
+    of: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
 ) -> tuple[Bank, Bank, Bank]:
     """Return banks of the mean, of the mean relative to the total level, and of the deviation over the frames."""
-    bank = partial(
-        Bank,
-        source=source,
-        labels=bands.labels,
-        kind="window",
-        highest_frequency=np.maximum(bands.corners[2:], LEAST_BANDWIDTH).tolist(),
-        shortest_frame=SHORTEST_WINDOW,
-    )
-    mean = bank(
-        f"window_{of}_*_hz",
-        "log10(U^2)",
-        f"mean over {_FRAMES}, of log10 of the mean square in the {band} at * Hz",
-        measure=lambda w, n: measured(w)[0][:, n],
-    )
-    deviation = bank(
-        f"window_{of}_deviation_*_hz",
-        "1",
-        f"standard deviation of what window_{of}_*_hz is a mean of",
-        measure=lambda w, n: measured(w)[1][:, n],
-    )
+    highest = np.maximum(bands.corners[2:], LEAST_BANDWIDTH).tolist()
+    own = partial(_bank, labels=bands.labels, highest_frequency=highest)
+    mean = own(f"window_{of}_*_hz", lambda w, n: measured(w)[0][:, n])
+    deviation = own(f"window_{of}_deviation_*_hz", lambda w, n: measured(w)[1][:, n])
     return mean, mean.less(f"window_relative_{of}_*_hz", _LEVEL), deviation
 
 
 _OCTAVES = [third_octave(number) for number in range(len(WINDOW_THIRD_OCTAVES))]
-_LEVELS = Bank(
+_LEVELS = _bank(
     "window_level_*_hz",
-    "log10(U^2)",
-    "log10 of the mean square in the third octave at * Hz, under one Hann bell",
-    THIRD_OCTAVE_SOURCE,
     lambda w, n: w.band_level(*third_octave(n)),
     WINDOW_THIRD_OCTAVES,
-    kind="window",
     highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
     # A Hann window over all samples makes a line two over its length wide.
     shortest_frame=[max(2 / (high - low), SHORTEST_WINDOW) for low, high in _OCTAVES],
 )
-_PACKETS = Bank(
+_PACKETS = _bank(
     f"window_packet_*_of_{N_PACKETS}",
-    "log10(U^2)",
-    "log10 of the mean square in wavelet packet *",
-    PACKET_SOURCE,
     lambda w, n: w.packets[:, n],
     [str(number + 1) for number in range(N_PACKETS)],
-    kind="window",
     highest_frequency=LEAST_BANDWIDTH,
-    shortest_frame=SHORTEST_WINDOW,
     extra="wavelets",
 )
 
 WINDOW_FEATURES: tuple[Feature | Bank, ...] = (
-    _LEVEL,
-    _window("window_peak", "U", "largest distance from the baseline", "signal amplitude", lambda w: w.peak),
-    _shape(
-        "window_crest_factor",
-        "1",
-        "window_peak over the root mean square",
-        measure=lambda w: w.peak / w.mean_square**0.5,
-        positive=True,
-    ),
-    _shape(
-        "window_kurtosis",
-        "1",
-        "fourth moment over the square of the second: 3 for Gaussian noise, more for single impacts",
-        measure=lambda w: w.kurtosis,
-        positive=True,
-    ),
-    _window(
-        "window_zero_crossing_rate",
-        "Hz",
-        "changes of sign over the length of the window",
-        "Rice 1944 (zero crossings)",
-        lambda w: w.zero_crossing_rate,
-    ),
-    _spectral("window_centroid", "Hz", "mean frequency, weighted by power", measure=lambda w: w.spectrum.moments[0]),
-    _spectral("window_spread", "Hz", "standard deviation about the centroid", measure=lambda w: w.spectrum.moments[1]),
-    _spectral(
-        "window_spectral_skewness",
-        "1",
-        f"third standardised moment about the centroid; {OF_THE_RATE}",
-        measure=lambda w: w.spectrum.standardised_moments[0],
-    ),
-    _spectral(
-        "window_spectral_kurtosis",
-        "1",
-        f"fourth standardised moment about the centroid; {OF_THE_RATE}",
-        measure=lambda w: w.spectrum.standardised_moments[1],
-        positive=True,
-    ),
-    _spectral("window_rolloff_50", "Hz", "half of the power lies below", measure=lambda w: w.spectrum.rolloff(0.5)),
-    _spectral("window_rolloff_85", "Hz", "85 % of the power lie below", measure=lambda w: w.spectrum.rolloff(0.85)),
-    _spectral(
-        "window_flatness",
-        "1",
-        f"log10 of the geometric over the arithmetic mean of the spectrum above 0 Hz; {OF_THE_RATE}",
-        measure=lambda w: w.spectrum.flatness,
-    ),
-    _spectral(
-        "window_flux",
-        "1",
-        f"root mean square change of log10 of the mel bands from one frame to the next ({_FRAMES})",
-        measure=lambda w: w.flux,
-        positive=True,
-    ),
-    *strongest_frequencies(_spectral, "window_", _MAXIMUM),
-    _shape(
-        "window_envelope_variation",
-        "1",
-        f"standard deviation over mean of the envelope ({_ENVELOPE})",
-        measure=lambda w: w.envelope_moments[0],
-        positive=True,
-    ),
-    _shape("window_envelope_skewness", "1", "third standardised moment of it", measure=lambda w: w.envelope_moments[1]),
-    _shape(
-        "window_envelope_kurtosis",
-        "1",
-        "fourth standardised moment of it",
-        measure=lambda w: w.envelope_moments[2],
-        positive=True,
-    ),
-    _shape(
-        "window_envelope_range",
-        "1",
-        "log10 of the 90 % quantile of the envelope over its 10 % quantile",
-        measure=lambda w: w.envelope_quantile(0.9) - w.envelope_quantile(0.1),
-        positive=True,
-    ),
-    _shape(
-        "window_envelope_crest",
-        "1",
-        "log10 of the largest over the median of the envelope",
-        measure=lambda w: w.envelope_quantile(1.0) - w.envelope_quantile(0.5),
-        positive=True,
-    ),
-    Bank(
+    *_BASIC,
+    _bank(
         "window_envelope_correlation_*_ms",
-        "1",
-        "correlation of the envelope with itself * ms later: high where vibrations decay slowly",
-        "signal shape",
         lambda w, n: w.envelope_correlation(CORRELATION_LAGS[n]),
         [f"{lag * 1e3:g}" for lag in CORRELATION_LAGS],
-        kind="window",
         highest_frequency=LEAST_BANDWIDTH,
-        shortest_frame=SHORTEST_WINDOW,
     ),
-    _window(
-        "window_blow_rate",
-        "Hz",
-        f"maxima of the envelope per second, the highest within {BLOW_TIME * 1e3:g} ms and above {BLOW_OVER_MEAN:g} "
-        "times its mean",
-        "cgid",
-        lambda w: w.blow_rate,
-    ),
+    *_described({"window_blow_rate": lambda w: w.blow_rate}),
     _LEVELS,
     _LEVELS.less("window_relative_level_*_hz", _LEVEL),
-    *_triangular("mel", "mel band", MEL_SOURCE, MEL_BANDS, lambda w: w.mel),
-    *_triangular("even", "band of an even bank", "cgid", EVEN_BANDS, lambda w: w.even),
+    *_triangular("mel", MEL_BANDS, lambda w: w.mel),
+    *_triangular("even", EVEN_BANDS, lambda w: w.even),
     _PACKETS,
     _PACKETS.less(f"window_relative_packet_*_of_{N_PACKETS}", _LEVEL),
 )

@@ -2,12 +2,13 @@
 
 Without the shape, peak and duration are the scales of an impact, `P0 = K L^(3/2)` and `T0 = L / v`. They follow from
 size, material and speed and do not depend on the loss. Their density and that of the shape are therefore kept
-separately, as smoothed histograms of draws.
+separately, as smoothed histograms of draws. scipy is imported on use: telling what struck needs numpy alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +68,9 @@ class Prior:
         shape_counts, _ = np.histogram(shape, bins=_CELLS, range=(shape_low, shape_high))
         shape_width = (shape_high - shape_low) / _CELLS
         return cls(
-            _log_density(_smoothed(_smoothed(counts, 0), 1), width.prod()),
+            _log_density(counts, width.prod()),
             (low, width),
-            _log_density(_smoothed(shape_counts.astype(np.float64), 0), shape_width),
+            _log_density(shape_counts, shape_width),
             (shape_low, shape_width),
         )
 
@@ -85,9 +86,8 @@ class Prior:
         size_free, time = _scales(log_peak, log_duration, shape)
         low, width = self.scale_edges
         first, step = self.shape_edges
-        return _bilinear(self.log_scales, (size_free - low[0]) / width[0], (time - low[1]) / width[1]) + _linear(
-            self.log_shape, (shape - first) / step
-        )
+        scales = _at(self.log_scales, (size_free - low[0]) / width[0], (time - low[1]) / width[1])
+        return scales + _at(self.log_shape, (shape - first) / step)
 
     def evidence(
         self, along: Profile, log_peak_offset: Floats | float = 0.0, log_time_offset: Floats | float = 0.0
@@ -97,12 +97,15 @@ class Prior:
         The offsets, (n, 1) or float, are added to the profile's ln(peak) and ln(duration): its duration is in samples,
         and a known speed shifts both.
         """
-        return _log_sum(self._joint(along, log_peak_offset, log_time_offset))
+        from scipy.special import logsumexp
+
+        return np.asarray(logsumexp(self._joint(along, log_peak_offset, log_time_offset), axis=1))
 
     def log_posterior(self, along: Profile, log_time_offset: Floats | float = 0.0) -> Floats:
         """Return ln of the probability of each node, (n, n_nodes); offset as in `evidence`."""
-        joint = self._joint(along, 0.0, log_time_offset)
-        return np.asarray(joint - _log_sum(joint)[:, None])
+        from scipy.special import log_softmax
+
+        return np.asarray(log_softmax(self._joint(along, 0.0, log_time_offset), axis=1))
 
     def _joint(self, along: Profile, log_peak_offset: Floats | float, log_time_offset: Floats | float) -> Floats:
         """Return ln of likelihood times prior, whose mean over peak and duration is by Gauss-Hermite quadrature."""
@@ -121,11 +124,6 @@ class Prior:
             return np.asarray(along.log_weight + np.log(density))
 
 
-def _log_sum(terms: Floats) -> Floats:
-    top = terms.max(axis=1)
-    return np.asarray(top + np.log(np.sum(np.exp(terms - top[:, None]), axis=1)))
-
-
 def _scales(log_peak: Floats, log_duration: Floats, shape: Floats) -> tuple[Floats, Floats]:
     """Return ln P0 - 2 ln T0 and ln T0."""
     contact, peak = dimensionless_logarithms(shape, "contact", "peak")
@@ -133,34 +131,19 @@ def _scales(log_peak: Floats, log_duration: Floats, shape: Floats) -> tuple[Floa
     return log_peak - peak - 2 * time, time
 
 
-def _smoothed(counts: Floats, axis: int) -> Floats:
-    offsets = np.arange(-4, 5)
-    kernel = np.exp(-0.5 * (offsets / _SMOOTHING) ** 2)
-    kernel /= kernel.sum()
-    return np.asarray(np.apply_along_axis(lambda row: np.convolve(row, kernel, mode="same"), axis, counts))
+def _log_density(counts: NDArray[Any], cell: float) -> Floats:
+    """Return ln of the density of a smoothed histogram."""
+    from scipy.ndimage import gaussian_filter
 
-
-def _log_density(counts: Floats, cell: float) -> Floats:
-    density = counts / counts.sum() / cell
+    smoothed = gaussian_filter(counts, _SMOOTHING, mode="constant", radius=4, output=np.float64)
+    density = smoothed / smoothed.sum() / cell
     return np.asarray(np.log(np.maximum(density, _FLOOR * density.max())))
 
 
-def _cell(place: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the cell whose middle is below a place and the share of the way to the next; constant beyond the ends."""
-    inside = np.clip(place - 0.5, 0.0, _CELLS - 1.000001)
-    cell = inside.astype(np.intp)
-    return cell, inside - cell
+def _at(values: Floats, *places: Floats) -> Floats:
+    """Return values of cells at places [cells], linear between their middles; the floor beyond the cells."""
+    from scipy.ndimage import map_coordinates
 
-
-def _linear(values: Floats, place: Floats) -> Floats:
-    cell, share = _cell(place)
-    beyond = (place < 0) | (place > _CELLS)
-    return np.where(beyond, values.max() + np.log(_FLOOR), values[cell] + share * (values[cell + 1] - values[cell]))
-
-
-def _bilinear(values: Floats, place: Floats, other: Floats) -> Floats:
-    (i, a), (j, b) = _cell(place), _cell(other)
-    near = values[i, j] + b * (values[i, j + 1] - values[i, j])
-    far = values[i + 1, j] + b * (values[i + 1, j + 1] - values[i + 1, j])
-    beyond = (place < 0) | (place > _CELLS) | (other < 0) | (other > _CELLS)
-    return np.where(beyond, values.max() + np.log(_FLOOR), near + a * (far - near))
+    beyond = np.any([(place < 0) | (place > _CELLS) for place in places], axis=0)
+    found: Floats = map_coordinates(values, [place - 0.5 for place in places], order=1, mode="nearest")
+    return np.where(beyond, values.max() + np.log(_FLOOR), found)
