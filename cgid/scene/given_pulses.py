@@ -201,21 +201,6 @@ class SolvedImpacts:
     def __len__(self) -> int:
         return len(self.pulses)
 
-    def of_radius(self, radius: ArrayLike) -> SampledPulses:
-        """Return the pulses of spheres of these radii [m], one or (n,).
-
-        Parameters
-        ----------
-        radius : array_like, (n,) [m]
-            One for each impact.
-
-        Returns
-        -------
-        SampledPulses
-        """
-        radius = validation.positive("radius", radius, "m")
-        return self.pulses.stretched(radius**2, radius)
-
     def signals(self, scene: Scene, seed: int = 0) -> Iterator[Batch]:
         """Yield the signals of a scene with these pulses in batches of at most 256; the seed determines the radii.
 
@@ -223,7 +208,7 @@ class SolvedImpacts:
         """
         radius = radii(scene, self.labels, seed)
         known = {name: self.columns[name] for name in PARAMETERS} | {"radius": radius}
-        yield from synthesise_given(scene, self.of_radius(radius), self.labels, known, seed)
+        yield from synthesise_given(scene, self.pulses.stretched(radius**2, radius), self.labels, known, seed)
 
     def to_bytes(self) -> bytes:
         """Return the content of a file; the same impacts give the same bytes."""
