@@ -354,7 +354,8 @@ class System:
         every = np.concatenate([ways[0], ways[1:, 0]])
         prior = np.diag(np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _PLACE_DEVIATION**-2)]))
         # The level of the forces is unknown: their own prior would tell the size of a beam.
-        prior[:-2, :-2] -= np.outer(force, force) / (force @ force * self.level(row))
+        along = force / max(float(np.linalg.norm(force)), 1e-300)
+        prior[:-2, :-2] -= np.outer(along, along) / self.level(row)
         exact = every.astype(np.float64)  # singles would leave a precision that is not positive
         return every, np.asarray(weight * (exact @ exact.T) + prior), left, weight
 
