@@ -22,7 +22,7 @@ from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of, through_modes
 from cgid.site import calibrate
 from cgid.site.calibration import _blows, _toml, check_scene, table_beside, uncertain, usable_blows
-from cgid.site.dimensions import _on_the_beam, dimension_errors, learn_dimensions, with_dimensions
+from cgid.site.dimensions import dimension_errors, learn_dimensions, with_dimensions
 from cgid.site.learning import _STEP, Blows, System, _searched, learn
 
 RATE, BEFORE = 6400.0, 64
@@ -165,15 +165,17 @@ def test_errors_of_dimensions(known):
 
 
 def test_blows_and_sensor_stay_on_the_beam():
-    """Blows fall on the same part of a beam; a step that takes it from under the sensor is halved."""
+    """They stay where they are, as far as the beam reaches."""
     to_the_edge = {"x": {"distribution": "uniform", "lowest": 0.3, "highest": 0.9}, "y": 0.3}
-    shorter = with_dimensions(panel(impact_point=to_the_edge), ["length"], np.array([-0.1]))
-    assert shorter.tail_beam.impact_point.x.extremes == pytest.approx((0.3 * np.exp(-0.1), 0.9 * np.exp(-0.1)))
-    assert shorter.tail_beam.impact_point.y.extremes == (0.3, 0.3)
-    scene = panel(sensor_point={"x": 0.8995, "y": 0.2})
-    now = _on_the_beam(scene, ["length"], np.zeros(1), np.array([-0.01]))
-    assert -0.001 < now[0] < 0
-    assert _on_the_beam(scene, ["length"], np.zeros(1), np.array([0.01])) == 0.01
+    scene = panel(impact_point=to_the_edge, sensor_point={"x": 0.8995, "y": 0.2})
+    for change, blows, sensor in (
+        (-0.1, (0.3 * np.exp(-0.1), 0.9 * np.exp(-0.1)), 0.9 * np.exp(-0.1)),
+        (0.1, (0.3, 0.9), 0.8995),
+    ):
+        beam = with_dimensions(scene, ["length"], np.array([change])).tail_beam
+        assert beam.length == pytest.approx(0.9 * np.exp(change))
+        assert beam.impact_point.x.extremes == pytest.approx(blows) and beam.impact_point.y.extremes == (0.3, 0.3)
+        assert beam.sensor_point.x == pytest.approx(sensor) and beam.sensor_point.y == 0.2
 
 
 def test_dimensions_of_taps_and_of_learned_modes_are_not_learned(known):

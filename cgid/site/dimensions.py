@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import InvalidValue
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam
 from cgid.scene.schema import Scene, parse_scene
@@ -30,8 +30,7 @@ DIMENSIONS = (
 )  # fmt: skip
 #: Largest error of a dimension; error of the damping ratio for the largest of a dimension, and its own largest.
 MOST_ERROR, _DAMPING_A_DIMENSION, _MOST_DAMPING = 0.1, 10.0, 0.3
-#: Sides, and the coordinate of the blows along each; lengths in a distribution of these.
-_SIDES = {"length": "x", "width": "y"}
+#: Lengths in a distribution of places.
 _PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
 #: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
 _BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
@@ -42,8 +41,6 @@ _LEAST_MODES = 4
 _AT_REST = 0.3
 #: Step of the difference quotients in a logarithm.
 _STEP = 1e-4
-#: A step that takes the sensor off the beam is halved so many times.
-_HALVED = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,8 +147,7 @@ def learn_dimensions(
             system = System(of(now), blows, raised, share * top)
             pulls, curvature = system.equations(system.by_beams(beside, len(names), _STEP))
             raised = np.sqrt(np.maximum(system.power, 1.0))
-            _, step, deviation = newton(curvature, pulls, prior, now)
-            now = _on_the_beam(scene, names, now, step)
+            now, step, deviation = newton(curvature, pulls, prior, now)
             if progress is not None:
                 progress(1)
             if (np.abs(step) < _AT_REST * deviation).all():
@@ -180,18 +176,22 @@ def dimensions_of(scene: Scene) -> dict[str, float]:
 def with_dimensions(scene: Scene, names: list[str], change: Floats) -> Scene:
     """Return a scene whose beam has other dimensions; `change` is that of their logarithms.
 
-    Blows fall on the same part of the beam.
+    Blows and the sensor stay where they are, or go as far in as the beam is shorter.
     """
     content = json.loads(scene.text)
-    places = content["tail_beam"]["impact_point"]
+    beam = content["tail_beam"]
     for name, log in zip(names, change.tolist(), strict=True):
         *folders, last = name.split(".")
-        part = content["tail_beam"]
+        part = beam
         for folder in folders:
             part = part[folder]
         part[last] *= float(np.exp(log))
-        if name in _SIDES:
-            places[_SIDES[name]] = _scaled(places[_SIDES[name]], float(np.exp(log)))
+    assert scene.tail_beam is not None and scene.tail_beam.impact_point is not None
+    for axis, side in (("x", "length"), ("y", "width")):
+        furthest = getattr(scene.tail_beam.impact_point, axis).extremes[1]
+        if furthest > beam[side]:
+            beam["impact_point"][axis] = _scaled(beam["impact_point"][axis], beam[side] / furthest * (1 - 1e-12))
+        beam["sensor_point"][axis] = min(beam["sensor_point"][axis], beam[side])
     return parse_scene(content, source=f"other dimensions of {scene.name}", folder=scene.folder)
 
 
@@ -202,16 +202,3 @@ def _scaled(place: Any, factor: float) -> Any:
     if isinstance(place, list):
         return [_scaled(one, factor) for one in place]
     return {key: _scaled(one, factor) if key in _PLACES else one for key, one in place.items()}
-
-
-def _on_the_beam(scene: Scene, names: list[str], now: Floats, step: Floats) -> Floats:
-    """Return `now + step`, or less of the step where the sensor would not be on the beam."""
-    for halved in range(_HALVED):
-        further = now + 0.5**halved * step
-        try:
-            with_dimensions(scene, names, further + 2 * _STEP)
-            with_dimensions(scene, names, further - 2 * _STEP)
-        except (BadData, InvalidValue):
-            continue
-        return further
-    return now
