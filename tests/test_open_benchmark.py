@@ -354,7 +354,7 @@ def test_a_private_seed_changes_the_test_parts_alone_and_entrants_get_no_truth(m
         assert same == (not name.endswith("-test.npy") and name != sets.SUMS), name
     assert (private / "truth" / "seed.txt").read_text() == f"{2**50}\n" and not (made / "truth" / "seed.txt").exists()
     for folder in (private / "signals", private / "truth"):
-        sets.require_unchanged(folder)
+        sets.unchanged_digest(folder)
     assert not any(str(2**50) in path.read_text() for path in (private / "signals").glob("*.csv"))
 
 

@@ -7,6 +7,7 @@ sums of the public ones can be kept (`SHA256SUMS`). They are stored as plain .np
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import secrets
@@ -237,7 +238,9 @@ def _compare(output: Path, public: bool) -> None:
                 )
 
 
-def require_unchanged(folder: Path) -> None:
-    """Raise `BadData` if a folder is not as `make` left it."""
-    if read_regular(folder / SUMS, "sums", LARGEST, "make the sets anew") != sums_text(sums_of(folder)):
+def unchanged_digest(folder: Path) -> str:
+    """Return what tells a folder from another; raises `BadData` if it is not as `make` left it."""
+    sums = read_regular(folder / SUMS, "sums", LARGEST, "make the sets anew")
+    if sums != sums_text(sums_of(folder)):
         raise BadData(f"{folder}: must be as it was made, its files differ from {SUMS}; make the sets anew")
+    return hashlib.sha256(sums).hexdigest()[:12]
