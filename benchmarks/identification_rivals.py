@@ -2,11 +2,16 @@
 
     python benchmarks/identification_rivals.py reference peers dull tail_beam    # 1,500 and 15,000 to train
     python benchmarks/identification_rivals.py dull --sizes 1500 15000 150000 --only LightGBM "1-D CNN"
+    PYTHONPATH=. python benchmarks/identification_rivals.py --open sets --only LightGBM      # LightGBM-frames.csv
 
 Boosters (LightGBM, CatBoost) learn from cgid's features; a convolutional network, InceptionTime and MultiRocket-HYDRA
 from the pulse, `identification_peers.py` says how. "dull" is rock of low restitution, as in `rock.py`. All train on the
 first of the same signals, and answer others, from other blocks of random numbers. Intervals are Wilson's. Differences
 are paired, from cgid's logistic regression on as many signals; a shipped model answers as it is.
+
+--open enters the open benchmark (`benchmarks/open`) as anybody would: a rival learns from the frames of each training
+part (or of those of SCENE alone), and answers the test parts, resampled to the rate of the training, with
+probabilities; nothing is unknown. MultiRocket-HYDRA says 0 or 1.
 
 The environment is that of `identification.py`; it also keeps signals, features and answers, for --reuse. Each rival is
 a separate process on one thread. Times are processor times of a busy machine: compare ratios.
@@ -17,7 +22,8 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from functools import partial
+from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +31,7 @@ import numpy as np
 from identification import ENVIRONMENT, FIRST_TEST, HERE, SEED, install, run_process
 from identification_peers import FEATURES, RIVALS, rows, timed
 from rock import limits
+from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
@@ -47,24 +54,76 @@ CUTS = {
 }
 
 
+def measured_by(beam: ThroughBeam | None, signals: np.ndarray, rate: float, trigger: int) -> np.ndarray:
+    """Return cgid's features and guards of signals (n, samples), nan where they cannot be measured."""
+    features = (*BEAM_FEATURES, *BEAM_GUARDS) if beam else (*DEFAULT_FEATURES, *DEFAULT_GUARDS)
+    return extract_array(signals, rate, features, pre_trigger=trigger, invalid="nan", beam=beam)
+
+
+def beam_in(name: str) -> ThroughBeam | None:
+    """Return the beam of a shipped scene, if it has one."""
+    return ThroughBeam(beam_of(load_scene(shipped.scene_path(name)))) if name == "tail_beam" else None
+
+
 def write_rivals(folder: Path, name: str, n_train: int, n_test: int) -> float:
     """Write pulses, features and labels of a scene; return the time that cgid measures a signal for [s]."""
     scene = limits()[name] if name == "dull" else load_scene(shipped.scene_path(name))
-    beam = ThroughBeam(beam_of(scene)) if name == "tail_beam" else None
-    features = (*BEAM_FEATURES, *BEAM_GUARDS) if beam else (*DEFAULT_FEATURES, *DEFAULT_GUARDS)
-    spent = 0.0
+    beam, spent = beam_in(name), 0.0
     for kind, n, first in (("train", n_train, 0), ("test", n_test, FIRST_TEST)):
         found = []
         for batch in synthesise(scene, n, SEED, first=first):
-            arguments = (batch.signals, batch.sampling_rate, features)
-            measuring = partial(extract_array, pre_trigger=batch.pre_trigger, invalid="nan", beam=beam)
-            measured, seconds = timed(measuring, *arguments)
+            measured, seconds = timed(measured_by, beam, batch.signals, batch.sampling_rate, batch.pre_trigger)
             spent += seconds
             found.append((batch.signals[:, CUTS[name]].astype(np.float32), measured, batch.labels))
         for suffix, column in zip(("", "_features", "_labels"), zip(*found, strict=True), strict=True):
             whole = np.concatenate(column)
             np.save(folder / f"{kind}{suffix}.npy", whole[None] if kind == "train" else whole)
     return spent / (n_train + n_test)
+
+
+def enter_open(options: argparse.Namespace) -> Iterator[str]:
+    """Write the predictions of rivals for the open benchmark; yield their files and what they took."""
+    from benchmarks.open.entries import parts_of, write_predictions
+    from benchmarks.open.judge import Frames, Truth
+
+    signals = options.open / "signals"
+    labels, test = Truth.read(signals).frames, parts_of(signals, "test").values()
+    for name in options.only or RIVALS:
+        found = {}
+        for learn, part in parts_of(signals, "train").items():
+            if part.is_stream or (options.scenes and learn not in options.scenes):
+                continue
+            asked = [one for one in test if one.learn == learn and not one.is_stream]
+            folder = options.environment / "rivals" / f"open-{learn}"
+            if not (folder / "train_labels.npy").exists():
+                write_open(folder, learn, part.rate, {"train": [part], "test": asked}, labels[learn])
+            record = rival_process(options, folder, name, len(labels[learn]), "--probabilities")
+            if "error" in record:
+                yield f"Left out, failed: {name}, {learn} ({record['error']})."
+                continue
+            curve = np.round(record["curve"], 3).tolist()
+            yield f"{name}, {learn}: {record['fit']:.2g} s to fit, held-out loss by epoch {curve}"
+            ends = np.cumsum([len(one.signals) for one in asked])[:-1]
+            for one, own in zip(asked, np.split(np.array(record["probabilities"]), ends), strict=True):
+                found[one.name] = Frames(own, np.zeros(len(own), bool))
+        yield from map(str, write_predictions(found, Path(), name.replace(" ", "-")))
+
+
+def write_open(folder: Path, learn: str, rate: float, parts: dict[str, list[Any]], labels: np.ndarray) -> None:
+    """Write pulses at one rate, features and labels of a training part and of those that are answered from it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for kind, own in parts.items():
+        pulses, features = [], []
+        for part in own:
+            ratio = Fraction(rate / part.rate).limit_denominator(100)
+            signals = resample_poly(part.signals, ratio.numerator, ratio.denominator, axis=1)
+            pulses.append(signals[:, CUTS[learn]].astype(np.float32))  # their pre-triggers last equally long
+            for some in np.array_split(part.signals, -(-len(part.signals) // 500)):
+                features.append(measured_by(beam_in(learn), np.array(some), part.rate, part.trigger))
+        for suffix, column in (("", pulses), ("_features", features)):
+            whole = np.concatenate(column)
+            np.save(folder / f"{kind}{suffix}.npy", whole[None] if kind == "train" else whole)
+    np.save(folder / "train_labels.npy", labels[None])
 
 
 def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
@@ -121,7 +180,7 @@ def rivals(scene: str, options: argparse.Namespace) -> Iterator[str]:
                 yield line_of(scene, size, record, truth, ours)
 
 
-def rival_process(options: argparse.Namespace, folder: Path, name: str, size: int) -> dict[str, Any]:
+def rival_process(options: argparse.Namespace, folder: Path, name: str, size: int, *more: str) -> dict[str, Any]:
     """Return the record of a rival that learns from `size` signals, from a process in the peers' environment."""
     answer = folder / f"{name}-{size}.json"
     if options.reuse and answer.exists():
@@ -129,7 +188,7 @@ def rival_process(options: argparse.Namespace, folder: Path, name: str, size: in
     frame = FEATURES if RIVALS[name].on_features else "whole"
     program = [options.environment / "bin" / "python", "-E", "-W", "ignore", HERE / "identification_peers.py"]
     command = [*program, name, frame, folder, answer, "--sets", "1"]
-    command += ["--to-train", str(size), "--most", str(options.test)]
+    command += ["--to-train", str(size), "--most", str(options.test), *more]
     return {"name": name, **run_process(command, answer)}
 
 
@@ -150,7 +209,8 @@ def line_of(scene: str, size: int, record: dict[str, Any], truth: np.ndarray, ou
 def main() -> None:
     """Print a table for each scene."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="+", choices=CUTS, metavar="SCENE", help=f"of {', '.join(CUTS)}")
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(CUTS)}")
+    parser.add_argument("--open", type=Path, metavar="SETS", help="write predictions for the open benchmark, here")
     parser.add_argument("--sizes", type=int, nargs="+", default=(1500, 15_000), help="signals to train")
     parser.add_argument("--test", type=int, default=10_000, help="signals to answer")
     parser.add_argument("--only", nargs="+", choices=RIVALS, metavar="RIVAL", help=f"of {', '.join(RIVALS)}")
@@ -158,9 +218,11 @@ def main() -> None:
     parser.add_argument("--reuse", action="store_true", help="rivals' kept answers")
     options = parser.parse_args()
     options.environment = options.environment.expanduser().absolute()
-    for scene in options.scenes:
-        for line in rivals(scene, options):
-            print(line, flush=True)
+    if unknown := set(options.scenes) - set(CUTS):
+        parser.error(f"SCENE must be of {', '.join(CUTS)}, got {min(unknown)}")
+    tables = [enter_open(options)] if options.open else (rivals(scene, options) for scene in options.scenes)
+    for line in chain.from_iterable(tables):
+        print(line, flush=True)
 
 
 if __name__ == "__main__":

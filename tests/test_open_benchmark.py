@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,15 +32,14 @@ from cgid.scene import generate
 from cgid.scene.recordings import generate_recordings
 from cgid.store import Dataset
 from cgid.store.reading import Recording
-from tests.bad_input import Case
 
 N = 40
 ALL = sets.all_sets()
-#: One stream of 20 s a part.
+#: One stream of 12 s a part.
 SHORT = replace(
     ALL["caving-constant"],
     signals={"train": 1, "test": 1},
-    content={**ALL["caving-constant"].content, "stream": ALL["caving-constant"].content["stream"] | {"duration": 20.0}},
+    content={**ALL["caving-constant"].content, "stream": ALL["caving-constant"].content["stream"] | {"duration": 12.0}},
 )
 
 
@@ -61,7 +63,7 @@ def truth_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     for name, columns in sets.COLUMNS.items():
         sets.write_rows(folder / "truth" / name, columns, rows[name])
-    (folder / "truth" / sets.SUMS).write_bytes(sets.sums_text(folder / "truth"))
+    (folder / "truth" / sets.SUMS).write_bytes(sets.sums_text(sets.sums_of(folder / "truth")))
     return folder
 
 
@@ -79,156 +81,97 @@ def streams_text(change: Callable[[list[str]], object] = lambda lines: None) -> 
     return "\n".join(lines) + "\n"
 
 
-def to(number: int, line: str) -> Callable[[list[str]], object]:
-    """Return what replaces one line."""
-    return lambda lines: lines.__setitem__(number, line)
+def row(line: str, number: int = 2) -> str:
+    """Return predictions of the small set with another line."""
+    return frames_text(lambda lines: lines.__setitem__(number, line))
 
 
-#: Case and content of the file of predictions; None: no file.
-BAD: list[tuple[Case, str | bytes | None]] = [
-    (Case("missing file", ("x",), 66, ("cannot be read (No such file", "check the name")), None),
-    (Case("empty file", ("x",), 65, ("must have a header and rows, is empty",)), ""),
-    (Case("no text", ("x",), 65, ("must be UTF-8 text",)), b"\xff\xfe\x00set"),
-    (Case("endless cell", ("x",), 65, ("must be comma-separated values",)), "set," + "1" * 200_000),
-    (
-        Case("header of labels", ("x",), 65, ("the header must be set,id,coal,gangue,unknown", "got 'set,id,label'")),
-        "set,id,label\n",
-    ),
-    (
-        Case("other labels", ("x",), 65, ("got 'set,id,coal,shale'", "no other labels")),
-        frames_text(header="set,id,coal,shale"),
-    ),
-    (Case("columns swapped", ("x",), 65, ("got 'set,id,gangue,coal'",)), frames_text(header="set,id,gangue,coal")),
-    (Case("header alone", ("x",), 65, ("must have rows below its header",)), "set,id,coal,gangue\n"),
-    (
-        Case(
-            "missing row", ("x",), 65, ("reference has 39 of 40 rows and lacks reference 7", "leave out the whole set")
-        ),
-        frames_text(lambda lines: lines.pop(8)),
-    ),
-    (
-        Case("twice", ("x",), 65, ("line 42: reference 3 must be given once, is also in line 5",)),
-        frames_text(lambda lines: lines.append("reference,3,0.5,0.5")),
-    ),
-    (
-        Case("unknown id", ("x",), 65, ("line 3: id must be a whole number from 0 to 39, got '40'",)),
-        frames_text(to(2, "reference,40,0.3,0.7")),
-    ),
-    (
-        Case("id is no number", ("x",), 65, ("line 3: id must be a whole number", "got '1.0'")),
-        frames_text(to(2, "reference,1.0,0.3,0.7")),
-    ),
-    (
-        Case("unknown set", ("x",), 65, ("got 'refernce'; did you mean 'reference'?",)),
-        frames_text(to(2, "refernce,1,0.3,0.7")),
-    ),
-    (
-        Case("set of streams", ("x",), 65, ("caving-crossing has streams, whose predictions have another header",)),
-        frames_text(to(2, "caving-crossing,1,0.3,0.7")),
-    ),
-    (
-        Case(
-            "sum", ("x",), 65, ("line 3: probabilities must sum to 1 within 0.001, 0.3 and 0.8 sum to 1.1; normalise",)
-        ),
-        frames_text(to(2, "reference,1,0.3,0.8")),
-    ),
-    (
-        Case("nan", ("x",), 65, ("line 3: coal must be a number from 0 to 1, got 'nan'; if unknown, give 0.5",)),
-        frames_text(to(2, "reference,1,nan,nan")),
-    ),
-    (
-        Case("infinite", ("x",), 65, ("gangue must be a number from 0 to 1, got 'inf'",)),
-        frames_text(to(2, "reference,1,0.3,inf")),
-    ),
-    (
-        Case("logits", ("x",), 65, ("coal must be a number from 0 to 1, got '-2.3'",)),
-        frames_text(to(2, "reference,1,-2.3,3.3")),
-    ),
-    (
-        Case("label for a probability", ("x",), 65, ("coal must be a number from 0 to 1, got 'gangue'",)),
-        frames_text(to(2, "reference,1,gangue,1")),
-    ),
-    (
-        Case("too few cells", ("x",), 65, ("line 3: must have 4 cells as the header has, got 3",)),
-        frames_text(to(2, "reference,1,0.3")),
-    ),
-    (
-        Case("unknown is no flag", ("x",), 65, ("unknown must be 0 or 1, got 'yes'",)),
-        "set,id,coal,gangue,unknown\nreference,0,.5,.5,yes\n",
-    ),
-    (
-        Case("time beside the windows", ("x",), 65, ("time must be a whole number from 10 to 60 s, got '9'",)),
-        streams_text(to(1, "caving-crossing,0,9,0.4,0")),
-    ),
-    (
-        Case("share", ("x",), 65, ("share must be a number from 0 to 1, got '40'",)),
-        streams_text(to(1, "caving-crossing,0,10,40,0")),
-    ),
-    (
-        Case("shut is no flag", ("x",), 65, ("shut must be 0 or 1, got '0.7'",)),
-        streams_text(to(1, "caving-crossing,0,10,0.4,0.7")),
-    ),
-    (
-        Case(
-            "missing second", ("x",), 65, ("caving-crossing has 101 of 102 rows and lacks caving-crossing 0 at 12 s",)
-        ),
-        streams_text(lambda lines: lines.pop(3)),
-    ),
-    (Case("name", ("a|b",), 65, ("NAME must be 1 to 60 letters", "got 'a|b'")), frames_text()),
+def second(line: str) -> str:
+    """Return predictions of the streams with another first line."""
+    return streams_text(lambda lines: lines.__setitem__(1, line))
+
+
+_SHARE = "must be a number from 0 to 1, got"
+#: Name, content of the file of predictions (None: no file), what the line says; the exit code is 65 but for no file.
+BAD: list[tuple[str, str | bytes | None, tuple[str, ...]]] = [
+    ("missing file", None, ("cannot be read (No such file", "check the name")),
+    ("empty file", "", ("must have a header and rows, is empty",)),
+    ("no text", b"\xff\xfe\x00set", ("must be UTF-8 text",)),
+    ("endless cell", "set," + "1" * 200_000, ("must be comma-separated values",)),
+    ("labels", "set,id,label\n", ("the header must be set,id,coal,gangue,unknown", "got 'set,id,label'")),
+    ("other labels", frames_text(header="set,id,coal,shale"), ("got 'set,id,coal,shale'", "no other labels")),
+    ("columns swapped", frames_text(header="set,id,gangue,coal"), ("got 'set,id,gangue,coal'",)),
+    ("header alone", "set,id,coal,gangue\n", ("must have rows below its header",)),
+    ("missing row", frames_text(lambda lines: lines.pop(8)), ("has 39 of 40 rows and lacks reference 7", "whole set")),
+    ("twice", row("reference,3,0.5,0.5"), ("line 5: reference 3 must be given once, is also in line 3",)),
+    ("unknown id", row("reference,40,0.3,0.7"), ("line 3: id must be a whole number from 0 to 39, got '40'",)),
+    ("id is no number", row("reference,1.0,0.3,0.7"), ("line 3: id must be a whole number", "got '1.0'")),
+    ("unknown set", row("refernce,1,0.3,0.7"), ("got 'refernce'; did you mean 'reference'?",)),
+    ("set of streams", row("caving-crossing,1,.3,.7"), ("has streams, whose predictions have another header",)),
+    ("sum", row("reference,1,0.3,0.8"), ("line 3: probabilities must sum to 1", "0.3 and 0.8 sum to 1.1; normalise")),
+    ("nan", row("reference,1,nan,nan"), (f"line 3: coal {_SHARE} 'nan'; if unknown, give 0.5",)),
+    ("infinite", row("reference,1,0.3,inf"), (f"gangue {_SHARE} 'inf'",)),
+    ("logits", row("reference,1,-2.3,3.3"), (f"coal {_SHARE} '-2.3'",)),
+    ("label for a probability", row("reference,1,gangue,1"), (f"coal {_SHARE} 'gangue'",)),
+    ("too few cells", row("reference,1,0.3"), ("line 3: must have 4 cells as the header has, got 3",)),
+    ("unknown", "set,id,coal,gangue,unknown\nreference,0,.5,.5,yes\n", ("unknown must be 0 or 1, got 'yes'",)),
+    ("time", second("caving-crossing,0,9,.4,0"), ("time must be a whole number from 10 to 60 s, got '9'",)),
+    ("share", second("caving-crossing,0,10,40,0"), (f"share {_SHARE} '40'",)),
+    ("shut", second("caving-crossing,0,10,0.4,0.7"), ("shut must be 0 or 1, got '0.7'",)),
+    ("missing second", streams_text(lambda lines: lines.pop(3)), ("has 101 of 102 rows and lacks", "0 at 12 s")),
 ]
 
 
-@pytest.mark.parametrize(("case", "content"), BAD, ids=[case.name for case, _ in BAD])
+@pytest.fixture(scope="module")
+def failed(truth_folder: Path) -> Callable[..., str]:
+    """Return what runs the program, and returns the line of its failure."""
+
+    def run(code: int, *arguments: str | Path) -> str:
+        with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+            assert program.run([str(one) for one in arguments]) == code, err.getvalue()
+        text = err.getvalue()
+        assert not out.getvalue() and text.startswith("benchmarks.open: error: ") and text.count("\n") == 1, text
+        return text
+
+    return run
+
+
+@pytest.mark.parametrize(("content", "says"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])
 def test_bad_predictions_end_with_one_line(
-    case: Case, content: str | bytes | None, truth_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    content: str | bytes | None, says: tuple[str, ...], truth_folder: Path, tmp_path: Path, failed: Callable[..., str]
 ) -> None:
     path, results = tmp_path / "mine.csv", tmp_path / "results.csv"
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    options = ["-d", str(truth_folder), "--results", str(results)]
-    assert program.run(["enter", *case.arguments, str(path), *options]) == case.exit_code
-    out, err = capsys.readouterr()
-    assert not out and err.startswith("benchmarks.open: error: ") and err.count("\n") == 1
-    assert all(text in err for text in case.says), err
+    line = failed(66 if content is None else 65, "enter", "x", path, "-d", truth_folder, "--results", results)
+    assert all(text in line for text in says), line
     assert not results.exists()
 
 
-def test_bad_settings_end_with_one_line(truth_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    good, other = tmp_path / "good.csv", tmp_path / "other.csv"
-    good.write_text(frames_text())
-    other.write_text("entry,set,metric,value,low,high,n,truth\na,reference,accuracy,1,1,1,2,000000000000\n")
-    (tmp_path / "odd.csv").write_text("a,b\n")
-    (tmp_path / "worded.csv").write_text(other.read_text().replace("accuracy,1,", "accuracy,good,"))
-    (tmp_path / "page.md").write_text("no place for a table\n")
-    full = tmp_path / "full"
-    full.mkdir()
-    (full / "file").touch()
-    enter = ["enter", "me", str(good), "-d", str(truth_folder), "--results"]
-    for arguments, code, says in (
-        (
-            [*enter[:3], str(good), *enter[3:], str(tmp_path / "new.csv")],
-            65,
-            "must be predicted once, reference is also",
-        ),
-        ([*enter, str(other)], 65, "results must be of one truth, got 000000000000"),
-        ([*enter, str(tmp_path / "odd.csv")], 65, "results must have the columns entry,set"),
-        (["enter", "me", str(good), "-d", str(tmp_path)], 66, "cannot be read"),
-        (
-            ["table", "--results", str(other), "--page", str(tmp_path / "page.md")],
-            65,
-            "must have the lines <!-- table -->",
-        ),
-        (["table", "--results", str(tmp_path / "worded.csv")], 65, "results must be numbers (could not convert"),
-        (["table", "--results", str(tmp_path / "none.csv")], 66, "cannot be read"),
-        (["make", "-o", str(full)], 73, "must be new or empty"),
-        (["make", "-o", str(tmp_path / "new"), "--private", "7"], 65, "smaller seeds can be guessed, got 7"),
-        (["make", "-o", str(tmp_path / "new"), "--most", "0"], 65, "--most: must be 1 or more, got 0"),
-        (["answer", "constant", "-d", str(tmp_path), "-o", str(tmp_path)], 66, "cannot be read"),
-        (["answer", "constant", "-d", str(tmp_path), "-o", str(tmp_path / "none")], 73, "must be an existing folder"),
+def test_bad_settings_end_with_one_line(truth_folder: Path, tmp_path: Path, failed: Callable[..., str]) -> None:
+    other = "entry,set,metric,value,low,high,n,truth\na,reference,accuracy,1,1,1,2,000000000000\n"
+    files = {"good.csv": frames_text(), "other.csv": other, "odd.csv": "a,b\n", "page.md": "no place for a table\n"}
+    for name, text in (files | {"worded.csv": other.replace("accuracy,1,", "accuracy,good,")}).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "file").touch()
+    for code, says, line in (
+        (65, "must be predicted once, reference is also", "enter me good.csv good.csv -d TRUTH --results new.csv"),
+        (65, "NAME must be 1 to 60 letters", "enter a|b good.csv -d TRUTH --results new.csv"),
+        (65, "results must be of one truth, got 000000000000", "enter me good.csv -d TRUTH --results other.csv"),
+        (65, "results must have the columns entry,set", "enter me good.csv -d TRUTH --results odd.csv"),
+        (66, "cannot be read", "enter me good.csv -d ."),
+        (65, "must have the lines <!-- table -->", "table --results other.csv --page page.md"),
+        (65, "results must be numbers (could not convert", "table --results worded.csv"),
+        (66, "cannot be read", "table --results none.csv"),
+        (73, "must be new or empty", "make -o full"),
+        (65, "smaller seeds can be guessed, got 7", "make -o new --private 7"),
+        (65, "--most: must be 1 or more, got 0", "make -o new --most 0"),
+        (66, "cannot be read", "answer constant -d . -o ."),
+        (73, "must be an existing folder", "answer constant -d . -o none"),
     ):
-        assert program.run(arguments) == code, arguments
-        out, err = capsys.readouterr()
-        assert not out and says in err and err.count("\n") == 1, (arguments, err)
+        with contextlib.chdir(tmp_path):
+            assert says in failed(code, *line.replace("TRUTH", str(truth_folder)).split()), line
     assert (tmp_path / "page.md").read_text() == "no place for a table\n"
     assert not (tmp_path / "new").exists() and not (tmp_path / "new.csv").exists()
 
@@ -399,7 +342,7 @@ def test_signals_are_those_of_cgid_generate(made: Path, tmp_path: Path) -> None:
     generate_recordings(scene, tmp_path / "s.h5", 1, seed)
     stored = np.load(made / "signals" / "caving-constant-test.npy")[0]
     assert stored.tobytes() == Recording(tmp_path / "s.h5").samples().tobytes()
-    assert np.isnan(crossing) and truth.streams["caving-constant"][0].time.size > 100
+    assert np.isnan(crossing) and truth.streams["caving-constant"][0].time.size > 60
 
 
 def test_a_private_seed_changes_the_test_parts_alone_and_entrants_get_no_truth(made: Path) -> None:
@@ -411,7 +354,7 @@ def test_a_private_seed_changes_the_test_parts_alone_and_entrants_get_no_truth(m
         assert same == (not name.endswith("-test.npy") and name != sets.SUMS), name
     assert (private / "truth" / "seed.txt").read_text() == f"{2**50}\n" and not (made / "truth" / "seed.txt").exists()
     for folder in (private / "signals", private / "truth"):
-        sets.require_unchanged(folder)
+        sets.unchanged_digest(folder)
     assert not any(str(2**50) in path.read_text() for path in (private / "signals").glob("*.csv"))
 
 

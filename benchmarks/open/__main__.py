@@ -13,9 +13,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.open.sets import HERE, SUMS, draw_seed, make, sums_text
+from benchmarks.open.sets import HERE, draw_seed, make
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import read_regular, write_whole
+from cgid.store.description import SUMS
 
 #: Results of the public sets; the table goes between these lines of a page.
 RESULTS, BEGIN, END = HERE / "results.csv", "<!-- table -->\n", "<!-- end of table -->\n"
@@ -59,7 +60,7 @@ def run(arguments: list[str] | None = None) -> int:
 def _make(chosen: argparse.Namespace) -> int:
     private = draw_seed() if chosen.private == -1 else chosen.private
     for folder in make(chosen.output, private=private, most=chosen.most):
-        print(f"{folder}: {len(sums_text(folder).splitlines())} files, sums in {folder / SUMS}")
+        print(f"{folder}: {len(list(folder.iterdir())) - 1} files, sums in {folder / SUMS}")
     if private is not None:
         print(f"Publish the sums of both, give signals/ away and keep truth/, which holds the seed {private}.")
     return 0

@@ -182,13 +182,8 @@ def _batches(part: Part, labels: NDArray[np.str_]) -> Iterator[Batch]:
         own = slice(first, first + _AT_ONCE)
         signals = np.array(part.signals[own])
         numbers = np.arange(first, first + len(signals), dtype=np.uint64)
-        known: dict[str, Any] = {
-            "sampling_rate": part.rate,
-            "unit": part.unit,
-            "pre_trigger": part.trigger,
-            "source": part.name,
-        }
-        yield Batch(signals=signals, labels=labels[own], specimen=numbers, **known)
+        known: dict[str, Any] = {"sampling_rate": part.rate, "pre_trigger": part.trigger, "source": part.name}
+        yield Batch(signals=signals, labels=labels[own], specimen=numbers, unit=part.unit, **known)
 
 
 def _answered(model: Model, part: Part) -> Frames | Streams:

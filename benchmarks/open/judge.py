@@ -6,8 +6,6 @@ Definitions of the metrics: benchmarks/open/README.md.
 from __future__ import annotations
 
 import csv
-import hashlib
-import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from benchmarks.open.sets import COAL, COLUMNS, GANGUE, LARGEST, LIMIT, OTHER, SUMS, all_sets, require_unchanged
+from benchmarks.open.sets import COAL, COLUMNS, GANGUE, LARGEST, LIMIT, OTHER, all_sets, unchanged_digest, write_rows
 from cgid.errors import BadData, InvalidValue
-from cgid.files import read_cells, write_whole
+from cgid.files import read_cells
 from cgid.identification.card import plain, table
 from cgid.identification.share import wilson_interval
 from cgid.validation import suggestion
@@ -72,7 +70,7 @@ class Truth:
     @classmethod
     def read(cls, folder: Path) -> Truth:
         """Read the folder `truth`, or of the training parts `signals`; raises `NoInput`, or `BadData` if changed."""
-        require_unchanged(folder)
+        digest = unchanged_digest(folder)
         labels, impacts, crossings = (_table(folder / name) for name in COLUMNS)
         rocks = impacts[impacts[:, 3] == "0"]
         frames = {str(name): labels[labels[:, 0] == name, 2] for name in np.unique(labels[:, 0])}
@@ -81,7 +79,6 @@ class Truth:
             own = rocks[(rocks[:, 0] == name) & (rocks[:, 1] == number)]
             one = Stream(own[:, 2].astype(float), own[:, 4] == GANGUE, float(crossing or "nan"))
             streams.setdefault(name, []).append(one)
-        digest = hashlib.sha256((folder / SUMS).read_bytes()).hexdigest()[:12]
         return cls(frames=frames, streams=streams, digest=digest)
 
 
@@ -331,15 +328,10 @@ def enter(name: str, files: Iterable[Path], truth: Truth, results: Path) -> int:
         predictions |= new
     kept = read_results(results, truth.digest) if results.exists() else []
     own = [
-        {"entry": name, "set": of, "metric": one.metric, "n": str(one.n), "truth": truth.digest}
-        | {key: f"{getattr(one, key):.5g}" for key in ("value", "low", "high")}
+        (name, of, one.metric, *(f"{value:.5g}" for value in (one.value, one.low, one.high)), one.n, truth.digest)
         for of, one in judged(predictions, truth)
     ]
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, RESULT_COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([row for row in kept if row["entry"] != name] + own)
-    write_whole(results, stream.getvalue().encode())
+    write_rows(results, RESULT_COLUMNS, [*(tuple(row.values()) for row in kept if row["entry"] != name), *own])
     return len(predictions)
 
 
@@ -362,12 +354,9 @@ def read_results(path: Path, digest: str | None = None) -> list[dict[str, str]]:
 Metrics = Mapping[str, Mapping[str, str]]
 
 
-def _interval(metric: str) -> Callable[[Metrics], str]:
-    def form(found: Metrics) -> str:
-        value, low, high = (f"{float(found[metric][key]):.3f}" for key in ("value", "low", "high"))
-        return f"{value} ({low} to {high})"
-
-    return form
+def _interval(found: Mapping[str, str]) -> str:
+    value, low, high = (f"{float(found[key]):.3f}" for key in ("value", "low", "high"))
+    return f"{value} ({low} to {high})"
 
 
 def _unknown(found: Metrics) -> str:
@@ -381,19 +370,18 @@ def _cost(found: Metrics) -> str:
     return f"{cost:.0f} ({low:.0f} to {high:.0f}); {gangue:.0f}, {coal:.0f}; {late:+.1f} s"
 
 
-#: Title of a table, the metric that a set must have to be in it, and what a cell shows.
-_TABLES = (
-    ("Accuracy", "accuracy", _interval("accuracy")),
-    ("Calibration error", "calibration error", _interval("calibration error")),
-    ("Share unknown; accuracy of the others. Of strangers all should be unknown", "unknown", _unknown),
-    ("Streams: error of the share", "share error", _interval("share error")),
-    ("Streams shut although their share stays below one half", "false shut", _interval("false shut")),
-    (
+#: By the metric that a set must have to be in a table: its title, and what a cell shows, by default with an interval.
+_TABLES: dict[str, tuple[str, Callable[[Metrics], str] | None]] = {
+    "accuracy": ("Accuracy", None),
+    "calibration error": ("Calibration error", None),
+    "unknown": ("Share unknown; accuracy of the others. Of strangers all should be unknown", _unknown),
+    "share error": ("Streams: error of the share", None),
+    "false shut": ("Streams shut although their share stays below one half", None),
+    _TIMING[0]: (
         "Cost of the wrong time to shut, a stream, in rocks of coal; gangue let through, coal lost; delay",
-        _TIMING[0],
         _cost,
     ),
-)
+}
 
 
 def markdown(rows: Sequence[Mapping[str, str]]) -> str:
@@ -403,12 +391,13 @@ def markdown(rows: Sequence[Mapping[str, str]]) -> str:
     for row in rows:
         found.setdefault((row["entry"], row["set"]), {})[row["metric"]] = row
     parts = []
-    for title, metric, form in _TABLES:
+    for metric, (title, form) in _TABLES.items():
         lines = []
         for name in all_sets():
             own = [found.get((entry, name), {}) for entry in entries]
             if any(metric in one for one in own):
-                lines.append((f"`{name}`", *(form(one) if metric in one else "-" for one in own)))
+                cells = ((form(one) if form else _interval(one[metric])) if metric in one else "-" for one in own)
+                lines.append((f"`{name}`", *cells))
         if lines:
             parts.append("\n".join([f"**{title}**", "", *table(("", *map(plain, entries)), lines)]))
     return "\n\n".join(parts) + "\n"

@@ -12,7 +12,7 @@ import io
 import json
 import secrets
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from cgid.files import read_regular, whole_file, write_whole
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.draws import generator
 from cgid.scene.stream import record
+from cgid.store.description import SUMS, file_facts, sums_text
 
 HERE = Path(__file__).parent
 #: Seeds of the training parts, which are always public, and of the public test parts; set k adds k.
@@ -38,7 +39,6 @@ LEAST_PRIVATE = 2**40
 COAL, GANGUE, OTHER = "coal", "gangue", "other"
 #: Share of gangue above which a drawn rock costs more than it gains: a gangue costs as much as a lost coal.
 LIMIT = 0.5
-SUMS = "SHA256SUMS"
 #: Sums of the public sets, as `sha256sum signals/[!S]* truth/[!S]*` prints them.
 KEPT_SUMS = HERE / SUMS
 #: Largest file of sums or of truth that is read [bytes].
@@ -52,8 +52,8 @@ COLUMNS = {
     "crossings.csv": ("set", "id", "crossing"),
 }
 _SET_COLUMNS = (
-    "file",
-    *("set", "part", "kind", "signals", "samples", "sampling_rate", "unit", "pre_trigger", "learn", "about"),
+    *("file", "set", "part", "kind", "signals", "samples"),
+    *("sampling_rate", "unit", "pre_trigger", "learn", "about"),
 )
 
 Rows = list[tuple[Any, ...]]
@@ -176,7 +176,7 @@ def make(output: Path, *, private: int | None = None, most: int | None = None) -
     if private is not None:
         write_whole(output / "truth" / "seed.txt", f"{private}\n".encode())
     for folder in folders.values():
-        write_whole(folder / SUMS, sums_text(folder))
+        write_whole(folder / SUMS, sums_text(sums_of(folder)))
     if most is None:
         _compare(output, private is None)
     return folders["train"], folders["test"]
@@ -210,7 +210,7 @@ def _streams(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]
     return np.stack(signals), rows
 
 
-def write_rows(path: Path, columns: tuple[str, ...], rows: Rows) -> None:
+def write_rows(path: Path, columns: Sequence[str], rows: Rows) -> None:
     """Write a table as CSV."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([columns, *rows])
@@ -220,23 +220,16 @@ def write_rows(path: Path, columns: tuple[str, ...], rows: Rows) -> None:
 # -- sums ------------------------------------------------------------------------------------------------------------
 
 
-def sums_text(folder: Path) -> bytes:
-    """Return the lines of `sha256sum` for the files of a folder."""
-    return "".join(f"{digest}  {name}\n" for name, digest in _sums(folder)).encode()
-
-
-def _sums(folder: Path) -> Iterator[tuple[str, str]]:
-    for path in sorted(folder.iterdir()):
-        if path.name != SUMS:
-            with path.open("rb") as file:
-                yield path.name, hashlib.file_digest(file, "sha256").hexdigest()
+def sums_of(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of each file of a folder but of the sums."""
+    return {path.name: file_facts(path)["sha256"] for path in sorted(folder.iterdir()) if path.name != SUMS}
 
 
 def _compare(output: Path, public: bool) -> None:
     """Raise `BadData` if a file is not the one whose sum is kept; of a contest the training parts count alone."""
     kept = dict(line.split("  ")[::-1] for line in KEPT_SUMS.read_text(encoding="utf-8").splitlines())
     for folder in ("signals", "truth") if public else ("signals",):
-        for file, digest in _sums(output / folder):
+        for file, digest in sums_of(output / folder).items():
             name = f"{folder}/{file}"
             if (public or not file.endswith("-test.npy")) and kept.get(name) != digest:
                 raise BadData(
@@ -245,7 +238,9 @@ def _compare(output: Path, public: bool) -> None:
                 )
 
 
-def require_unchanged(folder: Path) -> None:
-    """Raise `BadData` if a folder is not as `make` left it."""
-    if read_regular(folder / SUMS, "sums", LARGEST, "make the sets anew") != sums_text(folder):
+def unchanged_digest(folder: Path) -> str:
+    """Return what tells a folder from another; raises `BadData` if it is not as `make` left it."""
+    sums = read_regular(folder / SUMS, "sums", LARGEST, "make the sets anew")
+    if sums != sums_text(sums_of(folder)):
         raise BadData(f"{folder}: must be as it was made, its files differ from {SUMS}; make the sets anew")
+    return hashlib.sha256(sums).hexdigest()[:12]
