@@ -22,7 +22,7 @@ _OPTIONS = {
     "Gangue share": "--window --gangue --gangue-cost --dilution-cost --evidence --hold",
     "What struck": "--striker --masses",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
-    "Calibration": "--start-error --drift --participation-error --impacts",
+    "Calibration": "--start-error --drift --participation-error --dimension-error --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
     "--clock --strict",
