@@ -598,6 +598,8 @@ CASES = (
         for name, data, point, says in (
             ("no point", ("tail_beam",), "0.5;0.45", ("--sensor", "X,Y", "0.5,0.45", "'0.5;0.45'")),
             ("off the beam", ("tail_beam",), "9,0.45", ("sensor_point.x", "0 and 1.6 m", "9 m")),
+            *((point, ("tail_beam",), point, ("--sensor", "X,Y", point)) for point in ("nan,0.4", "0.5,inf", "-1,0.4")),
+            ("three numbers", ("tail_beam",), "0.5,0.4,0.3", ("--sensor", "X,Y", "0.5,0.4,0.3")),
             ("of a force", ("reference",), "0.5,0.45", ("--sensor must be left out", "reference", "tail_beam")),
             ("of a stream", ("caving",), "0.5,0.45", ("caving", "stream", "left out")),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from cgid.identification.training import train
 from cgid.measure.beam import Beam, filtered, lagrange, respond
 from cgid.measure.features import extract_array
 from cgid.measure.vibration import VibrationBatch
-from cgid.scene import load_scene, synthesise, varied
+from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import _at_sensors, beam_of, moved, recorded_together
 from cgid.signals import Batch, Signal
@@ -235,6 +236,24 @@ def test_the_first_sensor_is_the_beam_itself() -> None:
         true = modes.participation({"impact_x": x, "impact_y": y})
         found = both.weights(x, y)[0] * both.shares[number]
         np.testing.assert_allclose(found, true, atol=1e-3 * np.abs(true).max())
+
+
+def test_participations_that_blows_taught_are_those_of_one_sensor() -> None:
+    """Frequencies and dampings are those of the whole beam, so a scene that has learned these alone may move."""
+    scene = load_scene("tail_beam")
+    content, modes = json.loads(scene.text), beam_modes(scene)
+    rows = [
+        {"frequency": f, "damping_ratio": zeta, "frequency_deviation": 0.01}
+        for f, zeta in zip(modes.frequency.tolist(), modes.damping_ratio.tolist(), strict=True)
+    ]
+    content["tail_beam"]["learned"] = rows
+    assert next(recorded_together(parse_scene(content), OFF, 1)).signals.shape[:2] == (1, 2)
+    for wrong in ({"participation": 1.1}, {"participation_deviation": 0.1}):
+        content["tail_beam"]["learned"] = [*rows[:-1], rows[-1] | wrong]
+        learned = parse_scene(content)
+        for used in (beam_of, lambda scene, sensors: next(recorded_together(scene, sensors, 1))):
+            with pytest.raises(InvalidValue, match="participations of 1 without deviation"):
+                used(learned, sensors=OFF)
 
 
 def test_a_model_of_two_sensors(tmp_path: Path) -> None:

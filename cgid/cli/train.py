@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +19,9 @@ from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
+    from cgid.scene import Scene
+    from cgid.signals import Batch
+    from cgid.store import Dataset
 
 #: Options for recordings only, and for datasets and scenes only.
 _OF_RECORDINGS = {
@@ -312,25 +315,25 @@ _COMMON = ("features", "family", "class_weights", "seed", "shuffle_labels", "cre
 def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on datasets and scenes, and no errors."""
     from cgid.identification.training import train as train_model
+    from cgid.scene import Scene
 
     given = options["start_error"]
-    error = None if given is None else share_of("--start-error", given)
-    made = next((item for item in data if not _means_scene(item)), None)
-    if given is not None and made is not None:
-        raise InvalidValue(f"{made}: --start-error must be left out, the signals of a dataset are made; give its scene")
-    scene = _streamable(data, options, error)
+    sources = _sources(data, None if given is None else share_of("--start-error", given))
+    scene = sources[0] if len(sources) == 1 and isinstance(sources[0], Scene) else None
+    own = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share")}
     with progress_bar(None, "signals") as progress:
-        if scene is not None:
-            from cgid.site.streams import train_on_streams
+        if scene is not None and not (own["features"] or options["drop_height"] or options["sensors"]):
+            from cgid.site.streams import is_streamable, train_on_streams
 
-            own = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share") if name != "features"}
-            return train_on_streams(scene, options["n_signals"], progress=progress, **own), []
+            if is_streamable(scene):
+                del own["features"]
+                return train_on_streams(scene, options["n_signals"], progress=progress, **own), []
         training = train_model(
-            _batches(data, options["n_signals"], options["seed"], error, options["sensors"]),
+            _batches(sources, options),
             known=("drop_height",) if options["drop_height"] else (),
-            beam=_beam(data, options["features"], error, options["sensors"]),
+            beam=_beam(scene, data, options),
             progress=progress,
-            **{name: options[name] for name in (*_COMMON, "test_share", "calibration_share")},
+            **own,
         )
     return training, []
 
@@ -383,7 +386,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
         raise InvalidValue(
             f"{data[0]}: scenes hold single impacts; give --by impact to train on both, or leave them out"
         )
-    batches = _batches(data, options["n_signals"], options["seed"], None)
+    batches = _batches(_sources(data), options)
     first = next(batches, None)
     if first is None:
         raise BadData(f"{data[0]}: there must be signals to train on; there are none")
@@ -455,44 +458,26 @@ def _class_weights(text: str | None) -> dict[str, float] | str | None:
     return weights
 
 
-def _scene(item: str, start_error: float | None) -> Any:
-    """Return a scene; with an error, its beam is known no better."""
-    from cgid.scene import load_scene
-
-    scene = load_scene(item)
-    if start_error is None:
-        return scene
-    from cgid.site.calibration import uncertain
-
-    return uncertain(scene, start_error)
-
-
 def _point(text: str) -> tuple[float, float]:
     """Return the point [m] of a sensor."""
     try:
-        x, y = (float(part) for part in text.split(","))
+        x, y = (float(validation.not_negative("--sensor", float(part))) for part in text.split(","))
     except ValueError:
-        raise InvalidValue(f"--sensor must be a point X,Y [m] such as 0.5,0.45, got {text!r}") from None
+        raise InvalidValue(f"--sensor must be a point X,Y [m] of a beam, such as 0.5,0.45, got {text!r}") from None
     return x, y
 
 
-def _beam(
-    data: list[str],
-    features: tuple[str, ...] | None,
-    start_error: float | None,
-    sensors: list[tuple[float, float]],
-) -> Any:
+def _beam(scene: Scene | None, data: list[str], options: dict[str, Any]) -> Any:
     """Return the beam of the only scene, if it has one to look through and the features, or the default, do.
 
     Raises `InvalidValue` if there are sensors, but no such beam.
     """
     from cgid.measure.features import FEATURES
 
-    asked = features is None or any(FEATURES[name].beam for name in features)
-    if asked and len(data) == 1 and _means_scene(data[0]):
+    features, sensors = options["features"], options["sensors"]
+    if scene is not None and (features is None or any(FEATURES[name].beam for name in features)):
         from cgid.scene.through_beam import beam_of, has_beam
 
-        scene = _scene(data[0], start_error)
         if has_beam(scene):
             return beam_of(scene, sensors=sensors)
     if sensors:
@@ -503,18 +488,6 @@ def _beam(
     return None
 
 
-def _streamable(data: list[str], options: dict[str, Any], start_error: float | None) -> Any:
-    """Return the only scene, if it is one of streams to train on with the default features."""
-    if options["features"] is not None or options["drop_height"] or options["sensors"]:
-        return None
-    if len(data) != 1 or not _means_scene(data[0]):
-        return None
-    from cgid.site.streams import is_streamable
-
-    scene = _scene(data[0], start_error)
-    return scene if is_streamable(scene) else None
-
-
 def _means_scene(item: str) -> bool:
     """Return whether data is a scene; a name that resembles a shipped one is a mistyped one, unless it exists."""
     from cgid import shipped
@@ -523,27 +496,35 @@ def _means_scene(item: str) -> bool:
     return Path(item).suffix == ".toml" or (named and not Path(item).exists())
 
 
-def _batches(
-    data: list[str],
-    n_signals: int,
-    seed: int,
-    start_error: float | None = None,
-    sensors: Sequence[tuple[float, float]] = (),
-) -> Iterator[Any]:
+def _sources(data: list[str], start_error: float | None = None) -> list[Any]:
+    """Return scenes and datasets; with an error, the beam of a scene is known no better."""
+    from cgid.scene import load_scene
     from cgid.store import Dataset
 
-    for item in data:
-        if _means_scene(item):
-            from cgid.scene import synthesise
-            from cgid.scene.generation import MOST_SIGNALS
+    made = next((item for item in data if not _means_scene(item)), None)
+    if start_error is not None and made is not None:
+        raise InvalidValue(f"{made}: --start-error must be left out, the signals of a dataset are made; give its scene")
+    sources: list[Any] = [load_scene(item) if _means_scene(item) else Dataset(item) for item in data]
+    if start_error is None:
+        return sources
+    from cgid.site.calibration import uncertain
 
-            validation.whole("signals", n_signals, 1, MOST_SIGNALS)
-            scene = _scene(item, start_error)
-            if sensors:
-                from cgid.scene.through_beam import recorded_together
+    return [uncertain(scene, start_error) for scene in sources]
 
-                yield from recorded_together(scene, sensors, n_signals, seed)
-            else:
-                yield from synthesise(scene, n_signals, seed)
+
+def _batches(sources: list[Scene | Dataset], options: dict[str, Any]) -> Iterator[Batch]:
+    from cgid.scene import Scene, synthesise
+    from cgid.scene.generation import MOST_SIGNALS
+
+    n, seed = options["n_signals"], options["seed"]
+    for source in sources:
+        if not isinstance(source, Scene):
+            yield from source.batches(check_sums=True)
+            continue
+        validation.whole("signals", n, 1, MOST_SIGNALS)
+        if options["sensors"]:
+            from cgid.scene.through_beam import recorded_together
+
+            yield from recorded_together(source, options["sensors"], n, seed)
         else:
-            yield from Dataset(item).batches(check_sums=True)
+            yield from synthesise(source, n, seed)

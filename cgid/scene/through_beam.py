@@ -147,12 +147,19 @@ def contact_forces(scene: Scene) -> Floats:
 def moved(scene: Scene, point: tuple[float, float]) -> Scene:
     """Return a scene with its sensor at another point (x, y) [m] of the beam.
 
-    Raises `InvalidValue` if its modes are measured, and `BadData` if the point is not on the beam.
+    Raises `InvalidValue` if its modes are measured or learned at one point, and `BadData` if the point is not on the
+    beam.
     """
     if scene.tail_beam is None or scene.tail_beam.modes is not None:
         raise InvalidValue(
             f"scene {scene.name}: must have the dimensions of a beam to move its sensor, measured modes are those of "
             "one point; leave sensors out, or give length, width, thickness and edges in place of modes"
+        )
+    learned = scene.tail_beam.learned_modes
+    if learned is not None and ((learned.participation != 1).any() or learned.participation_deviation.any()):
+        raise InvalidValue(
+            f"scene {scene.name}: tail_beam.learned must have participations of 1 without deviation to move its "
+            "sensor, those learned by blows are of one point; leave sensors out, or tail_beam.learned"
         )
     content = json.loads(scene.text)
     content["tail_beam"]["sensor_point"] = dict(zip("xy", map(float, point), strict=True))
