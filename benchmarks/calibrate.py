@@ -2,11 +2,11 @@
 
 The beam of `tail_beam` with every natural frequency and damping ratio off by independent normal errors of their
 logarithms strikes; the scene with the nominal beam learns from its blows, without labels. A model is then trained on
-simulations through the learned beam alone, and asked about other blows of the true one. With --shapes the true beam is
-that of other drawings instead: all its measures are off. With --unlearned nothing is learned: the model trains on beams
-whose modes are drawn, and looks with and without their errors as noise. With --plates the true beam is one of finite
-elements, not made by the package (`independent_beam`), and the shipped model looks through it: from the plate's own
-modes with errors, as taps would tell them, and from the drawings, the scene itself.
+simulations through the learned beam alone, and asked about other blows of the true one. With --shapes the true beam
+is that of other drawings instead, and its dimensions are learned first. With --unlearned nothing is learned: the
+model trains on beams whose modes are drawn, and looks with and without their errors as noise. With --plates the true
+beam is one of finite elements, not made by the package (`independent_beam`), and the shipped model looks through it:
+from the plate's own modes with errors, as taps would tell them, and from the drawings, the scene itself.
 
     python benchmarks/calibrate.py --start 1 3 5 --seeds 5 --impacts 300 --signals 8000
     python benchmarks/calibrate.py --start 0.3 1 3 --seeds 5 --unlearned
@@ -223,6 +223,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--start", type=float, nargs="+", default=[1.0, 3.0, 5.0], help="error of the frequencies [%%]")
     parser.add_argument("--shapes", type=float, default=0.0, help="error of the drawings instead [%%]")
+    parser.add_argument("--alone", action="store_true", help="learn no dimensions, but modes and their participations")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--impacts", type=int, default=300)
@@ -267,7 +268,8 @@ def main() -> None:
                         truth.sampling.sampling_rate,
                         truth.sampling.pre_trigger,
                         start_error=start / 100,
-                        dimension_error=options.shapes / 100,
+                        participation_error=0.2 * options.alone,
+                        dimension_error=0.0 if options.alone else options.shapes / 100,
                         most_blows=options.impacts,
                     )
                 except BadData as error:
