@@ -29,7 +29,7 @@ DIMENSIONS = (
     "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", DAMPING,
 )  # fmt: skip
 #: Largest error of a dimension; error of the damping ratio for the largest of a dimension, and its own largest.
-MOST_ERROR, _DAMPING_A_DIMENSION, _MOST_DAMPING = 0.1, 10.0, 0.3
+_MOST_ERROR, _DAMPING_A_DIMENSION, _MOST_DAMPING = 0.1, 10.0, 0.3
 #: Lengths in a distribution of places.
 _PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
 #: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
@@ -76,15 +76,15 @@ def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[s
     Raises
     ------
     InvalidValue
-        An error is not between 0 and 0.1, the beam has no such dimension, or its modes are tapped or learned.
+        An error is not between 0 and 0.1 (of the damping ratio 0.3), the beam has no such dimension, or its modes are
+        tapped or learned.
     """
     own = dimensions_of(scene)
     given = dict(error) if isinstance(error, Mapping) else dict.fromkeys(own or DIMENSIONS, error) | {DAMPING: 0.0}
     for name, value in given.items():
-        if not 0 <= value <= MOST_ERROR:
-            raise InvalidValue(
-                f"dimension_error must be at least 0 and at most {MOST_ERROR:g}, got {value:g} of {name}"
-            )
+        most = _MOST_DAMPING if name == DAMPING else _MOST_ERROR
+        if not 0 <= value <= most:
+            raise InvalidValue(f"dimension_error must be at least 0 and at most {most:g}, got {value:g} of {name}")
     found = {name: value for name, value in given.items() if value}
     if not found:
         return {}
