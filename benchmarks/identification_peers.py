@@ -320,7 +320,7 @@ RIVALS: dict[str, Peer] = {
     "CatBoost": Peer("catboost", _as_they_are, _catboost, on_features=True),
     "1-D CNN": Peer("torch", _as_they_are, lambda: {"network": Network(convolutional)}),
     "MultiRocket-HYDRA": Peer("aeon", _series, _multirocket_hydra, most=5000, most_test=4000),
-    "InceptionTime": Peer("torch", _as_they_are, lambda: {"network": Network(inception, 6)}, most=5000, most_test=4000),
+    "InceptionTime": Peer("torch", _as_they_are, lambda: {"network": Network(inception)}, most=5000, most_test=4000),
 }
 
 
