@@ -235,8 +235,8 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
     else:
         say(f"{path}: {counted(found.n_blows, 'impact')}, {content['n_learned']} of {content['n_modes']} modes learned")
         for own in found.dimensions:
-            unit = "" if own.name.endswith("ratio") else " m"
-            say(f"{own.name}: {own.before:.5g}{unit} before, {own.after:.5g}{unit} after, known to {own.deviation:.2%}")
+            unit, known_to = "" if own.name.endswith("ratio") else " m", f"{100 * own.deviation:.2g} %"
+            say(f"{own.name}: {own.before:.5g}{unit} before, {own.after:.5g}{unit} after, known to {known_to}")
         if known.any():
             say(
                 f"natural frequencies moved by {content['frequency_change']:.3%} (median), and are known to "
