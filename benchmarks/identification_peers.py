@@ -228,12 +228,12 @@ def inception(filters: int = 32) -> Any:
 
 
 class Network(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
-    """A network of PyTorch: AdamW, one cycle of the learning rate, `epochs` on 1,500 signals, fewer on more.
+    """A network of PyTorch: AdamW, one cycle of the rate; `epochs` 0: 40 of 1,500 signals, fewer of more.
 
     A tenth is held out; `curve_` is its loss after each epoch, and the weights of the least are kept.
     """
 
-    def __init__(self, build: Callable[[], Any], epochs: int = 40, batch: int = 64, rate: float = 3e-3) -> None:
+    def __init__(self, build: Callable[[], Any], epochs: int = 0, batch: int = 64, rate: float = 3e-3) -> None:
         self.build, self.epochs, self.batch, self.rate = build, epochs, batch, rate
 
     def fit(self, frames: Array, labels: Array) -> Network:
@@ -249,7 +249,7 @@ class Network(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.net_, loss = self.build(), torch.nn.functional.cross_entropy
         held, own = torch.randperm(len(frames)).tensor_split([len(frames) // 10])
         n = len(own)
-        epochs = round(self.epochs * (1500 / len(frames)) ** 0.5)
+        epochs = self.epochs or round(40 * (1500 / len(frames)) ** 0.5)
         batch = self.batch if n < 10_000 else 4 * self.batch
         steps = -(-n // batch)
         optimiser = torch.optim.AdamW(self.net_.parameters(), weight_decay=0.01)
@@ -344,13 +344,15 @@ def chosen(candidates: dict[str, Any], table: Array, labels: Array) -> str:
 class Contest:
     """One peer or rival on one frame of `FRAMES`, or on features; `folder` holds the signals.
 
-    `to_train` are the signals of a training set that it learns from, by default all.
+    `to_train` are the signals of a training set that it learns from, by default all; `epochs` those of a network.
     """
 
-    def __init__(self, name: str, frame: str, folder: Path, to_train: int | None = None) -> None:
+    def __init__(self, name: str, frame: str, folder: Path, to_train: int | None = None, epochs: int = 0) -> None:
         self.name, self.frame, self.folder, self.to_train = name, frame, folder, to_train
         self.peer = (PEERS | RIVALS)[name]
         self.classifiers = self.peer.classifiers()
+        if epochs:
+            self.classifiers["network"].set_params(epochs=epochs)
 
     def signals(self, kind: str, *place: int | slice) -> Array:
         """Return frames as the peer receives them."""
@@ -446,9 +448,10 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=20_000)
     parser.add_argument("--sets", type=int, default=10)
     parser.add_argument("--to-train", type=int, help="of a training set; default: all")
+    parser.add_argument("--epochs", type=int, default=0, help="of a network")
     parser.add_argument("--probabilities", action="store_true", help="of all test signals, nothing else")
     a = parser.parse_args()
-    contest = Contest(a.name, a.frame, a.folder, a.to_train)
+    contest = Contest(a.name, a.frame, a.folder, a.to_train, a.epochs)
     answer = contest.probabilities() if a.probabilities else contest.run(a.seconds, a.least, a.most, a.sets)
     a.answer.write_text(json.dumps(answer))
 

@@ -128,7 +128,9 @@ def write_open(folder: Path, learn: str, rate: float, parts: dict[str, list[Any]
 
 def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
     """Yield cgid's records: families trained on features of `size` signals, and the shipped model (`size` 0)."""
-    x = rows(folder, "test_features")[:, :-1]  # without the guard, which boosters may use
+    names = BEAM_FEATURES if scene == "tail_beam" else DEFAULT_FEATURES
+    own = slice(len(names))  # without the guards, which boosters may use
+    x = rows(folder, "test_features")[:, own]
     measured = np.isfinite(x).all(axis=1)
     if not size:
         model = Model.load(shipped.model_path("default-acceleration" if scene == "tail_beam" else "default"))
@@ -137,12 +139,11 @@ def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
     else:
         table, labels = (rows(folder, f"train_{kind}", 0, slice(size)) for kind in ("features", "labels"))
         sound = np.isfinite(table).all(axis=1)
-        names = BEAM_FEATURES if scene == "tail_beam" else DEFAULT_FEATURES
         linear = tuple(k for k, name in enumerate(names) if known.FEATURES[name].unit == "1")
         found = {}
         for family in ("logistic", "network"):
             learner = ImpactClassifier(family, linear=linear, rejects=False)
-            classifier, fit = timed(learner.fit, table[sound, :-1], labels[sound])
+            classifier, fit = timed(learner.fit, table[sound, own], labels[sound])
             answers, seconds = timed(classifier.predict, x[measured])
             found[f"cgid, {family}"] = (answers, fit, seconds)
     for name, (answers, fit, seconds) in found.items():
@@ -182,13 +183,13 @@ def rivals(scene: str, options: argparse.Namespace) -> Iterator[str]:
 
 def rival_process(options: argparse.Namespace, folder: Path, name: str, size: int, *more: str) -> dict[str, Any]:
     """Return the record of a rival that learns from `size` signals, from a process in the peers' environment."""
-    answer = folder / f"{name}-{size}.json"
+    answer = folder / f"{name}-{size}{f'-{options.epochs}' * bool(options.epochs)}.json"
     if options.reuse and answer.exists():
         return json.loads(answer.read_text())
     frame = FEATURES if RIVALS[name].on_features else "whole"
     program = [options.environment / "bin" / "python", "-E", "-W", "ignore", HERE / "identification_peers.py"]
     command = [*program, name, frame, folder, answer, "--sets", "1"]
-    command += ["--to-train", str(size), "--most", str(options.test), *more]
+    command += ["--to-train", str(size), "--most", str(options.test), "--epochs", str(options.epochs), *more]
     return {"name": name, **run_process(command, answer)}
 
 
@@ -214,6 +215,7 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=(1500, 15_000), help="signals to train")
     parser.add_argument("--test", type=int, default=10_000, help="signals to answer")
     parser.add_argument("--only", nargs="+", choices=RIVALS, metavar="RIVAL", help=f"of {', '.join(RIVALS)}")
+    parser.add_argument("--epochs", type=int, default=0, help="of networks; default: 40 of 1,500, fewer of more")
     parser.add_argument("--environment", type=Path, default=ENVIRONMENT, metavar="DIR")
     parser.add_argument("--reuse", action="store_true", help="rivals' kept answers")
     options = parser.parse_args()
