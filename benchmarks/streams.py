@@ -204,7 +204,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.ACCELERATION_MODEL))
     parser.add_argument("-n", "--streams", type=int, default=10)
-    parser.add_argument("--rising", type=int, default=6, help="number of streams with a rising share")
+    parser.add_argument("--rising", type=int, default=6, help="number of streams with a rising share, 0 for none")
     parser.add_argument("--first", type=int, default=0, help="added to the seeds")
     parser.add_argument("--picture", type=Path, help="PNG file of the operators' curve")
     arguments = parser.parse_args()
@@ -223,7 +223,8 @@ def main() -> None:
         )
         print(row(name, made[-1], shares, model), flush=True)
     print("\n" + "\n".join(alarms(made[0], shares, model)) + "\n", flush=True)
-    print("\n".join(rising(model, arguments.rising, SEEDS[2] + arguments.first, arguments.picture)))
+    if arguments.rising:
+        print("\n".join(rising(model, arguments.rising, SEEDS[2] + arguments.first, arguments.picture)))
 
 
 if __name__ == "__main__":
