@@ -37,8 +37,11 @@ def shifted_scenes() -> Iterator[tuple[str, Scene]]:
     yield "... with a hum of 5 %, 50 Hz", parse_scene(json.loads(reference.text) | {"background": hum})
     for full_scale in (1.25, 5.0):
         yield f"... by 12 bits of {full_scale:g} peaks", varied(reference, relative_range=full_scale, bits=12)
-    yield "... behind a low-pass at 20 kHz", varied(reference, bandwidth="20 kHz")
-    yield "... behind an anti-alias filter at 20 kHz", varied(reference, anti_alias={"frequency": "20 kHz"})
+    for edge in ("20 kHz", "10 kHz", "5 kHz"):
+        yield f"... behind a low-pass at {edge}", varied(reference, bandwidth=edge)
+    for order, edge in ((8, "20 kHz"), (3, "8 kHz")):
+        told = f"... behind an anti-alias filter of order {order} at {edge}"
+        yield told, varied(reference, anti_alias={"frequency": edge, "order": order})
     yield "... with clipped peaks (at .7)", varied(reference, clipped_at=0.7)
     plate = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thickness": "30 mm"}
     yield "... on a steel plate of 30 mm", varied(reference, target=plate)

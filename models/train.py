@@ -51,7 +51,8 @@ EVERYWHERE = {
     "y": {"distribution": "uniform", "lowest": "0.1 m", "highest": "1.3 m"},
 }
 #: From the recorder of a vibration monitor to that of a laboratory, from a good sensor to one that hardly sees a blow.
-#: All shares are assumed: half of the noise is white, half without hum, one in three pulses is clipped.
+#: All shares are assumed: half of the noise is white, half without hum, one in three pulses is clipped. One in three
+#: rigs has no filter, one a slow one.
 RIGS = {
     "sampling_rate": {"distribution": "log-uniform", "lowest": "24.5 kHz", "highest": "1.02 MHz"},
     "relative_noise": {"distribution": "log-uniform", "lowest": 1e-4, "highest": 0.3},
@@ -69,9 +70,15 @@ RIGS = {
     "bits": {"distribution": "uniform", "lowest": 10, "highest": 24},
     "anti_alias_frequency": {
         "distribution": "mixed",
-        "parts": ["1 GHz", {"distribution": "log-uniform", "lowest": "15 kHz", "highest": "300 kHz"}],
+        "parts": [
+            "1 GHz",
+            {"distribution": "log-uniform", "lowest": "4 kHz", "highest": "20 kHz"},
+            {"distribution": "log-uniform", "lowest": "20 kHz", "highest": "300 kHz"},
+        ],
     },
 }
+#: Orders of the filters, each on a third of the rigs: of a charge amplifier, of a recorder.
+ORDERS = (2, 4, 8)
 #: The same for accelerometers: a beam has one recorder, but not one noise.
 BEAM_RIGS = {name: RIGS[name] for name in ("noise_exponent", "hum", "hum_frequency", "bits")} | {
     "relative_noise": {"distribution": "log-uniform", "lowest": 1e-3, "highest": 0.3},
@@ -83,12 +90,17 @@ RIG_FRAME = {"samples": 4096, "pre_trigger": 300}
 LUMPS, STRENGTHS = 0.3, 0.7
 
 
-def on_rigs(scene: Scene) -> Scene:
-    """Return a scene on all of `RIGS`."""
+def on_rigs(scene: Scene, n: int) -> list[tuple[Scene, int]]:
+    """Return a scene on all of `RIGS`, for each of `ORDERS`, with the number of impacts of each, n in all."""
     content = json.loads(scene.text)
     del content["sensor"]["relative_noise"]
     content["sampling"] |= RIG_FRAME
-    return parse_scene(content | {"name": f"{scene.name} on many rigs", "randomise": RIGS})
+    made = []
+    for order in ORDERS:
+        content["sensor"]["anti_alias"] = {"frequency": "20 kHz", "order": order}  # the frequency is drawn
+        name = f"{scene.name} on many rigs, filters of order {order}"
+        made.append((parse_scene(content | {"name": name, "randomise": RIGS}), n // len(ORDERS)))
+    return made
 
 
 def shipped_scene(name: str) -> Scene:
@@ -104,7 +116,8 @@ def shipped_scene(name: str) -> Scene:
 def force_scenes(n: int) -> list[tuple[Scene, int]]:
     """Return the scenes of the model of force with the number of impacts of each, the one to be judged on first."""
     reference, rock = shipped_scene("reference"), shipped_scene("rock")
-    return [(reference, 3 * n // 10), (rock, 6 * n // 10), (on_rigs(reference), 4 * n // 10), (on_rigs(rock), n)]
+    rigs = on_rigs(reference, 4 * n // 10) + on_rigs(rock, n)
+    return [(reference, 3 * n // 10), (rock, 6 * n // 10), *rigs]
 
 
 def acceleration_scenes(n: int) -> list[tuple[Scene, int]]:
@@ -128,8 +141,9 @@ def streams(n_streams: int, seed: int, beam: Beam) -> list[StreamRows]:
 def strangers(n: int, seed: int) -> Rows:
     """Return rows of anything, on the rig of `reference` and on many others."""
     anything = shipped_scene("anything")
-    scenes = chain(synthesise(anything, n // 2, seed), synthesise(on_rigs(anything), n // 2, seed + 1))
-    return measure(scenes, (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
+    scenes = [(anything, n // 2), *on_rigs(anything, n // 2)]
+    made = (synthesise(scene, own, seed + number) for number, (scene, own) in enumerate(scenes))
+    return measure(chain.from_iterable(made), (*DEFAULT_FEATURES, *DEFAULT_GUARDS))
 
 
 def streams_section(told: dict[str, Any]) -> list[str]:
