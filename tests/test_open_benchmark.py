@@ -280,8 +280,8 @@ def test_an_entry_replaces_its_earlier_one_and_fills_the_page(
     assert program.run(["table", "--page", str(page), *results]) == 0
     text = page.read_text()
     assert text.startswith("# Title\n") and text.endswith("<!-- end of table -->\nafter\n") and "old" not in text
-    assert "|  | second | first |" in text
-    assert "| `reference` | 0.350 (0.221 to 0.505) | 0.650 (0.495 to 0.779) |" in text
+    assert "|  | first | second |" in text
+    assert "| `reference` | 0.650 (0.495 to 0.779) | 0.350 (0.221 to 0.505) |" in text
     assert "Streams" not in text  # the first entry was replaced
     with (tmp_path / "results.csv").open() as file:
         assert {row["entry"] for row in csv.DictReader(file)} == {"first", "second"}

@@ -331,7 +331,9 @@ def enter(name: str, files: Iterable[Path], truth: Truth, results: Path) -> int:
         (name, of, one.metric, *(f"{value:.5g}" for value in (one.value, one.low, one.high)), one.n, truth.digest)
         for of, one in judged(predictions, truth)
     ]
-    write_rows(results, RESULT_COLUMNS, [*(tuple(row.values()) for row in kept if row["entry"] != name), *own])
+    order = list(dict.fromkeys([*(row["entry"] for row in kept), name]))  # an earlier one's place is kept
+    rows = [*(tuple(row.values()) for row in kept if row["entry"] != name), *own]
+    write_rows(results, RESULT_COLUMNS, sorted(rows, key=lambda row: order.index(row[0])))
     return len(predictions)
 
 
