@@ -61,7 +61,7 @@ def c_source(model: Model) -> str:
     --------
     >>> from cgid import load_model
     >>> print(c_source(load_model("default")).splitlines()[3])
-     * For     pulses of force [N] at sampling rates of 24589.4 to 1.01263e+06 Hz
+     * For     pulses of force [N] at sampling rates of 24639 to 1.01428e+06 Hz
     """
     require_small(model)
     arrays = _arrays(model)

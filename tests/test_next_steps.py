@@ -145,6 +145,18 @@ def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
     assert hint_of(-samples, RATE, PULSES) is None
 
 
+def test_an_upside_down_channel_is_told_even_if_its_rebounds_were_answered() -> None:
+    diagnosis = Diagnosis(PULSES, RATE, "x.csv", ())
+    for batch in synthesise(load_scene(ROOT / "datasets" / "reference.toml"), 256, 3):
+        diagnosis.add(identify_frames(batch.signals, batch.sampling_rate, PULSES, pre_trigger=batch.pre_trigger))
+    assert diagnosis.hint() is None
+    (channel,) = diagnosis._channels
+    diagnosis.upside_down.add(channel)
+    hint = diagnosis.hint()
+    assert hint is not None
+    assert (hint.cause, hint.n_unknown, hint.n_answers) == ("upside_down", 0, 256)
+
+
 def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     """The answers change when only the rate does, so the rate is the cause."""
     samples = of_the_trained_beam(3)

@@ -309,8 +309,10 @@ class Diagnosis:
         return {name: latest for name, (left, latest) in found.items() if left > limit}
 
     def hint(self) -> Hint | None:
-        """Return the hint; None where at most half of the answers are unknown in each channel, and no beam changed."""
-        own = {name: c for name, c in self._channels.items() if 2 * c.n_unknown > c.n_answers}
+        """Return the hint; None where no channel is upside down or mostly unknown, and no beam changed."""
+        # What rebounds of a pulse that points down may be answered: then it is the wrong side that was.
+        turned = {name: self._channels[name] for name in sorted(self.upside_down & self._channels.keys())}
+        own = turned or {name: c for name, c in self._channels.items() if 2 * c.n_unknown > c.n_answers}
         if not own:
             return self._hint_of_change()
         counts: Counter[str] = Counter()
@@ -319,9 +321,7 @@ class Diagnosis:
             if channel.unmarked and channel.n_unmarked >= _UNMARKED * channel.n_answers:
                 decisive = channel.unmarked
             counts += decisive
-        cause = counts.most_common(1)[0][0]
-        if self.upside_down & own.keys():
-            cause = "upside_down"
+        cause = "upside_down" if turned else counts.most_common(1)[0][0]
         another = all(channel.n_unknown >= _ANOTHER * channel.n_answers for channel in own.values())
         if cause == "shape" and not another and own.keys() & self._changed().keys():
             return self._hint_of_change()
