@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -170,24 +170,19 @@ class ModalImpact(Impact):
     @cached_property
     def curves(self) -> ModalCurves:
         """The dimensionless curves, one row per impact in C order."""
-        shape, size = self.reduced_mass.shape, self.reduced_mass.size
+        size, shape, time_scale = self.reduced_mass.size, self.reduced_mass.shape, self.time_scale.ravel()
         count("coupled_impacts", size)
         rigid = super().curves
-        frequency, damping_ratio, compliance = self._modes(shape)
+        frequency, ratio, compliance = self._modes(shape)
         window = USUAL_WINDOW if self.window is None else np.asarray(self.window) / self.time_scale
-        return solve(
-            frequency,
-            damping_ratio,
-            # A copy: a read-only array would make the kernel compile again.
-            np.array(compliance.reshape(size, frequency.size), order="C"),
-            rigid.material_restitution,
-            rigid.damping,
-            rigid.weight,
-            np.broadcast_to(window, shape).ravel(),
-            self.reduced_mass.ravel(),
-            self.time_scale.ravel(),
-            float(self.tolerance),
-        )
+        angular, root = 2 * np.pi * frequency, np.sqrt((1 - ratio) * (1 + ratio))
+        # A copy: a read-only array would make the kernel compile again.
+        participation = np.array(compliance.reshape(size, frequency.size), order="C")
+        modes = (ratio * angular, angular * root, ratio / root, participation)
+        columns = (rigid.damping, rigid.weight, np.broadcast_to(window, shape).ravel(), self.reduced_mass.ravel())
+        parameters = np.stack([*columns, time_scale, _longest_steps(angular, time_scale)], axis=1)
+        solved = solve(modes, parameters, float(self.tolerance))
+        return ModalCurves(rigid.material_restitution, rigid.zeta, rigid.inelasticity, rigid.weight, *solved)
 
     def _result(self, name: str) -> Floats:
         return self._shaped(self.curves.result(name))
@@ -251,6 +246,8 @@ class ModalCurves(Curves):
     begin, end : first step of each impact, and one past its last
     """
 
+    SHARED: ClassVar[tuple[str, ...]] = ("course",)
+
     results: Floats
     course: Floats
     begin: NDArray[np.intp]
@@ -275,12 +272,6 @@ class ModalCurves(Curves):
     def impulse(self) -> Floats:
         """Integral of the force over all contacts."""
         return self.result("impulse")
-
-    def taken(self, rows: NDArray[np.intp]) -> ModalCurves:
-        """Return the curves of the given rows, in this order."""
-        plain = super().taken(rows)
-        numbers = (plain.material_restitution, plain.zeta, plain.inelasticity, plain.weight)
-        return ModalCurves(*numbers, self.results[rows], self.course, self.begin[rows], self.end[rows])
 
     def require_rebound(self) -> None:
         """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
@@ -318,13 +309,7 @@ class ModalCurves(Curves):
         return out
 
     def add_to_frames(
-        self,
-        frames: NDArray[Any],
-        onset: Floats,
-        step: Floats,
-        amplitude: Floats,
-        threads: int,
-        tolerance: float = 0.0,
+        self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
     ) -> None:
         """Add the force of all contacts to the frames in place; see `Curves.add_to_frames`."""
         from cgid.physics import _coupled
@@ -334,53 +319,29 @@ class ModalCurves(Curves):
 
 
 def solve(
-    frequency: Floats,
-    damping_ratio: Floats,
-    participation: Floats,
-    material_restitution: Floats,
-    damping: Floats,
-    weight: Floats,
-    window: Floats,
-    mass: Floats,
-    time_scale: Floats,
-    tolerance: float,
-) -> ModalCurves:
-    """Solve contact and modes together, impact by impact; return their curves.
-
-    Frequencies [Hz] and damping ratios are (n_modes,), participation (squared shape over modal mass [1/kg]) is
-    (n, n_modes). The others are (n,): restitution and D of the Hunt-Crossley loss, weight `g L / v^2`, window [T0],
-    mass [kg] and T0 [s]. `tolerance` is the truncation error of the force in a step, over the peak force.
-    """
+    modes: tuple[Floats, Floats, Floats, Floats], parameters: Floats, tolerance: float
+) -> tuple[Floats, Floats, NDArray[np.intp], NDArray[np.intp]]:
+    """Return the last fields of `ModalCurves`: impacts solved with the modes; arguments as in `_coupled.follow`."""
     from cgid.physics import _coupled
 
-    angular = 2 * np.pi * frequency
-    root = np.sqrt((1 - damping_ratio) * (1 + damping_ratio))
-    longest = _longest_steps(angular, time_scale)
-    parameters = np.stack([damping, weight, window, mass, time_scale, longest], axis=1)
-    results = np.empty((len(mass), len(_coupled.RESULTS)))
+    n, n_modes, longest = len(parameters), modes[0].size, parameters[:, -1]
+    results = np.empty((n, len(_coupled.RESULTS)))
     # Sorted by step length: the kernel tabulates the free motion of the modes once per length.
     left = np.argsort(longest, kind="stable")
-    bounds = np.zeros((2, len(mass)), np.intp)
-    pieces, total = [], 0
-    # Interpreted, an impact takes a tenth of a second, or a second with some hundred modes.
-    follow = kernel(_coupled, "follow", len(mass), FEW_SAMPLES // _FEW_MODES * angular.size)
+    begin, end = np.zeros((2, n), np.intp)
     columns = _coupled.COEFFICIENTS + 2 * N_NODES
+    pieces, total = [np.empty((0, columns))], 0
+    # Interpreted, an impact takes a tenth of a second, or a second with some hundred modes.
+    follow = kernel(_coupled, "follow", n, FEW_SAMPLES // _FEW_MODES * n_modes)
     while left.size:
         course = np.empty((_coupled.MOST_STEPS + min(_USUAL_STEPS * left.size, _PIECE), columns))
         first = np.zeros(left.size + 1, np.intp)
-        follow(
-            collocation(N_NODES, N_TIMES), damping_ratio * angular, angular * root, damping_ratio / root,
-            participation, parameters, tolerance, left, course, first, results,
-        )  # fmt: skip
+        follow(collocation(N_NODES, N_TIMES), *modes, parameters, tolerance, left, course, first, results)
         done = np.flatnonzero(first).size
-        bounds[:, left[:done]] = total + first[:done], total + first[1 : done + 1]
+        begin[left[:done]], end[left[:done]] = total + first[:done], total + first[1 : done + 1]
         pieces.append(course[: first[done]].copy())
         total, left = total + first[done], left[done:]
-    nothing = np.zeros(len(mass))
-    return ModalCurves(
-        material_restitution, nothing, nothing, weight, results,
-        np.concatenate(pieces) if pieces else np.empty((0, columns)), *bounds,
-    )  # fmt: skip
+    return results, np.concatenate(pieces), begin, end
 
 
 def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:

@@ -12,10 +12,10 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property, partial
 from types import FunctionType, ModuleType
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -51,10 +51,19 @@ class Curves:
     weight : `g L / v^2`
     """
 
+    #: Fields that all impacts share.
+    SHARED: ClassVar[tuple[str, ...]] = ()
+
     material_restitution: Floats
     zeta: Floats
     inelasticity: Floats
     weight: Floats
+
+    @classmethod
+    def damped(cls, restitution: Floats, *more: Any) -> Self:
+        """Return the curves of impacts that lose energy in the material alone; `more` fields are those of a law."""
+        nothing = np.zeros(restitution.shape)
+        return cls(restitution, nothing, nothing, nothing, *more)
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
@@ -160,9 +169,10 @@ class Curves:
         self._require_separation(rows, self._summary["status"][rows])
         return self._summary
 
-    def taken(self, rows: NDArray[np.intp]) -> Curves:
+    def taken(self, rows: NDArray[np.intp]) -> Self:
         """Return the curves of the given rows, in this order."""
-        return Curves(self.material_restitution[rows], self.zeta[rows], self.inelasticity[rows], self.weight[rows])
+        own = (one.name for one in fields(self) if one.name not in self.SHARED)
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
     def require_rebound(self) -> None:
         """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
@@ -226,13 +236,7 @@ class Curves:
         return out
 
     def add_to_frames(
-        self,
-        frames: NDArray[Any],
-        onset: Floats,
-        step: Floats,
-        amplitude: Floats,
-        threads: int,
-        tolerance: float = 0.0,
+        self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
     ) -> None:
         """Add a force pulse to each of the frames (n, n_samples) in place.
 

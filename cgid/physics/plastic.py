@@ -22,9 +22,9 @@ of a sine each, and restitution is the same at every speed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -54,6 +54,8 @@ class PlasticCurves(Curves):
     linear : whether the contact unloads as a linear spring; else as a Hertzian contact
     """
 
+    SHARED: ClassVar[tuple[str, ...]] = ("linear",)
+
     end_of_elastic: Floats
     rate: Floats
     time_of_peak: Floats
@@ -62,11 +64,6 @@ class PlasticCurves(Curves):
     largest_displacement: Floats
     left: Floats
     linear: bool
-
-    @property
-    def restitution(self) -> Floats:
-        """Rebound speed over impact speed."""
-        return self.material_restitution
 
     @property
     def peak_force(self) -> Floats:
@@ -83,11 +80,6 @@ class PlasticCurves(Curves):
         """Displacement at separation."""
         return self.left
 
-    @property
-    def plate_energy(self) -> Floats:
-        """Zero: these laws hold on targets that take no energy."""
-        return np.zeros(self.rate.shape)
-
     @cached_property
     def times(self) -> tuple[Floats, Floats, Floats]:
         """Contact time, time of the peak force, and time of the largest displacement."""
@@ -96,11 +88,6 @@ class PlasticCurves(Curves):
 
     def require_rebound(self) -> None:
         """Do nothing: without weight every sphere rebounds."""
-
-    def taken(self, rows: NDArray[np.intp]) -> PlasticCurves:
-        """Return the curves of the given rows, in this order."""
-        arrays = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "linear"}
-        return replace(self, **{name: values[rows] for name, values in arrays.items()})
 
     def _branches(self, quantity: Quantity) -> Floats:
         """Return the columns `_kernels.BRANCHES` of force or displacement, (n, n_columns)."""
@@ -127,13 +114,7 @@ class PlasticCurves(Curves):
         return out
 
     def add_to_frames(
-        self,
-        frames: NDArray[Any],
-        onset: Floats,
-        step: Floats,
-        amplitude: Floats,
-        threads: int,
-        tolerance: float = 0.0,
+        self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
     ) -> None:
         """Add a force pulse to each of the frames in place; see `Curves.add_to_frames`. Every pulse is exact."""
         from cgid.physics import _kernels
@@ -160,21 +141,18 @@ def thornton_curves(yield_displacement: Floats) -> PlasticCurves:
     restitution = np.where(yields, np.sqrt(0.8 * largest_force * way), 1.0)
     end_of_elastic = np.where(yields, _elastic_time(y, square, speed), _HALF)
     time_of_peak = end_of_elastic + _angle(along / swing, across / swing) / rate
-    nothing = np.zeros(y.shape)
-    return PlasticCurves(
-        restitution, nothing, nothing, nothing,
-        end_of_elastic, rate, time_of_peak, way / _DEPTH / restitution, largest_force, largest,
+    return PlasticCurves.damped(
+        restitution, end_of_elastic, rate, time_of_peak, way / _DEPTH / restitution, largest_force, largest,
         np.where(yields, largest - way, 0.0), False,
     )  # fmt: skip
 
 
 def walton_braun_curves(restitution: Floats, stiffness: Floats) -> PlasticCurves:
     """Return the curves of bilinear contacts of these restitutions and loading slopes [K L^(1/2)], each (n,)."""
-    rate, nothing = np.sqrt(stiffness), np.zeros(restitution.shape)
+    rate = np.sqrt(stiffness)
     largest = 1 / rate
-    return PlasticCurves(
-        restitution, nothing, nothing, nothing,
-        nothing, rate, np.pi / 2 / rate, restitution / rate, rate, largest,
+    return PlasticCurves.damped(
+        restitution, np.zeros(restitution.shape), rate, np.pi / 2 / rate, restitution / rate, rate, largest,
         largest * (1 - restitution) * (1 + restitution), True,
     )  # fmt: skip
 

@@ -21,9 +21,9 @@ force of the spring over its largest, and psi = -phi', going back from the turn 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -56,6 +56,8 @@ class DampedPlasticCurves(Curves):
     plastic : restitution of a linear spring without damping; 1 for a Hertzian contact, whose own follows
     linear : whether the contact unloads as a linear spring; else as a Hertzian contact
     """
+
+    SHARED: ClassVar[tuple[str, ...]] = ("linear",)
 
     corner: Floats
     stiffness: Floats
@@ -101,14 +103,12 @@ class DampedPlasticCurves(Curves):
     @cached_property
     def _slower(self) -> Curves:
         """The Hertzian impacts whose beginnings are the loading."""
-        nothing = np.zeros(self.plastic.shape)
-        return Curves(self.material_restitution, nothing, nothing, nothing)
+        return Curves.damped(self.material_restitution)
 
     @cached_property
     def _faster(self) -> Curves:
         """The Hertzian impacts whose second halves are the unloading."""
-        nothing = np.zeros(self.plastic.shape)
-        return Curves(self._turn.second, nothing, nothing, nothing)
+        return Curves.damped(self._turn.second)
 
     @cached_property
     def _ends(self) -> tuple[Floats, Floats, Floats]:
@@ -150,11 +150,6 @@ class DampedPlasticCurves(Curves):
                 total = total + weight / _ELASTIC_PANELS * rates[:, k]
         return np.where(early[:, 0], total, self._slower.times[2] - total)
 
-    def taken(self, rows: NDArray[np.intp]) -> DampedPlasticCurves:
-        """Return the curves of the given rows, in this order."""
-        arrays = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "linear"}
-        return replace(self, **{name: values[rows] for name, values in arrays.items()})
-
     def evaluate(
         self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
     ) -> NDArray[Any]:
@@ -194,13 +189,7 @@ class DampedPlasticCurves(Curves):
         return np.maximum(out, 0.0)
 
     def add_to_frames(
-        self,
-        frames: NDArray[Any],
-        onset: Floats,
-        step: Floats,
-        amplitude: Floats,
-        threads: int,
-        tolerance: float = 0.0,
+        self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
     ) -> None:
         """Add a force pulse to each of the frames in place; see `Curves.add_to_frames`. Every pulse is exact."""
         count("branched_pulses", len(frames))
@@ -231,16 +220,15 @@ def _tabulated(
 
 def damped_thornton_curves(yield_displacement: Floats, viscous: Floats) -> DampedPlasticCurves:
     """Return the curves of spheres that yield at these displacements [L] and have these viscous restitutions, (n,)."""
-    nothing, one = np.zeros(viscous.shape), np.ones(viscous.shape)
-    made = DampedPlasticCurves(viscous, nothing, nothing, nothing, yield_displacement, one, one, False)
+    one = np.ones(viscous.shape)
+    made = DampedPlasticCurves.damped(viscous, yield_displacement, one, one, False)
     corner = np.minimum(yield_displacement, peak_displacement(made.damping))
     return replace(made, corner=corner, stiffness=1.5 * np.sqrt(corner))
 
 
 def damped_walton_braun_curves(restitution: Floats, stiffness: Floats, viscous: Floats) -> DampedPlasticCurves:
     """Return the curves of bilinear contacts of these restitutions, slopes [K L^(1/2)] and viscous ones, each (n,)."""
-    nothing = np.zeros(viscous.shape)
-    return DampedPlasticCurves(viscous, nothing, nothing, nothing, nothing, stiffness, restitution, True)
+    return DampedPlasticCurves.damped(viscous, np.zeros(viscous.shape), stiffness, restitution, True)
 
 
 @dataclass(frozen=True)
