@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -185,6 +186,15 @@ class LearnedModes:
     damping_ratio_deviation: Floats
     participation_deviation: Floats
 
+    @classmethod
+    def of(
+        cls, frequency: Floats, damping_ratio: Floats, participation: Floats, deviations: Floats | float = 0.0
+    ) -> LearnedModes:
+        """Return modes with these deviations, (3, n_modes); without any they are certain."""
+        own = np.broadcast_to(deviations, (3, frequency.size))
+        values = (frequency, damping_ratio, participation, *own)
+        return cls(**dict(zip(LEARNED_COLUMNS, values, strict=True)))
+
     @property
     def deviations(self) -> Floats | None:
         """Those of frequency, damping ratio and participation, (3, n_modes); None if all are 0."""
@@ -195,14 +205,10 @@ class LearnedModes:
         """Return certain modes, drawn from these for uniform numbers (3, n_modes), each mode by itself."""
         normal = normal_quantile(uniform)
         damping = self.damping_ratio * exp(self.damping_ratio_deviation * normal[1])
-        none = np.zeros_like(self.frequency)
-        return LearnedModes(
-            frequency=self.frequency * exp(self.frequency_deviation * normal[0]),
-            damping_ratio=np.minimum(damping, np.maximum(self.damping_ratio, _MOST_DAMPING)),
-            participation=self.participation * exp(self.participation_deviation * normal[2]),
-            frequency_deviation=none,
-            damping_ratio_deviation=none,
-            participation_deviation=none,
+        return LearnedModes.of(
+            self.frequency * exp(self.frequency_deviation * normal[0]),
+            np.minimum(damping, np.maximum(self.damping_ratio, _MOST_DAMPING)),
+            self.participation * exp(self.participation_deviation * normal[2]),
         )
 
 
@@ -260,6 +266,14 @@ def read_learned_modes(path: str | Path) -> LearnedModes:
     """
     rows = _rows(path, LEARNED_COLUMNS)
     return LearnedModes(**{name: np.array([row[name] for _, row in rows]) for name in LEARNED_COLUMNS})
+
+
+def table_of(columns: Mapping[str, Floats]) -> str:
+    """Return columns of `COLUMNS` or `LEARNED_COLUMNS`, each (n_modes,), as the text of a table of modes."""
+    units = COLUMNS | LEARNED_COLUMNS
+    titles = ",".join(f"{name} [{units[name]}]" for name in columns)
+    rows = (",".join(f"{float(value)!r}" for value in row) for row in zip(*columns.values(), strict=True))
+    return "\n".join((titles, *rows)) + "\n"
 
 
 def _rows(path: str | Path, columns: dict[str, str]) -> list[tuple[int, dict[str, float]]]:

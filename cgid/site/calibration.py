@@ -20,7 +20,7 @@ from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam, corrected
 from cgid.measure.colour import colour_of
 from cgid.measure.vibration import VibrationBatch
-from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
+from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, table_of
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
@@ -90,16 +90,14 @@ class SiteCalibration:
         """Write the scene as a .toml file, and its modes as a table beside it; return both paths."""
         path = check_new(Path(path), "a site", (".toml",), overwrite=overwrite)
         table = check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
-        titles = [f"{name} [{unit}]" for name, unit in LEARNED_COLUMNS.items()]
-        rows = rows_of(self.learned, LEARNED_COLUMNS)
-        lines = [",".join(titles), *(",".join(f"{value!r}" for value in row.values()) for row in rows)]
         content = json.loads(self.scene.text)
         content["tail_beam"]["learned"] = table.name
         for part in content.get("background", {}).values():  # paths are relative to the file that names them
             if isinstance(part, dict) and "path" in part:
                 part["path"] = str((self.scene.folder / part["path"]).resolve())
         head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {self.n_blows} impacts.\n"
-        texts = {table: "\n".join(lines) + "\n", path: head + "\n".join(_toml(content)) + "\n"}
+        columns = {name: getattr(self.learned, name) for name in LEARNED_COLUMNS}
+        texts = {table: table_of(columns), path: head + "\n".join(_toml(content)) + "\n"}
         write_together({place: text.encode() for place, text in texts.items()}, overwrite=overwrite)
         return path, table
 
@@ -210,18 +208,15 @@ def calibrate(
         start = _start(scene)
         deviation = _prior(scene, start, start_error, drift, participation_error)
         found = learn(beam, blows, deviation, progress=progress)
-        learned = LearnedModes(
-            frequency=start.frequency * np.exp(found.correction[0]),
-            damping_ratio=-corrected(beam, found.correction).poles.real
-            / np.abs(corrected(beam, found.correction).poles),
-            participation=start.participation * np.exp(found.correction[2]),
-            frequency_deviation=found.deviation[0],
-            damping_ratio_deviation=found.deviation[1],
-            participation_deviation=found.deviation[2],
+        own = corrected(beam, found.correction)
+        learned = LearnedModes.of(
+            start.frequency * np.exp(found.correction[0]),
+            -own.poles.real / np.abs(own.poles),
+            start.participation * np.exp(found.correction[2]),
+            found.deviation,
         )
         crossings = _crossings(scene, learned)
         site = _with_learned(scene, learned)
-        own = corrected(beam, found.correction)
         after, expected = _evidence(own, blows), _evidence(own, _simulated(site))
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
         raise BadData(
@@ -236,10 +231,7 @@ def calibrate(
     return SiteCalibration(
         scene=site,
         dimensions=dimensions,
-        start=LearnedModes(
-            **{name: getattr(start, name) for name in ("frequency", "damping_ratio", "participation")},
-            **dict(zip(list(LEARNED_COLUMNS)[3:], deviation, strict=True)),
-        ),
+        start=LearnedModes.of(start.frequency, start.damping_ratio, start.participation, deviation),
         learned=learned,
         n_blows=len(blows),
         before=before,
@@ -256,7 +248,8 @@ def uncertain(scene: Scene, start_error: float) -> Scene:
     check_scene(scene, scene.sampling.sampling_rate)
     start = _start(scene)
     deviation = _prior(scene, start, start_error, start_error, 0.0)
-    return _with_learned(scene, replace(start, **dict(zip(list(LEARNED_COLUMNS)[3:], deviation, strict=True))))
+    modes = LearnedModes.of(start.frequency, start.damping_ratio, start.participation, deviation)
+    return _with_learned(scene, modes)
 
 
 def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:
@@ -306,15 +299,7 @@ def _start(scene: Scene) -> LearnedModes:
     if scene.tail_beam.learned_modes is not None:
         return scene.tail_beam.learned_modes
     modes = beam_modes(scene)
-    none = np.zeros_like(modes.frequency)
-    return LearnedModes(
-        frequency=modes.frequency,
-        damping_ratio=modes.damping_ratio,
-        participation=np.ones_like(none),
-        frequency_deviation=none,
-        damping_ratio_deviation=none,
-        participation_deviation=none,
-    )
+    return LearnedModes.of(modes.frequency, modes.damping_ratio, np.ones_like(modes.frequency))
 
 
 def _prior(scene: Scene, start: LearnedModes, start_error: float, drift: float, participation: float) -> Floats:

@@ -37,20 +37,13 @@ def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error
     mine = np.array(sorted(place), np.intp)
     theirs = np.array([place[k] for k in mine.tolist()], np.intp)
     n = own.size
-    columns = {
-        "frequency": (frequency, test.frequency),
-        "damping_ratio": (damping_ratio, test.damping_ratio),
-        "frequency_deviation": (np.full(n, start_error), test.frequency_deviation),
-        "damping_ratio_deviation": (np.full(n, min(10 * start_error, 0.3)), test.damping_ratio_deviation),
-    }
-    corrected = {}
-    for name, (before, after) in columns.items():
-        corrected[name] = np.array(before, float)
-        corrected[name][mine] = after[theirs]
+    values = np.array([frequency, damping_ratio, np.ones(n)])
+    deviations = np.outer([start_error, min(10 * start_error, 0.3), 0.0], np.ones(n))
+    values[:2, mine] = np.array([test.frequency, test.damping_ratio])[:, theirs]
+    deviations[:2, mine] = np.array([test.frequency_deviation, test.damping_ratio_deviation])[:, theirs]
     known = np.zeros(n, bool)
     known[mine] = True
-    modes = LearnedModes(**corrected, participation=np.ones(n), participation_deviation=np.zeros(n))
-    return modes, known
+    return LearnedModes.of(values[0], values[1], values[2], deviations), known
 
 
 def _aligned(found: Floats, own: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:

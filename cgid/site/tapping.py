@@ -19,7 +19,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, read_cells, write_whole
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
-from cgid.physics.modes import COLUMNS, LEARNED_COLUMNS, LearnedModes
+from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, table_of
 from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.terminal import counted
 from cgid.units import UNITS, quantity_of
@@ -140,13 +140,8 @@ def save_learned(modes: LearnedModes, path: str | Path, *, overwrite: bool = Fal
 
 def _save(path: str | Path, columns: dict[str, Floats], note: str, overwrite: bool) -> Path:
     path = check_new(Path(path), "a table of modes", (".csv",), overwrite=overwrite)
-    units = COLUMNS | LEARNED_COLUMNS
-    lines = [
-        f"# Written by cgid tap: {note}; deviations are those of logarithms",
-        ",".join(f"{name} [{units[name]}]" for name in columns),
-        *(",".join(f"{float(value)!r}" for value in row) for row in zip(*columns.values(), strict=True)),
-    ]
-    write_whole(path, ("\n".join(lines) + "\n").encode(), overwrite=overwrite)
+    text = f"# Written by cgid tap: {note}; deviations are those of logarithms\n{table_of(columns)}"
+    write_whole(path, text.encode(), overwrite=overwrite)
     return path
 
 
