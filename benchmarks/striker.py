@@ -42,10 +42,9 @@ from cgid.scene.sections import DISSIPATIONS
 from cgid.scene.through_beam import beam_of
 from cgid.striker import MeasuredPulses, Strikers, population_of, size_distribution
 from cgid.striker.columns import detection_of, matched
-from cgid.striker.material import of_material
 from cgid.striker.population import beam_behind
 from cgid.striker.posterior import QUANTITIES
-from cgid.striker.recognition import through_beam
+from cgid.striker.recognition import of_material, through_beam
 from cgid.validation import Floats
 
 #: No population or training draws from this seed, nor any that is given in its place.

@@ -22,10 +22,9 @@ from cgid.scene.impacts import blows_of
 from cgid.scene.plan import Plan
 from cgid.striker import Detection, MeasuredPulses, population_of, size_distribution, strikers
 from cgid.striker.columns import matched
-from cgid.striker.material import of_material
 from cgid.striker.population import _heard, beam_behind
 from cgid.striker.posterior import LEVELS, QUANTITIES
-from cgid.striker.recognition import forces, through_beam
+from cgid.striker.recognition import forces, of_material, through_beam
 from tests.bad_input import pulse
 
 RATE = 2e5
