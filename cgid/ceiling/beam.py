@@ -12,7 +12,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import respond
-from cgid.measure.closest import POINTS, closest
+from cgid.measure.template import curve
 from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene
 from cgid.scene.draws import BLOCK
@@ -37,6 +37,12 @@ UNKNOWNS, _LEAD = ("ln peak", "ln width", "shape", "touch", "x", "y"), 3
 _LEFT_OUT, _ROWS = 1e-10, 64
 #: Least deviation that a scene leaves to touch [samples] and place [m].
 _KNOWN = 1e-6
+#: Points of a pulse from touch to separation, less one.
+_POINTS = 512
+#: Least and largest shape s = ln e; above 0 a pulse rises more slowly than it falls.
+_SHAPES = (float(np.log(0.06)), 1.2)
+#: Times at which pulses are compared, in widths.
+_TIMES = np.linspace(-8, 8, 801)
 
 
 def check_estimated(scene: Scene) -> None:
@@ -220,9 +226,9 @@ class BeamErrors:
         for strike in blows.strikes:
             rows = strike.rows
             lasts, peak = values["contact_duration"][rows], values["peak_force"][rows]
-            force = np.zeros((rows.size, POINTS + 1))
-            strike.pulses.add_to_frames(force, POINTS / lasts, np.zeros(rows.size))
-            relative, shape[rows], apart[rows] = closest(force / peak[:, None])
+            force = np.zeros((rows.size, _POINTS + 1))
+            strike.pulses.add_to_frames(force, _POINTS / lasts, np.zeros(rows.size))
+            relative, shape[rows], apart[rows] = _closest(force / peak[:, None])
             width[rows] = relative * lasts
         touch = _LEAD + values["onset"] * self.beam.sampling_rate % 1
         places = [values.get(name, np.zeros(BLOCK)) for name in ("impact_x", "impact_y")]
@@ -266,3 +272,36 @@ class BeamErrors:
             found += covariance[:, column] * (beyond / covariance[:, column, column])[:, None]
         found[:, 1:3] = np.clip(found[:, 1:3], LOWEST, HIGHEST)
         return np.asarray(found)
+
+
+def _closest(pulse: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return width over duration, shape, and distance of the closest pulses of the family, each (n,).
+
+    Those with the same peak, impulse and mean time that come closest to pulses of peak 1, (n, `_POINTS` + 1). The
+    distance is root mean square, over that of the pulse.
+    """
+    width, own = _centred(pulse)
+    shapes, others = _nodes()
+    apart = np.square(own).sum(axis=1)[:, None] + np.square(others).sum(axis=1) - 2 * own @ others.T
+    best = np.clip(apart.argmin(axis=1), 1, shapes.size - 2)
+    before, here, after = (apart[np.arange(len(own)), best + step] for step in (-1, 0, 1))
+    bend = before + after - 2 * here
+    offset = np.clip((before - after) / (2 * bend), -1, 1)  # the lowest point of a parabola
+    least = np.maximum(here - 0.5 * bend * offset**2, 0.0) / np.square(own).sum(axis=1)
+    return width, shapes[best] + offset * (shapes[1] - shapes[0]), np.sqrt(least)
+
+
+@cache
+def _nodes() -> tuple[Floats, Floats]:
+    """Return shapes and their pulses as of `_centred`."""
+    shapes, share = np.linspace(*_SHAPES, 129), np.linspace(0, 1, _POINTS + 1)
+    return shapes, _centred(curve(np.broadcast_to(share, (shapes.size, share.size)), shapes)[0])[1]
+
+
+def _centred(pulse: Floats) -> tuple[Floats, Floats]:
+    """Return the width of pulses over their duration, (n,), and the pulses by widths from their mean time."""
+    share = np.linspace(0, 1, pulse.shape[1])
+    width, middle = pulse.sum(axis=1) / (share.size - 1), (pulse @ share) / pulse.sum(axis=1)
+    places = middle[:, None] + width[:, None] * _TIMES
+    rows = zip(places, pulse, strict=True)
+    return width, np.array([np.interp(at, share, one, left=0.0, right=0.0) for at, one in rows])
