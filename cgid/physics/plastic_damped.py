@@ -66,7 +66,7 @@ class DampedPlasticCurves(Curves):
 
     @cached_property
     def _turn(self) -> _Turn:
-        return _turn(self)
+        return _Turn(self)
 
     @property
     def restitution(self) -> Floats:
@@ -91,14 +91,13 @@ class DampedPlasticCurves(Curves):
 
     @cached_property
     def _loading(self) -> _Quarter:
-        turn = self._turn
-        return _Quarter.to(turn.coefficient, turn.spent, turn.share)
+        return _Quarter(self._turn.coefficient, self._turn.spent, self._turn.share)
 
     @cached_property
     def _spring_unloading(self) -> _Quarter:
         """The unloading of a linear spring: loading backwards, with damping that drives."""
         whole = np.full(self.plastic.shape, 0.5)
-        return _Quarter.to(-self.plastic * self._turn.coefficient, 0.0 * whole, whole)
+        return _Quarter(-self.plastic * self._turn.coefficient, 0.0 * whole, whole)
 
     @cached_property
     def _slower(self) -> Curves:
@@ -231,7 +230,6 @@ def damped_walton_braun_curves(restitution: Floats, stiffness: Floats, viscous: 
     return DampedPlasticCurves.damped(viscous, np.zeros(viscous.shape), stiffness, restitution, True)
 
 
-@dataclass(frozen=True)
 class _Turn:
     """What follows in closed form, or as a root; each (n,).
 
@@ -241,59 +239,38 @@ class _Turn:
     momentum : m there
     peaks_early : whether the peak force precedes this branch; else it is largest_force, where m is peak_momentum
     left : displacement at separation
-    second, speed, length, unit : restitution, speed and scales of the Hertzian impact that unloads likewise
+    second, length, unit : restitution and scales of the Hertzian impact that unloads likewise
     """
 
-    restitution: Floats
-    force: Floats
-    displacement: Floats
-    swing: Floats
-    rate: Floats
-    coefficient: Floats
-    spent: Floats
-    share: Floats
-    fallen: Floats
-    momentum: Floats
-    peaks_early: NDArray[np.bool_]
-    peak_momentum: Floats
-    largest_force: Floats
-    left: Floats
-    second: Floats
-    speed: Floats
-    length: Floats
-    unit: Floats
-
-
-def _turn(of: DampedPlasticCurves) -> _Turn:
-    damping, viscous = of.damping, of.material_restitution
-    energy = energy_below(damping)
-    taken = 0.4 * power(of.corner, 2.5)
-    yields = np.full(viscous.shape, True) if of.linear else of.corner < peak_displacement(damping)
-    rest = np.where(yields, np.maximum(energy - taken, 0.0), 0.0)
-    offset = 2 / 3 * of.corner
-    swing = np.sqrt(offset * offset + 2 * rest / of.stiffness)
-    rate, force = np.sqrt(of.stiffness), of.stiffness * swing
-    across = rate * swing  # (2 E)^(1/2) of the spring
-    displacement = of.corner / 3 + swing
-    way = of.plastic * of.plastic * swing if of.linear else force / np.sqrt(displacement)
-    work = np.where(yields, (0.5 if of.linear else 0.4) * force * way, energy)
-    restitution = np.where(yields, _speed(_momentum(work, -damping), -damping), viscous)
-    speed = np.where(yields, _speed(_momentum(work, damping), damping), 1.0)
-    hertzian = yields & (not of.linear)
-    length = np.where(hertzian, power(speed * speed * (np.where(hertzian, way * np.sqrt(way), 0.0) / force), 0.4), 1.0)
-    fallen, momentum = _until(taken, rest, damping, _momentum(energy, damping))
-    coefficient = damping * across
-    peak_before = np.divide(peak_logarithm(damping), damping, out=np.zeros(damping.shape), where=damping > 0)
-    peak, height = _spring_peak(coefficient)
-    return _Turn(
-        restitution=restitution, force=force, displacement=displacement, swing=swing, rate=rate,
-        coefficient=coefficient, spent=0.5 * (offset / swing) * (offset / swing), share=rest / (across * across),
-        fallen=fallen, momentum=momentum,
-        peaks_early=np.zeros(viscous.shape, bool) if of.linear else peak_before >= momentum, peak_momentum=peak,
-        largest_force=force * height, left=np.where(yields, displacement - way, 0.0),
-        second=np.clip(np.where(yields, restitution / speed, viscous), family.LOWEST_RESTITUTION, 1.0),
-        speed=speed, length=length, unit=length / speed,
-    )  # fmt: skip
+    def __init__(self, of: DampedPlasticCurves) -> None:
+        damping, viscous = of.damping, of.material_restitution
+        energy = energy_below(damping)
+        taken = 0.4 * power(of.corner, 2.5)
+        yields = np.full(viscous.shape, True) if of.linear else of.corner < peak_displacement(damping)
+        rest = np.where(yields, np.maximum(energy - taken, 0.0), 0.0)
+        offset = 2 / 3 * of.corner
+        swing = np.sqrt(offset * offset + 2 * rest / of.stiffness)
+        self.swing, self.rate, self.force = swing, np.sqrt(of.stiffness), of.stiffness * swing
+        across = self.rate * swing  # (2 E)^(1/2) of the spring
+        self.coefficient, self.share = damping * across, rest / (across * across)
+        self.spent = 0.5 * (offset / swing) * (offset / swing)
+        self.fallen, self.momentum = _until(taken, rest, damping, _momentum(energy, damping))
+        self.displacement = of.corner / 3 + swing
+        way = of.plastic * of.plastic * swing if of.linear else self.force / np.sqrt(self.displacement)
+        self.left = np.where(yields, self.displacement - way, 0.0)
+        work = np.where(yields, (0.5 if of.linear else 0.4) * self.force * way, energy)
+        self.restitution = np.where(yields, _speed(_momentum(work, -damping), -damping), viscous)
+        speed = np.where(yields, _speed(_momentum(work, damping), damping), 1.0)
+        second = np.where(yields, self.restitution / speed, viscous)
+        self.second = np.clip(second, family.LOWEST_RESTITUTION, 1.0)
+        hertzian = yields & (not of.linear)
+        compliance = np.where(hertzian, way * np.sqrt(way), 0.0) / self.force
+        self.length = np.where(hertzian, power(speed * speed * compliance, 0.4), 1.0)
+        self.unit = self.length / speed
+        early = np.divide(peak_logarithm(damping), damping, out=np.zeros(damping.shape), where=damping > 0)
+        self.peaks_early = np.zeros(viscous.shape, bool) if of.linear else early >= self.momentum
+        self.peak_momentum, height = _spring_peak(self.coefficient)
+        self.largest_force = self.force * height
 
 
 def _rest(x: Floats) -> Floats:
@@ -356,9 +333,10 @@ def _spring_peak(coefficient: Floats) -> tuple[Floats, Floats]:
     return p / b, np.sqrt(expm1(p)) / b * exp(p)
 
 
-@dataclass(frozen=True)
 class _Quarter:
     """The motion of n damped springs from their turn back to a given momentum, in units of their rate and swing.
+
+    There V and the work of the spring have the shares `share` and `spent` of 2 E, in all 1/2.
 
     coefficient : B, (n,)
     times : of the expansions, from the turn, (n, `_PANELS` + 1)
@@ -367,29 +345,20 @@ class _Quarter:
     speed : psi where phi = 0, (n,)
     """
 
-    coefficient: Floats
-    times: Floats
-    series: Floats
-    edges: Floats
-    speed: Floats
-
-    @classmethod
-    def to(cls, coefficient: Floats, spent: Floats, share: Floats) -> _Quarter:
-        """Return the motion back to where V and the work of the spring have these shares of 2 E, in all 1/2."""
+    def __init__(self, coefficient: Floats, spent: Floats, share: Floats) -> None:
+        self.coefficient = coefficient
         top = _momentum(np.full(share.shape, 0.5), coefficient)
-        speed = _speed(top, coefficient)
+        self.speed = _speed(top, coefficient)
         fall, momentum = _until(spent, share, coefficient, top)
         highest, lowest = np.sqrt(top), np.sqrt(fall)
         # Where damping drives, the motion is quick at first.
         even = np.arange(_PANELS + 1) / _PANELS
         drive = np.maximum(-coefficient, 0.0)[:, None]
         graded = even * (1 + drive * even) / (1 + drive)
-        edges = highest[:, None] - (momentum / (highest + lowest))[:, None] * graded
-        made = cls(coefficient, np.zeros(edges.shape), np.zeros(0), edges, speed)
-        lasts = made._between(edges[:, :-1], edges[:, 1:])
-        for panel in range(_PANELS):
-            made.times[:, panel + 1] = made.times[:, panel] + lasts[:, panel]
-        return replace(made, series=made._expanded(top))
+        self.edges = highest[:, None] - (momentum / (highest + lowest))[:, None] * graded
+        self.times = np.zeros(self.edges.shape)
+        np.cumsum(self._between(self.edges[:, :-1], self.edges[:, 1:]), axis=1, out=self.times[:, 1:])
+        self.series = self._expanded(top)
 
     def _between(self, early: Floats, late: Floats) -> Floats:
         """Return the time between two edges (n, k), by quadrature."""

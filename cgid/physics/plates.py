@@ -241,22 +241,15 @@ def _line(number: int, held: str) -> tuple[_Line, ...]:
     return tuple(_Line(part) for part in parts)
 
 
-@dataclass(frozen=True, eq=False)
 class _Panel:
-    """One symmetry of a panel: stiffness over mass per area, and mass, for products of the functions of two lines.
+    """One symmetry of a panel, whose shapes are products of a function along and a function across.
 
-    stiffness : [rad^2/s^2] over the square [-1, 1] x [-1, 1], (n_products, n_products)
+    stiffness : over mass per area [rad^2/s^2], over the square [-1, 1] x [-1, 1], (n_products, n_products)
     mass : of each product (the functions make it diagonal), (n_products,)
     """
 
-    along: _Line
-    across: _Line
-    stiffness: Floats
-    mass: Floats
-
-    @classmethod
-    def of(cls, along: _Line, across: _Line, rigidities: Rigidities, length: float, width: float) -> _Panel:
-        """Return the panel whose shapes are products of a function along and a function across."""
+    def __init__(self, along: _Line, across: _Line, rigidities: Rigidities, length: float, width: float) -> None:
+        self.along, self.across = along, across
         a, b = 4 / (length * length), 4 / (width * width)
         mass_x, slope_x, bending_x, mixed_x = along.integrals
         mass_y, slope_y, bending_y, mixed_y = across.integrals
@@ -265,8 +258,8 @@ class _Panel:
         stiffness += 4 * rigidities.twist * a * b * np.kron(slope_x, slope_y)
         coupled = rigidities.coupling * a * b * np.kron(mixed_x, mixed_y.T)
         stiffness += coupled + coupled.T
-        mass = np.kron(np.diag(mass_x), np.diag(mass_y)).astype(np.float64)
-        return cls(along, across, np.asarray(stiffness / rigidities.mass, dtype=np.float64), mass)
+        self.stiffness = np.asarray(stiffness / rigidities.mass, dtype=np.float64)
+        self.mass: Floats = np.kron(np.diag(mass_x), np.diag(mass_y)).astype(np.float64)
 
     def _standard(self) -> tuple[Floats, Floats, Floats]:
         """Return the standard form of `M v = v K / omega^2`, the stiffness factor, and the scale of the products."""
@@ -311,7 +304,7 @@ def ritz_modes(
 
     def panels() -> list[_Panel]:
         lines = [_line(number, where) for number, where in zip(numbers, held, strict=True)]
-        return [_Panel.of(x, y, rigidities, length, width) for x in lines[0] for y in lines[1]]
+        return [_Panel(x, y, rigidities, length, width) for x in lines[0] for y in lines[1]]
 
     # A frequency just above the limit may fall below it as the degree rises.
     coarse = [panel.frequencies(1.001 * highest) for panel in panels()]
