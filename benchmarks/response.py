@@ -35,7 +35,7 @@ from threadpoolctl import threadpool_limits
 from cgid import shipped
 from cgid.counting import counted
 from cgid.physics import HertzRangeWarning, HuntCrossley, Impact, ModalImpact, Sphere, ThinPlateWarning
-from cgid.physics.driving import windows_of
+from cgid.physics.driving import Windows
 from cgid.physics.materials import Material
 from cgid.physics.response import Response
 from cgid.scene import Scene, load_scene, synthesise
@@ -227,7 +227,7 @@ def beside_peers(given: Blows, dtype: str, rounds: int) -> tuple[list[float], fl
     peers = [Peer(name, given, 1, dtype) for name in PEERS]
     works = [partial(given.heard, TOLERANCE, dtype, threads) for threads in (1, 2)]
     works += [partial(peer.heard, threads) for peer in peers for threads in (1, 2)]
-    works.append(partial(windows_of, given.impact, given.onset, given.sampling_rate, response.tolerance))
+    works.append(partial(Windows, given.impact, given.onset, given.sampling_rate, response.tolerance))
     *times, forces = [seconds / nominal for seconds in best_times(works, rounds)]
     line(n_modes, dtype, "cgid", times[:2], times[:2], error)
     line(n_modes, dtype, "cgid, less its forces", [times[0] - forces], times[:2], error)

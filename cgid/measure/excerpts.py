@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,9 +31,11 @@ def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
     return None if values is None else values[rows]
 
 
-@dataclass(frozen=True, eq=False)
 class Window:
     """The samples of some rows that a fit uses.
+
+    Each row has `length` columns from `first` (n,) on; a `run` of them makes a point. `unit` (n,) divides the samples
+    less `offset` (n,); at `clip_level` (n,) the sensor is at its limit.
 
     Attributes
     ----------
@@ -47,15 +48,41 @@ class Window:
     reach : last column of the window, in the frame or beyond it, (n,)
     """
 
-    rows: NDArray[np.intp]
-    values: Floats
-    times: Floats
-    averaged: Floats
-    outside: NDArray[np.bool_] | None
-    clipped: NDArray[np.bool_] | None
-    elsewhere: Floats
-    run: int
-    reach: NDArray[np.intp]
+    def __init__(
+        self,
+        samples: NDArray[np.floating],
+        rows: NDArray[np.intp],
+        first: NDArray[np.intp],
+        length: int,
+        run: int,
+        offset: Floats,
+        clip_level: Floats,
+        unit: Floats,
+    ) -> None:
+        n, n_samples = len(rows), samples.shape[1]
+        self.rows, self.run, self.averaged, self.reach = rows, run, np.full(n, float(run)), first + length - 1
+        self.elsewhere = _largest_elsewhere(samples, rows, first, length, offset) / unit
+        self.times = first[:, None] + (0.5 * (run - 1) + run * np.arange(length // run, dtype=np.float64))
+        columns = first[:, None] + np.arange(length)
+        beyond = None
+        if first.min() < 0 or first.max() + length > n_samples:
+            beyond = (columns < 0) | (columns >= n_samples)
+            columns = np.minimum(np.maximum(columns, 0), n_samples - 1)
+        columns += (rows * n_samples)[:, None]
+        values = samples.ravel().take(columns) - offset[:, None]
+        clipped = values >= clip_level[:, None] if np.isfinite(clip_level).any() else None
+        if clipped is not None and beyond is not None:
+            clipped &= ~beyond
+        # Each run of samples becomes one point.
+        if run > 1:
+            shape = (n, length // run, run)
+            values = values.reshape(shape).mean(axis=2)
+            beyond, clipped = (
+                None if flags is None else np.asarray(flags.reshape(shape).any(axis=2)) for flags in (beyond, clipped)
+            )
+        values /= unit[:, None]
+        self.values, self.outside = values, beyond
+        self.clipped = clipped if clipped is not None and clipped.any() else None
 
     @property
     def n_clipped(self) -> NDArray[np.intp]:
@@ -95,7 +122,7 @@ def windows(
         length = -(-length // run) * run + before * run
         levels = (offset[rows], clip_level[rows], unit[rows])
         own = rows if among is None else among[rows]
-        yield _window(samples, own, first[rows] - before * run, length, run, *levels)
+        yield Window(samples, own, first[rows] - before * run, length, run, *levels)
 
 
 def by_length(wanted: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:
@@ -104,52 +131,6 @@ def by_length(wanted: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:
     step = np.ceil(np.log(np.maximum(wanted, 1.0)) / np.log(_STEP)).astype(np.intp)
     for chosen in sorted(set(step.tolist())):
         yield np.flatnonzero(step == chosen), int(np.ceil(_STEP**chosen))
-
-
-def _window(
-    samples: NDArray[np.floating],
-    rows: NDArray[np.intp],
-    first: NDArray[np.intp],
-    length: int,
-    run: int,
-    offset: Floats,
-    clip_level: Floats,
-    unit: Floats,
-) -> Window:
-    n, n_samples = len(rows), samples.shape[1]
-    columns = first[:, None] + np.arange(length)
-    beyond = None
-    if first.min() < 0 or first.max() + length > n_samples:
-        beyond = (columns < 0) | (columns >= n_samples)
-        columns = np.minimum(np.maximum(columns, 0), n_samples - 1)
-    columns += (rows * n_samples)[:, None]
-    values = samples.ravel().take(columns) - offset[:, None]
-    clipped = values >= clip_level[:, None] if np.isfinite(clip_level).any() else None
-    if clipped is not None and beyond is not None:
-        clipped &= ~beyond
-    elsewhere = _largest_elsewhere(samples, rows, first, length, offset)
-    times = first[:, None] + (0.5 * (run - 1) + run * np.arange(length // run, dtype=np.float64))
-    # Each run of samples becomes one point.
-    if run > 1:
-        shape = (n, length // run, run)
-        values = values.reshape(shape).mean(axis=2)
-        beyond, clipped = (None if flags is None else _any(flags.reshape(shape)) for flags in (beyond, clipped))
-    values /= unit[:, None]
-    return Window(
-        rows=rows,
-        values=values,
-        times=times,
-        averaged=np.full(n, float(run)),
-        outside=beyond,
-        clipped=clipped if clipped is not None and clipped.any() else None,
-        elsewhere=elsewhere / unit,
-        run=run,
-        reach=first + length - 1,
-    )
-
-
-def _any(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return np.asarray(flags.any(axis=2))
 
 
 def _largest_elsewhere(

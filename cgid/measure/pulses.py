@@ -340,7 +340,7 @@ class PulseBatch(Frames):
         """Spectrum of the contact alone."""
         touch, separation = self.contact
         count("spectra", len(touch))
-        return PulseSpectrum.of(self._during_contact, touch, separation, self.sampling_rate)
+        return PulseSpectrum(self._during_contact, touch, separation, self.sampling_rate)
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 

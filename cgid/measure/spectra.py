@@ -236,36 +236,34 @@ class EnergySpectrum:
         return out
 
 
-@dataclass(frozen=True, eq=False)
 class PulseSpectrum:
-    """Power spectra of pulses (n_signals, n_bins), each at its own frequencies [Hz] from 0; zero beyond `n_bins`."""
+    """Power spectra of pulses up to `SPECTRUM_LIMIT` over the contact duration.
 
-    frequency: Floats
-    power: Floats
-    n_bins: NDArray[np.intp]
+    Windows (n_signals, n_samples) are zero outside contact, which lasts from touch to separation, each (n_signals,)
+    [samples]. The transform is zero-padded to a power of two of at least `_ZERO_PADDING` times the row's own contact,
+    so a row does not depend on the others.
 
-    @classmethod
-    def of(cls, windows: Floats, touch: Floats, separation: Floats, sampling_rate: float) -> PulseSpectrum:
-        """Return the spectra of pulses up to `SPECTRUM_LIMIT` over the contact duration.
+    Attributes
+    ----------
+    frequency, power : (n_signals, n_bins), each row at its own frequencies [Hz] from 0
+    n_bins : number of bins of each row, (n_signals,); beyond them power is zero
+    """
 
-        Windows (n_signals, n_samples) are zero outside contact, which lasts from touch to separation, each (n_signals,)
-        [samples]. The transform is zero-padded to a power of two of at least `_ZERO_PADDING` times the row's own
-        contact, so a row does not depend on the others.
-        """
+    def __init__(self, windows: Floats, touch: Floats, separation: Floats, sampling_rate: float) -> None:
         wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
         lengths = np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
         top = np.minimum(SPECTRUM_LIMIT / ((separation - touch) / sampling_rate), sampling_rate / 2)
-        n_bins = np.floor(top * lengths / sampling_rate).astype(np.intp) + 1
-        power = np.zeros((len(lengths), int(n_bins.max())))
+        self.n_bins = np.floor(top * lengths / sampling_rate).astype(np.intp) + 1
+        power = np.zeros((len(lengths), int(self.n_bins.max())))
         first, last = np.maximum(np.ceil(touch).astype(np.intp), 0), windows.shape[1] - 1
         for length in np.unique(lengths):
             rows = np.flatnonzero(lengths == length)
             columns = first[rows, None] + np.arange(int(np.ceil((separation - touch)[rows].max())) + 1)
             force = np.where(columns <= last, windows[rows[:, None], np.minimum(columns, last)], 0.0)
-            kept = int(n_bins[rows].max())
+            kept = int(self.n_bins[rows].max())
             power[rows, :kept] = np.abs(np.fft.rfft(force, n=int(length)))[:, :kept] ** 2
-        power[np.arange(power.shape[1]) >= n_bins[:, None]] = 0.0
-        return cls(np.arange(power.shape[1]) * (sampling_rate / lengths)[:, None], power, n_bins)
+        power[np.arange(power.shape[1]) >= self.n_bins[:, None]] = 0.0
+        self.frequency, self.power = np.arange(power.shape[1]) * (sampling_rate / lengths)[:, None], power
 
     @cached_property
     def cumulative(self) -> Floats:

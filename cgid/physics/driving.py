@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol
 
@@ -44,31 +43,27 @@ def steps_for(tolerance: float) -> int:
     return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4))))
 
 
-@dataclass(frozen=True)
 class DrivenSample:
-    """Effect of one sample, divided into steps, on all poles; `Response._driven` describes the arrays."""
+    """Effect of one sample of `stride` steps on poles, as polynomials in the step number.
 
-    polynomials: Floats
-    shares: Floats
-    edge: Floats
+    `Response._driven` describes the arrays.
+    """
 
-
-def driven_sample(poles: Complex, sampling_rate: float, stride: int, n_polynomials: int) -> DrivenSample:
-    """Return the effect of a sample of `stride` steps on the poles, as polynomials in the step number."""
-    h = 1 / (sampling_rate * stride)
-    # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
-    phi1, phi2 = _phi(poles * h)
-    edge = h * phi2
-    drive = h * (phi1 - phi2) + complex_product(complex_exp(poles * h), edge)
-    polynomials = np.zeros((stride, n_polynomials))
-    shares = np.zeros((n_polynomials, poles.size), complex)
-    if stride <= n_polynomials:  # each step separately
-        polynomials[:, :stride] = np.eye(stride)
-        shares[:stride] = complex_product(drive, complex_exp(np.arange(stride)[::-1, None] * (poles * h)))
-    else:
-        polynomials[:] = legendre.legvander(np.linspace(-1, 1, stride), n_polynomials - 1)
-        shares[:] = complex_product(drive, _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials))
-    return DrivenSample(polynomials, np.stack([shares.real, shares.imag]), np.stack([edge.real, edge.imag]))
+    def __init__(self, poles: Complex, sampling_rate: float, stride: int, n_polynomials: int) -> None:
+        h = 1 / (sampling_rate * stride)
+        # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
+        phi1, phi2 = _phi(poles * h)
+        edge = h * phi2
+        drive = h * (phi1 - phi2) + complex_product(complex_exp(poles * h), edge)
+        self.polynomials = np.zeros((stride, n_polynomials))
+        shares = np.zeros((n_polynomials, poles.size), complex)
+        if stride <= n_polynomials:  # each step separately
+            self.polynomials[:, :stride] = np.eye(stride)
+            shares[:stride] = complex_product(drive, complex_exp(np.arange(stride)[::-1, None] * (poles * h)))
+        else:
+            self.polynomials[:] = legendre.legvander(np.linspace(-1, 1, stride), n_polynomials - 1)
+            shares[:] = complex_product(drive, _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials))
+        self.shares, self.edge = np.stack([shares.real, shares.imag]), np.stack([edge.real, edge.imag])
 
 
 def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:
@@ -118,9 +113,8 @@ def _phi(x: Complex) -> tuple[Complex, Complex]:
     return np.where(small, first, grown / safe), np.where(small, second, (grown / safe - 1) / safe)
 
 
-@dataclass(frozen=True)
 class Windows:
-    """The forces of n pulses, each on its own grid with as many steps per sample as its contact needs.
+    """The forces of n pulses that touch at `onset` [s], each on its own grid, as fine as its contact needs.
 
     first, count : first sample of each grid, and number of samples, (n,)
     stride : steps per sample, a power of 2, (n,)
@@ -128,37 +122,27 @@ class Windows:
     force, drive : force [N], and the force corrected for linear interpolation, (n, n_steps)
     """
 
-    first: NDArray[np.int64]
-    count: NDArray[np.int64]
-    stride: NDArray[np.int64]
-    strides: NDArray[np.int64]
-    level: NDArray[np.intp]
-    force: Floats
-    drive: Floats
-
-
-def windows_of(pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> Windows:
-    """Return the forces of pulses that touch at `onset` [s], on grids fine enough for the tolerance."""
-    duration = pulses.contact_duration * sampling_rate
-    fraction, exponent = np.frexp(steps_for(tolerance) / duration)
-    needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # log2, rounded up
-    if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MOST_STRIDE:
-        shortest = float(pulses.contact_duration.min())
-        raise InvalidValue(
-            f"sampling_rate must give a contact at least a {_MOST_STRIDE}th of a sample, got {sampling_rate:g} Hz for "
-            f"one of {shortest:.3g} s; raise it"
-        )
-    stride = np.int64(1) << needed
-    place = onset * sampling_rate
-    first = np.floor(place).astype(np.int64)
-    # Two steps without force follow the contact, as the correction below reaches past its end.
-    length = np.floor(place + pulses.end_of_contact * sampling_rate + 2 / stride).astype(np.int64) + 1 - first
-    force = np.zeros((len(onset), int((length * stride).max(initial=0)) + 1))
-    pulses.add_to_frames(
-        force, sampling_rate * stride, (place - first) / sampling_rate, tolerance=_SHARE_OF_FORCE * tolerance
-    )
-    # The mean error of linear interpolation is a twelfth of the second difference.
-    drive = force.copy()
-    drive[:, 1:-1] -= (force[:, 2:] - 2 * force[:, 1:-1] + force[:, :-2]) / 12
-    strides, level = np.unique(stride, return_inverse=True)
-    return Windows(first, length, stride, strides, level, force, drive)
+    def __init__(self, pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> None:
+        duration = pulses.contact_duration * sampling_rate
+        fraction, exponent = np.frexp(steps_for(tolerance) / duration)
+        needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # log2, rounded up
+        if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MOST_STRIDE:
+            shortest = float(pulses.contact_duration.min())
+            raise InvalidValue(
+                f"sampling_rate must give a contact at least a {_MOST_STRIDE}th of a sample, got {sampling_rate:g} Hz "
+                f"for one of {shortest:.3g} s; raise it"
+            )
+        self.stride = np.int64(1) << needed
+        self.strides, self.level = np.unique(self.stride, return_inverse=True)
+        place = onset * sampling_rate
+        self.first = np.floor(place).astype(np.int64)
+        # Two steps without force follow the contact, as the correction below reaches past its end.
+        behind = np.floor(place + pulses.end_of_contact * sampling_rate + 2 / self.stride).astype(np.int64) + 1
+        self.count = behind - self.first
+        force = np.zeros((len(onset), int((self.count * self.stride).max(initial=0)) + 1))
+        since = (place - self.first) / sampling_rate
+        pulses.add_to_frames(force, sampling_rate * self.stride, since, tolerance=_SHARE_OF_FORCE * tolerance)
+        # The mean error of linear interpolation is a twelfth of the second difference.
+        drive = force.copy()
+        drive[:, 1:-1] -= (force[:, 2:] - 2 * force[:, 1:-1] + force[:, :-2]) / 12
+        self.force, self.drive = force, drive

@@ -20,7 +20,7 @@ from cgid.counting import count
 from cgid.elementary import Complex, complex_exp, complex_of, complex_product, matrix_product, modulus, sincos
 from cgid.errors import InvalidValue
 from cgid.physics.curves import in_parts
-from cgid.physics.driving import DrivenSample, Pulses, driven_sample, polynomials_for, windows_of
+from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
 from cgid.validation import Floats
 
 #: Quantities that a sensor on a beam measures: the number of time derivatives of the displacement.
@@ -293,7 +293,7 @@ class Response:
         if ratio is not None:
             amplitude, direct = amplitude * ratio[:, None], direct * ratio
         parts = np.ascontiguousarray(np.stack([amplitude.real, amplitude.imag], axis=1))
-        windows = windows_of(pulses, onset, self.sampling_rate, self.tolerance)
+        windows = Windows(pulses, onset, self.sampling_rate, self.tolerance)
         ringing = np.empty_like(parts)
         turn = np.ascontiguousarray(self._rung[:, chosen, 1])
         driven = self._driven(chosen, windows.strides)
@@ -367,7 +367,7 @@ class Response:
     def _samples_of(self, stride: int) -> DrivenSample:
         """Return the effect of a sample of this many steps on all poles, cached."""
         if stride not in self._kept:
-            self._kept[stride] = driven_sample(self.poles, self.sampling_rate, stride, self._n_polynomials)
+            self._kept[stride] = DrivenSample(self.poles, self.sampling_rate, stride, self._n_polynomials)
         return self._kept[stride]
 
 
