@@ -199,21 +199,11 @@ _OF_VISCOELASTIC = ("dissipative_constant", "time_constant", "restitution")
 
 
 def viscoelastic_number(restitution: ArrayLike) -> Floats:
-    """Return zeta = A v / L of a viscoelastic impact of this restitution, for which there is no closed form.
+    """Return zeta = A v / L of a viscoelastic impact of this restitution, in [0.003, 1]; there is no closed form.
 
     In units of L and T0 the contact is `x'' = -x^(3/2) - zeta x^(1/2) x'`, so that restitution follows from zeta alone.
     The inverse is a series that integrated impacts have given; relative error below 1e-11.
 
-    Parameters
-    ----------
-    restitution : array_like, in [0.003, 1]
-
-    Returns
-    -------
-    ndarray, 0 for an elastic impact
-
-    Examples
-    --------
     >>> round(float(viscoelastic_number(0.39393060323)), 9)
     1.0
     """

@@ -66,18 +66,9 @@ class Dimension:
 def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[str, float]:
     """Return the errors of the dimensions that are to be learned, by name; none where all are 0.
 
-    Parameters
-    ----------
-    scene : Scene
-    error : float or mapping of str to float
-        Of each dimension, relative; or of those that a mapping names, while the others are exact. The damping ratio is
-        10 times as uncertain as the worst of them, at most 30 %.
-
-    Raises
-    ------
-    InvalidValue
-        An error is not between 0 and 0.1 (of the damping ratio 0.3), the beam has no such dimension, or its modes are
-        tapped or learned.
+    `error` is relative: that of each dimension, or of those that a mapping names, while the others are exact. The
+    damping ratio is 10 times as uncertain as the worst of them, at most 30 %. Raise `InvalidValue` if an error is not
+    between 0 and 0.1 (of the damping ratio 0.3), the beam has no such dimension, or its modes are tapped or learned.
     """
     own = dimensions_of(scene)
     given = dict(error) if isinstance(error, Mapping) else dict.fromkeys(own or DIMENSIONS, error) | {DAMPING: 0.0}
@@ -113,17 +104,8 @@ def learn_dimensions(
 ) -> tuple[Scene, tuple[Dimension, ...]]:
     """Return a scene with the dimensions that blows tell of, and these.
 
-    Parameters
-    ----------
-    scene : Scene
-        With the dimensions of a tail beam, whose modes nobody has learned.
-    beam : Beam
-        Of the scene.
-    blows : Blows
-    errors : mapping of str to float
-        Prior standard deviation of the logarithm of each dimension that is learned, from `dimension_errors`.
-    progress : callable, optional
-        Receives the number of rounds done since the last call; there are at most `MOST_ROUNDS`.
+    `beam` is that of the scene, whose modes nobody has learned; `errors` are those of `dimension_errors`, standard
+    deviations of logarithms. `progress` receives the number of rounds done since the last call, at most `MOST_ROUNDS`.
     """
     before, names, prior = dimensions_of(scene), list(errors), np.array(list(errors.values()))
     now, deviation = np.zeros(len(names)), prior

@@ -51,14 +51,10 @@ class Blows:
 
     Attributes
     ----------
-    frames : ndarray, (n, n_samples)
-        At the sampling rate of the beam, without baseline.
-    start : ndarray of int, (n, 2)
-        First and last sample in which touch may lie.
-    noise : ndarray, (n,)
-        Standard deviation of the noise.
-    colour : Colour
-        Of the noise.
+    frames : at the sampling rate of the beam, without baseline, (n, n_samples)
+    start : first and last sample in which touch may lie, (n, 2)
+    noise : its standard deviation, (n,)
+    colour : of the noise
     """
 
     frames: Floats
@@ -95,13 +91,10 @@ class Learned:
 
     Attributes
     ----------
-    correction, deviation : ndarray, (3, n_modes)
-        Of ln frequency, ln damping ratio and ln participation, and its standard deviation: that of the prior where the
-        blows tell nothing.
-    rounds : int
-        Gauss-Newton steps.
-    at_rest : bool
-        Whether the last step was small against the deviations.
+    correction, deviation : of ln frequency, ln damping ratio and ln participation, (3, n_modes), and its standard
+        deviation: that of the prior where the blows tell nothing
+    rounds : Gauss-Newton steps
+    at_rest : whether the last step was small against the deviations
     """
 
     correction: Floats
@@ -129,21 +122,10 @@ def learn(
     *,
     progress: Callable[[int], object] | None = None,
 ) -> Learned:
-    """Learn the modes of a beam from blows.
+    """Learn the modes of a beam from blows, starting from this beam.
 
-    Parameters
-    ----------
-    beam : Beam
-        To start from.
-    blows : Blows
-    deviation : ndarray, (3, n_modes)
-        Prior standard deviation of ln frequency, ln damping ratio and ln participation; rows of zeros are not learned.
-    progress : callable, optional
-        Receives the number of rounds done since the last call.
-
-    Returns
-    -------
-    Learned
+    `deviation` (3, n_modes) is the prior standard deviation of ln frequency, ln damping ratio and ln participation;
+    rows of zeros are not learned. `progress` receives the number of rounds done since the last call.
     """
     kept = np.flatnonzero(deviation.any(axis=1))
     state = _State(beam, blows, np.maximum(deviation[kept], 1e-9), kept, progress)
@@ -217,12 +199,8 @@ class _State:
 def newton(curvature: Floats, pulls: Floats, prior: Floats, now: Floats) -> tuple[Floats, Floats, Floats]:
     """Return parameters after a Gauss-Newton step, the step, at most as long as the prior, and their deviations.
 
-    Parameters
-    ----------
-    curvature, pulls : ndarray, (n, n) and (n_blows, n)
-        Of the log likelihood, as `System.equations` returns them.
-    prior, now : ndarray, (n,)
-        Standard deviations of the parameters, which are expected to be 0, and what they are.
+    Curvature (n, n) and pulls (n_blows, n) are those of `System.equations`; `prior` (n,) are standard deviations of the
+    parameters, which are expected to be 0, and `now` (n,) is what they are.
     """
     covariance = np.linalg.inv(curvature + np.diag(prior**-2))
     # Where the pulls of single blows scatter more than the curvature says, the model is not exact: Huber (1967).
@@ -241,23 +219,13 @@ def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
 class System:
     """Blows as one beam explains them, and the normal equations of what may be wrong about it.
 
-    Parameters
-    ----------
-    beam : Beam
-    blows : Blows
-    raised : ndarray, (n_blows,)
-        Factors of the noise.
-    limit : float, optional [Hz]
-        Highest frequency that is looked at.
+    `raised` (n_blows,) are factors of the noise, `limit` [Hz] is the highest frequency that is looked at.
 
     Attributes
     ----------
-    active : ndarray of int
-        Modes that act on what is looked at.
-    found : Inverted
-        Places and forces.
-    power : ndarray, (n_blows,)
-        Mean square of what is left of each blow, over the noise; from `equations`.
+    active : modes that act on what is looked at
+    found : places and forces
+    power : mean square of what is left of each blow, over the noise, (n_blows,); from `equations`
     """
 
     def __init__(self, beam: Beam, blows: Blows, raised: Floats, limit: float | None = None) -> None:

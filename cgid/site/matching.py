@@ -13,22 +13,11 @@ _FITTING = 3.0
 
 
 def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error: float) -> tuple[LearnedModes, Floats]:
-    """Return the modes of a scene, corrected where taps have found them.
+    """Return the modes of a scene, corrected where taps have found them, and which of them were found, (n_modes,).
 
-    Modes keep their order. One step of the whole beam, such as a stiffer steel, is allowed for.
-
-    Parameters
-    ----------
-    test : TapTest
-    frequency, damping_ratio : ndarray, (n_modes,)
-        Of the scene, ascending.
-    start_error : float
-        Standard deviation of the scene's frequencies, relative; its damping ratios have ten times as much.
-
-    Returns
-    -------
-    tuple of LearnedModes and ndarray of bool, (n_modes,)
-        The modes, and which of them were found.
+    Frequencies and damping ratios (n_modes,) are those of the scene, ascending; `start_error` is the relative standard
+    deviation of its frequencies, its damping ratios have ten times as much. Modes keep their order. One step of the
+    whole beam, such as a stiffer steel, is allowed for.
     """
     found, own = np.log(test.frequency), np.log(frequency)
     shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error

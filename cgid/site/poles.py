@@ -93,22 +93,11 @@ class Poles:
 
 
 def poles_of(decays: Floats, sampling_rate: float, band: tuple[float, float], max_order: int) -> Poles:
-    """Return the modes that ring in some decays of one body.
+    """Return the modes that ring in some decays of one body, possibly none.
 
-    Parameters
-    ----------
-    decays : ndarray, (n_decays, n_samples)
-        Free decays; the channels of several sensors are further decays.
-    sampling_rate : float [Hz]
-    band : tuple of float [Hz]
-        Lowest and highest natural frequency that is sought.
-    max_order : int
-        Largest number of modes in one of the bands that are fitted one by one.
-
-    Returns
-    -------
-    Poles
-        Possibly without any.
+    Decays (n_decays, n_samples) are free; the channels of several sensors are further decays. `band` [Hz] holds the
+    lowest and highest natural frequency that is sought, `max_order` is the largest number of modes in one of the bands
+    that are fitted one by one.
     """
     decays = decays - decays.mean(axis=1, keepdims=True)
     fits = []

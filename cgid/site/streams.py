@@ -54,14 +54,10 @@ class StreamRows:
 
     Attributes
     ----------
-    rows : Rows
-        Without those that cannot be measured, or belong to no blow.
-    n_found : int
-        Impacts found.
-    n_rocks : (int, int)
-        Rocks of each of the two labels, in alphabetical order.
-    share : float
-        Of the second label among the rocks that may come.
+    rows : without those that cannot be measured, or belong to no blow
+    n_found : impacts found
+    n_rocks : rocks of each of the two labels, in alphabetical order
+    share : of the second label among the rocks that may come
     """
 
     rows: Rows
@@ -83,12 +79,8 @@ def is_streamable(scene: Scene) -> bool:
 def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
     """Return streams like that of a scene, each with a constant mixture, and with other rates, places and noises.
 
-    Shares of the second label fill 0 to 1 evenly. Modes that are not known exactly are drawn for each stream.
-
-    Raises
-    ------
-    InvalidValue
-        The scene has no stream, or not two labels.
+    Shares of the second label fill 0 to 1 evenly. Modes that are not known exactly are drawn for each stream. Raise
+    `InvalidValue` if the scene has no stream, or not two labels.
     """
     if scene.stream is None or len(labels_of(scene)) != 2:
         raise InvalidValue(
@@ -140,24 +132,10 @@ def rows_of_streams(
     progress: Callable[[int], object] | None = None,
     crew: Workers = ALONE,
 ) -> list[StreamRows]:
-    """Simulate streams and measure what the detector finds in them.
+    """Simulate streams, such as `variations`, and measure what the detector finds in them.
 
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        Such as `variations`; each is simulated with its number in the sequence.
-    seed : int
-    names : tuple of str
-        Features and guards.
-    beam : Beam
-        The features look through it.
-    progress : callable, optional
-        Receives the number of impacts of each stream.
-    crew : Workers
-
-    Returns
-    -------
-    list of StreamRows
+    Each is simulated with its number in the sequence. `names` are features and guards, which look through the beam.
+    `progress` receives the number of impacts of each stream.
     """
     found = []
     with closing(crew.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
@@ -239,25 +217,11 @@ def train_on_streams(
     crew: Workers = ALONE,
     **settings: Any,
 ) -> Training:
-    """Train a model on simulated streams of a scene, and finish it on others.
+    """Train a model on simulated streams of a scene (see `is_streamable`), and finish it on others.
 
-    Parameters
-    ----------
-    scene : Scene
-        See `is_streamable`.
-    n_impacts : int
-        About how many impacts to train on, rounded up to whole streams.
-    seed : int
-    progress : callable, optional
-        Receives the number of impacts of each stream.
-    crew : Workers
-    **settings
-        Of `cgid.identification.training.train`, such as `family`.
-
-    Returns
-    -------
-    Training
-        Judged on impacts of rocks that did not train.
+    It trains on about `n_impacts`, rounded up to whole streams, and is judged on impacts of rocks that did not train.
+    `progress` receives the number of impacts of each stream; `settings` are those of
+    `cgid.identification.training.train`, such as `family`.
     """
     each = _IMPACTS_A_ROCK * _rate_of(scene) * DURATION
     n_streams = max(math.ceil(n_impacts / each), _FEWEST_STREAMS)
@@ -275,16 +239,7 @@ def train_on_streams(
 def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     """Return a model that knows what it answers to rocks in streams of its own, and takes them for its own.
 
-    Parameters
-    ----------
-    model : Model
-        Of two labels and of features through a beam.
-    streams : sequence of StreamRows
-        Of the features and guards of the model; none of them trained it.
-
-    Returns
-    -------
-    Model
+    The model has two labels, and features through a beam. The streams have its features and guards; none trained it.
     """
     rows = Rows.joined([stream.rows for stream in streams])
     found = sum(stream.n_found for stream in streams)

@@ -126,16 +126,9 @@ def detection_of(scene: Scene, seed: int = _SEED) -> Detection:
 
 
 def matched(true: NDArray[np.floating], found: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Return the number of the found impact of each true one, -1 where there is none; each is the nearest's.
+    """Return the number of the found impact of each true one, (n_true,), -1 where there is none; each is the nearest's.
 
-    Parameters
-    ----------
-    true, found : ndarray, (n_true,) and (n_found,) [s]
-        Times, the true ones ascending.
-
-    Returns
-    -------
-    ndarray of int, (n_true,)
+    Times (n_true,) and (n_found,) are in seconds, the true ones ascending.
     """
     out = np.full(len(true), -1)
     for number, time in enumerate(found):

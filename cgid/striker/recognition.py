@@ -120,21 +120,8 @@ def through_beam(
 ) -> MeasuredPulses:
     """Return the pulses behind vibrations of a beam; a frame without a blow is not usable.
 
-    Parameters
-    ----------
-    frames : ndarray, (n_signals, n_samples)
-        In the SI unit of the sensor.
-    sampling_rate : float
-        [Hz].
-    pre_trigger : int or None
-        Samples before touch.
-    beam : ThroughBeam
-    detection_limit : float
-        Least height of a vibration over the standard deviation of the noise.
-
-    Returns
-    -------
-    MeasuredPulses
+    Frames (n_signals, n_samples) are in the SI unit of the sensor, `pre_trigger` is the number of samples before touch,
+    `detection_limit` the least height of a vibration over the standard deviation of the noise.
     """
     rate, parts = require_rate(sampling_rate), []
     detection_limit = max(detection_limit - BEAM_LEAD, 0.0)
@@ -176,27 +163,11 @@ def of_material(
     material: Material,
     target: HalfSpace | RigidWall = HalfSpace(material=STEEL),  # noqa: B008
 ) -> Strikers:
-    """Return radius, speed and mass of spheres of a known material.
+    """Return radius, speed and mass of spheres of a known material, single numbers, on a target.
 
     From `P0 = K L^(3/2)` and `T0 = L / v` with `K = 4/3 E* R^(1/2)` and `L = (m v^2 / K)^(2/5)`, which are linear in
-    the logarithms; intervals by plain propagation of the covariance of the pulse.
-
-    Parameters
-    ----------
-    pulses : MeasuredPulses
-    material : Material
-        Of the striker; single numbers.
-    target : HalfSpace or RIGID
-        What it struck; by default steel.
-
-    Returns
-    -------
-    Strikers
-
-    Raises
-    ------
-    InvalidValue
-        The material has several values, or the target is neither a half space nor rigid.
+    the logarithms; intervals by plain propagation of the covariance of the pulse. Raise `InvalidValue` if the material
+    has several values, or the target is neither a half space nor rigid.
     """
     pulses = pulses.widened()
     modulus, density = _scales(material, target)
