@@ -49,29 +49,20 @@ Singles = NDArray[np.float32]
 class Beam:
     """A beam and its sensor as arrays.
 
-    Parameters
+    Attributes
     ----------
-    sampling_rate : float [Hz]
-        Of the recorder whose anti-alias filter `filters` describes.
-    poles : ndarray of complex, (n_modes,) [rad/s]
-        Of the modes, in the upper half-plane.
-    participation : ndarray, (n_modes, n_x, n_y) [1/kg]
-        Of each mode at the Chebyshev nodes (`nodes`) of the region where blows fall, including a gain.
-    region : ndarray, (4,) [m]
-        Lowest and highest x, lowest and highest y.
-    filters : ndarray of complex, (n_filter_poles,) [rad/s]
-        Poles of the sensor chain, in the upper half-plane and on the real axis.
-    derivatives : int
-        Of the displacement: 0, 1 or 2 for displacement, velocity or acceleration.
-    shapes : ndarray, (n_shapes, n_points) [1]
-        Principal shapes of contact forces, `FINE` points to a sample, before the filters.
-    deviations : ndarray, (n_shapes,) [1]
-        Standard deviation of the coefficient of each, for a force of peak 1.
-    sensors : ndarray, (n_sensors, n_modes) [1], optional
-        Shares of `participation` that each of several sensors hears; by default there is one, which hears all.
-    errors : ndarray, (3, n_modes) [1], optional
-        Standard deviations of ln frequency, ln damping ratio and ln participation (`CORRECTED`) of modes that are not
-        known exactly.
+    sampling_rate : of the recorder whose anti-alias filter `filters` describes [Hz]
+    poles : of the modes, complex, in the upper half-plane, (n_modes,) [rad/s]
+    participation : of each mode at the Chebyshev nodes (`nodes`) of the region where blows fall, including a gain,
+        (n_modes, n_x, n_y) [1/kg]
+    region : lowest and highest x, lowest and highest y, (4,) [m]
+    filters : poles of the sensor chain, in the upper half-plane and on the real axis, (n_filter_poles,) [rad/s]
+    derivatives : of the displacement: 0, 1 or 2 for displacement, velocity or acceleration
+    shapes : principal shapes of contact forces, `FINE` points to a sample, before the filters, (n_shapes, n_points)
+    deviations : standard deviation of the coefficient of each, for a force of peak 1, (n_shapes,)
+    sensors : shares of `participation` that each of several sensors hears, (n_sensors, n_modes); None: one hears all
+    errors : standard deviations of ln frequency, ln damping ratio and ln participation (`CORRECTED`) of modes that are
+        not known exactly, (3, n_modes); None: they are
     """
 
     #: Names of the arrays in a model file; the last may be missing.

@@ -31,27 +31,17 @@ class Collocation(NamedTuple):
 
     Attributes
     ----------
-    place : ndarray, (3, n)
-        Time at the Gauss nodes over h.
-    measure : ndarray, (3, n)
-        Weights of an integral over the step, of values at the Gauss nodes.
-    integral : ndarray, (3, n, n)
-        Weights of the integrals from 0 to each Gauss node.
-    memory : ndarray, (3, k, n, n)
-        `memory[kind, k, i, j]`: response at Gauss node i to a force of 1 at Gauss node j, 0 at the others, for a unit
-        impulse response of 1 at Chebyshev time k, 0 at the others.
-    moment : ndarray, (3, k, n)
-        The same at the end of the step.
-    cardinal : ndarray, (3, n, k)
-        From values at the Chebyshev times to those at the Gauss nodes.
-    legendre : ndarray, (n, n)
-        From values at the Gauss nodes to the coefficients of Legendre polynomials of `2 s - 1`.
-    times : ndarray, (k,)
-        The Chebyshev times over h, 0 and 1 included.
-    barycentric : ndarray, (k,)
-        Their barycentric weights.
-    flight : ndarray, (k, k)
-        Weights of the integrals from 0 to each Chebyshev time.
+    place : time at the Gauss nodes over h, (3, n)
+    measure : weights of an integral over the step, of values at the Gauss nodes, (3, n)
+    integral : weights of the integrals from 0 to each Gauss node, (3, n, n)
+    memory : `memory[kind, k, i, j]`: response at Gauss node i to a force of 1 at Gauss node j, 0 at the others, for a
+        unit impulse response of 1 at Chebyshev time k, 0 at the others, (3, k, n, n)
+    moment : the same at the end of the step, (3, k, n)
+    cardinal : from values at the Chebyshev times to those at the Gauss nodes, (3, n, k)
+    legendre : from values at the Gauss nodes to the coefficients of Legendre polynomials of `2 s - 1`, (n, n)
+    times : the Chebyshev times over h, 0 and 1 included, (k,)
+    barycentric : their barycentric weights, (k,)
+    flight : weights of the integrals from 0 to each Chebyshev time, (k, k)
     """
 
     place: Floats

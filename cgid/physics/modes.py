@@ -168,15 +168,11 @@ class MeasuredModes:
 class LearnedModes:
     """What blows have told of the modes of a beam; all fields are (n_modes,), in the order of the beam's own modes.
 
-    Parameters
+    Attributes
     ----------
-    frequency : ndarray [Hz]
-        Two modes may have changed places.
-    damping_ratio : ndarray
-    participation : ndarray
-        Factor of the participation of the beam's own mode.
-    frequency_deviation, damping_ratio_deviation, participation_deviation : ndarray
-        Standard deviations of the logarithms of these.
+    frequency : [Hz]; two modes may have changed places
+    damping_ratio, participation : the second is a factor of that of the beam's own mode
+    frequency_deviation, damping_ratio_deviation, participation_deviation : standard deviations of their logarithms
     """
 
     frequency: Floats

@@ -49,12 +49,9 @@ class Dimension:
 
     Attributes
     ----------
-    name : str
-        Key of the scene, below `tail_beam`.
-    before, after : float
-        In the SI unit of the scene.
-    deviation : float
-        Standard deviation of the logarithm.
+    name : key of the scene, below `tail_beam`
+    before, after : in the SI unit of the scene
+    deviation : standard deviation of the logarithm
     """
 
     name: str

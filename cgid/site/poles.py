@@ -59,19 +59,14 @@ class Poles:
 
     Attributes
     ----------
-    pole : ndarray of complex, (n_modes,) [1/s]
-        `-damping_ratio w + j w sqrt(1 - damping_ratio^2)` with `w = 2 pi frequency`, by ascending frequency.
-    deviation : ndarray, (2, n_modes)
-        Standard deviations of ln frequency and ln damping ratio.
-    amplitude : ndarray of complex, (n_decays, n_modes)
-        Each decay is the sum of `Re(amplitude exp(pole t))` from its first sample on.
-    amplitude_deviation : ndarray, (2, n_decays, n_modes)
-        Standard deviations of the amplitudes, complex numbers: from the noise of each decay, and from the error of the
-        poles that all decays share.
-    orders : ndarray of int, (n_modes,)
-        Number of orders of the model at which least squares found the mode.
-    chart : ndarray, (n, 4)
-        Every pole of every order: order, frequency [Hz], damping ratio, and 1 if it is stable.
+    pole : `-damping_ratio w + j w sqrt(1 - damping_ratio^2)` with `w = 2 pi frequency`, by ascending frequency,
+        (n_modes,) [1/s]
+    deviation : standard deviations of ln frequency and ln damping ratio, (2, n_modes)
+    amplitude : each decay is the sum of `Re(amplitude exp(pole t))` from its first sample on, (n_decays, n_modes)
+    amplitude_deviation : of the amplitudes, complex numbers: from the noise of each decay, and from the error of the
+        poles that all decays share, (2, n_decays, n_modes)
+    orders : number of orders of the model at which least squares found the mode, (n_modes,)
+    chart : every pole of every order: order, frequency [Hz], damping ratio, and 1 if it is stable, (n, 4)
     """
 
     pole: Complexes
@@ -135,12 +130,8 @@ def _cores(band: tuple[float, float], duration: float) -> Iterator[tuple[float, 
 class _Band:
     """The decays in one band: bins of their transform.
 
-    Attributes
-    ----------
-    line : ndarray, (n_bins,)
-        Frequencies of the bins [rad/s].
-    bins : ndarray of complex, (n_bins, n_decays)
-        Transform of the decays, over the square root of their length.
+    line : frequencies of the bins [rad/s], (n_bins,)
+    bins : transform of the decays, over the square root of their length, (n_bins, n_decays)
     chart : see `Poles`
     """
 
@@ -305,15 +296,10 @@ def _n_ringing(decays: Floats, sampling_rate: float, band: tuple[float, float]) 
 class _Fit:
     """Poles in a band, with the amplitudes that follow.
 
-    Attributes
-    ----------
-    pole : ndarray of complex, (n_poles,) [1/s]
-    blur : ndarray of complex, (n_poles,) [1/s]
-        Further standard deviations of real and imaginary part, because a mode does not decay exponentially.
-    coefficients : ndarray of complex, (n_poles + background, n_decays)
-    left : ndarray of complex, (n_bins, n_decays)
-    power : float
-        Sum of squares of what is left.
+    pole : (n_poles,) [1/s]
+    blur : further deviations of real and imaginary part, because a mode does not decay exponentially, (n_poles,)
+    coefficients : complex, (n_poles + background, n_decays)
+    left : complex, (n_bins, n_decays); power : sum of squares of it
     """
 
     def __init__(self, band: _Band, pole: Complexes, blur: Complexes | None = None) -> None:
