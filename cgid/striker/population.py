@@ -64,7 +64,13 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
         raise InvalidValue(f"scene {scene.name}: must be one rig to tell strikers by; take [randomise] out")
     if not scene.populations:
         raise InvalidValue(f"scene {scene.name}: must have populations to tell strikers by, it has taps alone")
-    plain, beam = _is_plain(scene), beam_behind(scene) if is_behind_beam(scene) else None
+    of_family = set(scene.dissipations) <= {"hunt-crossley", "elastic"}
+    # Nothing but the sphere has a size or a time of its own.
+    similar = scene.tail_beam is None and scene.impact.gravity is None
+    similar &= getattr(scene.impact.target, "thickness", None) is None
+    # Each pulse is then one of the family, with the stored peak, duration and restitution.
+    plain = of_family and similar and scene.stream is None
+    beam = beam_behind(scene) if is_behind_beam(scene) else None
     wanted = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _FEWEST)
     parts: list[dict[str, Floats]] = []
     blocks = _stream(scene) if scene.stream is not None else _frames(scene)
@@ -74,8 +80,6 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
             values, pulses = next(blocks)
         parts.append(_described(values, None if plain else pulses, beam))
     held = {name: np.concatenate([part[name] for part in parts])[:wanted] for name in parts[0]}
-    similar = scene.panel is None and scene.tail_beam is None and scene.impact.gravity is None
-    similar &= getattr(scene.impact.target, "thickness", None) is None
     return StrikerPopulation(
         log_peak=held["log_peak"],
         log_width=held["log_width"],
@@ -84,25 +88,14 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
         log_speed=np.log(held["velocity"]),
         log_mass=np.log(4 / 3 * np.pi * held["density"]) + 3 * np.log(held["radius"]),
         group=held["group"].astype(np.intp),
-        similar=bool(similar),
-        of_family=set(scene.dissipations) <= {"hunt-crossley", "elastic"},
+        similar=similar,
+        of_family=of_family,
         name=f"scene {scene.name}",
     )
 
 
 #: Rows of a block, and their pulses.
 _Pulses = list[tuple[NDArray[np.intp], Impact | ModalImpact]]
-
-
-def _is_plain(scene: Scene) -> bool:
-    """Return whether each pulse is one of the family, with the stored peak, duration and restitution."""
-    return (
-        scene.tail_beam is None
-        and scene.stream is None
-        and set(scene.dissipations) <= {"hunt-crossley", "elastic"}
-        and scene.impact.gravity is None
-        and getattr(scene.impact.target, "thickness", None) is None
-    )
 
 
 def _frames(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
