@@ -9,7 +9,7 @@ That is the estimate H1 at the pole, and neither windows nor leakage come in.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from cgid.files import check_new, read_cells, write_whole
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, table_of
+from cgid.physics.response import DERIVATIVES
 from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.terminal import counted
 from cgid.units import UNITS, quantity_of
@@ -43,8 +44,6 @@ _CLIPPED_SHARE = 0.5
 _NEAR = 0.1
 #: Lowest natural frequency in periods of a decay, highest in sampling rates.
 _PERIODS, _HIGHEST = 5.0, 0.4
-#: Derivatives of the displacement that a sensor gives.
-_DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 #: Participations are at least this, so that masses are finite.
 _LEAST = 1e-12
 #: Largest table of taps [bytes].
@@ -190,7 +189,7 @@ def tap_test(
     BadData
         There is no usable tap, or no mode rings after it; the message says why.
     """
-    quantity = validation.choice("quantity", quantity, tuple(_DERIVATIVES))
+    quantity = validation.choice("quantity", quantity, tuple(DERIVATIVES))
     max_order = validation.count("max_order", max_order)
     contact = validation.number("contact", contact, "s", validation.not_negative)
     force, hits = None, None
@@ -211,7 +210,7 @@ def tap_test(
             f"{counted(len(kept), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
             "moves, or change --band"
         )
-    participation, own = _participation(poles, kept, force, hits, sampling_rate, _DERIVATIVES[quantity])
+    participation, own = _participation(poles, kept, force, hits, sampling_rate, DERIVATIVES[quantity])
     return TapTest(
         frequency=poles.frequency,
         damping_ratio=poles.damping_ratio,
@@ -344,7 +343,8 @@ def _required(taps: list[Tap], times: Sequence[float] | None, source: str) -> li
                 f"{taps[near].time:.4g} s; correct the table of taps"
             )
         wanted.add(near)
-    return [tap if k in wanted else _flawed(tap, tap.flaw or "not in the table of taps") for k, tap in enumerate(taps)]
+    unwanted = "not in the table of taps"
+    return [tap if k in wanted else replace(tap, flaw=tap.flaw or unwanted) for k, tap in enumerate(taps)]
 
 
 def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
@@ -356,13 +356,9 @@ def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
         own = max(tap.stop - tap.start, 0) / sampling_rate
         if not tap.flaw and own < needed:
             behind = "the end of the recording" if tap.stop == n else "the next tap"
-            tap = _flawed(tap, f"too near {behind}, {own:.3g} s where {needed:.3g} s are needed")
+            tap = replace(tap, flaw=f"too near {behind}, {own:.3g} s where {needed:.3g} s are needed")
         out.append(tap)
     return out
-
-
-def _flawed(tap: Tap, flaw: str) -> Tap:
-    return Tap(time=tap.time, start=tap.start, stop=tap.stop, flaw=flaw)
 
 
 def _listed(taps: Sequence[Tap]) -> str:
@@ -459,7 +455,7 @@ def _relative(amplitude: Floats, noise: Floats, shared: Floats) -> tuple[Floats,
 def factor_of(unit: str, source: str) -> tuple[str, float]:
     """Return quantity and factor to SI of a response's unit; raises `BadData` if it is not of motion."""
     quantity = quantity_of(unit)
-    if quantity not in _DERIVATIVES:
+    if quantity not in DERIVATIVES:
         raise BadData(
             f"{source}: the response must be an acceleration, velocity or displacement, got {quantity} [{unit}]; "
             "choose with --channel, and name the channel of the force with --hammer"
