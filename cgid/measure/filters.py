@@ -219,30 +219,11 @@ class Equalisation:
         return cls(gains=10.0 * (validation.real("meant", meant) - validation.real("heard", heard)))
 
     def gain(self, frequency: Floats) -> Floats:
-        """Return the gain at frequencies.
-
-        Parameters
-        ----------
-        frequency : ndarray [Hz]
-
-        Returns
-        -------
-        ndarray [dB]
-        """
+        """Return the gain [dB] at frequencies [Hz]."""
         return np.asarray(np.interp(mel(frequency), mel(MEL_BANDS.centres), self.gains))
 
     def apply(self, samples: NDArray[np.floating], sampling_rate: float) -> Floats:
-        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; means are kept.
-
-        Parameters
-        ----------
-        samples : ndarray, (..., n_samples)
-        sampling_rate : float [Hz]
-
-        Returns
-        -------
-        ndarray, (..., n_samples)
-        """
+        """Return rows of samples (n_rows, n_samples) as the other sensor would record them; means are kept."""
         n_samples = samples.shape[1]
         length = padded_length(n_samples + round(_TAIL * sampling_rate))
         mean = samples.mean(axis=1, keepdims=True, dtype=np.float64)

@@ -376,20 +376,7 @@ class Impact:
         return self._over_time(times, "force", self.force_scale, dtype, threads)
 
     def displacement(self, times: ArrayLike, *, dtype: DTypeLike = "float64", threads: int = 1) -> NDArray[Any]:
-        """Return the displacement, the approach of sphere and target [m], over time; see `force`.
-
-        Parameters
-        ----------
-        times : array_like [s]
-            Times after touch; the last axis runs over times, the others broadcast with the impacts.
-        dtype : {"float64", "float32"}
-        threads : int
-            Number of threads that share the impacts.
-
-        Returns
-        -------
-        ndarray [m]
-        """
+        """Return the displacement, the approach of sphere and target [m], over time; see `force`."""
         return self._over_time(times, "displacement", self.length_scale, dtype, threads)
 
     def _over_time(

@@ -66,37 +66,19 @@ class Modes:
         validation.hold(self, "frequency", "damping_ratio", "modal_mass")
 
     def shape(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Return the dimensionless shapes of all modes at points of the panel.
+        """Return the dimensionless shapes of all modes at points of the panel, (..., n_modes).
 
-        Parameters
-        ----------
-        x, y : array_like [m]
-            Along the length from the held edge, and over the width from one side; they broadcast.
-
-        Returns
-        -------
-        ndarray, (..., n_modes)
-
-        Raises
-        ------
-        InvalidValue
-            A point lies off the panel.
+        x [m] is along the length from the held edge, y [m] over the width from one side; they broadcast. A point off
+        the panel raises `InvalidValue`.
         """
         along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
         values = self.shapes.at(along.ravel(), across.ravel())
         return values.reshape(*along.shape, self.frequency.size)
 
     def participation(self, impact: Point, sensor: Point) -> Floats:
-        """Return `shape(impact) shape(sensor) / modal_mass` of each mode.
+        """Return `shape(impact) shape(sensor) / modal_mass` of each mode, (..., n_modes) [1/kg].
 
-        Parameters
-        ----------
-        impact, sensor : tuple of two array_like [m]
-            The points (x, y) of the force and of the measured motion.
-
-        Returns
-        -------
-        ndarray, (..., n_modes) [1/kg]
+        The points (x, y) [m] are those of the force and of the measured motion.
         """
         return self.shape(*impact) * self.shape(*sensor) / self.modal_mass
 

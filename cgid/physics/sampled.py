@@ -163,31 +163,11 @@ class SampledPulses:
         return np.array(each, np.float64) * self.contact_duration
 
     def taken(self, rows: NDArray[np.intp] | slice) -> SampledPulses:
-        """Return the given rows.
-
-        Parameters
-        ----------
-        rows : ndarray of int
-            Indices of pulses.
-
-        Returns
-        -------
-        SampledPulses
-        """
+        """Return the given rows."""
         return replace(self, forces=self.forces[rows], contact_duration=self.contact_duration[rows])
 
     def stretched(self, force: ArrayLike, time: ArrayLike) -> SampledPulses:
-        """Return the pulses with forces and times multiplied by factors, scalar or (n,).
-
-        Parameters
-        ----------
-        force, time : array_like, (n,)
-            Factors of forces and of times.
-
-        Returns
-        -------
-        SampledPulses
-        """
+        """Return the pulses with forces and times multiplied by factors, scalar or (n,)."""
         factor = np.broadcast_to(validation.positive("force", force), (len(self),))
         stretch = np.broadcast_to(validation.positive("time", time), (len(self),))
         return replace(
@@ -200,15 +180,6 @@ class SampledPulses:
         """Return the forces [N] at times since touch [s], (n, n_times); 0 outside contact.
 
         Times are a scalar or (n_times,) for all pulses, or (n, n_times).
-
-        Parameters
-        ----------
-        times : array_like, (n, n_times) [s]
-            Times after touch of each pulse.
-
-        Returns
-        -------
-        ndarray, (n, n_times) [N]
         """
         since = np.atleast_1d(validation.real("times", times, "s"))
         since = np.broadcast_to(since, (len(self), since.shape[-1]))

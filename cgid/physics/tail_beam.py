@@ -219,19 +219,9 @@ class TailBeam:
     def echo_time(self, x: ArrayLike, y: ArrayLike, frequency: ArrayLike) -> Floats:
         """Return the time [s] at which flexural waves of a frequency [Hz] return from the nearest edge to (x, y) [m].
 
-        A packet travels at the group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher
-        frequencies are faster: for an impact use its highest, about the inverse contact duration. The arguments
-        broadcast.
-
-        Parameters
-        ----------
-        x, y : array_like [m]
-            The point, along the length from the held edge and over the width.
-        frequency : array_like [Hz]
-
-        Returns
-        -------
-        ndarray [s]
+        x is along the length from the held edge, y over the width; the arguments broadcast. A packet travels at the
+        group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher frequencies are faster: for
+        an impact use its highest, about the inverse contact duration.
         """
         omega = 2 * np.pi * validation.positive("frequency", frequency, "Hz")
         times = []
@@ -250,14 +240,6 @@ class TailBeam:
         frequency is above the exact one, by at most 3e-5 of it. Two hundred modes take a second, four hundred about
         four, a thousand of a cantilever about forty. More than 20,000 (1,000 unless simply supported) raise
         `InvalidValue`.
-
-        Parameters
-        ----------
-        highest_frequency : float [Hz]
-
-        Returns
-        -------
-        Modes
         """
         highest = validation.number("highest_frequency", highest_frequency, "Hz", validation.positive)
         expected, most = self.modal_density * highest, MOST_RITZ_MODES if EDGES[self.edges] else MOST_MODES

@@ -68,17 +68,9 @@ class Strikers:
         return len(self.reason)
 
     def quantile(self, quantity: str, probability: float) -> Floats:
-        """Return a quantile of each impact.
+        """Return a quantile (.005 to .995) of the mass [kg], radius [m] or speed [m/s] of each impact, (n,).
 
-        Parameters
-        ----------
-        quantity : {"mass", "radius", "speed"}
-        probability : float, .005 to .995
-
-        Returns
-        -------
-        ndarray, (n,)
-            [kg], [m] or [m/s]; nan where nothing is known.
+        It is nan where nothing is known.
         """
         validation.choice("quantity", quantity, QUANTITIES)
         at = float(validation.between("probability", probability, LEVELS[0], LEVELS[-1]))
@@ -92,17 +84,9 @@ class Strikers:
         return self.quantile(quantity, 0.5)
 
     def interval(self, quantity: str, coverage: float = 0.9) -> tuple[Floats, Floats]:
-        """Return the equal-tailed interval that contains a quantity with this probability.
+        """Return the equal-tailed interval that contains a quantity with this probability, two arrays (n,).
 
-        Parameters
-        ----------
-        quantity : {"mass", "radius", "speed"}
-        coverage : float, above 0, up to .99
-
-        Returns
-        -------
-        tuple of two ndarray, (n,)
-            Lower and upper ends.
+        `coverage` is above 0, up to .99.
         """
         if not 0 < validation.number("coverage", coverage) <= 0.99:
             raise InvalidValue(f"coverage must be above 0 and at most 0.99, got {coverage:g}")
@@ -152,30 +136,14 @@ class StrikerPopulation:
     # -- the posterior ------------------------------------------------------------------------------------
 
     def posterior(self, pulses: MeasuredPulses) -> Strikers:
-        """Return what struck.
-
-        Parameters
-        ----------
-        pulses : MeasuredPulses
-
-        Returns
-        -------
-        Strikers
-        """
+        """Return what struck."""
         parts = [self._posterior(part) for part in self._seen(pulses).blocks(_ROWS)]
         return Strikers.joined(parts) if parts else Strikers.unknown(np.empty(0, np.str_))
 
     def draws(self, pulses: MeasuredPulses) -> Iterator[tuple[dict[str, Floats], Floats]]:
         """Yield the logarithms of mass, radius and speed of weighted draws of the posterior, some impacts at a time.
 
-        Parameters
-        ----------
-        pulses : MeasuredPulses
-
-        Yields
-        ------
-        tuple of dict of ndarray, (n, n_draws), and ndarray, (n, n_draws)
-            The weights of a row sum to 1, or to 0 where the population excludes the pulse.
+        All are (n, n_draws). The weights of a row sum to 1, or to 0 where the population excludes the pulse.
         """
         for part in self._seen(pulses).blocks(_ROWS):
             found, weight, _ = self._moved(part)
