@@ -144,14 +144,13 @@ def generate(
     jobs = min(jobs, len(goal.names), os.cpu_count() or 1)
     # The workers come first, so that a missing cluster is reported before anything is written.
     with workers(jobs, scheduler) as crew, begun(goal, overwrite=overwrite, resume=resume) as run:
-        missing = [_Shard(number, *part_of(number, n_signals, shard_signals)) for number in run.missing]
+        missing = [_Shard(goal.names[number], *part_of(number, n_signals, shard_signals)) for number in run.missing]
         n_missing = sum(shard.n_signals for shard in missing)
         if run.token is not None and compression == "none":
             require_room(path, path.parent, plan.size(n_missing), "signals", "make room, or fewer signals")
         if progress is not None and n_missing < n_signals:
             progress(n_signals - n_missing)
-        place = path if run.token is None else run.folder
-        work = _Work(scene=scene, seed=seed, plan=plan, place=place, run=run.token, overwrite=overwrite)
+        work = _Work(scene=scene, seed=seed, plan=plan, place=run.folder, run=run.token, overwrite=overwrite)
         with closing(_write_shards(work, missing, crew, progress)) as entries:
             for entry in entries:
                 run.add(vars(entry))
@@ -200,18 +199,14 @@ def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class _Shard(NamedTuple):
-    number: int
+    file: str
     first: int
     n_signals: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Work:
-    """The data common to all shards.
-
-    place : the folder of the shards, or the single file
-    run : identifier of the run that fills the folder; None for a single file
-    """
+    """The data common to all shards: `place` is their folder, `run` the run that fills it, None for a single file."""
 
     scene: Scene
     seed: int
@@ -219,10 +214,6 @@ class _Work:
     place: Path
     run: str | None
     overwrite: bool
-
-    @property
-    def folder(self) -> Path:
-        return self.place.parent if self.run is None else self.place
 
 
 def _write_shards(
@@ -239,7 +230,7 @@ def _write_shards(
     with closing(crew.each(write, _anywhere(work), shards, ordered=False)) as entries:
         for entry in entries:
             if crew.elsewhere:
-                _require_shared(work.folder / entry.file, entry.bytes)
+                _require_shared(work.place / entry.file, entry.bytes)
             yield entry
 
 
@@ -269,15 +260,10 @@ def _write_in_turn(
 def _write(work: _Work, shard: _Shard, batches: Iterator[Batch]) -> ShardEntry:
     """Build a shard in memory, write it atomically, and return its entry in the manifest."""
     content, labels = shard_content(work.plan, shard.first, shard.n_signals, batches)
-    if work.run is None:
-        path = work.place
-        write_whole(path, content, overwrite=work.overwrite)
-    else:
-        path = work.place / f"shard-{shard.number:05d}.h5"
-        with taking_part(work.place, work.run):
-            write_whole(path, content)
+    with taking_part(work.place, work.run):
+        write_whole(work.place / shard.file, content, overwrite=work.overwrite or work.run is not None)
     digest = hashlib.sha256(content).hexdigest()
-    return ShardEntry(path.name, shard.first, shard.n_signals, len(content), digest, labels)
+    return ShardEntry(shard.file, shard.first, shard.n_signals, len(content), digest, labels)
 
 
 def _write_one(work: _Work, shard: _Shard) -> ShardEntry:
@@ -286,7 +272,7 @@ def _write_one(work: _Work, shard: _Shard) -> ShardEntry:
 
 
 def _write_shared(work: _Work, shard: _Shard) -> ShardEntry:
-    folder = work.folder
+    folder = work.place
     if not folder.is_dir() or not (work.run is None or (folder / JOURNAL).exists()):
         raise CannotCreate(
             f"{folder}: must be a folder that all workers share, {platform.node()} has none; choose one they share, or "

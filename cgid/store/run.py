@@ -425,12 +425,15 @@ def _is_part(path: Path, ours: re.Pattern[str]) -> bool:
 
 
 @contextmanager
-def taking_part(folder: Path, run: str) -> Iterator[None]:
-    """Keep other runs from taking over the folder while this run writes a file into it.
+def taking_part(folder: Path, run: str | None) -> Iterator[None]:
+    """Keep other runs from taking over the folder while this run, unless None, writes a file into it.
 
     A worker may outlive its parent process. A later run waits for the file that the worker is writing. The worker's
     next file then raises `CannotCreate` here, because the folder belongs to another run.
     """
+    if run is None:
+        yield
+        return
     file, found = folder / JOURNAL, None
     try:
         with locked(file, shared=True):
