@@ -116,7 +116,11 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
-        _create(temporary, path)
+        try:
+            temporary.open("xb").close()  # a plain open applies the user's umask
+        except OSError as error:
+            cure = "free some space" if error.errno in FULL else "choose an existing folder you may write to"
+            raise CannotCreate(f"{path}: cannot be created ({error.strerror}); {cure}") from None
         # Tells `clear_half_written` that the file is in use. Shared, so that readers are not blocked after the rename.
         with locked(temporary, shared=True):
             yield temporary
@@ -143,16 +147,6 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
             ) from None
         raise
     sync_folder(path.parent)
-
-
-def _create(temporary: Path, path: Path) -> None:
-    """Create the empty temporary file for `path`."""
-    try:
-        # A plain open applies the user's umask.
-        temporary.open("xb").close()
-    except OSError as error:
-        cure = "free some space" if error.errno in FULL else "choose an existing folder you may write to"
-        raise CannotCreate(f"{path}: cannot be created ({error.strerror}); {cure}") from None
 
 
 def _publish_new(temporary: Path, path: Path) -> None:

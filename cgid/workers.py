@@ -16,7 +16,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -88,10 +88,7 @@ class Workers:
             for part in parts:
                 yield function(common, part)
             return
-        with closing(
-            (self._here if self.client is None else self._on_cluster)(function, common, parts, ordered)
-        ) as made:
-            yield from made
+        yield from (self._here if self.client is None else self._on_cluster)(function, common, parts, ordered)
 
     def each_in_step(
         self, function: Callable[[Common, Part], Result], common: Common, parts: Iterable[Part]

@@ -16,9 +16,8 @@ from typing import Any
 import h5py
 
 from cgid.errors import BadData, CgidError, NoInput, optional
+from cgid.store.sandbox import DAMAGE
 
-#: Errors of h5py on damaged files.
-DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
 _LARGEST_CHUNK = 64 << 20
 #: The best ratio of deflate; no recording compresses better with other filters.

@@ -17,15 +17,8 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.store import sandbox
-from cgid.store._checks import (
-    DAMAGE,
-    MOST_ATTRIBUTES,
-    cache_size,
-    chunk_bytes,
-    damage_told,
-    missing_chunks,
-    storage_fault,
-)
+from cgid.store._checks import MOST_ATTRIBUTES, cache_size, chunk_bytes, damage_told, missing_chunks, storage_fault
+from cgid.store.sandbox import DAMAGE
 
 #: A recording has fewer objects and levels.
 _MOST_OBJECTS, _DEEPEST = 10_000, 32

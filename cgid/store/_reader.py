@@ -25,7 +25,6 @@ from cgid.errors import BadData, CgidError
 from cgid.store import _foreign, sandbox
 from cgid.store._checks import (
     BEST_RATIO,
-    DAMAGE,
     attributes_of,
     bytes_of,
     chunk_bytes,
@@ -44,6 +43,7 @@ from cgid.store.description import (
     require_scene,
     require_schema,
 )
+from cgid.store.sandbox import DAMAGE
 from cgid.units import UNITS
 from cgid.validation import RATES
 

@@ -405,14 +405,12 @@ def read_sums(folder: Path) -> dict[str, str] | None:
 class Unfinished:
     """The content of a journal.
 
-    run : identifier of the run
     process : the process that last wrote the journal
     description : description of the output
     noun : plural noun for the files
     entries : finished files, in the order in which they were finished
     """
 
-    run: str
     process: str
     description: dict[str, Any]
     n_files: int
@@ -450,7 +448,7 @@ def read_journal(folder: Path) -> Unfinished | None:
     # Skip torn and damaged lines: their files are made again.
     entries = [content_of(line).get("entry") for line in lines[2:]]
     sound = tuple(entry for entry in entries if isinstance(entry, dict) and isinstance(entry.get("file"), str))
-    named = {name: found[name] for name in ("run", "process", "n_files", "noun")}
+    named = {name: found[name] for name in ("process", "n_files", "noun")}
     return Unfinished(entries=sound, description=found["plan"], **named)
 
 

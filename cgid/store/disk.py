@@ -127,14 +127,14 @@ class Hdf5OnDisk:
         """
         with undisturbed():
             yield self._file
-        self._require_success()
+        if self._disk.failure is not None:
+            raise self._disk.failure
 
     def close(self) -> None:
         """Write everything and close the file; raises as `step`."""
-        with undisturbed():
-            self._file.close()
+        with self.step() as file:
+            file.close()
             self._disk.close()
-        self._require_success()
 
     def abandon(self, reason: BaseException) -> None:
         """Close the file, which will not be used."""
@@ -143,10 +143,6 @@ class Hdf5OnDisk:
             with contextlib.suppress(OSError, RuntimeError):
                 self._file.close()
             self._disk.close()
-
-    def _require_success(self) -> None:
-        if self._disk.failure is not None:
-            raise self._disk.failure
 
 
 @contextmanager

@@ -34,6 +34,8 @@ from numpy.typing import NDArray
 from cgid import errors
 from cgid.errors import BadData, CgidError
 
+#: Errors of h5py, pandas and pyarrow on damaged files.
+DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 #: Default limit of the arrays of a reply [bytes].
 LARGEST_ANSWER = 64 << 20
 #: Longest line [bytes]; headers and surveys are much shorter.

@@ -33,8 +33,6 @@ TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
 _SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
 #: Footers of Parquet tables are shorter [bytes].
 _LARGEST_FOOTER = 1 << 24
-#: Errors of the libraries on damaged files.
-_DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,9 +281,10 @@ def plain_writer(
         "string", "float64", "int64" or "bool" of each (name, unit). None is missing: null in Parquet; an empty text,
         nan, -1 or false in HDF5.
     """
-    written = _plain_parquet if suffix == ".parquet" else _plain_hdf5
+    titles = {f"{name} [{unit}]" if unit else name: dtype for (name, unit), dtype in types.items()}
+    written = _parquet_columns(path, titles, {}) if suffix == ".parquet" else _plain_hdf5(path, types)
     rows: list[Sequence[Any]] = []
-    with written(path, types) as write:
+    with written as write:
 
         def add(row: Sequence[Any]) -> None:
             rows.append(row)
@@ -296,13 +295,6 @@ def plain_writer(
         yield add
         if rows:
             write(list(zip(*rows, strict=True)))
-
-
-def _plain_parquet(
-    path: Path, types: Mapping[tuple[str, str], str]
-) -> contextlib.AbstractContextManager[Callable[[Sequence[Any]], object]]:
-    titles = {f"{name} [{unit}]" if unit else name: dtype for (name, unit), dtype in types.items()}
-    return _parquet_columns(path, titles, {})
 
 
 @contextlib.contextmanager
@@ -388,7 +380,7 @@ def read_table(path: str | Path) -> Table:
         return _read_hdf5(path)
     except (BadData, MissingExtra):
         raise
-    except _DAMAGE as error:
+    except sandbox.DAMAGE as error:
         raise _damaged(path, error) from None
 
 
@@ -418,7 +410,7 @@ def is_table(path: str | Path) -> bool:
             with Path(path).open("rb") as stream:
                 return _SAYS_SO in stream.read(200)
         return sandbox.format_said(Path(path)) == TABLE_FORMAT
-    except _DAMAGE:
+    except sandbox.DAMAGE:
         return False
 
 
