@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from cgid.cli.output import finite, print_json, say
+from cgid.cli.output import finite, print_json, say, warn
 from cgid.cli.table import Column, TableOutput, flags, numbers, times
 from cgid.terminal import counted
 
@@ -151,7 +151,7 @@ class AnswerLines:
 
     def warning(self, source: str, message: str) -> None:
         """Print a warning about a readable recording, on stderr and in JSON."""
-        say(f"cgid: warning: {message}", err=True)
+        warn(message)
         self._line("warning", source, {"message": message})
 
     def hint(self, source: str, hint: Hint) -> None:
@@ -163,7 +163,7 @@ class AnswerLines:
 
     def delay(self, source: str, behind: float, message: str) -> None:
         """Print how far the answers are behind a live stream [s], on stderr and in JSON."""
-        say(f"cgid: warning: {source}: {behind:.1f} s behind: {message}", err=True)
+        warn(f"{source}: {behind:.1f} s behind: {message}")
         self._line("delay", source, {"behind_s": behind, "message": message})
 
     def _note(self, kind: str, source: str, message: str, content: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, Reading, reading_options, share_of
-from cgid.cli.output import print_json, progress_bar, say
+from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
 
@@ -244,6 +244,6 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
             )
         say(f"evidence a sample: {found.before:.3g} before, {found.after:.3g} after, {found.expected:.3g} expected")
     if found.crossings:
-        say(f"cgid: warning: {counted(found.crossings, 'pair')} of neighbouring modes changed places", err=True)
+        warn(f"{counted(found.crossings, 'pair')} of neighbouring modes changed places")
     if not found.at_rest:
-        say("cgid: warning: the modes still moved in the last round; more impacts help, or calibrate again", err=True)
+        warn("the modes still moved in the last round; more impacts help, or calibrate again")

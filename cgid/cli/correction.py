@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.options import dead_time_in_seconds
-from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error
+from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
 from cgid.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def correct_model(
     with progress_bar(None, "rows") as progress:
         rows = record(manifest, slicing=slicing, reading=reading, model=model, progress=progress)
     for warning in rows.warnings:
-        say(f"cgid: warning: {warning}", err=True)
+        warn(warning)
     found = correct(model, rows)
     training = Training(found.model, dict(found.after), found.labels, found.probabilities, None)
     written = write_model(training, path, plots=plots, further=[correction_section(found.model.training["correction"])])

@@ -12,7 +12,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, reading_options
-from cgid.cli.output import each_file, say
+from cgid.cli.output import each_file, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
 
@@ -76,7 +76,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
     unit = unit_of(recording)
     found = _found(recording, unit, reading)
     for warning in recording.warnings:
-        say(f"cgid: warning: {warning}", err=True)
+        warn(warning)
     chain = {name: ";".join(values) for name, values in reading.chain.items() if values}
     given = {
         **chain,

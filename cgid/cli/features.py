@@ -9,7 +9,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, printing_options, reading_options
-from cgid.cli.output import each_file, print_json, say
+from cgid.cli.output import each_file, print_json, say, warn
 from cgid.cli.table import Column, TableOutput, numbers, output_options, times
 from cgid.errors import BadData
 from cgid.signals import Signal
@@ -76,10 +76,10 @@ def features(
 def _warn(problems: list[str], source: str, what: str) -> None:
     """Print the first problems, and how many more impacts or channels have one."""
     for problem in problems[:_MOST_REPORTED]:
-        say(f"cgid: warning: {problem}", err=True)
+        warn(problem)
     more = len(problems) - _MOST_REPORTED
     if more > 0:
-        say(f"cgid: warning: {source}: and {counted(more, f'more {what}')} cannot be measured", err=True)
+        warn(f"{source}: and {counted(more, f'more {what}')} cannot be measured")
 
 
 #: Time of an impact [s], its values, and why it has none.
@@ -120,7 +120,7 @@ class _Rows:
         """
         signals = reading.signals(path)
         for warning in signals[0].warnings:
-            say(f"cgid: warning: {warning}", err=True)
+            warn(warning)
         found: list[tuple[Signal, list[Column], list[_Impact]]] = []
         errors: list[BadData] = []
         for signal in signals:
@@ -167,9 +167,7 @@ class _Rows:
                 number += 1
                 unmeasured += any(value != value for value in row)
         if unmeasured:
-            say(
-                f"cgid: warning: {path}: {unmeasured} of {counted(len(dataset), 'signal')} cannot be measured", err=True
-            )
+            warn(f"{path}: {unmeasured} of {counted(len(dataset), 'signal')} cannot be measured")
 
     def _expected(self, signal: Signal) -> list[Column]:
         """Return the columns that impacts of a signal would have."""
@@ -251,10 +249,9 @@ class _Rows:
             )
         if lacking:
             more = "" if len(lacking) <= _MOST_REPORTED else f" and {len(lacking) - _MOST_REPORTED} more"
-            say(
-                f"cgid: warning: {source}: the file before does not have {', '.join(lacking[:_MOST_REPORTED])}{more}; "
-                "left out, a run of its own has all",
-                err=True,
+            warn(
+                f"{source}: the file before does not have {', '.join(lacking[:_MOST_REPORTED])}{more}; "
+                "left out, a run of its own has all"
             )
 
     def _say_of(self, name: str, sampling_rate: float, what: str) -> None:

@@ -10,7 +10,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, crew_options, require_one_crew
-from cgid.cli.output import print_json, progress_bar, say
+from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
 #: Options for tables and their outputs; and the options that choose the columns, with the table that they need.
@@ -207,10 +207,9 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
         return
     largest = draw(scene, seed, 0).inelasticity.max(initial=0.0)
     if largest > INELASTICITY_LIMIT:
-        say(
-            f"cgid: warning: {scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "
-            f"{INELASTICITY_LIMIT:g}: {BEYOND_THIN_PLATE}",
-            err=True,
+        warn(
+            f"{scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "
+            f"{INELASTICITY_LIMIT:g}: {BEYOND_THIN_PLATE}"
         )
 
 
@@ -229,7 +228,7 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
     )
     if written.n_unmeasured:
         of = f"{written.n_unmeasured} of {counted(n_signals, 'signal')}"
-        say(f"cgid: warning: {written.path}: {of} cannot be measured and are nan", err=True)
+        warn(f"{written.path}: {of} cannot be measured and are nan")
 
 
 def _explain(asked: Any, n_signals: int, as_json: bool) -> None:

@@ -10,7 +10,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, chain_options, warn_of_volts
-from cgid.cli.output import print_json, say
+from cgid.cli.output import print_json, say, warn
 from cgid.cli.table import written_table
 
 #: Most samples of all channels held in memory; longer recordings are read block by block.
@@ -151,7 +151,7 @@ def _recording(file: str, as_json: bool, **reading: Any) -> dict[str, Any]:
     warn_of_volts(recording)
     channels = _channels(recording, as_json)
     for warning in recording.warnings:
-        say(f"cgid: warning: {warning}", err=True)
+        warn(warning)
     started = {} if recording.start_time is None else {"start_time": recording.start_time.isoformat()}
     about = {"format": recording.format, **started, **channels, "warnings": list(recording.warnings) or "none"}
     return {"kind": "recording", "file": file, **about, **_made(file)}
@@ -192,7 +192,7 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
         impacts[row] += len(detector.finish())
         if is_known[row] and not impacts[row] and TURN_OVER in detector.why_silent():
             own = "" if channel.name == "1" else f" channel {channel.name}"
-            say(f"cgid: warning: {recording.source}{own}: no impact: {TURN_OVER}", err=True)
+            warn(f"{recording.source}{own}: no impact: {TURN_OVER}")
         middle = {"mean": total[row] / n_samples} if whole is None else {"median": np.median(whole[row])}
         described[f"channel {channel.name}"] = {
             "samples": n_samples,

@@ -22,7 +22,7 @@ from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
 from cgid.cli.monitor import monitor
-from cgid.cli.output import drop, heard, open_missing, say, say_error
+from cgid.cli.output import drop, heard, open_missing, say, say_error, warn
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.studies import ceiling, check, reproduce
@@ -182,4 +182,4 @@ def _is_adrift() -> bool:
 
 
 def _one_line_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    say(f"cgid: warning: {' '.join(str(message).split())}", err=True)
+    warn(" ".join(str(message).split()))

@@ -29,7 +29,7 @@ from cgid.cli.options import (
     question_of,
     warn_of_model,
 )
-from cgid.cli.output import say
+from cgid.cli.output import warn
 from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def _outlets(given: dict[str, str]) -> AbstractContextManager[Outlets | None]:
         return nullcontext()
     from cgid.outlets import Outlets
 
-    return Outlets(**given, warn=lambda text: say(f"cgid: warning: {text}", err=True))
+    return Outlets(**given, warn=warn)
 
 
 def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, outlets: Outlets | None = None) -> None:

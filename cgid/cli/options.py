@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
-from cgid.cli.output import say
+from cgid.cli.output import warn
 from cgid.errors import CgidError, InvalidValue, NoInput
 from cgid.signals import Signal
 
@@ -167,7 +167,7 @@ def warn_of_volts(recording: RecordingFile) -> None:
         try:
             require_measured(channel.unit, name)
         except MissingOption as error:
-            say(f"cgid: warning: {error}", err=True)
+            warn(error)
 
 
 def dead_time_in_seconds(milliseconds: float | None) -> float | None:
@@ -467,21 +467,19 @@ def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, qu
     """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs the name of its sensor."""
     if model.sensors and not question.sensors:
         known = ", ".join(model.sensors)
-        say(
-            f"cgid: warning: {source}: the model knows the response of some sensors, nothing makes up for that of "
-            f"this one; give --sensor NAME if it is one of {known}",
-            err=True,
+        warn(
+            f"{source}: the model knows the response of some sensors, nothing makes up for that of "
+            f"this one; give --sensor NAME if it is one of {known}"
         )
     if model.is_of_few:
-        say(
-            f"cgid: warning: {source}: the model knows few recordings of each label; its probabilities hold for "
-            "recordings like those, the next day may be much worse",
-            err=True,
+        warn(
+            f"{source}: the model knows few recordings of each label; its probabilities hold for "
+            "recordings like those, the next day may be much worse"
         )
     low, high = model.sampling_rates
     if not model.covers(sampling_rate):
         trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        say(f"cgid: warning: {name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz", err=True)
+        warn(f"{name}: sampled at {sampling_rate:g} Hz, the model was trained at {trained} Hz")
 
 
 def share_of(flag: str, text: str) -> float:

@@ -68,6 +68,11 @@ def say(text: str, *, err: bool = False) -> None:
         drop(sys.stderr)
 
 
+def warn(warning: object) -> None:
+    """Print a warning on stderr."""
+    say(f"cgid: warning: {warning}", err=True)
+
+
 def each_file(
     files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False, one_output: bool = False
 ) -> int:

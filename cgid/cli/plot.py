@@ -10,7 +10,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, reading_options, warn_of_volts
-from cgid.cli.output import print_json, say
+from cgid.cli.output import print_json, say, warn
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
@@ -76,10 +76,9 @@ def plot(
     warn_of_volts(recording)
     channels = recording.channels[:MOST_CHANNELS]
     if len(channels) < len(recording.channels):
-        say(
-            f"cgid: warning: {recording.source}: the first {len(channels)} of {len(recording.channels)} channels are "
-            "drawn; choose with --channel",
-            err=True,
+        warn(
+            f"{recording.source}: the first {len(channels)} of {len(recording.channels)} channels are "
+            "drawn; choose with --channel"
         )
     stream = OverviewStream(recording.sampling_rate, len(channels), recording.source)
     finder = _Finder(recording.sampling_rate, channels, kind, gap, begin) if events else None
@@ -90,9 +89,9 @@ def plot(
             finder.feed(drawn)
     marks = [] if finder is None else finder.finish()
     for name in [] if finder is None else finder.upside_down():
-        say(f"cgid: warning: {recording.source} channel {name}: no impact: {TURN_OVER}", err=True)
+        warn(f"{recording.source} channel {name}: no impact: {TURN_OVER}")
     for warning in recording.warnings:
-        say(f"cgid: warning: {warning}", err=True)
+        warn(warning)
     overview = stream.overview()
     facts = _facts(recording, overview.duration, marks if events else None)
     figure = overview_figure(

@@ -10,7 +10,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE
-from cgid.cli.output import print_json, progress_bar, say
+from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
 #: Blocks of 256 impacts in the preview.
@@ -71,7 +71,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     for text, share in preview["remarks"].items():
         say(f"known of this scene: {share:.2%} of the impacts {text.partition(';')[0]}")
     for text, share in preview["warnings"].items():
-        say(f"cgid: warning: {share:.2%} of the impacts {text}", err=True)
+        warn(f"{share:.2%} of the impacts {text}")
 
 
 def _preview(scene: Any, seed: int, told_as: str) -> dict[str, Any]:
@@ -257,7 +257,7 @@ def ceiling(
         check_estimated(loaded)
     path = None if picture is None else _checked(Path(picture), overwrite)
     if covered and (problem := untrusted(loaded)):
-        say(f"cgid: warning: do not rely on this ceiling: {problem}", err=True)
+        warn(f"do not rely on this ceiling: {problem}")
     if not covered and not behind_beam:
         sizes = sizes or (_TRAINED,)
     total = (n_signals if covered else n_signals + N_ESTIMATED if behind_beam else 0) + (
@@ -354,10 +354,7 @@ def _say(content: dict[str, Any]) -> None:
         say("area under ROC " + ", ".join(f"{label} {area:.4f}" for label, area in content["roc_area"].items()))
         _say_learners(content.get("learners", ()))
     if content.get("unmeasured"):
-        say(
-            f"cgid: warning: {counted(content['unmeasured'], 'signal')} could not be measured, the label was guessed",
-            err=True,
-        )
+        warn(f"{counted(content['unmeasured'], 'signal')} could not be measured, the label was guessed")
     if "survey" in content:
         _say_survey(content["survey"])
 

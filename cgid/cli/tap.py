@@ -9,7 +9,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, Reading, reading_options, share_of
-from cgid.cli.output import print_json, say
+from cgid.cli.output import print_json, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
 
@@ -115,7 +115,7 @@ def tap(
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
     if len(test.used) == 1:
-        say("cgid: warning: one tap: what differs from tap to tap is in no deviation; tap some five times", err=True)
+        warn("one tap: what differs from tap to tap is in no deviation; tap some five times")
     _say(test, path, scene_name, known, as_json)
 
 
@@ -174,7 +174,7 @@ def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floa
     quantity, factor = factor_of(unit_of(recording), path)
     response = _samples(recording) * (-factor if reading.invert else factor)
     for warning in recording.warnings:
-        say(f"cgid: warning: {warning}", err=True)
+        warn(warning)
     return np.asarray(response, np.float64), force, recording.sampling_rate, quantity
 
 

@@ -13,7 +13,7 @@ import click
 from cgid import validation
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew, share_of
-from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error
+from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.terminal import counted
 
@@ -221,7 +221,7 @@ def train(
     written = write_model(training, path, plots=plots, overwrite=overwrite)
     _say(training, path, written, as_json)
     if failures:
-        say(f"cgid: warning: the model is without {counted(len(failures), 'recording')} that failed", err=True)
+        warn(f"the model is without {counted(len(failures), 'recording')} that failed")
     return failures[0].exit_code if failures else 0
 
 
@@ -366,12 +366,12 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
     for note in rows.notes:
         say(f"cgid: {note}", err=True)
     for warning in rows.warnings:
-        say(f"cgid: warning: {warning}", err=True)
+        warn(warning)
     own = {name: options[name] for name in (*_COMMON, "level_free")}
     with progress_bar(None, "groups") as progress:
         training = train_model(rows, synthetic=synthetic, progress=progress, **own)
     for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:
-        say(f"cgid: warning: {warning}", err=True)
+        warn(warning)
     return training, list(rows.failures)
 
 
@@ -407,11 +407,11 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
         what = "windows" if training.model.kind == "window" else "impacts"
-        say(f"cgid: warning: {about['n_left_out']} {what} could not be measured and were left out", err=True)
+        warn(f"{about['n_left_out']} {what} could not be measured and were left out")
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
         told = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
-        say(f"cgid: warning: with synthetic impacts {told}; leave the scenes out", err=True)
+        warn(f"with synthetic impacts {told}; leave the scenes out")
     if as_json:
         print_json({"model": str(path), **metrics})
         return
