@@ -6,38 +6,11 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from cgid.cli.options import dead_time_in_seconds
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
-from cgid.errors import InvalidValue
 
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
-
-#: Options of a training that a correction has no use for.
-_OF_TRAINING = {
-    "names": "--features",
-    "family": "--family",
-    "class_weights": "--class-weights",
-    "by": "--by",
-    "window_time": "--window",
-    "hop_time": "--hop",
-    "level_free": "--level-free",
-    "test_share": "--test-share",
-    "calibration_share": "--calibration-share",
-    "drop_height": "--drop-height",
-    "start_error": "--start-error",
-    "n_signals": "--signals",
-    "shuffle_labels": "--shuffle-labels",
-}
-
-
-def refuse_training(context: click.Context) -> None:
-    """Refuse options of a training, instead of ignoring them."""
-    for name, flag in _OF_TRAINING.items():
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            raise InvalidValue(f"{flag} must be left out, --from corrects a model and trains none")
 
 
 def correct_model(

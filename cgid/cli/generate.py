@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, crew_options, require_one_crew
+from cgid.cli.options import PATH, SCENE, crew_options, given_flags, require_one_crew
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
@@ -120,7 +120,7 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
 def _checked_output(context: click.Context) -> str:
     """Return the requested output; refuse contradictory options before any work is done."""
     options = context.params
-    given = {name for name in options if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
+    given = given_flags(context)
     only = [name for name in _ONLY if options[name]]
     if len(only) > 1:
         raise click.UsageError(f"{' and '.join(map(_flag, only))} exclude each other; give one of them", context)

@@ -93,10 +93,24 @@ crew_options = _options(
 )
 
 
+def given_flags(context: click.Context) -> dict[str, str]:
+    """Return the options on the command line: parameter -> flag."""
+    options = {option.name or "": max(option.opts, key=len) for option in context.command.params}
+    line = click.core.ParameterSource.COMMANDLINE
+    return {name: flag for name, flag in options.items() if context.get_parameter_source(name) is line}
+
+
+def refuse(context: click.Context, flags: str, reason: str) -> None:
+    """Raise `InvalidValue` for the first of these flags on the command line, instead of ignoring it."""
+    given = given_flags(context).values()
+    for flag in flags.split():
+        if flag in given:
+            raise InvalidValue(f"{flag} must be left out, {reason}")
+
+
 def require_one_crew(context: click.Context) -> None:
     """Raise a usage error if both worker processes and a cluster are given."""
-    given = context.get_parameter_source("jobs") is click.core.ParameterSource.COMMANDLINE
-    if given and context.params["scheduler"] is not None:
+    if "jobs" in given_flags(context) and context.params["scheduler"] is not None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
@@ -397,10 +411,10 @@ def given_options() -> tuple[list[str], list[str]]:
     context = click.get_current_context()
     reading = {*_CHAIN, *(field.name for field in fields(Reading))}
     found: tuple[list[str], list[str]] = ([], [])
+    given = given_flags(context)
     for option in context.command.params:
         name = option.name or ""
-        given = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-        if not given or not isinstance(option, click.Option) or name in _OUTPUT:
+        if name not in given or not isinstance(option, click.Option) or name in _OUTPUT:
             continue
         values = context.params[name]
         for value in values if option.multiple else [values]:

@@ -12,7 +12,17 @@ import click
 
 from cgid import validation
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, chain_options, crew_options, dead_time_in_seconds, require_one_crew, share_of
+from cgid.cli.options import (
+    PATH,
+    SCENE,
+    chain_options,
+    crew_options,
+    dead_time_in_seconds,
+    given_flags,
+    refuse,
+    require_one_crew,
+    share_of,
+)
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.terminal import counted
@@ -23,28 +33,15 @@ if TYPE_CHECKING:
     from cgid.signals import Batch
     from cgid.store import Dataset
 
-#: Options for recordings only, and for datasets and scenes only.
-_OF_RECORDINGS = {
-    "by": "--by",
-    "window_time": "--window",
-    "hop_time": "--hop",
-    "level_free": "--level-free",
-    "sampling_rate": "--rate",
-    "unit": "--unit",
-    "channels": "--channel",
-    "sensitivity": "--sensitivity",
-    "gain": "--gain",
-    "full_scale": "--full-scale",
-    "dead_time": "--dead-time",
-    "strict": "--strict",
-}
-_OF_DATASETS = {
-    "test_share": "--test-share",
-    "calibration_share": "--calibration-share",
-    "drop_height": "--drop-height",
-    "start_error": "--start-error",
-    "sensors": "--sensor",
-}
+#: Options for recordings only, for datasets and scenes only, and for whatever trains instead of correcting a model.
+_OF_RECORDINGS = (
+    "--by --window --hop --level-free --rate --unit --channel --sensitivity --gain --full-scale --dead-time --strict"
+)
+_OF_DATASETS = "--test-share --calibration-share --drop-height --start-error --sensor"
+_OF_TRAINING = (
+    "--features --family --class-weights --by --window --hop --level-free --test-share --calibration-share "
+    "--drop-height --start-error --signals --shuffle-labels"
+)
 
 
 @click.command(
@@ -194,9 +191,9 @@ def train(
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     if (base := options.pop("base")) is not None:
-        from cgid.cli.correction import correct_model, refuse_training
+        from cgid.cli.correction import correct_model
 
-        refuse_training(context)
+        refuse(context, _OF_TRAINING, "--from corrects a model and trains none")
         if len(data) != 1 or not _recorded(data[0]):
             raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
         return correct_model(_manifest(data[0]), base, path, options, plots=plots, as_json=as_json)
@@ -206,7 +203,10 @@ def train(
     options["sensors"] = [_point(text) for text in options["sensors"]]
     recorded = [item for item in data if _recorded(item)]
     others = [item for item in data if item not in recorded]
-    _refuse_stray_options(context, _OF_DATASETS if recorded else _OF_RECORDINGS, bool(recorded))
+    if recorded:
+        refuse(context, _OF_DATASETS, "groups of a manifest are left out one by one")
+    else:
+        refuse(context, _OF_RECORDINGS, "there is no manifest of recordings")
     require_one_crew(context)
     if len(recorded) > 1:
         raise InvalidValue(f"{recorded[1]}: there must be one manifest, got {len(recorded)}; put all into one")
@@ -258,15 +258,12 @@ def _manifest(item: str) -> Manifest:
 
 def _asked_by(context: click.Context, others: list[str], features: Any) -> Literal["window", "impact"] | None:
     """Return what other options say of impacts and windows; None if that is left to the recordings."""
-
-    def given(name: str) -> bool:
-        return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-
     if features is not None:
         return None
-    if given("window_time") or given("hop_time"):
+    given = given_flags(context)
+    if "window_time" in given or "hop_time" in given:
         return "window"
-    return "impact" if given("dead_time") or others else None
+    return "impact" if "dead_time" in given or others else None
 
 
 def _write_template(data: tuple[str, ...], path: Path, options: dict[str, Any], *, overwrite: bool) -> int:
@@ -431,16 +428,6 @@ def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
     say(f"expected calibration error {metrics['expected_calibration_error']:.4f} (by chance alone {chance:.4f})")
     then = f"cgid predict FILE --model {shlex.quote(str(path))}"
     say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)
-
-
-def _refuse_stray_options(context: click.Context, stray: dict[str, str], recorded: bool) -> None:
-    """Refuse options that do not apply to the data, instead of ignoring them."""
-    for name, flag in stray.items():
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            reason = (
-                "groups of a manifest are left out one by one" if recorded else "there is no manifest of recordings"
-            )
-            raise InvalidValue(f"{flag} must be left out, {reason}")
 
 
 def _class_weights(text: str | None) -> dict[str, float] | str | None:
