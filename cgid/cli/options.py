@@ -83,6 +83,21 @@ def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
     return add
 
 
+def _bundle(
+    name: str, parts: Iterable[str], make: Callable[[dict[str, Any]], Any], *options: Callable[[Any], Any]
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds options, of whose values (`parts`) the command receives what is made, as `name`."""
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def bundled(**values: Any) -> Any:
+            return command(**{name: make({part: values.pop(part) for part in parts})}, **values)
+
+        return _options(*options)(bundled)
+
+    return add
+
+
 #: Options for worker processes and clusters; `require_one_crew` refuses both at once.
 crew_options = _options(
     click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
@@ -114,61 +129,45 @@ def require_one_crew(context: click.Context) -> None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
-#: The options for the measuring chain.
-_CHAIN = ("sensitivity", "gain", "full_scale")
-
-
-def chain_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options for the measuring chain; the command receives them as `chain`, arguments of `open_recording`."""
-
-    @wraps(command)
-    def chained(**options: Any) -> Any:
-        return command(chain={name: options.pop(name) or None for name in _CHAIN}, **options)
-
-    add = _options(
-        click.option(
-            "--sensitivity",
-            multiple=True,
-            metavar="[NAME=]VALUE",
-            help="Give the sensitivity of a sensor whose samples are in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
-            "for one channel as 2=VALUE.",
-        ),
-        click.option(
-            "--gain",
-            multiple=True,
-            metavar="[NAME=]VALUE",
-            help="Divide out this gain: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
-        ),
-        click.option(
-            "--full-scale",
-            multiple=True,
-            metavar="[NAME=]VALUE",
-            help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
-        ),
-    )
-    return add(chained)
-
-
-def outlet_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the outlets of a plant; the command receives those that were given as `outlets`, arguments of `Outlets`."""
-    names = ("mqtt", "modbus", "prometheus", "live", "on_shut", "on_open")
-
-    @wraps(command)
-    def with_outlets(**options: Any) -> Any:
-        given = {name: value for name in names if (value := options.pop(name)) is not None}
-        return command(outlets=given, **options)
-
-    add = _options(
-        click.option("--mqtt", metavar="URL", help="Publish each line below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."),
-        click.option("--modbus", metavar="HOST:PORT", help="Serve state, share and counts as Modbus TCP registers."),
-        click.option("--prometheus", metavar="[HOST]:PORT", help="Serve metrics at /metrics."),
-        click.option(
-            "--live", metavar="[HOST]:PORT|FILE", help="Show waveform, share and decision on a page, or in FILE.html."
-        ),
-        click.option("--on-shut", metavar="COMMAND", help="Run this command at each SHUT; it gets the line on stdin."),
-        click.option("--on-open", metavar="COMMAND", help="Run this command at each OPEN."),
-    )
-    return add(with_outlets)
+#: Options for the measuring chain; the command receives them as `chain`, arguments of `open_recording`.
+chain_options = _bundle(
+    "chain",
+    _CHAIN,
+    lambda given: {name: value or None for name, value in given.items()},
+    click.option(
+        "--sensitivity",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Give the sensitivity of a sensor whose samples are in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
+        "for one channel as 2=VALUE.",
+    ),
+    click.option(
+        "--gain",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Divide out this gain: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
+    ),
+    click.option(
+        "--full-scale",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
+    ),
+)
+#: Outlets of a plant; the command receives those that were given as `outlets`, arguments of `Outlets`.
+outlet_options = _bundle(
+    "outlets",
+    ("mqtt", "modbus", "prometheus", "live", "on_shut", "on_open"),
+    lambda given: {name: value for name, value in given.items() if value is not None},
+    click.option("--mqtt", metavar="URL", help="Publish each line below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."),
+    click.option("--modbus", metavar="HOST:PORT", help="Serve state, share and counts as Modbus TCP registers."),
+    click.option("--prometheus", metavar="[HOST]:PORT", help="Serve metrics at /metrics."),
+    click.option(
+        "--live", metavar="[HOST]:PORT|FILE", help="Show waveform, share and decision on a page, or in FILE.html."
+    ),
+    click.option("--on-shut", metavar="COMMAND", help="Run this command at each SHUT; it gets the line on stdin."),
+    click.option("--on-open", metavar="COMMAND", help="Run this command at each OPEN."),
+)
 
 
 def warn_of_volts(recording: RecordingFile) -> None:
@@ -257,37 +256,31 @@ class Reading:
         return [signal.inverted() for signal in signals] if self.invert else signals
 
 
-def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options for reading a recording; the command receives them as `reading`."""
-
-    @wraps(command)
-    def read(**options: Any) -> Any:
-        own = {field.name: options.pop(field.name) for field in fields(Reading)}
-        return command(reading=Reading(**own), **options)
-
-    add = _options(
-        click.option(
-            "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
-        ),
-        click.option("--unit", help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it."),
-        click.option(
-            "--channel",
-            multiple=True,
-            help="Read only this channel: its name, or its number from 1; for several give 1+2, or the option again.",
-        ),
-        click.option("--variable", help="Choose an array, table or group if the file holds several."),
-        click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
-        click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
-        dead_time_option,
-    )
-    return add(chain_options(read))
-
-
 dead_time_option = click.option(
     "--dead-time",
     "milliseconds",
     type=float,
     help="Set how long a blow rings [ms], by default 2 for pulses and 5 for vibrations.",
+)
+#: Options for reading a recording; the command receives them as `reading`.
+reading_options = _bundle(
+    "reading",
+    [field.name for field in fields(Reading)],
+    lambda given: Reading(**given),
+    click.option(
+        "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
+    ),
+    click.option("--unit", help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it."),
+    click.option(
+        "--channel",
+        multiple=True,
+        help="Read only this channel: its name, or its number from 1; for several give 1+2, or the option again.",
+    ),
+    click.option("--variable", help="Choose an array, table or group if the file holds several."),
+    click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
+    click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
+    dead_time_option,
+    chain_options,
 )
 #: Options of commands that print the contents of recordings.
 printing_options = _options(
