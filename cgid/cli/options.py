@@ -14,6 +14,7 @@ from click.shell_completion import CompletionItem
 
 from cgid.cli.output import warn
 from cgid.errors import CgidError, InvalidValue, NoInput
+from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
@@ -29,9 +30,12 @@ _CHAIN = ("sensitivity", "gain", "full_scale")
 
 
 class PathName(click.types.StringParamType):
-    """The name of a file or folder; an empty one, as from an unset shell variable, is an error."""
+    """The name of a file or folder, or of what comes with cgid; an empty one, as of an unset variable, is an error."""
 
     name = "path"
+
+    def __init__(self, shipped: Iterable[str] = ()) -> None:
+        self._shipped = shipped
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the name, or fail with a usage error."""
@@ -40,36 +44,13 @@ class PathName(click.types.StringParamType):
         return super().convert(value, param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Let the shell offer its files."""
-        return [CompletionItem(incomplete, type="file")]
+        """Let the shell offer its files, and what comes with cgid."""
+        names = [name for name in self._shipped if name.startswith(incomplete)]
+        # Behind the files: bash forgets what came before them.
+        return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
 
 
-class SceneName(PathName):
-    """The name of a shipped scene, or of a scene file."""
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Offer the shipped scenes besides the files."""
-        from cgid.shipped import SCENES
-
-        return super().shell_complete(ctx, param, incomplete) + _matching(SCENES, incomplete)
-
-
-class ModelName(PathName):
-    """The name of a shipped model, or of a model file."""
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Offer the shipped models besides the files."""
-        from cgid.shipped import MODELS
-
-        return super().shell_complete(ctx, param, incomplete) + _matching(MODELS, incomplete)
-
-
-def _matching(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
-    # Behind those of files: bash forgets what came before them.
-    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
-
-
-PATH, SCENE, MODEL = PathName(), SceneName(), ModelName()
+PATH, SCENE, MODEL = PathName(), PathName(SCENES), PathName(MODELS)
 
 
 def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
