@@ -92,10 +92,9 @@ def calibrate(
     check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
     drawing = None
     if picture is not None:
-        from cgid.plots import require_matplotlib
+        from cgid.plots import new_picture
 
-        drawing = check_new(Path(picture), "a picture", (".png",), overwrite=overwrite)
-        require_matplotlib()
+        drawing = new_picture(picture, overwrite=overwrite)
     scene = load_scene(scene_name)
     errors: dict[str, Any] = {
         "start_error": share_of("--start-error", start_error),

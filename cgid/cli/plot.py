@@ -63,14 +63,13 @@ def plot(
     The length of the recording does not matter: it is read block by block. Impacts are looked for in each channel by
     itself, as cgid predict does it.
     """
-    from cgid.files import check_new, write_whole
+    from cgid.files import write_whole
     from cgid.identification.detection import TURN_OVER
     from cgid.measure.overview import OverviewStream
-    from cgid.plots import FORMATS, MOST_CHANNELS, overview_figure, picture, require_matplotlib
+    from cgid.plots import FORMATS, MOST_CHANNELS, new_picture, overview_figure, picture
 
-    path = check_new(Path(output), "a picture", FORMATS, overwrite=overwrite)
+    path = new_picture(output, endings=FORMATS, overwrite=overwrite)
     gap = reading.dead_time
-    require_matplotlib()
     _require_order(begin, end)
     recording = _opened(file, reading)
     warn_of_volts(recording)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import count
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -35,81 +34,10 @@ if TYPE_CHECKING:
     from cgid.measure.overview import OverviewStream
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
+    from cgid.report import Report
     from cgid.signals import Batch, Signal
     from cgid.striker import StrikerColumns
     from cgid.validation import Floats
-
-
-class Pages:
-    """Collect the contents of the report page while recordings are read.
-
-    Raises `CannotCreate` if the page cannot be written there, `MissingExtra` without matplotlib.
-    """
-
-    def __init__(self, path: str, overwrite: bool) -> None:
-        from cgid.files import check_new
-        from cgid.plots import require_matplotlib
-        from cgid.report import ENDINGS
-
-        self._path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
-        self._overwrite = overwrite
-        self._reports: list[Any] = []
-        require_matplotlib()
-
-    def add(
-        self, recording: RecordingFile, passing: _Passing, model: Model, model_name: str, rows: RecordingRows
-    ) -> None:
-        """Add the printed answers of a recording."""
-        from cgid.report import Report, model_facts, recording_facts
-
-        assert passing.stream is not None
-        overview = passing.stream.overview()
-        report = Report(
-            source=recording.source,
-            recording=recording_facts(recording, overview, passing.channels),
-            model=model_facts(model, model_name),
-            overview=overview,
-            channels=passing.channels,
-            answers=rows.answers,
-            shares=rows.shares,
-            turns=rows.turns,
-            threshold=rows.threshold,
-            warnings=recording.warnings,
-            unit_of_decision=rows.kind,
-            hint=rows.hint,
-        )
-        self._reports.append(report)
-
-    def write(self) -> bool:
-        """Write the page; return whether it has contents."""
-        from cgid.report import write_report
-
-        if self._reports:
-            write_report(self._path, self._reports, overwrite=self._overwrite)
-        return bool(self._reports)
-
-
-class Masses:
-    """The picture of the masses of all impacts.
-
-    Raises `CannotCreate` if it cannot be written there, `MissingExtra` without matplotlib.
-    """
-
-    def __init__(self, path: str, overwrite: bool) -> None:
-        from cgid.files import check_new
-        from cgid.plots import FORMATS, require_matplotlib
-
-        self._path, self._overwrite = check_new(Path(path), "a picture", tuple(FORMATS), overwrite=overwrite), overwrite
-        require_matplotlib()
-
-    def write(self, strikers: StrikerColumns, source: str) -> None:
-        """Draw all impacts that were looked at; raises `BadData` if they are too few."""
-        from cgid.files import write_whole
-        from cgid.plots.answers import sizes_picture
-
-        content = sizes_picture(strikers.sizes(), source, self._path.suffix.lower())
-        write_whole(self._path, content, overwrite=self._overwrite)
-        say(f"wrote {self._path}", err=True)
 
 
 def asked_of_strikers(scene: str | None, *, keep: bool) -> StrikerColumns | None:
@@ -143,14 +71,36 @@ class _Passing:
             self.stream.feed(block[: len(self.channels)])
 
 
+def _report(recording: RecordingFile, passing: _Passing, model: Model, model_name: str, rows: RecordingRows) -> Report:
+    """Return what a page shows of a recording: its pictures, and the answers that were printed."""
+    from cgid.report import Report, model_facts, recording_facts
+
+    assert passing.stream is not None
+    overview = passing.stream.overview()
+    return Report(
+        source=recording.source,
+        recording=recording_facts(recording, overview, passing.channels),
+        model=model_facts(model, model_name),
+        overview=overview,
+        channels=passing.channels,
+        answers=rows.answers,
+        shares=rows.shares,
+        turns=rows.turns,
+        threshold=rows.threshold,
+        warnings=recording.warnings,
+        unit_of_decision=rows.kind,
+        hint=rows.hint,
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Prediction:
-    """The settings for all files."""
+    """The settings for all files; `reports` collects what a page shows of each recording, if one is asked for."""
 
     models: Models
     question: Question
     lines: AnswerLines
-    pages: Pages | None
+    reports: list[Report] | None
 
     def recording(self, recording: RecordingFile) -> None:
         """Print the answers for a recording, read block by block, once for each model that its channels need.
@@ -184,18 +134,18 @@ class _Prediction:
 
         question, source, rate = self.question, recording.source, recording.sampling_rate
         names = [recording.channels[number].name for number in numbers]
-        passing = _Passing(recording, numbers, self.pages is not None)
+        keep = self.reports is not None
+        passing = _Passing(recording, numbers, keep)
         blocks = model_blocks(recording, model, numbers, question, seen=passing.see)
         steps = identify_blocks(blocks, rate, model, names, question, source)
         diagnosis = Diagnosis(model, rate, source, *given_options())
-        keep = self.pages is not None
         rows = RecordingRows(source, model, names, question, self.lines, keep=keep, diagnosis=diagnosis)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
         for step in steps:
             rows.feed(step)
         rows.finish(passing.n_samples / rate, recording.start_time)
-        if self.pages is not None:
-            self.pages.add(recording, passing, model, self.models.name(model), rows)
+        if self.reports is not None:
+            self.reports.append(_report(recording, passing, model, self.models.name(model), rows))
 
     def dataset(self, path: str) -> None:
         """Print the answer for every signal of a dataset, and how many are right."""
@@ -365,18 +315,26 @@ def predict(
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
     if masses is not None and striker is None:
         raise click.UsageError("--masses needs to know what can have struck; give --striker SCENE, too")
-    sizes = None if masses is None else Masses(masses, overwrite)
-    strikers = asked_of_strikers(striker, keep=sizes is not None)
+    picture = None
+    if masses is not None:
+        from cgid.plots import FORMATS, new_picture
+
+        picture = new_picture(masses, endings=FORMATS, overwrite=overwrite)
+    strikers = asked_of_strikers(striker, keep=picture is not None)
     models, question = question_of(
         **options, strikers=strikers, invert=reading.invert, milliseconds=reading.milliseconds
     )
     if sample:
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
         files = (*files, str(shipped.path_of("datasets", name)))
-    pages = None if report is None else Pages(report, overwrite)
+    if report is not None:
+        from cgid.plots import new_picture
+        from cgid.report import ENDINGS
+
+        new_picture(report, "a report", ENDINGS, overwrite=overwrite)
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)))
-    prediction = _Prediction(models=models, question=question, lines=lines, pages=pages)
+    prediction = _Prediction(models=models, question=question, lines=lines, reports=None if report is None else [])
 
     def treat(path: str) -> None:
         if reading.wants_whole_dataset(path, question.mass):
@@ -389,8 +347,16 @@ def predict(
 
     with table:
         code = each_file(files, treat, strict=strict, one_output=True)
-    if pages is not None and pages.write():
+    if report is not None and prediction.reports:
+        from cgid.report import write_report
+
+        write_report(report, prediction.reports, overwrite=overwrite)
         say(f"wrote {report}", err=True)
-    if sizes is not None and strikers is not None:
-        sizes.write(strikers, ", ".join(files))
+    if picture is not None and strikers is not None:
+        from cgid.files import write_whole
+        from cgid.plots.answers import sizes_picture
+
+        content = sizes_picture(strikers.sizes(), ", ".join(files), picture.suffix.lower())
+        write_whole(picture, content, overwrite=overwrite)
+        say(f"wrote {picture}", err=True)
     return code

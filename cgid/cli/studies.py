@@ -255,7 +255,11 @@ def ceiling(
         check_covered(loaded)
     if behind_beam:
         check_estimated(loaded)
-    path = None if picture is None else _checked(Path(picture), overwrite)
+    path = None
+    if picture is not None:
+        from cgid.plots import new_picture
+
+        path = new_picture(picture, overwrite=overwrite)
     if covered and (problem := untrusted(loaded)):
         warn(f"do not rely on this ceiling: {problem}")
     if not covered and not behind_beam:
@@ -295,16 +299,6 @@ def ceiling(
         _say(content)
     if path is not None:
         say(f"wrote {path}", err=True)
-
-
-def _checked(path: Path, overwrite: bool) -> Path:
-    """Return the path of a picture after checking that it can be written."""
-    from cgid.files import check_new
-    from cgid.plots import require_matplotlib
-
-    check_new(path, "a picture", (".png",), overwrite=overwrite)
-    require_matplotlib()
-    return path
 
 
 def _figures(limit: Any) -> dict[str, Any]:

@@ -80,10 +80,9 @@ def tap(
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
     drawing = None
     if picture is not None:
-        from cgid.plots import require_matplotlib
+        from cgid.plots import new_picture
 
-        drawing = check_new(Path(picture), "a picture", (".png",), overwrite=overwrite)
-        require_matplotlib()
+        drawing = new_picture(picture, overwrite=overwrite)
     modes = None if scene_name is None else _modes_of(scene_name)
     error = share_of("--start-error", start_error)
     if not 0 < error <= 0.1:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import optional
+from cgid.files import check_new
 from cgid.validation import Floats
 
 #: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008); distinct for every
@@ -39,6 +41,15 @@ def require_matplotlib() -> Any:
         matplotlib is not installed.
     """
     return optional("matplotlib.figure", "pictures need", "plot", name="matplotlib").Figure
+
+
+def new_picture(
+    path: str | Path, what: str = "a picture", endings: Collection[str] = (".png",), *, overwrite: bool
+) -> Path:
+    """Return the path of a picture that may be made there; raises as `check_new`, `MissingExtra` without matplotlib."""
+    checked = check_new(Path(path), what, endings, overwrite=overwrite)
+    require_matplotlib()
+    return checked
 
 
 def picture(figure: Any, suffix: str, dpi: float = 120) -> bytes:
