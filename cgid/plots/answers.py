@@ -92,24 +92,10 @@ def _turn(axes: Any, turn: Turn, clock: Clock) -> None:
 
 
 def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Sequence[Turn]) -> Any:
-    """Draw the cumulative share of gangue against the recovered coal, one curve per channel.
+    """Return a figure of the cumulative share of gangue against the recovered coal, one curve per channel.
 
-    Parameters
-    ----------
-    times : mapping of str to ndarray, (n_answers,) [s]
-        Times of the answers of each channel, each of which counts as one rock; at most `MOST_CHANNELS` are drawn.
-    shares : sequence of Share
-        Known at two or more times for each of these channels.
-    turns : sequence of Turn
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    MissingExtra
-        matplotlib is not installed.
+    `times` are those of the answers of each channel [s], each of which counts as one rock; its share must be known at
+    two or more times. At most `MOST_CHANNELS` are drawn.
     """
     names = list(times)[:MOST_CHANNELS]
     figure = require_matplotlib()(figsize=(WIDTH, _DRAWN_HEIGHT), layout="constrained")
@@ -140,19 +126,10 @@ def draw_drawn(
     width: float = 2.2,
     says_times: bool = True,
 ) -> None:
-    """Draw the operators' curve of one support, with the time along it and SHUT.
+    """Draw the operators' curve of one support, with the time along it, named if `says_times`, and SHUT.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-    times, gangue : ndarray, (n_rocks,)
-        Time of each rock [s], and whether it is gangue, or the probability of that.
-    shut : sequence of float [s]
-    colour, title : str
-    width : float
-        Of the line [points].
-    says_times : bool
-        Whether the marks of times are named.
+    `times` and `gangue` (n_rocks,) are when each rock fell [s], and whether it is gangue, or the probability of that;
+    `shut` are times [s], `width` is that of the line [points].
     """
     from matplotlib.patheffects import withStroke
 
@@ -195,26 +172,11 @@ def finish_drawn(axes: Any) -> None:
             text.set_parse_math(False)
 
 
-def sizes_picture(distribution: Any, source: str, suffix: str = ".png", truth: Any = None) -> bytes:
-    """Return how many impacts were of each class of size, found and corrected, as the content of a file.
-
-    Parameters
-    ----------
-    distribution : SizeDistribution
-    source : str
-        What was recorded.
-    suffix : str
-        One of `cgid.plots.FORMATS`.
-    truth : ndarray, (n_classes,), optional
-        The true number of impacts of each class.
-
-    Returns
-    -------
-    bytes
-    """
+def sizes_picture(distribution: Any, source: str, suffix: str) -> bytes:
+    """Return how many impacts were of each class of size, found and corrected, as a file that ends in `suffix`."""
     figure = require_matplotlib()(figsize=(7, 4.2), layout="constrained")
     axes = figure.subplots()
-    draw_sizes(axes, distribution, truth)
+    draw_sizes(axes, distribution)
     axes.set(title=plain(source))
     return picture(figure, suffix)
 

@@ -119,16 +119,10 @@ def _families() -> list[str]:
 def judgement_pictures(
     labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...], metrics: dict[str, Any]
 ) -> dict[str, bytes]:
-    """Return PNG pictures of a model's test: "confusion", "reliability" and "roc".
+    """Return PNG pictures of a model's test, "confusion", "reliability" and "roc".
 
-    Parameters
-    ----------
-    labels : ndarray of str, (n_impacts,)
-        True labels.
-    probabilities : ndarray, (n_impacts, n_classes)
-    classes : tuple of str
-    metrics : dict
-        From `cgid.identification.metrics.evaluate`.
+    `labels` (n_impacts,) are the true ones, `probabilities` are (n_impacts, n_classes), `metrics` those of
+    `cgid.identification.metrics.evaluate`.
     """
     return {
         "confusion": _confusion(np.array(metrics["confusion"]), classes),
@@ -224,17 +218,7 @@ def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, fl
 
 
 def modes_picture(before: Any, after: Any) -> bytes:
-    """Return learned modes against those they started from as PNG.
-
-    Parameters
-    ----------
-    before, after : LearnedModes
-        With two deviations as bars; those of `before` are what it was trusted.
-
-    Returns
-    -------
-    bytes
-    """
+    """Return learned modes against those they started from as PNG, with two deviations as bars or as a band."""
     figure = require_matplotlib()(figsize=(9, 6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     place = before.frequency / 1e3
@@ -260,17 +244,7 @@ def modes_picture(before: Any, after: Any) -> bytes:
 
 
 def stabilisation_picture(test: Any) -> bytes:
-    """Return the poles of all orders of a tap test's model, and the modes with their dampings, as PNG.
-
-    Parameters
-    ----------
-    test : TapTest
-        With two deviations of the dampings as bars.
-
-    Returns
-    -------
-    bytes
-    """
+    """Return the poles of all orders of a tap test's model as PNG, and the modes' dampings with two deviations."""
     figure = require_matplotlib()(figsize=(10, 7), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     order, frequency, _, stable = test.poles.chart.T

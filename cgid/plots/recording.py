@@ -38,16 +38,7 @@ _WAVEFORM_COLOUR = "#303030"
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """A labelled interval of a recording, such as an impact.
-
-    Attributes
-    ----------
-    time, end : float
-        [s].
-    label : str
-    channel : str or None
-        Name of the channel; None for all channels.
-    """
+    """A labelled interval [s] of a recording, such as an impact; of all channels if none is named."""
 
     time: float
     end: float
@@ -64,28 +55,10 @@ def overview_figure(
     marks: Sequence[Mark] = (),
     begin: float = 0.0,
 ) -> Any:
-    """Draw waveform and spectrogram of each channel and the spectra of all, with marks by label.
+    """Return a figure of waveform and spectrogram of each channel and the spectra of all, with marks by label.
 
-    Parameters
-    ----------
-    overview : Overview
-    channels : sequence of Channel
-        Channels of the overview, in order.
-    title, facts : str
-        Two lines above the figure.
-    marks : sequence of Mark
-        Drawn above the waveform of their channel, in one row per label.
-    begin : float
-        Time of the first sample of the overview [s].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    MissingExtra
-        matplotlib is not installed.
+    `channels` are those of the overview, in order, `title` and `facts` two lines above it. Marks are drawn above the
+    waveform of their channel, in one row per label. `begin` is the time of the first sample [s].
     """
     colours = colours_of(mark.label for mark in marks)
     strip = [_STRIP_ROW * len(colours)] if colours else []
