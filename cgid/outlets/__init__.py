@@ -58,44 +58,33 @@ class Outlets:
         on_open: str | None = None,
         warn: Callable[[str], None],
     ) -> None:
-        self.plant = Plant()
+        self.plant = plant = Plant()
         self._commands = {"shut": on_shut, "open": on_open}
         self._services: list[Service] = []
         self._waveform: Waveform | None = None
-        try:
-            self._make(mqtt, modbus, prometheus, live, warn)
+        try:  # ports are bound here
+            if mqtt is not None:
+                from cgid.outlets.mqtt import Mqtt
+
+                self._services.append(Mqtt(mqtt, plant, warn))
+            for kind, command in self._commands.items():
+                if command is not None:
+                    from cgid.outlets.command import Command
+
+                    self._services.append(Command(f"--on-{kind}", command, kind, warn))
+            plant.outlets = self._queues = [one for one in self._services if isinstance(one, Outlet)]
+            if prometheus is not None or live is not None:
+                from cgid.outlets.web import web_services
+
+                self._services += web_services(prometheus, live, plant, warn)
+                self._waveform = plant.waveform = None if live is None else Waveform()
+            if modbus is not None:  # after the other ports, which it must find taken
+                from cgid.outlets.modbus import Modbus
+
+                self._services.append(Modbus(modbus, plant, warn))
         except BaseException:
             self._close(0.0)
             raise
-
-    def _make(
-        self,
-        mqtt: str | None,
-        modbus: str | None,
-        prometheus: str | None,
-        live: str | None,
-        warn: Callable[[str], None],
-    ) -> None:
-        """Make what was asked for; ports are bound here."""
-        if mqtt is not None:
-            from cgid.outlets.mqtt import Mqtt
-
-            self._services.append(Mqtt(mqtt, self.plant, warn))
-        for kind, command in self._commands.items():
-            if command is not None:
-                from cgid.outlets.command import Command
-
-                self._services.append(Command(f"--on-{kind}", command, kind, warn))
-        self.plant.outlets = self._queues = [one for one in self._services if isinstance(one, Outlet)]
-        if prometheus is not None or live is not None:
-            from cgid.outlets.web import web_services
-
-            self._services += web_services(prometheus, live, self.plant, warn)
-            self._waveform = self.plant.waveform = Waveform() if live is not None else None
-        if modbus is not None:  # after the other ports, which it must find taken
-            from cgid.outlets.modbus import Modbus
-
-            self._services.append(Modbus(modbus, self.plant, warn))
 
     def __enter__(self) -> Outlets:
         for service in self._services:

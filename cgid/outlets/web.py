@@ -157,9 +157,7 @@ def metrics_of(plant: Plant) -> Callable[[], bytes]:
 
     class Collector:
         def collect(self) -> Iterator[Any]:
-            yield from plant.read(
-                lambda supports: [family for make in (_gauges, _counters) for family in make(supports, gauge, counter)]
-            )
+            yield from plant.read(lambda supports: list(_families(supports, gauge, counter)))
             yield gauge("cgid_last_block_age_seconds", "Time since the last block of the stream", value=plant.age)
             yield gauge("cgid_behind_seconds", "Delay of the answers behind the stream", value=plant.behind)
             yield counter("cgid_blocks", "Blocks of the stream that were taken", value=plant.beats)
@@ -179,7 +177,8 @@ def metrics_of(plant: Plant) -> Callable[[], bytes]:
     return lambda: bytes(client.generate_latest(registry))
 
 
-def _gauges(supports: dict[str, Any], gauge: Any, _counter: Any) -> Iterator[Any]:
+def _families(supports: dict[str, Any], gauge: Any, counter: Any) -> Iterator[Any]:
+    """Yield the metrics of the supports."""
     for name, text, value in (
         ("gangue_share", "Share of gangue in the window", lambda one: one.share),
         ("gangue_share_low", "Lower end of its interval of 95 %", lambda one: one.low),
@@ -192,9 +191,6 @@ def _gauges(supports: dict[str, Any], gauge: Any, _counter: Any) -> Iterator[Any
         for channel, one in supports.items():
             found.add_metric([channel], value(one))
         yield found
-
-
-def _counters(supports: dict[str, Any], _gauge: Any, counter: Any) -> Iterator[Any]:
     for name, text, label, counts in (
         ("answers", "Answers since the start", "label", "labels"),
         ("turns", "Turns of the decision since the start", "turn", "turns"),
