@@ -10,13 +10,14 @@ import hashlib
 import re
 import textwrap
 from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib import resources
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid import __version__
-from cgid import export_c_parts as parts
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES
 from cgid.identification.families import Contrast, Network, Standardiser
@@ -65,16 +66,16 @@ def c_source(model: Model) -> str:
     """
     require_small(model)
     arrays = _arrays(model)
-    text = [_heading(model), "#ifndef CGID_MODEL_C\n#define CGID_MODEL_C\n", _sizes(model), parts.TYPES]
+    text = [_heading(model), "#ifndef CGID_MODEL_C\n#define CGID_MODEL_C\n", _sizes(model), _part("types")]
     text += [_interface(model), "#endif\n", "#ifndef CGID_HEADER\n"]
-    text += [parts.ARITHMETIC % {"single": _single(arrays)}, _inner_sizes(model)]
+    text += [_part("arithmetic", single=_single(arrays)), _inner_sizes(model)]
     text += [_strings("cgid_labels", "CGID_N_LABELS", model.labels)]
     text += [_strings("cgid_values", "CGID_N_VALUES", (*model.inputs, *model.guards))]
     text += [_table(name, array) for name, array in arrays.items()]
-    text += [parts.STANDARDISE, *([parts.LAYER] if _has_layers(model) else [])]
-    text += [parts.SCORES[model.family], parts.PROBABILITIES]
+    text += [_part("standardise"), *([_part("layer")] if _has_layers(model) else [])]
+    text += [_part(f"scores of {model.family}"), _part("probabilities")]
     text += [*_contrast(model), _novelty(model), _answer(model)]
-    text += [parts.MAIN.lstrip("\n"), "#endif\n"]
+    text += [_part("main"), "#endif\n"]
     return "\n".join(text)
 
 
@@ -160,8 +161,8 @@ def _sizes(model: Model) -> str:
 
 
 def _interface(model: Model) -> str:
-    sets = parts.SETS % {"n": len(COVERAGES)} if model.conformal is not None else ""
-    return parts.INTERFACE + sets + (parts.MEASURE if _bands(model) is not None else "")
+    sets = _part("sets", n=len(COVERAGES)) if model.conformal is not None else ""
+    return _part("interface") + sets + (_part("measure") if _bands(model) is not None else "")
 
 
 def _bands(model: Model) -> dict[str, NDArray[Any]] | None:
@@ -269,27 +270,37 @@ def _contrast(model: Model) -> list[str]:
     if model.contrast is None:
         return []
     network = isinstance(model.contrast.scorer, Network)
-    return [parts.CONTRAST % {"score": parts.CONTRAST_NETWORK if network else parts.CONTRAST_LINE}]
+    return [_part("contrast", score=_part("contrast by a network" if network else "contrast by a line"))]
 
 
 def _novelty(model: Model) -> str:
-    return parts.NOVELTY % {
-        "more": (parts.GUARDS if model.guards else "") + (parts.STRANGERS if model.contrast is not None else ""),
-        "unused": "" if model.guards or model.contrast is not None else "    (void)values;\n",
-    }
+    more = (_part("guards") if model.guards else "") + (_part("strangers") if model.contrast is not None else "")
+    return _part("novelty", more=more, unused="" if more else "    (void)values;\n")
 
 
 def _answer(model: Model) -> str:
     low, high = model.sampling_rates
     if model.beam is not None:
         low, high = LOWEST_SHARE * low, 1e300
-    rates = {"lowest": repr(0.99 * low), "highest": repr(1.01 * high)}
-    own = parts.ANSWER % {"ones": ", ".join("1" for _ in model.labels), **rates}
-    measuring = parts.MEASURE_BODY if _bands(model) is not None else ""
-    return own + (parts.SETS_BODY if model.conformal is not None else "") + measuring
+    ones = ", ".join("1" for _ in model.labels)
+    own = _part("answer", ones=ones, lowest=repr(0.99 * low), highest=repr(1.01 * high))
+    measuring = _part("body of measure") if _bands(model) is not None else ""
+    return own + (_part("body of sets") if model.conformal is not None else "") + measuring
 
 
 # -- C as text --------------------------------------------------------------------------------------------
+
+
+def _part(name: str, **filled: object) -> str:
+    """Return a part of `export_c.c`, filled in."""
+    return _parts()[name] % filled if filled else _parts()[name]
+
+
+@cache
+def _parts() -> dict[str, str]:
+    text = (resources.files("cgid") / "export_c.c").read_text(encoding="ascii")
+    _, *found = re.split(r"^//: (.+)\n", text, flags=re.MULTILINE)
+    return dict(zip(found[::2], found[1::2], strict=True))
 
 
 def _comment(text: str) -> str:

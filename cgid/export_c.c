@@ -1,15 +1,11 @@
-"""The C of `cgid.export_c`: the functions of an exported model, and its program that reads a CSV."""
-
-from __future__ import annotations
-
-TYPES = """\
+/* The C of `cgid.export_c`, in parts that each follow a line with their name. An exported file has those parts that its
+   model needs; %(name)s is filled in where a part has it. */
+//: types
 #ifndef CGID_REAL
 #define CGID_REAL double
 #endif
 typedef CGID_REAL cgid_real;
-"""
-
-INTERFACE = """\
+//: interface
 /* The label of an impact that the model does not know: another label must not be given to it. */
 #define CGID_UNKNOWN (-1)
 
@@ -42,9 +38,7 @@ int cgid_covers(double sampling_rate);
 /* Return the number of wrong answers to a few impacts that cgid itself has answered: 0 if compiler, processor and
    options are sound. */
 int cgid_self_test(void);
-"""
-
-SETS = """\
+//: sets
 
 /* Coverages of the prediction sets. */
 #define CGID_N_COVERAGES %(n)d
@@ -54,17 +48,287 @@ extern const double cgid_coverages[CGID_N_COVERAGES];
    impacts like those of the training, this share of the sets holds the truth: for the mix of labels of the training,
    or with by_label = 1 for each label. Where too few impacts were left out for a limit, no label is ruled out. */
 int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held);
-"""
-
-MEASURE = """\
+//: measure
 
 /* Measure one frame of a vibration: n_samples in the unit of the model, of which the first pre_trigger precede the
    touch. Return 1, or 0 and values that are not numbers if it cannot be measured. Computes in double precision; its
    time grows with the number of samples times the number of bins of the spectrum up to the highest band. */
 int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, double sampling_rate, cgid_real *values);
-"""
+//: arithmetic
+#include <float.h>
+#include <math.h>
 
-MEASURE_BODY = """\
+#define CGID_JOIN_(a, b) a##b
+#define CGID_JOIN(a, b) CGID_JOIN_(a, b)
+#define CGID_BYTES_float 4
+#define CGID_BYTES_double 8
+#if CGID_JOIN(CGID_BYTES_, CGID_REAL) == 8
+#define CGID_EXP exp
+#define CGID_LOG log
+#define CGID_SQRT sqrt
+#define CGID_TANH tanh
+#define CGID_READ strtod
+#define CGID_TOLERANCE 1e-9
+#define CGID_LARGEST 100
+#define CGID_DIGITS 17
+#elif CGID_JOIN(CGID_BYTES_, CGID_REAL) == 4
+%(single)s#define CGID_EXP expf
+#define CGID_LOG logf
+#define CGID_SQRT sqrtf
+#define CGID_TANH tanhf
+#define CGID_READ strtof
+#define CGID_TOLERANCE 1e-3
+#define CGID_LARGEST 80
+#define CGID_DIGITS 9
+#else
+#error "CGID_REAL must be float or double"
+#endif
+//: standardise
+/* Take logarithms of the features that are always positive, then scale to zero mean and unit variance. */
+static void standardise(const cgid_real *values, int n, const unsigned char *logarithmic, const cgid_real *least,
+                        const cgid_real *mean, const cgid_real *scale, cgid_real *out)
+{
+    int i;
+    for (i = 0; i < n; i++) {
+        cgid_real value = values[i];
+        if (logarithmic[i]) {
+            value = CGID_LOG(value > least[i] ? value : least[i]);
+        }
+        out[i] = (value - mean[i]) / scale[i];
+    }
+}
+//: layer
+/* One layer of a network: out = x weights + biases, through tanh if it is hidden. */
+static void layer(const cgid_real *x, int n_inputs, const cgid_real *weights, const cgid_real *biases, int n_units,
+                  int hidden, cgid_real *out)
+{
+    int i, k;
+    for (k = 0; k < n_units; k++) {
+        out[k] = biases[k];
+    }
+    for (i = 0; i < n_inputs; i++) {
+        for (k = 0; k < n_units; k++) {
+            out[k] += x[i] * weights[i * n_units + k];
+        }
+    }
+    for (k = 0; hidden && k < n_units; k++) {
+        out[k] = CGID_TANH(out[k]);
+    }
+}
+//: scores of linear
+/* Linear in the features. */
+static void scores(const cgid_real *x, cgid_real *score)
+{
+    int i, k;
+    for (k = 0; k < N_SCORES; k++) {
+        score[k] = family_intercepts[k];
+        for (i = 0; i < CGID_N_INPUTS; i++) {
+            score[k] += family_coefficients[k * CGID_N_INPUTS + i] * x[i];
+        }
+    }
+}
+//: scores of logistic
+/* Linear in the features and their pairwise products. */
+static void scores(const cgid_real *x, cgid_real *score)
+{
+    const cgid_real *coefficient = family_coefficients;
+    int i, j, k;
+    for (k = 0; k < N_SCORES; k++) {
+        score[k] = family_intercepts[k];
+        for (i = 0; i < CGID_N_INPUTS; i++) {
+            score[k] += *coefficient++ * x[i];
+        }
+        for (i = 0; i < CGID_N_INPUTS; i++) {
+            for (j = i; j < CGID_N_INPUTS; j++) {
+                score[k] += *coefficient++ * (x[i] * x[j]);
+            }
+        }
+    }
+}
+//: scores of boosting
+/* Sums of decision trees. A leaf is its own child, and its number is its value; of other nodes it is a threshold. */
+static void scores(const cgid_real *x, cgid_real *score)
+{
+    int k, tree;
+    for (k = 0; k < N_SCORES; k++) {
+        score[k] = family_baseline[k];
+    }
+    for (tree = 0; tree < N_TREES; tree++) {
+        unsigned long node = family_roots[tree];
+        while (family_left[node] != node) {
+            node = x[family_feature[node]] <= family_number[node] ? family_left[node] : family_right[node];
+        }
+        score[family_columns[tree]] += family_number[node];
+    }
+}
+//: scores of network
+/* Two hidden layers. */
+static void scores(const cgid_real *x, cgid_real *score)
+{
+    cgid_real first[N_UNITS_1], second[N_UNITS_2];
+    layer(x, CGID_N_INPUTS, family_weights_1, family_biases_1, N_UNITS_1, 1, first);
+    layer(first, N_UNITS_1, family_weights_2, family_biases_2, N_UNITS_2, 1, second);
+    layer(second, N_UNITS_2, family_weights_3, family_biases_3, N_SCORES, 0, score);
+}
+//: probabilities
+/* Softmax of the scores over the temperature; return whether all probabilities are finite. */
+static int probabilities(const cgid_real *x, cgid_real *probability)
+{
+    cgid_real highest, sum = 0;
+    int k, finite = 1;
+    probability[0] = 0;
+    scores(x, probability + (CGID_N_LABELS - N_SCORES));
+    for (k = CGID_N_LABELS - N_SCORES; k < CGID_N_LABELS; k++) {
+        probability[k] /= temperature;
+    }
+    highest = probability[0];
+    for (k = 1; k < CGID_N_LABELS; k++) {
+        highest = probability[k] > highest ? probability[k] : highest;
+    }
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        probability[k] = CGID_EXP(probability[k] - highest);
+        sum += probability[k];
+    }
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        probability[k] /= sum;
+        finite = finite && isfinite(probability[k]);
+    }
+    return finite;
+}
+
+/* Mahalanobis distance to the nearest class over its limit. */
+static cgid_real distance(const cgid_real *x)
+{
+    cgid_real nearest = 0;
+    int i, j, k;
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        const cgid_real *row = neighbourhood_whitening + (k % N_WHITENINGS) * CGID_N_INPUTS * CGID_N_INPUTS;
+        cgid_real sum = 0;
+        for (i = 0; i < CGID_N_INPUTS; i++, row += CGID_N_INPUTS) {
+            cgid_real white = 0;
+            for (j = 0; j < CGID_N_INPUTS; j++) {
+                white += (x[j] - neighbourhood_centres[k * CGID_N_INPUTS + j]) * row[j];
+            }
+            sum += white * white;
+        }
+        /* A sum that is not a number stays the nearest, so that its impact is unknown. */
+        if (k == 0 || sum < nearest || isnan(sum)) {
+            nearest = sum;
+        }
+    }
+    return CGID_SQRT(nearest) / neighbourhood_limit;
+}
+//: contrast
+/* Novelty against anything else, by features and guards: that of strangers, or of noise. */
+static cgid_real contrast(const cgid_real *values)
+{
+    cgid_real x[N_CONTRASTED], score;
+    int i;
+    for (i = 0; i < N_CONTRASTED; i++) {
+        x[i] = values[i < N_FEATURES ? i : i - N_FEATURES + CGID_N_INPUTS];
+    }
+    standardise(x, N_CONTRASTED, contrast_logarithmic, contrast_floor, contrast_mean, contrast_scale, x);
+%(score)s    score = (score - contrast_limit) / contrast_spread;
+    return CGID_EXP(score > CGID_LARGEST ? (cgid_real)CGID_LARGEST : score);
+}
+//: contrast by a network
+    cgid_real first[N_CONTRAST_1], second[N_CONTRAST_2];
+    layer(x, N_CONTRASTED, contrast_weights_1, contrast_biases_1, N_CONTRAST_1, 1, first);
+    layer(first, N_CONTRAST_1, contrast_weights_2, contrast_biases_2, N_CONTRAST_2, 1, second);
+    layer(second, N_CONTRAST_2, contrast_weights_3, contrast_biases_3, 1, 0, &score);
+//: contrast by a line
+    layer(x, N_CONTRASTED, contrast_coefficients, contrast_intercepts, 1, 0, &score);
+//: novelty
+/* The largest of the distance, the guards over their limits, and the contrast; infinite beyond all numbers. */
+static cgid_real novelty(const cgid_real *values, const cgid_real *x)
+{
+    cgid_real most = distance(x);
+%(unused)s%(more)s    return isnan(most) ? (cgid_real)HUGE_VAL : most;
+}
+//: guards
+    for (int i = 0; i < N_GUARDS; i++) {
+        cgid_real guard = values[CGID_N_INPUTS + i] / guard_limits[i];
+        most = guard > most ? guard : most;
+    }
+//: strangers
+    cgid_real stranger = contrast(values);
+    most = stranger > most || isnan(stranger) ? stranger : most;
+//: answer
+static const cgid_real even_costs[CGID_N_LABELS] = {%(ones)s};
+
+int cgid_decide(const cgid_real *probability, const cgid_real *costs)
+{
+    int k, best = 0;
+    for (k = 1; k < CGID_N_LABELS; k++) {
+        if (probability[k] * costs[k] > probability[best] * costs[best]) {
+            best = k;
+        }
+    }
+    return best;
+}
+
+int cgid_covers(double sampling_rate)
+{
+    return sampling_rate >= %(lowest)s && sampling_rate <= %(highest)s;
+}
+
+cgid_status cgid_identify(const cgid_real *values, cgid_answer *answer)
+{
+    cgid_real x[CGID_N_INPUTS];
+    int i, finite = 1;
+    answer->label = CGID_UNKNOWN;
+    for (i = 0; i < CGID_N_VALUES; i++) {
+        finite = finite && isfinite(values[i]);
+    }
+    if (!finite) {
+        answer->novelty = (cgid_real)NAN;
+        for (i = 0; i < CGID_N_LABELS; i++) {
+            answer->probability[i] = (cgid_real)NAN;
+        }
+        return answer->status = CGID_UNMEASURED;
+    }
+    standardise(values, CGID_N_INPUTS, standardiser_logarithmic, standardiser_floor, standardiser_mean,
+                standardiser_scale, x);
+    finite = probabilities(x, answer->probability);
+    answer->novelty = novelty(values, x);
+    if (!finite) {
+        return answer->status = CGID_OVERFLOW;
+    }
+    if (!(answer->novelty <= 1)) {
+        return answer->status = CGID_OUTSIDE;
+    }
+    answer->label = cgid_decide(answer->probability, even_costs);
+    return answer->status = CGID_KNOWN;
+}
+
+int cgid_self_test(void)
+{
+    cgid_answer answer;
+    int i, k, wrong = 0;
+    for (i = 0; i < N_TESTS; i++) {
+        int same = 1;
+        cgid_identify(test_values + i * CGID_N_VALUES, &answer);
+        for (k = 0; k < CGID_N_LABELS; k++) {
+            double error = (double)answer.probability[k] - test_probabilities[i * CGID_N_LABELS + k];
+            same = same && fabs(error) <= CGID_TOLERANCE;
+        }
+        wrong += !same;
+    }
+    return wrong;
+}
+//: body of sets
+
+int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held)
+{
+    const double *limit = set_limits + ((by_label ? CGID_N_COVERAGES : 0) + coverage) * CGID_N_LABELS;
+    int k, n = 0;
+    for (k = 0; k < CGID_N_LABELS; k++) {
+        held[k] = 1.0 - (double)probability[k] <= limit[k];
+        n += held[k];
+    }
+    return n;
+}
+//: body of measure
 
 /* An impact in a frame: samples from the onset on, and what they are relative to. */
 typedef struct {
@@ -210,313 +474,7 @@ int cgid_measure(const cgid_real *samples, int n_samples, int pre_trigger, doubl
     }
     return 1;
 }
-"""
-
-ARITHMETIC = """\
-#include <float.h>
-#include <math.h>
-
-#define CGID_JOIN_(a, b) a##b
-#define CGID_JOIN(a, b) CGID_JOIN_(a, b)
-#define CGID_BYTES_float 4
-#define CGID_BYTES_double 8
-#if CGID_JOIN(CGID_BYTES_, CGID_REAL) == 8
-#define CGID_EXP exp
-#define CGID_LOG log
-#define CGID_SQRT sqrt
-#define CGID_TANH tanh
-#define CGID_READ strtod
-#define CGID_TOLERANCE 1e-9
-#define CGID_LARGEST 100
-#define CGID_DIGITS 17
-#elif CGID_JOIN(CGID_BYTES_, CGID_REAL) == 4
-%(single)s#define CGID_EXP expf
-#define CGID_LOG logf
-#define CGID_SQRT sqrtf
-#define CGID_TANH tanhf
-#define CGID_READ strtof
-#define CGID_TOLERANCE 1e-3
-#define CGID_LARGEST 80
-#define CGID_DIGITS 9
-#else
-#error "CGID_REAL must be float or double"
-#endif
-"""
-
-STANDARDISE = """\
-/* Take logarithms of the features that are always positive, then scale to zero mean and unit variance. */
-static void standardise(const cgid_real *values, int n, const unsigned char *logarithmic, const cgid_real *least,
-                        const cgid_real *mean, const cgid_real *scale, cgid_real *out)
-{
-    int i;
-    for (i = 0; i < n; i++) {
-        cgid_real value = values[i];
-        if (logarithmic[i]) {
-            value = CGID_LOG(value > least[i] ? value : least[i]);
-        }
-        out[i] = (value - mean[i]) / scale[i];
-    }
-}
-"""
-
-LAYER = """\
-/* One layer of a network: out = x weights + biases, through tanh if it is hidden. */
-static void layer(const cgid_real *x, int n_inputs, const cgid_real *weights, const cgid_real *biases, int n_units,
-                  int hidden, cgid_real *out)
-{
-    int i, k;
-    for (k = 0; k < n_units; k++) {
-        out[k] = biases[k];
-    }
-    for (i = 0; i < n_inputs; i++) {
-        for (k = 0; k < n_units; k++) {
-            out[k] += x[i] * weights[i * n_units + k];
-        }
-    }
-    for (k = 0; hidden && k < n_units; k++) {
-        out[k] = CGID_TANH(out[k]);
-    }
-}
-"""
-
-#: Family -> the C function `scores`: those of the classes, for two classes only that of the second.
-SCORES = {
-    "linear": """\
-/* Linear in the features. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    int i, k;
-    for (k = 0; k < N_SCORES; k++) {
-        score[k] = family_intercepts[k];
-        for (i = 0; i < CGID_N_INPUTS; i++) {
-            score[k] += family_coefficients[k * CGID_N_INPUTS + i] * x[i];
-        }
-    }
-}
-""",
-    "logistic": """\
-/* Linear in the features and their pairwise products. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    const cgid_real *coefficient = family_coefficients;
-    int i, j, k;
-    for (k = 0; k < N_SCORES; k++) {
-        score[k] = family_intercepts[k];
-        for (i = 0; i < CGID_N_INPUTS; i++) {
-            score[k] += *coefficient++ * x[i];
-        }
-        for (i = 0; i < CGID_N_INPUTS; i++) {
-            for (j = i; j < CGID_N_INPUTS; j++) {
-                score[k] += *coefficient++ * (x[i] * x[j]);
-            }
-        }
-    }
-}
-""",
-    "boosting": """\
-/* Sums of decision trees. A leaf is its own child, and its number is its value; of other nodes it is a threshold. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    int k, tree;
-    for (k = 0; k < N_SCORES; k++) {
-        score[k] = family_baseline[k];
-    }
-    for (tree = 0; tree < N_TREES; tree++) {
-        unsigned long node = family_roots[tree];
-        while (family_left[node] != node) {
-            node = x[family_feature[node]] <= family_number[node] ? family_left[node] : family_right[node];
-        }
-        score[family_columns[tree]] += family_number[node];
-    }
-}
-""",
-    "network": """\
-/* Two hidden layers. */
-static void scores(const cgid_real *x, cgid_real *score)
-{
-    cgid_real first[N_UNITS_1], second[N_UNITS_2];
-    layer(x, CGID_N_INPUTS, family_weights_1, family_biases_1, N_UNITS_1, 1, first);
-    layer(first, N_UNITS_1, family_weights_2, family_biases_2, N_UNITS_2, 1, second);
-    layer(second, N_UNITS_2, family_weights_3, family_biases_3, N_SCORES, 0, score);
-}
-""",
-}
-
-PROBABILITIES = """\
-/* Softmax of the scores over the temperature; return whether all probabilities are finite. */
-static int probabilities(const cgid_real *x, cgid_real *probability)
-{
-    cgid_real highest, sum = 0;
-    int k, finite = 1;
-    probability[0] = 0;
-    scores(x, probability + (CGID_N_LABELS - N_SCORES));
-    for (k = CGID_N_LABELS - N_SCORES; k < CGID_N_LABELS; k++) {
-        probability[k] /= temperature;
-    }
-    highest = probability[0];
-    for (k = 1; k < CGID_N_LABELS; k++) {
-        highest = probability[k] > highest ? probability[k] : highest;
-    }
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        probability[k] = CGID_EXP(probability[k] - highest);
-        sum += probability[k];
-    }
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        probability[k] /= sum;
-        finite = finite && isfinite(probability[k]);
-    }
-    return finite;
-}
-
-/* Mahalanobis distance to the nearest class over its limit. */
-static cgid_real distance(const cgid_real *x)
-{
-    cgid_real nearest = 0;
-    int i, j, k;
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        const cgid_real *row = neighbourhood_whitening + (k % N_WHITENINGS) * CGID_N_INPUTS * CGID_N_INPUTS;
-        cgid_real sum = 0;
-        for (i = 0; i < CGID_N_INPUTS; i++, row += CGID_N_INPUTS) {
-            cgid_real white = 0;
-            for (j = 0; j < CGID_N_INPUTS; j++) {
-                white += (x[j] - neighbourhood_centres[k * CGID_N_INPUTS + j]) * row[j];
-            }
-            sum += white * white;
-        }
-        /* A sum that is not a number stays the nearest, so that its impact is unknown. */
-        if (k == 0 || sum < nearest || isnan(sum)) {
-            nearest = sum;
-        }
-    }
-    return CGID_SQRT(nearest) / neighbourhood_limit;
-}
-"""
-
-CONTRAST = """\
-/* Novelty against anything else, by features and guards: that of strangers, or of noise. */
-static cgid_real contrast(const cgid_real *values)
-{
-    cgid_real x[N_CONTRASTED], score;
-    int i;
-    for (i = 0; i < N_CONTRASTED; i++) {
-        x[i] = values[i < N_FEATURES ? i : i - N_FEATURES + CGID_N_INPUTS];
-    }
-    standardise(x, N_CONTRASTED, contrast_logarithmic, contrast_floor, contrast_mean, contrast_scale, x);
-%(score)s    score = (score - contrast_limit) / contrast_spread;
-    return CGID_EXP(score > CGID_LARGEST ? (cgid_real)CGID_LARGEST : score);
-}
-"""
-
-CONTRAST_NETWORK = """\
-    cgid_real first[N_CONTRAST_1], second[N_CONTRAST_2];
-    layer(x, N_CONTRASTED, contrast_weights_1, contrast_biases_1, N_CONTRAST_1, 1, first);
-    layer(first, N_CONTRAST_1, contrast_weights_2, contrast_biases_2, N_CONTRAST_2, 1, second);
-    layer(second, N_CONTRAST_2, contrast_weights_3, contrast_biases_3, 1, 0, &score);
-"""
-
-CONTRAST_LINE = "    layer(x, N_CONTRASTED, contrast_coefficients, contrast_intercepts, 1, 0, &score);\n"
-
-NOVELTY = """\
-/* The largest of the distance, the guards over their limits, and the contrast; infinite beyond all numbers. */
-static cgid_real novelty(const cgid_real *values, const cgid_real *x)
-{
-    cgid_real most = distance(x);
-%(unused)s%(more)s    return isnan(most) ? (cgid_real)HUGE_VAL : most;
-}
-"""
-
-GUARDS = """\
-    for (int i = 0; i < N_GUARDS; i++) {
-        cgid_real guard = values[CGID_N_INPUTS + i] / guard_limits[i];
-        most = guard > most ? guard : most;
-    }
-"""
-
-STRANGERS = """\
-    cgid_real stranger = contrast(values);
-    most = stranger > most || isnan(stranger) ? stranger : most;
-"""
-
-ANSWER = """\
-static const cgid_real even_costs[CGID_N_LABELS] = {%(ones)s};
-
-int cgid_decide(const cgid_real *probability, const cgid_real *costs)
-{
-    int k, best = 0;
-    for (k = 1; k < CGID_N_LABELS; k++) {
-        if (probability[k] * costs[k] > probability[best] * costs[best]) {
-            best = k;
-        }
-    }
-    return best;
-}
-
-int cgid_covers(double sampling_rate)
-{
-    return sampling_rate >= %(lowest)s && sampling_rate <= %(highest)s;
-}
-
-cgid_status cgid_identify(const cgid_real *values, cgid_answer *answer)
-{
-    cgid_real x[CGID_N_INPUTS];
-    int i, finite = 1;
-    answer->label = CGID_UNKNOWN;
-    for (i = 0; i < CGID_N_VALUES; i++) {
-        finite = finite && isfinite(values[i]);
-    }
-    if (!finite) {
-        answer->novelty = (cgid_real)NAN;
-        for (i = 0; i < CGID_N_LABELS; i++) {
-            answer->probability[i] = (cgid_real)NAN;
-        }
-        return answer->status = CGID_UNMEASURED;
-    }
-    standardise(values, CGID_N_INPUTS, standardiser_logarithmic, standardiser_floor, standardiser_mean,
-                standardiser_scale, x);
-    finite = probabilities(x, answer->probability);
-    answer->novelty = novelty(values, x);
-    if (!finite) {
-        return answer->status = CGID_OVERFLOW;
-    }
-    if (!(answer->novelty <= 1)) {
-        return answer->status = CGID_OUTSIDE;
-    }
-    answer->label = cgid_decide(answer->probability, even_costs);
-    return answer->status = CGID_KNOWN;
-}
-
-int cgid_self_test(void)
-{
-    cgid_answer answer;
-    int i, k, wrong = 0;
-    for (i = 0; i < N_TESTS; i++) {
-        int same = 1;
-        cgid_identify(test_values + i * CGID_N_VALUES, &answer);
-        for (k = 0; k < CGID_N_LABELS; k++) {
-            double error = (double)answer.probability[k] - test_probabilities[i * CGID_N_LABELS + k];
-            same = same && fabs(error) <= CGID_TOLERANCE;
-        }
-        wrong += !same;
-    }
-    return wrong;
-}
-"""
-
-SETS_BODY = """\
-
-int cgid_prediction_set(const cgid_real *probability, int coverage, int by_label, unsigned char *held)
-{
-    const double *limit = set_limits + ((by_label ? CGID_N_COVERAGES : 0) + coverage) * CGID_N_LABELS;
-    int k, n = 0;
-    for (k = 0; k < CGID_N_LABELS; k++) {
-        held[k] = 1.0 - (double)probability[k] <= limit[k];
-        n += held[k];
-    }
-    return n;
-}
-"""
-
-MAIN = r"""
+//: main
 #ifdef CGID_MAIN
 /* Read a CSV of impacts, from a file or the standard input, and print one answer a line. A first line of names, such
    as `cgid features` prints, says which columns hold the values; without it they come in the order of cgid_values. */
@@ -692,4 +650,3 @@ int main(int argc, char **argv)
     return fflush(stdout) && !code ? 74 : code;
 }
 #endif
-"""
