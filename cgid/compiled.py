@@ -94,12 +94,7 @@ def _compiled(function: Function, options: dict[str, Any]) -> Function:
 class KernelCache(NullCache):
     """Cache of the compiled forms of one function, in the interface that numba expects.
 
-    Parameters
-    ----------
-    function : callable
-        The Python function.
-    folder : callable
-        Returns the folder of the files, or None if there is none; called when something is compiled.
+    `folder` returns the folder of the files, or None if there is none; it is called when something is compiled.
     """
 
     def __init__(self, function: Callable[..., Any], folder: Callable[[], Path | None]) -> None:
@@ -156,13 +151,7 @@ def kernel_folder() -> Path | None:
 
 
 def digest(package: Path) -> str:
-    """Return a digest of the kernels' sources and the libraries' versions: 16 hexadecimal digits.
-
-    Parameters
-    ----------
-    package : Path
-        The folder that contains the `SOURCES`.
-    """
+    """Return a digest of the kernels' sources in a folder and the libraries' versions: 16 hexadecimal digits."""
     versions = (sys.implementation.cache_tag, np.__version__, numba.__version__, llvmlite.__version__)
     found = hashlib.sha256(repr(versions).encode())
     for name in SOURCES:

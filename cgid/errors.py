@@ -52,12 +52,9 @@ class MissingExtra(CgidError, ImportError):
 
 
 def optional(module: str, needs: str, extra: str, *, name: str = "", cure: str = "") -> Any:
-    """Import a library that an extra of cgid installs.
+    """Return a library that an extra of cgid installs.
 
-    Raises
-    ------
-    MissingExtra
-        It is not installed, or cannot be loaded: "`needs` `name`, which is not installed: pip install ...`cure`".
+    Raises `MissingExtra` if it cannot be loaded: "`needs` `name`, which is not installed: pip install ...`cure`".
     """
     try:
         return import_module(module)

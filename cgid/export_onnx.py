@@ -56,26 +56,11 @@ class _Graph:
 
 
 def onnx_bytes(model: Model) -> bytes:
-    """Return the content of an ONNX file that answers like the model.
+    """Return the content of an ONNX file that answers like the model; its metadata hold labels, names, unit and digest.
 
     Its input is `values`, float64 (n, n_values): those of `Model.inputs`, then the guards. Its outputs are
     `probabilities` (n, n_labels), `novelty` (n,) and `label`, int64 (n,): the number of the label, or -1 for unknown.
-
-    Parameters
-    ----------
-    model : Model
-
-    Returns
-    -------
-    bytes
-        The metadata of the file hold the labels, the names of the values, their unit and the SHA-256 of the model.
-
-    Raises
-    ------
-    MissingExtra
-        The library onnx is not installed.
-    InvalidValue
-        The model has too many numbers.
+    Raises `MissingExtra` without the library onnx, `InvalidValue` if the model has too many numbers.
     """
     optional("onnx", "ONNX needs", "onnx")
     from onnx import TensorProto, checker, helper, numpy_helper

@@ -39,13 +39,9 @@ CONTACT, CUT = 2 * SEGMENTS * POWERS, 2 * SEGMENTS * POWERS + 1
 class FamilyTable:
     """Coefficients of polynomials in the place within an interval of ln e (-1 to 1), lowest order first.
 
-    Attributes
-    ----------
-    force, displacement : ndarray, (INTERVALS, ORDERS, CUT + 1)
-        Columns: the local polynomials of both halves (from touch, from separation), segment by segment, lowest power
-        first, then contact time and time of the cut.
-    times : ndarray, (INTERVALS, n_time_orders, 3)
-        Contact time, time of the peak force, time of the largest displacement.
+    `force` and `displacement` (INTERVALS, ORDERS, CUT + 1) are the local polynomials of both halves (from touch, from
+    separation), segment by segment, lowest power first, then contact time and time of the cut. `times` (INTERVALS,
+    n_time_orders, 3) are contact time, time of the peak force, time of the largest displacement.
     """
 
     force: Floats
@@ -73,17 +69,9 @@ def coordinate(restitution: ArrayLike) -> Floats:
 
 
 def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Return contact time, time of peak force and time of largest displacement.
+    """Return contact time, time of peak force and time of largest displacement, in units of T0 = L / v.
 
-    Parameters
-    ----------
-    restitution : array_like
-        Within `LOWEST_RESTITUTION` and 1.
-
-    Returns
-    -------
-    tuple of ndarray
-        Dimensionless, in units of T0 = L / v, each of the shape of `restitution`.
+    Each has the shape of `restitution`, within `LOWEST_RESTITUTION` and 1.
 
     Examples
     --------
@@ -96,19 +84,9 @@ def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
 
 
 def force(tau: ArrayLike, restitution: ArrayLike) -> Floats:
-    """Return the dimensionless force f(tau; e), zero outside contact.
+    """Return the dimensionless force f(tau; e) in units of `K L^(3/2)`, (..., n_times), zero outside contact.
 
-    Parameters
-    ----------
-    tau : array_like, (..., n_times)
-        Time since touch in units of T0.
-    restitution : array_like, (...)
-        One number for each row of `tau`.
-
-    Returns
-    -------
-    ndarray, (..., n_times)
-        In units of `K L^(3/2)`.
+    `tau` (..., n_times) is the time since touch in units of T0, `restitution` (...) one number for each row of it.
     """
     return _evaluate(table().force, 3, tau, restitution)
 

@@ -22,29 +22,10 @@ __all__ = ["Outlets"]
 class Outlets:
     """Everything that receives the answers of one `cgid monitor`; use as a context, which starts and ends it.
 
-    Parameters
-    ----------
-    mqtt : str, optional
-        mqtt://HOST[:PORT]/TOPIC, or mqtts:// with TLS.
-    modbus, prometheus : str, optional
-        HOST:PORT to listen on; without HOST, this machine alone.
-    live : str, optional
-        HOST:PORT of the page, or the name of a file for it (.html).
-    on_shut, on_open : str, optional
-        Commands; no shell runs them.
-    warn : callable
-        Prints a line about an outlet; called from several threads.
-
-    Raises
-    ------
-    InvalidValue
-        An address or a command is none.
-    MissingExtra
-        The library of an outlet is not installed.
-    CannotCreate
-        A port is in use, or the file of the page cannot be written.
-    NoInput, BadData
-        A file with a password or a certificate cannot be read.
+    The arguments are the options of that name; `warn` prints a line about an outlet, and is called from several
+    threads. Raises `InvalidValue` for an address or a command that is none, `MissingExtra` without the library of an
+    outlet, `CannotCreate` if a port is in use or the page cannot be written, `NoInput` or `BadData` if a file with a
+    password or a certificate cannot be read.
     """
 
     def __init__(

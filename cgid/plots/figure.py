@@ -33,13 +33,7 @@ _CHINESE = ("Noto Sans CJK SC", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQ
 
 
 def require_matplotlib() -> Any:
-    """Return matplotlib's Figure class, which draws without a screen.
-
-    Raises
-    ------
-    MissingExtra
-        matplotlib is not installed.
-    """
+    """Return matplotlib's Figure class, which draws without a screen; raises `MissingExtra` without matplotlib."""
     return optional("matplotlib.figure", "pictures need", "plot", name="matplotlib").Figure
 
 
