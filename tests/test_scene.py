@@ -20,7 +20,7 @@ from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.distributions import LARGEST_UNIFORM, LIMITS, SMALLEST_UNIFORM, Distribution, measured
 from cgid.scene.draws import generator, uniforms
-from cgid.scene.impacts import SHAPES, draw
+from cgid.scene.impacts import SHAPES, draw, draws
 from cgid.scene.recordings import require_capacity
 from cgid.scene.schema import samples_of
 from cgid.scene.stream import record
@@ -619,6 +619,20 @@ def drawn():
 def test_labels_of_reference_come_alike(drawn):
     n_coal, n = drawn["coal"]["radius"].size, 120 * 256
     assert abs(n_coal - n / 2) < 4 * np.sqrt(n / 4)
+
+
+@pytest.mark.parametrize("name", ["reference", "rock", "strangers", "randomised", "tail_beam"])
+def test_blocks_drawn_together_are_those_drawn_one_by_one(name):
+    scene = load_scene(DATASETS / f"{name}.toml")
+    n_blocks = 2 if scene.tail_beam else 19
+    alone, together = [draw(scene, 7, block) for block in range(n_blocks)], list(draws(scene, 7, n_blocks))
+    assert (len(together) < n_blocks) == (name in ("reference", "rock", "strangers"))
+    for names in ("labels", "specimen"):
+        one, other = (np.concatenate([getattr(blows, names) for blows in these]) for these in (alone, together))
+        np.testing.assert_array_equal(one, other)
+    for key in alone[0].parameters:
+        one, other = (np.concatenate([blows.parameters[key] for blows in these]) for these in (alone, together))
+        np.testing.assert_array_equal(one, other)
 
 
 def truncated_normal(mean, deviation, lowest, highest):

@@ -8,7 +8,6 @@ peak, duration and (if unknown) onset. The density of the pulses comes from many
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -23,10 +22,9 @@ from cgid.errors import InvalidValue
 from cgid.identification.prior import Prior
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Profile, profile
-from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import draw
+from cgid.scene.impacts import draws
 from cgid.signals import Batch
 from cgid.validation import Floats
 
@@ -314,9 +312,7 @@ def _population_alone(scene: Scene, index: int) -> str:
 def _draws(text: str, n_draws: int) -> dict[str, Floats]:
     scene = parse_scene(json.loads(text))
     names = ("peak_force", "contact_duration", "restitution", "velocity")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", HertzRangeWarning)
-        blocks = [draw(scene, _PRIOR_SEED, block).parameters for block in range(n_draws // BLOCK)]
+    blocks = [one.parameters for one in draws(scene, _PRIOR_SEED, n_draws // BLOCK)]
     return {name: np.concatenate([block[name] for block in blocks]) for name in names}
 
 

@@ -9,7 +9,6 @@ bound: estimates may be biased, faint blows are not linear, and a pulse stands f
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -24,7 +23,6 @@ from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import respond
 from cgid.measure.template import curve
-from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import Blows, draw
@@ -219,9 +217,7 @@ class BeamErrors:
         -------
         Pulses
         """
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", HertzRangeWarning)
-            blows = draw(self.scene, seed, block)
+        blows = draw(self.scene, seed, block)
         values, width, shape, apart = blows.parameters, np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
         for strike in blows.strikes:
             rows = strike.rows

@@ -31,10 +31,9 @@ from cgid.measure.features import extract_array
 from cgid.measure.pulses import PULSE_FEATURES
 from cgid.measure.table import Feature
 from cgid.measure.vibration import Beam
-from cgid.physics import HertzRangeWarning
 from cgid.scene import Scene, synthesise
 from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import draw
+from cgid.scene.impacts import draws
 from cgid.validation import Floats
 
 #: Features whose logarithms are the inputs of the learner.
@@ -307,15 +306,12 @@ def _measured(scene: Scene, look: _Look, n_signals: int, seed: int, progress: Ca
 def _exact(scene: Scene, n_draws: int, seed: int, drop_height_known: bool) -> _Rows:
     """Return what the exact pulses of impacts tell."""
     rows, labels = [], []
-    for block in range(-(-n_draws // BLOCK)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", HertzRangeWarning)
-            drawn = draw(scene, seed, block)
+    for drawn in draws(scene, seed, -(-n_draws // BLOCK)):
         values = drawn.parameters
         mass = values["density"] * values["radius"] ** 3 * values.get("effective_mass", 1.0)
         impulse = mass * values["velocity"] * (1 + values["restitution"])  # up to a constant
         columns = [np.log(values[name]) for name in _PULSE]
-        columns += [np.log(impulse), values.get("dissipation", np.zeros(BLOCK))]
+        columns += [np.log(impulse), values.get("dissipation", np.zeros(impulse.size))]
         columns += [np.nan_to_num(values[name]) for name in _OPTIONAL if name in values]
         if drop_height_known:
             columns.append(np.log(values["velocity"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ import numpy as np
 from cgid.ceiling.bayes import ceilings, check_covered
 from cgid.errors import BadData
 from cgid.scene import Scene, varied
-from cgid.scene.impacts import draw
+from cgid.scene.impacts import draws
 from cgid.scene.sections import Population
 from cgid.validation import Floats
 
@@ -196,9 +195,7 @@ def untrusted(scene: Scene) -> str:
 
 
 def _contacts(scene: Scene) -> tuple[Floats, Floats]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # `cgid check` reports how often Hertz's range is left
-        drawn = [draw(scene, 0, block).parameters for block in range(_BLOCKS)]
+    drawn = [one.parameters for one in draws(scene, 0, _BLOCKS)]
     peak, duration = (np.concatenate([d[name] for d in drawn]) for name in ("peak_force", "contact_duration"))
     return peak, duration
 

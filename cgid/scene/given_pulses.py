@@ -40,7 +40,7 @@ from cgid.scene.draws import (
 from cgid.scene.impacts import Blows, Strike
 from cgid.scene.plan import Plan, plan
 from cgid.scene.schema import Scene
-from cgid.scene.synthesis import batch_of, require_frames
+from cgid.scene.synthesis import batch_of, make_frames, require_frames
 from cgid.signals import Batch
 from cgid.validation import Floats
 
@@ -126,7 +126,8 @@ def synthesise_given(
         rows = np.minimum(np.arange(first, first + BLOCK), n - 1)
         part = {name: values[rows] for name, values in known.items()}
         blows = _blows(asked, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
-        yield batch_of(scene, blows, seed, first // BLOCK, slice(0, min(n - first, BLOCK)))
+        frames = make_frames(blows, seed, first // BLOCK, dtype)
+        yield batch_of(scene, blows, frames, slice(0, min(n - first, BLOCK)))
 
 
 def _known(parameters: Mapping[str, ArrayLike], scene: Scene, n: int) -> dict[str, Floats]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice
+from itertools import islice, pairwise, starmap
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
-from cgid.scene.draws import BLOCK, drawn_block, parameter_units
+from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Blows, blows_of, impacts_by_coupling, impacts_of
 from cgid.scene.noise import HIGHEST_NOISE, add_sensor_noise, background_of
@@ -23,8 +23,8 @@ from cgid.signals import Batch
 from cgid.store import Rows
 from cgid.validation import Floats
 
-#: Blocks measured at once, to share the overhead of the fit.
-_TOGETHER = 4
+#: Blocks drawn and measured at once, to share the overhead, and most samples of their frames (16 MB).
+_TOGETHER, _MOST_SAMPLES = 4, 1 << 22
 
 
 def synthesise(
@@ -68,15 +68,25 @@ def synthesise(
     asked = plan(scene, output, dtype=dtype)
     if not asked.kept:
         raise InvalidValue(f"output must be frames or pulses where signals are wanted, got {output}")
-    for block, part in blocks(n_signals, first):
-        yield batch_of(scene, blows_of(asked, seed, block), seed, block, part)
+    together = min(_TOGETHER, max(_MOST_SAMPLES // (BLOCK * scene.sampling.samples), 1))
+    for block, part in blocks(n_signals, first, at_once(scene, together)):
+        blows = _blows_of(asked, seed, block, part)
+        frames = make_frames(blows, seed, block, asked.dtype)
+        edges = [part.start, *range(part.start // BLOCK * BLOCK + BLOCK, part.stop, BLOCK), part.stop]
+        for one in starmap(slice, pairwise(edges)):
+            yield batch_of(scene, blows, frames, one)
 
 
-def blocks(n_signals: int, first: int) -> Iterator[tuple[int, slice]]:
-    """Yield the blocks that hold these signals, and the slice of each."""
+def blocks(n_signals: int, first: int, n_blocks: int = 1) -> Iterator[tuple[int, slice]]:
+    """Yield the first of every so many blocks that hold these signals, and the slice of their rows."""
     last = first + n_signals
-    for block in range(first // BLOCK, (last - 1) // BLOCK + 1):
-        yield block, slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, BLOCK))
+    for block in range(first // BLOCK, (last - 1) // BLOCK + 1, n_blocks):
+        yield block, slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, n_blocks * BLOCK))
+
+
+def _blows_of(asked: Plan, seed: int, block: int, part: slice) -> Blows:
+    """Return the pulses of the blocks that hold these rows, counted from the first of them."""
+    return blows_of(asked, seed, block, -(-part.stop // BLOCK))
 
 
 def require_count(n_signals: int, first: int) -> None:
@@ -94,11 +104,11 @@ def require_frames(scene: Scene) -> None:
         )
 
 
-def batch_of(scene: Scene, blows: Blows, seed: int, block: int, part: slice) -> Batch:
-    """Return some signals of one block of a scene, with labels, parameters and specimens."""
+def batch_of(scene: Scene, blows: Blows, frames: NDArray[Any], part: slice) -> Batch:
+    """Return some of these signals of a scene, (n_signals, n_samples), with labels, parameters and specimens."""
     asked = blows.plan
     return Batch(
-        signals=make_frames(blows, seed, block, asked.dtype)[part],
+        signals=frames[part],
         labels=blows.labels[part],
         sampling_rate=blows.scene.sampling.sampling_rate,
         unit=scene.sensor.unit if asked.sensed else "N",
@@ -110,14 +120,17 @@ def batch_of(scene: Scene, blows: Blows, seed: int, block: int, part: slice) -> 
 
 
 def make_frames(blows: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block: pulses, bandwidth, noise, background, clipping, range and bits, as planned."""
+    """Return the frames of one block, or of several from it on.
+
+    They hold pulses, bandwidth, noise, background, clipping, range and bits, as planned.
+    """
     return make_beginnings(blows, seed, block, dtype, blows.scene.sampling.samples)[0]
 
 
 def make_beginnings(
     blows: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
-    """Return the first samples of the frames of one block, (n_signals, n_samples), and upper bounds of the rest.
+    """Return the first samples of frames, (n_signals, n_samples), as of `make_frames`, and upper bounds of the rest.
 
     The samples equal those of the whole frames to the last bit. All contacts must end within them or begin after the
     frame. The bounds are in the unit of the signals.
@@ -138,12 +151,14 @@ def make_beginnings(
         peak = np.abs(frames).max(axis=1).astype(np.float64)
     if asked.runs("noise"):
         level = sensor.noise_level(peak, rate)
-        add_sensor_noise(frames, level, blows.scene, seed, block)
+        for number, own in _by_block(n_signals):
+            add_sensor_noise(frames[own], level[own], blows.scene, seed, block + number)
         highest_behind += HIGHEST_NOISE * level
     background = background_of(blows.scene) if asked.runs("background") else None
     if background is not None:
         count("background_samples", frames.size)
-        frames += background.in_frames(seed, block, frames.shape[1], peak).astype(frames.dtype)
+        for number, own in _by_block(n_signals):
+            frames[own] += background.in_frames(seed, block + number, frames.shape[1], peak[own]).astype(frames.dtype)
     count("frames", n_signals)
     count("frame_samples", frames.size)
     if asked.runs("clipping"):
@@ -154,6 +169,11 @@ def make_beginnings(
         sensor.digitise(frames, rate, peak)
         highest_behind += _digitised_by(sensor, rate, peak, n_samples, sampling.samples)
     return frames, highest_behind
+
+
+def _by_block(n_signals: int) -> Iterator[tuple[int, slice]]:
+    """Yield the numbers of blocks, from 0 on, and their rows."""
+    return ((number, slice(first, first + BLOCK)) for number, first in enumerate(range(0, n_signals, BLOCK)))
 
 
 def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int, n_samples: int) -> Floats:
@@ -183,17 +203,18 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
         )
     if asked.runs("features"):
         return _measured(asked, n_signals, seed, first)
-    return (_untimed(asked, seed, block, part) for block, part in blocks(n_signals, first))
+    several = blocks(n_signals, first, at_once(asked.scene, _TOGETHER))
+    return (_untimed(asked, seed, block, part) for block, part in several)
 
 
 def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
     """Return the columns that need no pulse."""
-    drawn = drawn_block(asked.scene, seed, block)
-    here = asked.for_block(drawn.scene)
-    rate = np.full(BLOCK, drawn.scene.sampling.sampling_rate)
+    drawn = drawn_block(asked.scene, seed, block, -(-part.stop // BLOCK))
+    here, n = asked.for_block(drawn.scene), drawn.labels.size
+    rate = np.full(n, drawn.scene.sampling.sampling_rate)
     values = drawn.values | {"asked_restitution": drawn.values["restitution"], "sampling_rate": rate}
     for name in asked.quantities:
-        values[name] = drawn.values[name].copy() if name in OF_TAPS else np.full(BLOCK, np.nan)
+        values[name] = drawn.values[name].copy() if name in OF_TAPS else np.full(n, np.nan)
     if here.runs("impacts") and drawn.fallen.size:
         with unwarned():
             for own, impact in impacts_of(here, drawn.values, drawn.fallen):
@@ -223,8 +244,9 @@ def _beginning(blows: Blows) -> int:
 def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
     """Yield features; blocks with the same sampling rate are measured together."""
     together = 1 if asked.scene.draws("sampling_rate") else _TOGETHER
-    drawn = ((block, part, blows_of(asked, seed, block)) for block, part in blocks(n_signals, first))
-    while several := list(islice(drawn, together)):
+    n_blocks = at_once(asked.scene, together)
+    drawn = ((block, part, _blows_of(asked, seed, block, part)) for block, part in blocks(n_signals, first, n_blocks))
+    while several := list(islice(drawn, together // n_blocks)):
         yield _features(asked, seed, several)
 
 

@@ -18,7 +18,7 @@ from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import BeamModes, beam_modes, blows_of, draw
 from cgid.scene.plan import highest_frequency, plan
 from cgid.scene.schema import Scene, parse_scene
-from cgid.scene.synthesis import batch_of, blocks, require_count, require_frames
+from cgid.scene.synthesis import batch_of, blocks, make_frames, require_count, require_frames
 from cgid.signals import Batch
 from cgid.validation import Floats
 
@@ -194,10 +194,10 @@ def recorded_together(
     require_frames(scene)
     plans = [plan(moved(scene, point), "frames") for point in sensors]
     for block, part in blocks(n_signals, 0):
-        batches = [
-            batch_of(asked.scene, blows_of(asked, seed, block), (seed + number * _NOISE_APART) % 2**63, block, part)
-            for number, asked in enumerate(plans)
-        ]
+        batches = []
+        for number, asked in enumerate(plans):
+            blows, noise_seed = blows_of(asked, seed, block), (seed + number * _NOISE_APART) % 2**63
+            batches.append(batch_of(asked.scene, blows, make_frames(blows, noise_seed, block, asked.dtype), part))
         yield replace(batches[0], signals=np.stack([batch.signals for batch in batches], axis=1), source=scene.sha256)
 
 

@@ -19,7 +19,7 @@ from cgid.measure.template import relative_times
 from cgid.physics import HertzRangeWarning, Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene import Scene
-from cgid.scene.impacts import blows_of, impacts_by_coupling, impacts_of
+from cgid.scene.impacts import draws, impacts_by_coupling, impacts_of
 from cgid.scene.plan import Plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.through_beam import beam_of, whole_beam
@@ -100,10 +100,8 @@ _Pulses = list[tuple[NDArray[np.intp], Impact | ModalImpact]]
 
 def _frames(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
     """Yield the impacts of frames, block by block, and their pulses."""
-    asked, labels = Plan(scene=scene, kind="pulses"), {label: k for k, label in enumerate(scene.labels)}
-    block = 0
-    while True:
-        blows = blows_of(asked, _SEED, block)
+    labels = {label: k for k, label in enumerate(scene.labels)}
+    for blows in draws(scene, _SEED):
         group = np.array([labels[str(one)] for one in blows.labels])
         values = {**blows.parameters, "group": group}
         struck = np.isfinite(values["radius"])
@@ -114,7 +112,6 @@ def _frames(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
         ]
         values["struck"] = struck
         yield values, pulses
-        block += 1
 
 
 def _stream(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
