@@ -3,7 +3,8 @@
     python benchmarks/budget.py [SCENE] [--signals N]
     python benchmarks/budget.py --skipping 100000       # that work which a scene does not need is skipped
 
-Every stage is timed alone on the same blocks of 256 signals of the scene: one thread, best of several rounds. The last
+Every stage is timed alone on the same blocks of 256 signals of the scene, of which four are drawn at once as in
+`synthesise`: one thread, best of several rounds. The last
 column is its share of the time to make a signal. Prints Markdown.
 
 `--skipping` prints, for some signals of each scene, the work done for the requested outputs against that for all; and
@@ -29,8 +30,8 @@ from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.filters import fft_filter
 from cgid.physics import HertzRangeWarning
 from cgid.scene import generate, load_scene
-from cgid.scene.draws import BLOCK
-from cgid.scene.impacts import blows_of, draw
+from cgid.scene.draws import BLOCK, at_once
+from cgid.scene.impacts import blows_of
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
 from cgid.scene.synthesis import columns_of, make_frames, synthesise
@@ -108,7 +109,8 @@ def main() -> None:
     warnings.simplefilter("ignore", HertzRangeWarning)
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
-    drawn = blows_of(plan(scene), 0, 0)
+    asked, together = plan(scene), at_once(scene, 4)
+    drawn = blows_of(asked, 0, 0)
     frames = make_frames(drawn, 0, 0, np.float32)
     peak = drawn.parameters["peak_force"]
     silence, level = np.zeros_like(frames), scene.sensor.noise_level(peak, rate)
@@ -121,7 +123,7 @@ def main() -> None:
         return lambda: extract_array(frames, rate, names or None, pre_trigger=pre_trigger, invalid="nan")
 
     making = {
-        "parameters": lambda: draw(scene, 0, 0),
+        "parameters": lambda: blows_of(asked, 0, 0, together),
         "pulse": lambda: drawn.add_to_frames(frames),
         "noise": lambda: add_noise(silence, level, 0, 0),
         "sensor (range, bits; nothing when off)": lambda: scene.sensor.digitise(frames, rate, peak),
@@ -135,6 +137,7 @@ def main() -> None:
         "probabilities and novelty": lambda: (model.probabilities(features), model.novelty(features, guards)),
     }
     cost = {name: microseconds(work, BLOCK) for name, work in (making | using).items()}
+    cost["parameters"] /= together
     # The signals of a batch share the overhead of the fit.
     many = np.concatenate([batch.signals for batch in synthesise(scene, 2048)])
     fitted = partial(extract_array, many, rate, model.measured, pre_trigger=pre_trigger, invalid="nan")
