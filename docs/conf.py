@@ -39,7 +39,7 @@ logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "to
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 
-autosummary_generate = True
+autosummary_generate = False  # the pages of api_pages.py describe what they list
 default_role = "py:obj"
 autodoc_typehints = "none"  # the docstrings say types with shapes and units
 autodoc_member_order = "bysource"
@@ -64,7 +64,6 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
 }
 
-templates_path = ["_templates"]
 html_theme = "furo"
 html_title = f"cgid {version}"
 html_static_path = ["_static"]

@@ -168,7 +168,10 @@ def at_once(scene: Scene, most: int) -> int:
 
 
 def drawn_block(scene: Scene, seed: int, block: int, n_blocks: int = 1) -> Drawn:
-    """Return the drawn numbers of one block of 256 frames, or of several from it on, as many as `at_once` allows."""
+    """Return the drawn numbers of one block of 256 frames, or of several from it on, as many as `at_once` allows.
+
+    Several share their settings, of which none is drawn then, and have no points on a beam.
+    """
     blocks = range(block, block + n_blocks)
     settings, sources = settings_of(scene, seed, block), scene.sources
     here = with_drawn_modes(settled(scene, settings), seed, block)
@@ -177,22 +180,19 @@ def drawn_block(scene: Scene, seed: int, block: int, n_blocks: int = 1) -> Drawn
     edges = np.cumsum(weights / weights.sum())
     which = np.minimum(np.searchsorted(edges, numbers[0], side="right"), len(weights) - 1)
     columns = dict(zip(FALL, numbers[1:-1], strict=True))
-    columns |= _side_by_side([optional_numbers(sources, seed, one) for one in blocks])
+    optional = [optional_numbers(sources, seed, one) for one in blocks]
+    columns |= {name: np.concatenate([one[name] for one in optional]) for name in optional[0]}
     values = quantities_of(sources, which, columns, parameter_units(scene))
     values |= laws_of(scene, which)
-    values |= _side_by_side([points_of_impact(scene, seed, one) for one in blocks])
+    values |= points_of_impact(scene, seed, block)
     values["onset"] = onset_of(here, numbers[-1])
-    values |= {name: np.tile(level, n_blocks) for name, level in levels_of(settings).items()}
+    values |= levels_of(settings)
     shapes = np.array([-1] * len(scene.populations) + [list(SHAPES).index(tap.shape) for tap in scene.taps])[which]
     fallen, tapped = np.flatnonzero(shapes < 0), np.flatnonzero(shapes >= 0)
     specimen = np.empty(which.size, np.uint64)
     specimen[fallen] = specimen_of([values[name][fallen] for name in PARTICLE])
     specimen[tapped] = specimen_of([shapes[tapped].astype(float), *(values[name][tapped] for name in _LATER[TAPS])])
     return Drawn(np.array([source.label for source in sources])[which], values, specimen, shapes, here)
-
-
-def _side_by_side(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def optional_numbers(

@@ -1,4 +1,4 @@
-"""The pages of the Python API: one for each part of the package, which lists the names that it gives to users.
+"""The pages of the Python API: one for each part of the package, with the names that it gives to users.
 
 The pages are written before every build, because they follow from `__all__`. What stands in `cgid` itself is documented
 there alone.
@@ -109,25 +109,30 @@ def names_of(module: str, names: tuple[str, ...] | None) -> list[str]:
     return sorted((name for name in here if id(getattr(found, name)) not in public), key=str.lower)
 
 
+def _kind(found: Any) -> str:
+    return "class" if inspect.isclass(found) else "function" if callable(found) else "data"
+
+
 def write_pages(app: Sphinx, _: Any) -> None:
     """Write the pages, each only if it has changed, so that Sphinx does not read it again."""
     folder = Path(app.srcdir) / "reference" / "api"
-    taken: set[str] = set()
     for page, (title, modules) in PAGES.items():
-        lines = [title, "=" * len(title), ""]
+        lines, described = [title, "=" * len(title), ""], []
         for module, chosen in modules.items():
             names = names_of(module, chosen)
-            for name in sorted(names):  # classes first: to other file systems upper and lower case are one
-                full = f"{module}.{name}"
-                if full.lower() in taken:
-                    app.config.autosummary_filename_map[full] = f"{full}-function"
-                taken.add(full.lower())
-                if inspect.isclass(getattr(import_module(module), name)):
+            for name in names:
+                found, full = getattr(import_module(module), name), f"{module}.{name}"
+                described += [
+                    f".. auto{_kind(found)}:: {full}",
+                    *(["   :members:"] if inspect.isclass(found) else []),
+                    "",
+                ]
+                if inspect.isclass(found):
                     app.config.numpydoc_xref_aliases[name] = full
             if names:
-                lines += [f"From ``{module}``:", ""]
-                lines += [".. autosummary::", "   :toctree: generated", "   :nosignatures:", ""]
+                lines += [f"From ``{module}``:", "", ".. autosummary::", "   :nosignatures:", ""]
                 lines += [*(f"   {module}.{name}" for name in names), ""]
+        lines += described
         text, path = "\n".join(lines), folder / f"{page}.rst"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
