@@ -43,9 +43,9 @@ from identification_peers import FRAMES, PEERS, peak_memory, rows, timed
 from cgid import __version__
 from cgid.files import write_whole
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.rows import DEFAULT_FEATURES, measure
+from cgid.identification.rows import DEFAULT_FEATURES, FEW_FEATURES, Rows, linear_columns, measure
 from cgid.identification.share import wilson_interval
-from cgid.measure.features import FEATURES
+from cgid.identification.training import MANY_FEATURES
 from cgid.plots import png, require_matplotlib
 from cgid.signals import Batch
 
@@ -127,19 +127,26 @@ def stored(folder: Path, kind: str, *place: int) -> Iterator[Batch]:
 # --- contestants ------------------------------------------------------------------------------------------------------
 
 
+def learned(known: Rows) -> tuple[tuple[str, ...], ImpactClassifier]:
+    """Return the features that `cgid train` would take, and the classifier of these impacts."""
+    sets = (FEW_FEATURES, DEFAULT_FEATURES) if len(known.labels) < MANY_FEATURES else (DEFAULT_FEATURES,)
+    found = {}
+    for names in sets:
+        found[names] = ImpactClassifier(linear=linear_columns(names)).fit(known.columns(names), known.labels)
+    return min(found.items(), key=lambda one: one[1].held_out_loss_)
+
+
 def run_cgid(train_batches: Iterable[Batch], test_batches: Iterable[Batch]) -> dict[str, Any]:
     """Train cgid and return its answers for the test signals, and the time of each step.
 
     A test signal that cannot be measured has the answer "", which is wrong.
     """
-    known = measure(train_batches)
-    linear = tuple(k for k, name in enumerate(DEFAULT_FEATURES) if FEATURES[name].unit == "1")
-    classifier, fit = timed(ImpactClassifier(linear=linear).fit, known.features, known.labels)
+    (names, classifier), fit = timed(learned, measure(train_batches))
     predictions: list[str] = []
     features = predict = 0.0
     for batch in test_batches:
         measured, seconds = timed(measure, [batch])
-        answers, more = timed(classifier.predict, measured.features)
+        answers, more = timed(classifier.predict, measured.columns(names))
         features, predict = features + seconds, predict + more
         found = dict(zip(measured.group.tolist(), answers.tolist(), strict=True))
         predictions += [found.get(number, "") for number in batch.specimen.tolist()]

@@ -204,6 +204,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     estimator_ : fitted scikit-learn classifier of the family
     temperature_ : float
         Divisor of the scores.
+    held_out_loss_ : float
+        Log loss of the rows of the training, each by a fit without it; nan if they were too few for that.
     neighbourhood_ : Neighbourhood
         Only if `rejects`.
     """
@@ -279,7 +281,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
                 covariance = self.estimator_.covariance_ if self.family == "linear" else None
                 self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
             own = None if groups is None else np.asarray(groups)
-            self.temperature_ = self._temperature(inputs, encoded, weights, own, crew)
+            self.temperature_, self.held_out_loss_ = self._temperature(inputs, encoded, weights, own, crew)
         return self
 
     def decision_function(self, X: ArrayLike) -> Floats:
@@ -376,7 +378,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         weights: Floats | None,
         groups: NDArray[Any] | None,
         crew: Workers,
-    ) -> float:
+    ) -> tuple[float, float]:
+        """Return the divisor of the scores, and the log loss of left-out rows with it; 1 and nan for too few rows."""
         if groups is None or len(np.unique(groups)) == len(groups):
             groups = None
             counts = np.bincount(encoded)
@@ -385,7 +388,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         folds = min(self.calibration_folds, int(counts.min()))
         # Too few impacts, or specimens of a class, to calibrate on.
         if folds < 2 or len(encoded) < 50 * folds or counts.min() < 5 * folds * (groups is not None):
-            return 1.0
+            return 1.0, np.nan
         kind = StratifiedKFold if groups is None else StratifiedGroupKFold
         splitter = kind(folds, shuffle=True, random_state=self.random_state)
         scores = np.empty((len(encoded), len(self.classes_)) if len(self.classes_) > 2 else len(encoded))
@@ -393,7 +396,9 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         answers = crew.each(_scores_left_out, (self, inputs, encoded, weights), parts)
         for (_, test), answer in zip(parts, answers, strict=True):
             scores[test] = answer
-        return best_temperature(scores, encoded, None if weights is None else weights[encoded])
+        own = None if weights is None else weights[encoded]
+        temperature = best_temperature(scores, encoded, own)
+        return temperature, log_loss(scores / temperature, encoded, own)
 
 
 def _scores_left_out(
