@@ -4,8 +4,8 @@
     python benchmarks/budget.py --skipping 100000       # that work which a scene does not need is skipped
 
 Every stage is timed alone on the same blocks of 256 signals of the scene, of which four are drawn at once as in
-`synthesise`: one thread, best of several rounds. The last
-column is its share of the time to make a signal. Prints Markdown.
+`synthesise`: one thread, best of several rounds. The last column is its share of the time to make a signal. Prints
+Markdown.
 
 `--skipping` prints, for some signals of each scene, the work done for the requested outputs against that for all; and
 the times of parameters, closed forms, features and frames of the same N impacts of the reference scene (nothing is
@@ -34,7 +34,7 @@ from cgid.scene.draws import BLOCK, at_once
 from cgid.scene.impacts import blows_of
 from cgid.scene.noise import add_noise
 from cgid.scene.plan import plan
-from cgid.scene.synthesis import columns_of, make_frames, synthesise
+from cgid.scene.synthesis import TOGETHER, columns_of, make_frames, synthesise
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.plan_scenes import CASES, COUNTED
@@ -109,7 +109,7 @@ def main() -> None:
     warnings.simplefilter("ignore", HertzRangeWarning)
     scene = load_scene(shipped.scene_path(arguments.scene))
     rate, pre_trigger = scene.sampling.sampling_rate, scene.sampling.pre_trigger
-    asked, together = plan(scene), at_once(scene, 4)
+    asked, together = plan(scene), at_once(scene, TOGETHER)
     drawn = blows_of(asked, 0, 0)
     frames = make_frames(drawn, 0, 0, np.float32)
     peak = drawn.parameters["peak_force"]

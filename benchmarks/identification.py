@@ -43,9 +43,9 @@ from identification_peers import FRAMES, PEERS, peak_memory, rows, timed
 from cgid import __version__
 from cgid.files import write_whole
 from cgid.identification.classifier import ImpactClassifier
-from cgid.identification.rows import DEFAULT_FEATURES, FEW_FEATURES, Rows, linear_columns, measure
+from cgid.identification.rows import Rows, linear_columns, measure
 from cgid.identification.share import wilson_interval
-from cgid.identification.training import MANY_FEATURES
+from cgid.identification.training import pulse_sets
 from cgid.plots import png, require_matplotlib
 from cgid.signals import Batch
 
@@ -129,10 +129,10 @@ def stored(folder: Path, kind: str, *place: int) -> Iterator[Batch]:
 
 def learned(known: Rows) -> tuple[tuple[str, ...], ImpactClassifier]:
     """Return the features that `cgid train` would take, and the classifier of these impacts."""
-    sets = (FEW_FEATURES, DEFAULT_FEATURES) if len(known.labels) < MANY_FEATURES else (DEFAULT_FEATURES,)
-    found = {}
-    for names in sets:
-        found[names] = ImpactClassifier(linear=linear_columns(names)).fit(known.columns(names), known.labels)
+    found = {
+        names: ImpactClassifier(linear=linear_columns(names)).fit(known.columns(names), known.labels)
+        for names in pulse_sets(len(known.labels))
+    }
     return min(found.items(), key=lambda one: one[1].held_out_loss_)
 
 

@@ -208,13 +208,18 @@ def train(
         parts = _split(rows, judged_on, test_share, calibration_share, seed)
         record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
         is_open = features is None and names == DEFAULT_FEATURES and not isinstance(data, Rows)
-        open_sets = (FEW_FEATURES, names) if is_open and len(rows.labels) < MANY_FEATURES else (names,)
+        open_sets = pulse_sets(len(rows.labels)) if is_open else (names,)
         fitted = (open_sets, limiting, family or "logistic", class_weights, seed, crew, record)
         return _held_out(rows, parts, strangers, *fitted)
     sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
     candidates = candidates_for(sets, rows.names, family or "linear")
     lesson = Lesson(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
     return _left_out(lesson, synthetic, level_free, progress, crew, record)
+
+
+def pulse_sets(n_impacts: int) -> tuple[tuple[str, ...], ...]:
+    """Return the sets of features that a model of pulses chooses from; the first where so few impacts cannot say."""
+    return (FEW_FEATURES, DEFAULT_FEATURES) if n_impacts < MANY_FEATURES else (DEFAULT_FEATURES,)
 
 
 def _measured(
@@ -377,7 +382,7 @@ def _held_out(
     labels, specimen = rows.labels, rows.group
     training, calibration, test = parts["train"], parts["calibration"], parts["test"]
 
-    def fitted(names: tuple[str, ...]) -> ImpactClassifier:
+    def fitted(names: tuple[str, ...], inputs: Floats) -> ImpactClassifier:
         size = (48, 400) if training.sum() >= MANY else (32, 200)
         classifier = ImpactClassifier(
             family=family,
@@ -387,13 +392,13 @@ def _held_out(
             class_weight=class_weights,
             random_state=seed,
         )
-        inputs = np.ascontiguousarray(rows.inputs(names))
         return classifier.fit(inputs[training], labels[training], specimen[training], crew=crew)
 
     with threadpool_limits(1):
-        found = {names: fitted(names) for names in open_sets}
+        tried = {names: np.ascontiguousarray(rows.inputs(names)) for names in open_sets}
+        found = {names: fitted(names, inputs) for names, inputs in tried.items()}
         names = min(found, key=lambda one: np.nan_to_num(found[one].held_out_loss_, nan=np.inf))
-        classifier, inputs = found[names], np.ascontiguousarray(rows.inputs(names))
+        classifier, inputs = found[names], tried[names]
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
         probabilities = classifier.predict_proba(inputs[test])
         contrast = None

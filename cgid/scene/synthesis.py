@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice, pairwise, starmap
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -24,7 +24,7 @@ from cgid.store import Rows
 from cgid.validation import Floats
 
 #: Blocks drawn and measured at once, to share the overhead, and most samples of their frames (16 MB).
-_TOGETHER, _MOST_SAMPLES = 4, 1 << 22
+TOGETHER, _MOST_SAMPLES = 4, 1 << 22
 
 
 def synthesise(
@@ -68,12 +68,11 @@ def synthesise(
     asked = plan(scene, output, dtype=dtype)
     if not asked.kept:
         raise InvalidValue(f"output must be frames or pulses where signals are wanted, got {output}")
-    together = min(_TOGETHER, max(_MOST_SAMPLES // (BLOCK * scene.sampling.samples), 1))
+    together = min(TOGETHER, max(_MOST_SAMPLES // (BLOCK * scene.sampling.samples), 1))
     for block, part in blocks(n_signals, first, at_once(scene, together)):
-        blows = _blows_of(asked, seed, block, part)
+        blows = blows_of(asked, seed, block, _spanned(part))
         frames = make_frames(blows, seed, block, asked.dtype)
-        edges = [part.start, *range(part.start // BLOCK * BLOCK + BLOCK, part.stop, BLOCK), part.stop]
-        for one in starmap(slice, pairwise(edges)):
+        for _, one in _by_block(part):
             yield batch_of(scene, blows, frames, one)
 
 
@@ -84,9 +83,15 @@ def blocks(n_signals: int, first: int, n_blocks: int = 1) -> Iterator[tuple[int,
         yield block, slice(max(first - block * BLOCK, 0), min(last - block * BLOCK, n_blocks * BLOCK))
 
 
-def _blows_of(asked: Plan, seed: int, block: int, part: slice) -> Blows:
-    """Return the pulses of the blocks that hold these rows, counted from the first of them."""
-    return blows_of(asked, seed, block, -(-part.stop // BLOCK))
+def _spanned(part: slice) -> int:
+    """Return how many blocks hold these rows, which are counted from the first of them."""
+    return int(-(-part.stop // BLOCK))
+
+
+def _by_block(part: slice) -> Iterator[tuple[int, slice]]:
+    """Yield the numbers of the blocks that hold these rows, and the rows of each."""
+    for number in range(part.start // BLOCK, _spanned(part)):
+        yield number, slice(max(number * BLOCK, part.start), min((number + 1) * BLOCK, part.stop))
 
 
 def require_count(n_signals: int, first: int) -> None:
@@ -151,13 +156,13 @@ def make_beginnings(
         peak = np.abs(frames).max(axis=1).astype(np.float64)
     if asked.runs("noise"):
         level = sensor.noise_level(peak, rate)
-        for number, own in _by_block(n_signals):
+        for number, own in _by_block(slice(0, n_signals)):
             add_sensor_noise(frames[own], level[own], blows.scene, seed, block + number)
         highest_behind += HIGHEST_NOISE * level
     background = background_of(blows.scene) if asked.runs("background") else None
     if background is not None:
         count("background_samples", frames.size)
-        for number, own in _by_block(n_signals):
+        for number, own in _by_block(slice(0, n_signals)):
             frames[own] += background.in_frames(seed, block + number, frames.shape[1], peak[own]).astype(frames.dtype)
     count("frames", n_signals)
     count("frame_samples", frames.size)
@@ -169,11 +174,6 @@ def make_beginnings(
         sensor.digitise(frames, rate, peak)
         highest_behind += _digitised_by(sensor, rate, peak, n_samples, sampling.samples)
     return frames, highest_behind
-
-
-def _by_block(n_signals: int) -> Iterator[tuple[int, slice]]:
-    """Yield the numbers of blocks, from 0 on, and their rows."""
-    return ((number, slice(first, first + BLOCK)) for number, first in enumerate(range(0, n_signals, BLOCK)))
 
 
 def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int, n_samples: int) -> Floats:
@@ -203,13 +203,13 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
         )
     if asked.runs("features"):
         return _measured(asked, n_signals, seed, first)
-    several = blocks(n_signals, first, at_once(asked.scene, _TOGETHER))
+    several = blocks(n_signals, first, at_once(asked.scene, TOGETHER))
     return (_untimed(asked, seed, block, part) for block, part in several)
 
 
 def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
     """Return the columns that need no pulse."""
-    drawn = drawn_block(asked.scene, seed, block, -(-part.stop // BLOCK))
+    drawn = drawn_block(asked.scene, seed, block, _spanned(part))
     here, n = asked.for_block(drawn.scene), drawn.labels.size
     rate = np.full(n, drawn.scene.sampling.sampling_rate)
     values = drawn.values | {"asked_restitution": drawn.values["restitution"], "sampling_rate": rate}
@@ -243,11 +243,12 @@ def _beginning(blows: Blows) -> int:
 
 def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
     """Yield features; blocks with the same sampling rate are measured together."""
-    together = 1 if asked.scene.draws("sampling_rate") else _TOGETHER
+    together = 1 if asked.scene.draws("sampling_rate") else TOGETHER
     n_blocks = at_once(asked.scene, together)
-    drawn = ((block, part, _blows_of(asked, seed, block, part)) for block, part in blocks(n_signals, first, n_blocks))
-    while several := list(islice(drawn, together // n_blocks)):
-        yield _features(asked, seed, several)
+    several = blocks(n_signals, first, n_blocks)
+    drawn = ((block, part, blows_of(asked, seed, block, _spanned(part))) for block, part in several)
+    while group := list(islice(drawn, together // n_blocks)):
+        yield _features(asked, seed, group)
 
 
 def _features(asked: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> Rows:

@@ -109,10 +109,6 @@ def names_of(module: str, names: tuple[str, ...] | None) -> list[str]:
     return sorted((name for name in here if id(getattr(found, name)) not in public), key=str.lower)
 
 
-def _kind(found: Any) -> str:
-    return "class" if inspect.isclass(found) else "function" if callable(found) else "data"
-
-
 def write_pages(app: Sphinx, _: Any) -> None:
     """Write the pages, each only if it has changed, so that Sphinx does not read it again."""
     folder = Path(app.srcdir) / "reference" / "api"
@@ -122,13 +118,12 @@ def write_pages(app: Sphinx, _: Any) -> None:
             names = names_of(module, chosen)
             for name in names:
                 found, full = getattr(import_module(module), name), f"{module}.{name}"
-                described += [
-                    f".. auto{_kind(found)}:: {full}",
-                    *(["   :members:"] if inspect.isclass(found) else []),
-                    "",
-                ]
-                if inspect.isclass(found):
+                kind = "class" if inspect.isclass(found) else "function" if callable(found) else "data"
+                described.append(f".. auto{kind}:: {full}")
+                if kind == "class":
+                    described.append("   :members:")
                     app.config.numpydoc_xref_aliases[name] = full
+                described.append("")
             if names:
                 lines += [f"From ``{module}``:", "", ".. autosummary::", "   :nosignatures:", ""]
                 lines += [*(f"   {module}.{name}" for name in names), ""]
