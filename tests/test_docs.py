@@ -9,7 +9,7 @@ Every page is run from top to bottom in a fresh folder with copies of `benchmark
   anything, and the width of blanks does not matter.
 
 A comment on the line before a block, `<!-- ... -->` or `% ...`, says more: `not run: REASON`, `exit code: 65`,
-`file: NAME` (the block is written to this file). `long: REASON` anywhere on a page marks the page as a long test.
+`file: NAME` (the block is written to this file). Pages are long tests; the first block of README.md always runs.
 """
 
 from __future__ import annotations
@@ -38,10 +38,9 @@ DOCS = ROOT / "docs"
 #: Folders of docs/ that a build writes.
 BUILT = (DOCS / "_build", DOCS / "examples", DOCS / "reference" / "api" / "generated")
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md") if not set(BUILT) & set(path.parents))]
-GALLERY = sorted((DOCS / "gallery").glob("plot_*.py"))
 
 _FENCE = re.compile(r"(?P<fence>`{3,}|:{3,})(?P<language>[\w+-]*|\{.*\}.*) *")
-_COMMENT = re.compile(r"(?:<!-- |% )(?P<key>not run|exit code|file|long): (?P<value>.*?)(?: -->)?")
+_COMMENT = re.compile(r"(?:<!-- |% )(?P<key>not run|exit code|file): (?P<value>.*?)(?: -->)?")
 #: Steps that this environment has behind it, and the tests themselves.
 _SETUP = re.compile(
     r"(?:(?:python3?|py) -m venv|(?:\S*/)?pip install|(?:\S*/)?python3? -m (?:pip|pytest)|(?:source|\.) \S*activate"
@@ -89,12 +88,6 @@ def blocks_of(page: str) -> list[Block]:
             paragraphs += not in_paragraph
             in_paragraph, notes = True, {}
     return found
-
-
-def is_long(page: Path) -> bool:
-    """Return whether a page is a long test."""
-    matches = (_COMMENT.fullmatch(line.strip()) for line in page.read_text(encoding="utf-8").splitlines())
-    return any(match is not None and match["key"] == "long" for match in matches)
 
 
 class Walk:
@@ -188,12 +181,12 @@ def compare(expected: str, printed: list[str]) -> None:
         pytest.fail(f"the page shows\n{expected}\nbut it prints\n{shown}", pytrace=False)
 
 
-def follow(page: Path, folder: Path) -> None:
-    """Go through a page from top to bottom."""
+def follow(page: Path, folder: Path, n_blocks: int | None = None) -> None:
+    """Go through a page from top to bottom, or through its first blocks."""
     walk = Walk(folder)
     last: Block | None = None
     printed: list[str] = []
-    for block in blocks_of(page.read_text(encoding="utf-8")):
+    for block in blocks_of(page.read_text(encoding="utf-8"))[:n_blocks]:
         runs = block.language in ("sh", "console", "python")
         try:
             if block.language == "text" and block.follows and last is not None and printed:
@@ -207,12 +200,13 @@ def follow(page: Path, folder: Path) -> None:
         last, printed = None, []
 
 
+def test_the_first_answer_of_the_readme_is_printed(tmp_path: Path) -> None:
+    follow(ROOT / "README.md", tmp_path, n_blocks=2)
+
+
+@pytest.mark.long
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=[pytest.mark.long] if is_long(page) else []) for page in PAGES],
-    ids=lambda page: str(page.relative_to(ROOT)),
-)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
@@ -249,19 +243,6 @@ def test_pages_that_lie_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             follow(page, folder)
 
 
-@pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize("script", GALLERY, ids=lambda script: script.name)
-def test_gallery_runs(script: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pyplot = pytest.importorskip("matplotlib.pyplot")
-    monkeypatch.setattr(pyplot, "show", lambda: None)
-    pyplot.switch_backend("agg")
-    try:
-        exec(compile(script.read_text(encoding="utf-8"), script.name, "exec"), {"__name__": "__main__"})
-        assert pyplot.get_fignums(), "an example of the gallery shows a picture"
-    finally:
-        pyplot.close("all")
-
-
 #: Links that lead somewhere, but are not loaded.
 _LINKS = ("canonical", "author", "copyright", "index", "search", "next", "prev")
 
@@ -277,15 +258,7 @@ class Loaded(HTMLParser):
         given = dict(attributes)
         if tag in ("script", "img", "iframe", "source", "video", "embed"):
             self.places.append(given.get("src") or "")
-        if tag == "link" and given.get("rel") not in (
-            "canonical",
-            "author",
-            "copyright",
-            "index",
-            "search",
-            "next",
-            "prev",
-        ):
+        if tag == "link" and given.get("rel") not in _LINKS:
             self.places.append(given.get("href") or "")
 
 
@@ -341,6 +314,7 @@ def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.long
 def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path) -> None:
+    """The build also runs the gallery, and ends at the first example that fails."""
     for library in ("sphinx", "myst_parser", "numpydoc", "sphinx_gallery", "furo"):
         pytest.importorskip(library)
     source, html = tmp_path / "docs", tmp_path / "html"
