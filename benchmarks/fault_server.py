@@ -25,7 +25,6 @@ from typing import Any
 _LONGEST = 60
 #: Computed once, since it takes minutes and does not depend on where it is written; the disk comes afterwards.
 _COMPUTED = (
-    ("cgid.reproduction.output", "_contents"),
     ("cgid.ceiling.survey", "survey"),
     ("cgid.identification.training", "train"),
 )

@@ -14,7 +14,7 @@ elements over the contact radius unless a table says otherwise. Parts:
 * low-pass: the force from the acceleration of the sphere's centre, after an FFT filter; the picture;
 * sizes: effect of the sphere's size, the plate's radius and thickness, and its support.
 
-What the theories miss, and what a soft contact does, is in the report of `cgid reproduce`.
+What the theories miss, and what a soft contact does, is in the figures of `python -m studies.paper`.
 
 One thread; seconds are processor time, the first run compiles. Times depend on the machine: compare ratios.
 """
@@ -50,8 +50,6 @@ from scipy.sparse import linalg
 from threadpoolctl import threadpool_limits
 
 from cgid.files import write_whole
-from cgid.finite_element import History
-from cgid.finite_element.assembly import Body
 from cgid.measure.filters import fft_filter
 from cgid.physics import (
     HertzRangeWarning,
@@ -63,6 +61,8 @@ from cgid.physics import (
 )
 from cgid.plots import COLOURS, png, require_matplotlib
 from cgid.validation import Floats
+from studies.finite_element import History
+from studies.finite_element.assembly import Body
 
 Options = argparse.Namespace
 PICTURE = Path(__file__).with_name("finite_element.png")

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from cgid.finite_element import ElasticPlate, FiniteElementImpact, History
 from cgid.physics import Elastic, HalfSpace, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from cgid.validation import Floats
+from studies.finite_element import ElasticPlate, FiniteElementImpact, History
 
 RADIUS, THICKNESS, PLATE_RADIUS = 0.025, 0.008, 0.229
 ELEMENTS = 14

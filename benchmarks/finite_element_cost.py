@@ -23,12 +23,12 @@ import numpy as np
 from finite_element_cases import CORNERS, impact, peaks, percent, row, solved, table
 from scipy import sparse
 
-from cgid.finite_element import _stepping, assembly, steps
-from cgid.finite_element.assembly import Body, body
-from cgid.finite_element.mesh import Mesh
-from cgid.finite_element.steps import stable_time_step
 from cgid.physics.materials import Material
 from cgid.validation import Floats
+from studies.finite_element import _stepping, assembly, steps
+from studies.finite_element.assembly import Body, body
+from studies.finite_element.mesh import Mesh
+from studies.finite_element.steps import stable_time_step
 
 #: Explicit runs with more steps than this are skipped in the comparison with implicit runs.
 MOST_STEPS = 100_000

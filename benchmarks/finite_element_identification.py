@@ -23,7 +23,6 @@ from pathlib import Path
 import numpy as np
 
 from cgid import shipped
-from cgid.finite_element import ElasticPlate, FiniteElementImpact, History
 from cgid.identification.estimation import Estimates, estimate
 from cgid.identification.metrics import evaluate
 from cgid.identification.model import Model
@@ -37,6 +36,7 @@ from cgid.scene import Scene, load_scene, synthesise, synthesise_given, varied
 from cgid.scene.given_pulses import SolvedImpacts
 from cgid.scene.impacts import draw
 from cgid.signals import Batch
+from studies.finite_element import ElasticPlate, FiniteElementImpact, History
 
 ELASTIC = "finite elements without loss"
 FINITE_ELEMENTS, VISCOELASTIC, FAMILY = "finite elements", "Kuwabara-Kono", "Hunt-Crossley (the family)"

@@ -36,7 +36,6 @@ _HOMES = {
     "open_recording": "cgid.recordings",
     "predict": "cgid.identification.prediction",
     "read_recording": "cgid.recordings",
-    "reproduce": "cgid.reproduction",
     "stream": "cgid.learn",
     "strikers": "cgid.striker",
     "synthesise": "cgid.scene",

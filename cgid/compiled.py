@@ -7,7 +7,8 @@ write to. Its name contains a hash of everything it depends on, and it begins wi
 A file that cannot be read is compiled anew; one that cannot be written stays in memory: no disk fault ends a run.
 
 The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR`, or else in the user's cache folder (`XDG_CACHE_HOME`,
-~/.cache/cgid on Linux); the digest covers the kernels' sources and the versions of Python, numpy, numba and llvmlite.
+~/.cache/cgid on Linux); the digest covers the kernels' sources in cgid and the versions of Python, numpy,
+numba and llvmlite. The name of a kernel from elsewhere, such as a study, covers the content of its own file, too.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ SOURCES = (
     "physics/_response.py",
     "physics/_taylor.py",
     "physics/collocation.py",
-    "finite_element/_stepping.py",
     "scene/_fourier.py",
     "scene/_noise.py",
     "store/_fletcher.py",
 )
+_PACKAGE = Path(__file__).parent
 #: Folders of other sources or versions are removed after this time without a new kernel [s]: 30 days.
 _FORGOTTEN = 30 * 86400.0
 #: NUMBA_... variables that change the kernel compiled from the same source.
@@ -99,6 +100,9 @@ class KernelCache(NullCache):
 
     def __init__(self, function: Callable[..., Any], folder: Callable[[], Path | None]) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
+        # The digest in the name of the folder covers cgid alone.
+        path = Path(function.__code__.co_filename)
+        self._source = "" if _PACKAGE in path.parents else hashlib.sha256(path.read_bytes()).hexdigest()
         self._folder = folder
 
     @property
@@ -130,7 +134,7 @@ class KernelCache(NullCache):
         types, _ = normalize_signature(sig)
         settings = [str(getattr(numba.config, name, None)) for name in _SETTINGS]
         # Includes the processor: several machines may share a home folder.
-        identity = repr((self._name, [str(one) for one in types], codegen.magic_tuple(), settings))
+        identity = repr((self._name, self._source, [str(one) for one in types], codegen.magic_tuple(), settings))
         return folder / f"{self._name}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
 
 
@@ -141,7 +145,7 @@ def kernel_folder() -> Path | None:
         wanted, usual = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
         if not wanted and not usual.is_absolute():  # there is no home folder
             return None
-        folder = (Path(wanted).absolute() if wanted else usual) / f"kernels-{digest(Path(__file__).parent)}"
+        folder = (Path(wanted).absolute() if wanted else usual) / f"kernels-{digest(_PACKAGE)}"
         if not folder.exists():
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             _clear_forgotten(folder)

@@ -200,6 +200,20 @@ def test_an_edit_in_any_source_is_seen(tmp_path: Path):
     assert len(digests) == 1 + len(compiled.SOURCES)
 
 
+def test_an_edited_kernel_outside_the_package_is_compiled_anew(folder: Path, tmp_path: Path):
+    """Such as one in studies/, which the digest of the package does not cover."""
+    path = tmp_path / "study.py"
+
+    def answer(constant: int) -> tuple[int, int]:
+        path.write_text(f"def kernel(number):\n    return number + {constant}\n")
+        names: dict[str, object] = {"__name__": "study"}
+        exec(compile(path.read_text(), path, "exec"), names)
+        kernel = fresh(folder, names["kernel"])
+        return kernel(40), sum(kernel.stats.cache_hits.values())
+
+    assert [answer(1), answer(1), answer(2)] == [(41, 0), (41, 1), (42, 0)]
+
+
 def test_another_numba_is_seen(monkeypatch: pytest.MonkeyPatch):
     before = compiled.digest(PACKAGE)
     monkeypatch.setattr(numba, "__version__", "0.0")

@@ -331,7 +331,6 @@ def test_a_real_disk_that_is_full_or_read_only(tmp_path, options, code, says):
         "predict sample.csv --report {}/r.html",
         "generate reference -o {}/d.h5",
         "generate reference --parameters-only -o {}/t.csv",
-        "reproduce -o {}/paper",
     ],
 )
 def test_a_folder_one_may_not_look_into(command, tmp_path, monkeypatch, capsys):

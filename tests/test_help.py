@@ -26,7 +26,7 @@ VERBS = """
     Weight Write
 """
 #: Of minutes.
-SLOW = ("reproduce", "ceiling", "calibrate")
+SLOW = ("ceiling", "calibrate")
 
 
 def test_bare_cgid_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:

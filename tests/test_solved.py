@@ -11,7 +11,6 @@ import pytest
 
 from cgid import shipped
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.finite_element import ElasticPlate, FiniteElementImpact
 from cgid.identification.estimation import estimate
 from cgid.identification.model import Model
 from cgid.identification.rows import measure
@@ -21,6 +20,7 @@ from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene.extremes import unwarned
 from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii
 from cgid.scene.impacts import draw
+from studies.finite_element import ElasticPlate, FiniteElementImpact
 
 PATH = shipped.path_of("datasets", shipped.FINITE_ELEMENT_IMPACTS)
 

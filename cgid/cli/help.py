@@ -43,8 +43,7 @@ _EXCEPTIONS = {
 _COMMANDS = {
     "Recordings": "predict monitor events features info plot",
     "Models": "train export-model",
-    "Datasets and scenes": "generate check tap calibrate verify export fetch",
-    "Studies": "ceiling reproduce",
+    "Datasets and scenes": "generate check ceiling tap calibrate verify export fetch",
 }
 #: One line for the start file of each shell.
 _COMPLETION = (

@@ -25,7 +25,7 @@ from cgid.cli.monitor import monitor
 from cgid.cli.output import drop, heard, open_missing, say, say_error, warn
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
-from cgid.cli.studies import ceiling, check, reproduce
+from cgid.cli.studies import ceiling, check
 from cgid.cli.tap import tap
 from cgid.cli.train import train
 from cgid.cli.verify import verify
@@ -68,7 +68,6 @@ for command in (
     features,
     info,
     plot,
-    reproduce,
     verify,
     export,
     export_model,

@@ -1,4 +1,4 @@
-"""What a scene or the paper holds: `cgid check`, `cgid ceiling` and `cgid reproduce`."""
+"""What a scene contains: `cgid check` and `cgid ceiling`."""
 
 from __future__ import annotations
 
@@ -405,33 +405,3 @@ def _say_survey(survey: dict[str, Any]) -> None:
             f"{head}{point['accuracy']:.4f} +- {point['accuracy_error']:.4f}       "
             f"{point['accuracy_known']:.4f} +- {point['accuracy_known_error']:.4f}"
         )
-
-
-@click.command(
-    cls=Command, short_help="Compute the paper's figures and tables, and a report.", example="cgid reproduce -o paper"
-)
-@click.option(
-    "-o", "--output", type=PATH, required=True, help="Write the pictures, the data and report.md into this folder."
-)
-@click.option("--overwrite", is_flag=True, help="Replace files of these names in the folder; others stay.")
-@click.option(
-    "--finite-element", is_flag=True, help="Simulate all impacts anew (minutes), and write finite_element.npz, too."
-)
-@click.option("--jobs", type=int, help="Use this many worker processes for --finite-element, by default one per core.")
-def reproduce(output: str, overwrite: bool, finite_element: bool, jobs: int | None) -> None:
-    """Compute the figures and tables of Yang, Zeng & Wan (2018), and judge what the paper says.
-
-    Each is a picture (PNG, extra plot) and its data (CSV); report.md shows them all and tells what agrees with the
-    paper and what does not. What the paper simulated is shown from finite-element results that come with cgid, or
-    with --finite-element from new ones. The names of the files written go to the standard output.
-    """
-    from cgid.reproduction import n_steps
-    from cgid.reproduction import reproduce as reproduce_paper
-
-    with progress_bar(n_steps(finite_element=finite_element), "pieces") as progress:
-        written = reproduce_paper(
-            output, overwrite=overwrite, finite_element=finite_element, jobs=jobs, progress=progress
-        )
-    for path in written:
-        say(str(path))
-    say(f"wrote {counted(len(written), 'file')}; begin with {Path(output) / 'report.md'}", err=True)

@@ -41,7 +41,6 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
             "cgid.physics.sampled": ("SampledPulses",),
         },
     ),
-    "finite_element": ("Finite elements: cgid.finite_element", {"cgid.finite_element": None}),
     "scene": (
         "Scenes and synthetic signals: cgid.scene",
         {

@@ -1,0 +1,1 @@
+"""The figures and tables of Yang, Zeng & Wan (2018), recomputed: `python -m studies.paper -o paper`."""
