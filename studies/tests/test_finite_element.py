@@ -216,6 +216,7 @@ def test_explicit_steps_go_where_the_slow_twin_goes(twins):
     assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected)
 
 
+@pytest.mark.long
 def test_restitution_converges_to_that_of_the_slow_twin(twins):
     expected = -twins.course.momentum[-1] / twins.course.momentum[0]
     errors = [abs(history.restitution - expected) for history in twins.histories]

@@ -94,6 +94,7 @@ def test_low_pass_at_5_over_the_duration_does_not_where_the_sphere_rings_below_i
     assert low_pass_peak(history, 5) > 1.015
 
 
+@pytest.mark.long
 def test_low_pass_at_5_over_the_duration_does_no_harm_to_a_long_contact():
     history = course(3, 2.0)
     ringing = min(one for one, n in frequencies(sphere(3), 1, below=6.0) if n == 1)

@@ -189,7 +189,8 @@ def test_small_enough_to_ship(study):
 
 
 def test_a_run_without_courses_has_no_times():
-    bare = Run(case=Case(group=SOFT_BY_FACTOR, sphere=1, velocity=6.0, penalty_factor=0.1), numbers=dict.fromkeys(NUMBERS, 1.0), duration=1e-4, courses={})
+    case = Case(group=SOFT_BY_FACTOR, sphere=1, velocity=6.0, penalty_factor=0.1)
+    bare = Run(case=case, numbers=dict.fromkeys(NUMBERS, 1.0), duration=1e-4, courses={})
     (again,) = unpacked(packed(Study(runs=(bare,), made="by hand"))).runs
     assert again.case == bare.case and again.courses == {}
     assert bare.times.size == again.times.size == 0
