@@ -17,12 +17,16 @@ from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, v
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, optional
+from cgid.identification.contact import ThroughBeam
+from cgid.identification.rows import BEAM_FEATURES
 from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.draws import require_seed
 from cgid.scene.synthesis import require_frames
+from cgid.scene.through_beam import shared_beam
 from cgid.signals import Signal
+from cgid.store import Dataset
 from cgid.validation import Floats
 from cgid.workers import workers as executor
 
@@ -45,9 +49,10 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     Parameters
     ----------
     sampling_rate : float
-        [Hz].
+        [Hz]; by default that of `scene`.
     features : str or iterable of str, optional
-        Names of features or banks, such as `"mel_*_hz"`; by default all features of pulses.
+        Names of features or banks, such as `"mel_*_hz"`; by default all features of pulses, or with `scene` those that
+        `cgid train` takes for vibrations of its beam.
     pre_trigger : int, optional
         Samples before touch, as in `cgid.extract`.
     remove_baseline : bool
@@ -58,6 +63,9 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Treatment of a row that cannot be measured: it has no impact, is cut off or too short. A row of nan keeps the
         rows of a table together; imputers and histogram gradient boosting accept it. Samples that are not finite are
         always an error.
+    scene : Scene, Dataset, str or Path, optional
+        With a tail beam that the rows are vibrations of: a scene, its name or file, or a dataset made of it. Features
+        such as `beam_peak_force` then estimate the contact force through its modes.
 
     Attributes
     ----------
@@ -86,6 +94,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         remove_baseline: bool = True,
         detection_limit: float = DETECTION_LIMIT,
         invalid: Literal["nan", "raise"] = "nan",
+        scene: Scene | Dataset | str | Path | None = None,
     ) -> None:
         self.sampling_rate = sampling_rate
         self.features = features
@@ -93,6 +102,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         self.remove_baseline = remove_baseline
         self.detection_limit = detection_limit
         self.invalid = invalid
+        self.scene = scene
 
     def fit(self, X: ArrayLike, y: object = None) -> ImpactFeatures:
         """Check the settings against rows of samples.
@@ -111,12 +121,21 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Raises
         ------
         InvalidValue
-            A setting breaks its rule, or a feature needs longer rows or another sampling rate.
+            A setting breaks its rule, or a feature needs longer rows or another sampling rate; the scene has no beam
+            whose modes lead to the contact force.
         """
-        if self.sampling_rate is None:
+        self._beam, rate = None, self.sampling_rate
+        if self.scene is not None:
+            source = self.scene if isinstance(self.scene, Scene | Dataset) else load_scene(self.scene)
+            beam, why = shared_beam([source])
+            if beam is None:
+                raise InvalidValue(f"scene must have a beam to look through, got {why}; leave it out")
+            self._beam, rate = ThroughBeam(beam), beam.sampling_rate if rate is None else rate
+        if rate is None:
             raise InvalidValue("sampling_rate must be given [Hz], such as ImpactFeatures(sampling_rate=200e3)")
+        self._rate = rate
         validation.choice("invalid", self.invalid, ("nan", "raise"))
-        names = choose(self.features)
+        names = BEAM_FEATURES if self._beam is not None and self.features is None else choose(self.features)
         frames = self._frames(X, reset=True)
         self._measured(frames[:0], names)
         self.features_ = names
@@ -165,15 +184,15 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     def _measured(self, frames: NDArray[Any], names: tuple[str, ...]) -> Floats:
         if frames.shape[1] < MINIMUM_FRAME and self.invalid == "nan":
             return np.full((len(frames), len(names)), np.nan)
-        assert self.sampling_rate is not None
         return extract_array(
             frames,
-            self.sampling_rate,
+            self._rate,
             names,
             pre_trigger=self.pre_trigger,
             remove_baseline=self.remove_baseline,
             invalid=self.invalid,
             detection_limit=self.detection_limit,
+            beam=self._beam,
         )
 
 

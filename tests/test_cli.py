@@ -7,6 +7,7 @@ import errno
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ import pytest
 
 from cgid.cli.main import cli, run
 from cgid.cli.options import PathName
+from cgid.cli.output import progress_bar, say
 from cgid.errors import MissingExtra, NoInput
 from cgid.shipped import SCENES
 from tests.bad_input import CASES, Case, make_files, pulse
@@ -516,3 +518,26 @@ def test_every_command_takes_several_channels_in_one_word(
         assert {row["channel"] for row in rows if "time_s" in row} == {"1", "3"}
     assert run(["plot", "three.npy", "--rate", "2e5", "--channel", "1+3", "-o", "p.png", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["channels"] == ["1", "3"]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_progress_bar_says_what_of_how_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    with progress_bar(30, "signals", "measuring") as progress:
+        progress(10)
+        say("a line", err=True)
+        progress(20)
+    shown = re.split("[\r\n]", terminal.getvalue())
+    assert any(re.match(r"measuring: \d+ of 30 signals", text) for text in shown)
+    assert "a line" in [text.strip() for text in shown]
+
+
+def test_no_progress_bar_beside_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar(3, "signals", "measuring") as progress:
+        progress(3)
+    assert capsys.readouterr().err == ""

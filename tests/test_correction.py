@@ -16,6 +16,7 @@ from cgid.errors import BadData
 from cgid.identification.card import correction_section, write_card
 from cgid.identification.correction import _BIAS, _SLOPE, Shift, _bias_and_slope, _moved, advice, correct
 from cgid.identification.families import softmax
+from cgid.identification.manifest import Manifest
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows
 from cgid.identification.training import train
@@ -152,3 +153,30 @@ def test_labelled_impacts_correct_a_shipped_model(tmp_path: Path, capsys: Any) -
 
 
 UNIT = ["--rate", "25600", "--unit", "m/s^2"]
+
+
+def test_a_site_that_the_model_does_not_know_is_refused_after_twenty_impacts(
+    model: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of 200 labelled impacts only a sample is measured."""
+    table = "path,label,start,end\n" + "".join(f"a.csv,coal,{k},{k}.5\n" for k in range(200))
+    (tmp_path / "events.csv").write_text(table)
+    (tmp_path / "a.csv").write_text("0\n1\n")
+    (tmp_path / "m.npz").write_bytes(model.to_bytes())
+    measured = []
+
+    def record(manifest: Manifest, **_: Any) -> Rows:
+        measured.append(len(manifest.annotations))
+        return replace(impacts(len(manifest.annotations), 1), features=np.full((len(manifest.annotations), 3), 1e9))
+
+    monkeypatch.setattr("cgid.identification.labelled_recordings.record", record)
+    arguments = [
+        "train",
+        str(tmp_path / "events.csv"),
+        "--from",
+        str(tmp_path / "m.npz"),
+        "-o",
+        str(tmp_path / "n.npz"),
+    ]
+    assert run(arguments) == 65
+    assert measured == [20]

@@ -11,25 +11,31 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import signal
 from scipy.optimize import least_squares
 
-from cgid import family
+from cgid import ImpactFeatures, family
+from cgid.cli.main import run
+from cgid.errors import InvalidValue
 from cgid.identification.answers import identify_frames
 from cgid.identification.contact import Contact, ThroughBeam
 from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
+from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.training import train
 from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, lagrange, nodes, points_of, respond, respond_on_average
 from cgid.measure.colour import ORDER, Colour, colour_of
+from cgid.measure.features import FEATURES
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.modes import LEARNED_COLUMNS
 from cgid.physics.response import Response
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
-from cgid.scene.through_beam import beam_of, has_beam
+from cgid.scene.through_beam import beam_of, has_beam, shared_beam
 from cgid.signals import Batch
+from cgid.store import Dataset
 from tests.hostile_models import beam_arrays
 from tests.test_response import impacts
 
@@ -617,3 +623,47 @@ def test_beams_without_filters_and_of_slow_recorders() -> None:
     assert not has_beam(parse_scene(tomllib.loads(slow)))
     assert has_beam(load_scene("tail_beam"))
     assert not has_beam(load_scene("reference"))
+
+
+# -- datasets ---------------------------------------------------------------------------------------------
+
+
+def test_a_dataset_trains_as_its_scene_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same signals, read from shards or made on the fly, look through the same beam."""
+    made = ["-n", "300", "--seed", "77"]
+    assert run(["generate", "tail_beam", "-o", str(tmp_path / "data"), *made]) == 0
+    told = []
+    for number, data in enumerate(([str(tmp_path / "data"), "--seed", "77"], ["tail_beam", *made])):
+        assert run(["train", *data, "-o", str(tmp_path / f"{number}.npz"), "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    models = [Model.load(tmp_path / f"{number}.npz") for number in range(2)]
+    assert models[0].features == models[1].features == BEAM_FEATURES
+    np.testing.assert_array_equal(models[0].beam.beam.shapes, models[1].beam.beam.shapes)
+    assert told[0]["log_loss"] == pytest.approx(told[1]["log_loss"], rel=1e-6)
+
+
+def test_which_beam_scenes_share() -> None:
+    scene = load_scene("tail_beam")
+    thicker = parse_scene(tomllib.loads(TEXT.replace('"30 mm"', '"40 mm"')) | {"name": "thicker"})
+    assert shared_beam([scene, varied(scene, name="noisier", noise_density="20 mg/sqrt(Hz)")])[0] is not None
+    slower = varied(scene, name="slower", keep_frame=True, sampling_rate="24 kHz")
+    for other in (thicker, slower, load_scene("reference")):
+        beam, why = shared_beam([scene, other])
+        assert beam is None and other.name in why
+
+
+def test_features_of_a_dataset_are_those_through_its_beam(tmp_path: Path) -> None:
+    assert run(["generate", "tail_beam", "-o", str(tmp_path / "d.h5"), "-n", "20"]) == 0
+    assert run(["features", str(tmp_path / "d.h5"), "-o", str(tmp_path / "f.csv")]) == 0
+    dataset = Dataset(tmp_path / "d.h5")
+    (batch,) = dataset.batches()
+    measuring = ImpactFeatures(scene=dataset, pre_trigger=batch.pre_trigger).fit(batch.signals)
+    expected = measuring.transform(batch.signals)
+    table = pd.read_csv(tmp_path / "f.csv")
+    columns = [f"{name} [{FEATURES[name].unit}]" for name in BEAM_FEATURES]
+    known = table["problem"].isna().to_numpy()
+    assert known.sum() > 10
+    np.testing.assert_allclose(table[columns][known], expected[known], rtol=1e-6)
+    assert np.median(np.abs(np.log(expected[known, 0] / batch.parameters["peak_force"][known]))) < 0.1
+    with pytest.raises(InvalidValue, match="reference"):
+        ImpactFeatures(scene="reference").fit(batch.signals)

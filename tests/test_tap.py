@@ -205,3 +205,10 @@ def test_tables_of_taps(tmp_path):
         path.write_text(text)
         with pytest.raises(BadData, match=match):
             read_times(path)
+
+
+def test_a_stream_of_impacts_is_refused_as_taps_before_modes_are_sought(monkeypatch):
+    monkeypatch.setattr("cgid.site.tapping.poles_of", None)
+    response, _, _ = taps(12, gap=0.04, seed=5)
+    with pytest.raises(BadData, match="apart"):
+        tap_test(response[None], RATE, source="stream.csv")

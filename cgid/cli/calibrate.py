@@ -106,7 +106,7 @@ def calibrate(
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
     frames, rate, before = _frames(recordings, scene, reading)
     n_rounds = MOST_ROUNDS + dimensions.MOST_ROUNDS * bool(of_dimensions)
-    with progress_bar(n_rounds, "rounds") as progress:
+    with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
         errors["dimension_error"] = of_dimensions
         found = calibrated(scene, frames, rate, before, most_blows=impacts, progress=progress, **errors)
     found.save(path, overwrite=overwrite)

@@ -12,6 +12,9 @@ from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_er
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
 
+#: So many impacts show that the model knows none of a site, before all are measured.
+_LOOK = 20
+
 
 def correct_model(
     manifest: Manifest,
@@ -24,7 +27,7 @@ def correct_model(
 ) -> int:
     """Write a model corrected by labelled impacts, and say how good it is on their site."""
     from cgid.identification.card import correction_section, write_model
-    from cgid.identification.correction import advice, correct, require_correctable
+    from cgid.identification.correction import advice, correct, require_correctable, require_known
     from cgid.identification.labelled_recordings import Reading, record
     from cgid.identification.model import Model
     from cgid.identification.rows import Slicing
@@ -36,7 +39,9 @@ def correct_model(
     given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
     reading = Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"])
     slicing = Slicing(by="impact", dead_time=dead_time_in_seconds(options["dead_time"]))
-    with progress_bar(None, "rows") as progress:
+    if (manifest.n_intervals or 0) > _LOOK:
+        require_known(model, record(manifest.sample(_LOOK), slicing=slicing, reading=reading, model=model))
+    with progress_bar(manifest.n_intervals, "impacts", "measuring") as progress:
         rows = record(manifest, slicing=slicing, reading=reading, model=model, progress=progress)
     for warning in rows.warnings:
         warn(warning)

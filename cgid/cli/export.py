@@ -27,7 +27,7 @@ def export(data: str, output: str, overwrite: bool) -> None:
     from cgid.store.dataset import export as export_dataset
 
     dataset = Dataset(data)
-    with progress_bar(len(dataset), "signals") as progress:
+    with progress_bar(len(dataset), "signals", "exporting") as progress:
         path = export_dataset(dataset, output, overwrite=overwrite, progress=progress)
     say(f"{path}: {path.stat().st_size / 1e6:.4g} MB", err=True)
 

@@ -143,11 +143,21 @@ class _Rows:
 
     def dataset(self, path: str, invert: bool) -> None:
         """Print one row for each signal of a dataset, batch by batch."""
-        from cgid.measure.features import extract_array, kind_for
+        from cgid.identification.contact import ThroughBeam
+        from cgid.measure.features import FEATURES, extract_array, kind_for
+        from cgid.scene.through_beam import shared_beam
         from cgid.store import Dataset
 
         dataset = Dataset(path)
-        chosen = _chosen(self.names, kind_for(dataset.quantity), dataset.sampling_rate, dataset.header.n_samples)
+        kind = kind_for(dataset.quantity)
+        chosen = _chosen(self.names, kind, dataset.sampling_rate, dataset.header.n_samples)
+        through = None
+        if any(FEATURES[name].beam for name in self.names or ()) or (self.names is None and kind == "vibration"):
+            beam, why = shared_beam([dataset])
+            more = () if beam is None or self.names else tuple(name for name in FEATURES if FEATURES[name].beam)
+            chosen, through = chosen + more, None if beam is None else ThroughBeam(beam)
+            if not self.as_json and self.names is None:
+                say(f"{path}: features of the samples{' and of the contact force' * bool(more)}, {why}", err=True)
         columns = _columns(dataset.quantity, dataset.unit, chosen)
         self._begin(path, columns)
         self._say_of(path, dataset.sampling_rate, counted(len(dataset), "signal"))
@@ -160,6 +170,7 @@ class _Rows:
                 pre_trigger=batch.pre_trigger,
                 remove_baseline=self.remove_baseline,
                 invalid="nan",
+                beam=through,
             )
             about = {"time_s": batch.pre_trigger / batch.sampling_rate, "sampling_rate_hz": batch.sampling_rate}
             for row, label in zip(values.tolist(), batch.labels.tolist(), strict=True):
@@ -277,10 +288,11 @@ def _columns(quantity: str | None, unit: str | None, chosen: tuple[str, ...]) ->
     """Return the columns of features of a signal, in its unit."""
     from cgid.measure.features import FEATURES
 
-    return [
-        numbers(name.replace("peak_force", f"peak_{quantity or 'signal'}"), FEATURES[name].unit_for(unit or "U"))
-        for name in chosen
-    ]
+    # The peak of the samples is that of their quantity; one through a beam is a force.
+    titles = (
+        name if FEATURES[name].beam else name.replace("peak_force", f"peak_{quantity or 'signal'}") for name in chosen
+    )
+    return [numbers(title, FEATURES[name].unit_for(unit or "U")) for title, name in zip(titles, chosen, strict=True)]
 
 
 def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:

@@ -29,6 +29,6 @@ def fetch(name: str | None, output: str, mirror: str | None) -> None:
             say(f"    for {one.good_for}")
         return
     total = public.PUBLIC[name].size if name in public.PUBLIC else None
-    with progress_bar(total, "B") as move:
+    with progress_bar(total, "B", "fetching") as move:
         folder = public.fetch(name, output, mirror=mirror, progress=move)
     say(f"wrote {folder}", err=True)

@@ -187,7 +187,7 @@ def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
     scene, n_signals = asked.scene, options["n_signals"]
     start = time.perf_counter()
     _warn_of_plate(scene, options["seed"])
-    with progress_bar(n_signals, "signals") as progress:
+    with progress_bar(n_signals, "signals", "generating") as progress:
         path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
     megabytes = n_signals * asked.signal_bytes / 1e6
@@ -218,7 +218,7 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
 
     n_signals, start = options["n_signals"], time.perf_counter()
     taken = ("output", "n_signals", "seed", "overwrite")
-    with progress_bar(n_signals, "signals") as progress:
+    with progress_bar(n_signals, "signals", "generating") as progress:
         written = tabulate(asked, progress=progress, **{name: options[name] for name in taken})
     seconds = time.perf_counter() - start
     say(
@@ -274,7 +274,7 @@ def _make_recordings(scene: Any, output: str, n_signals: int, **options: Any) ->
 
     seconds = scene.stream.duration * n_signals
     start = time.perf_counter()
-    with progress_bar(n_signals * samples_of(scene), "samples") as progress:
+    with progress_bar(n_signals * samples_of(scene), "samples", "generating") as progress:
         path = generate_recordings(scene, output, n_signals, progress=progress, **options)
     took = time.perf_counter() - start
     say(f"{path}: {counted(n_signals, 'recording')}, {seconds:g} s in {took:.1f} s", err=True)

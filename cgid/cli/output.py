@@ -27,7 +27,11 @@ from cgid.terminal import printable
 
 #: Version of the lines that --json prints.
 JSON_VERSION = 1
+#: Up to this total a progress bar shows plain numbers, above it 1.2k, 3.4M.
+_COUNTED_EXACTLY = 100_000
 _noted = threading.Event()
+#: Progress bars on the terminal, the last of which is drawn.
+_bars: list[Any] = []
 
 
 def open_missing() -> None:
@@ -58,6 +62,8 @@ def say(text: str, *, err: bool = False) -> None:
 
     A stderr that cannot be written, for example on a full disk, is ignored.
     """
+    if _bars and (err or sys.stdout.isatty()):
+        _bars[-1].clear()  # the next step draws it again, below this line
     try:
         click.echo(printable(text), err=err)
     except BrokenPipeError:
@@ -143,17 +149,31 @@ def _note(_number: int, _frame: FrameType | None) -> None:
 
 
 @contextmanager
-def progress_bar(total: int | None, what: str) -> Iterator[Callable[[int], object]]:
-    """Yield a function that moves a progress bar; the bar appears only if stderr is a terminal."""
+def progress_bar(total: int | None, what: str, task: str) -> Iterator[Callable[[int], object]]:
+    """Yield a function that moves a progress bar; the bar appears only if stderr is a terminal.
+
+    It reads such as `measuring: 1200 of 3000 signals`; without a total it counts.
+    """
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield lambda number: stop_if_asked()
+        return
     from tqdm import tqdm
 
-    with tqdm(total=total, unit=f" {what}", disable=None, file=sys.stderr, unit_scale=True) as bar:
+    amount = "{n_fmt}" if total is None else "{n_fmt} of {total_fmt}"
+    rest = ", {elapsed}" if total is None else " |{bar:20}| {elapsed}, {remaining} left"
+    form = f"{{desc}}: {amount} {what}{rest}"
+    many = total is None or total > _COUNTED_EXACTLY
+    with tqdm(desc=task, total=total, bar_format=form, file=sys.stderr, unit_scale=many, leave=False) as bar:
+        _bars.append(bar)
 
         def move(number: int) -> None:
             bar.update(number)
             stop_if_asked()
 
-        yield move
+        try:
+            yield move
+        finally:
+            _bars.remove(bar)
 
 
 def accuracy_text(metrics: Mapping[str, Any]) -> str:

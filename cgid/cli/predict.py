@@ -22,7 +22,7 @@ from cgid.cli.options import (
     reading_options,
     warn_of_model,
 )
-from cgid.cli.output import each_file, say
+from cgid.cli.output import each_file, progress_bar, say
 from cgid.cli.table import TableOutput, output_options
 from cgid.errors import CgidError
 from cgid.terminal import counted
@@ -141,8 +141,12 @@ class _Prediction:
         diagnosis = Diagnosis(model, rate, source, *given_options())
         rows = RecordingRows(source, model, names, question, self.lines, keep=keep, diagnosis=diagnosis)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
-        for step in steps:
-            rows.feed(step)
+        with progress_bar(recording.n_samples, "samples", "predicting") as progress:
+            seen = 0
+            for step in steps:
+                rows.feed(step)
+                progress(passing.n_samples - seen)
+                seen = passing.n_samples
         rows.finish(passing.n_samples / rate, recording.start_time)
         if self.reports is not None:
             self.reports.append(_report(recording, passing, model, self.models.name(model), rows))
@@ -168,19 +172,22 @@ class _Prediction:
         self.lines.begin(path, model, self.question)
         number, tally = count(), _Tally()
         diagnosis = Diagnosis(model, dataset.sampling_rate, path, *given_options(), labelled=True)
-        for batch in dataset.batches():
-            answers = identify_frames(
-                batch.signals if factor == 1 else batch.signals * factor,
-                batch.sampling_rate,
-                model,
-                self.question,
-                pre_trigger=batch.pre_trigger,
-                drop_height=self._heights(path, batch, model),
-            )
-            diagnosis.add(answers)
-            for answer, truth, specimen in zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True):
-                self.lines.answer(path, answer, index=next(number), truth=truth)
-                tally.add(answer, truth, specimen)
+        with progress_bar(len(dataset), "signals", "predicting") as progress:
+            for batch in dataset.batches():
+                answers = identify_frames(
+                    batch.signals if factor == 1 else batch.signals * factor,
+                    batch.sampling_rate,
+                    model,
+                    self.question,
+                    pre_trigger=batch.pre_trigger,
+                    drop_height=self._heights(path, batch, model),
+                )
+                diagnosis.add(answers)
+                truths = zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True)
+                for answer, truth, specimen in truths:
+                    self.lines.answer(path, answer, index=next(number), truth=truth)
+                    tally.add(answer, truth, specimen)
+                progress(len(batch))
         if tally.measured:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
         if (hint := diagnosis.hint()) is not None:

@@ -267,7 +267,7 @@ def ceiling(
     total = (n_signals if covered else n_signals + N_ESTIMATED if behind_beam else 0) + (
         n_signals + max(sizes) if sizes else 0
     )
-    with progress_bar(total, "signals") as progress:
+    with progress_bar(total, "signals", "estimating") as progress:
         limit, found = None, None
         if covered:
             limit = ceiling_of(loaded, n_signals, seed, drop_height_known=drop_height, progress=progress)
@@ -326,7 +326,7 @@ def _survey(scene: Any, n_signals: int, seed: int, path: Path, overwrite: bool) 
     from cgid.files import write_whole
     from cgid.plots import survey_picture
 
-    with progress_bar(n_signals * N_POINTS, "signals") as progress:
+    with progress_bar(n_signals * N_POINTS, "signals", "estimating") as progress:
         found = survey(scene, n_signals, seed, progress=progress)
     axes = {axis: found.along(axis) for axis in found.present}
     write_whole(path, survey_picture(axes, found.present, found.here), overwrite=overwrite)

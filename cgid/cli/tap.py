@@ -9,7 +9,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, SCENE, Reading, reading_options, share_of
-from cgid.cli.output import print_json, say, warn
+from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
 
@@ -89,17 +89,19 @@ def tap(
         raise InvalidValue(f"--start-error must be above 0 and at most 10 %, got {error:g}")
     times = None if table is None else read_times(table)
     response, force, rate, quantity = _read(recording, hammer, reading)
-    test = tap_test(
-        response,
-        rate,
-        hammer=force,
-        quantity=quantity,
-        band=band or None,
-        max_order=max_order,
-        contact=contact * 1e-3,
-        times=times,
-        source=recording,
-    )
+    with progress_bar(100, "%", "finding modes") as progress:
+        test = tap_test(
+            response,
+            rate,
+            hammer=force,
+            quantity=quantity,
+            band=band or None,
+            max_order=max_order,
+            contact=contact * 1e-3,
+            times=times,
+            source=recording,
+            progress=progress,
+        )
     known = None
     if modes is None:
         test.save(path, overwrite=overwrite)

@@ -318,17 +318,21 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     sources = _sources(data, None if given is None else share_of("--start-error", given))
     scene = sources[0] if len(sources) == 1 and isinstance(sources[0], Scene) else None
     own = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share")}
-    with progress_bar(None, "signals") as progress:
-        if scene is not None and not (own["features"] or options["drop_height"] or options["sensors"]):
-            from cgid.site.streams import is_streamable, train_on_streams
+    n_signals = options["n_signals"]
+    if scene is not None and not (own["features"] or options["drop_height"] or options["sensors"]):
+        from cgid.site.streams import is_streamable, numbers_of_streams, train_on_streams
 
-            if is_streamable(scene):
-                del own["features"]
-                return train_on_streams(scene, options["n_signals"], progress=progress, **own), []
+        if is_streamable(scene):
+            del own["features"]
+            with progress_bar(sum(numbers_of_streams(scene, n_signals)), "simulated streams", "measuring") as progress:
+                return train_on_streams(scene, n_signals, progress=progress, **own), []
+    beam = _beam(sources, options)
+    total = sum(n_signals if isinstance(source, Scene) else len(source) for source in sources)
+    with progress_bar(total, "signals", "measuring") as progress:
         training = train_model(
             _batches(sources, options),
             known=("drop_height",) if options["drop_height"] else (),
-            beam=_beam(scene, data, options),
+            beam=beam,
             progress=progress,
             **own,
         )
@@ -337,6 +341,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
 
 def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
+    from cgid.identification.grouped import MOST_FOLDS
     from cgid.identification.labelled_recordings import Reading, record
     from cgid.identification.rows import Slicing
     from cgid.identification.training import train as train_model
@@ -349,7 +354,7 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
         dead_time=dead_time_in_seconds(options["dead_time"]),
     )
     given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
-    with progress_bar(None, "rows") as progress:
+    with progress_bar(manifest.n_intervals, "rows", "measuring") as progress:
         rows = record(
             manifest,
             options["features"],
@@ -365,7 +370,8 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
     for warning in rows.warnings:
         warn(warning)
     own = {name: options[name] for name in (*_COMMON, "level_free")}
-    with progress_bar(None, "groups") as progress:
+    n_folds = min(len(rows.groups), MOST_FOLDS) if len(rows.groups) > 1 else None
+    with progress_bar(n_folds, "groups left out", "judging") as progress:
         training = train_model(rows, synthetic=synthetic, progress=progress, **own)
     for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:
         warn(warning)
@@ -395,7 +401,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
                 "of the recordings; make longer ones"
             )
         recorded = recorded.only(names)
-    with progress_bar(None, "signals") as progress:
+    with progress_bar(None, "signals", "measuring") as progress:
         alike = in_unit(chain([first], batches), recorded.unit, recorded.names)
         return recorded, measure(alike, recorded.names, progress, crew=options["crew"])
 
@@ -454,25 +460,27 @@ def _point(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _beam(scene: Scene | None, data: list[str], options: dict[str, Any]) -> Any:
-    """Return the beam of the only scene, if it has one to look through and the features, or the default, do.
+def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
+    """Return the beam that scenes and datasets share, if the features, or the default, look through it.
 
-    Raises `InvalidValue` if there are sensors, but no such beam.
+    Raises `InvalidValue` if there are sensors, but no single scene with such a beam.
     """
-    from cgid.measure.features import FEATURES
+    from cgid.measure.features import FEATURES, kind_for
+    from cgid.scene import Scene
+    from cgid.scene.through_beam import shared_beam
 
     features, sensors = options["features"], options["sensors"]
-    if scene is not None and (features is None or any(FEATURES[name].beam for name in features)):
-        from cgid.scene.through_beam import beam_of, has_beam
-
-        if has_beam(scene):
-            return beam_of(scene, sensors=sensors)
-    if sensors:
-        raise InvalidValue(
-            f"--sensor must be left out, {', '.join(data)} is no single scene whose beam the features look through; "
-            "give one such as tail_beam"
-        )
-    return None
+    beam, why = None, "the features that are asked for need no beam"
+    if features is None or any(FEATURES[name].beam for name in features):
+        beam, why = shared_beam(sources, sensors)
+    if sensors and (beam is None or len(sources) > 1 or not isinstance(sources[0], Scene)):
+        raise InvalidValue(f"--sensor must be left out, there is no single scene with a beam: {why}; give tail_beam")
+    first = sources[0]
+    quantity = first.sensor.quantity if isinstance(first, Scene) else first.quantity
+    if features is None and kind_for(quantity) == "vibration":
+        what = "levels by frequency" if beam is None else "peak, width and restitution of the contact force"
+        say(f"cgid: features: {what}, {why}", err=True)
+    return beam
 
 
 def _means_scene(item: str) -> bool:

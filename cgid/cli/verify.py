@@ -161,7 +161,7 @@ def _read(path: str, variable: str | None) -> tuple[RecordingFile, int]:
     except MissingOption:
         recording = open_recording(path, variable=variable, sampling_rate=1.0)
     n_samples = 0
-    with progress_bar(recording.n_samples, "samples") as progress:
+    with progress_bar(recording.n_samples, "samples", "reading") as progress:
         for block in recording.blocks():
             n_samples += block.shape[1]
             progress(block.shape[1])
@@ -194,7 +194,7 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
 def _repaired(found: Any, scene: Any) -> list[Any]:
     from cgid.scene.repair import repair
 
-    with progress_bar(None, "values") as progress:
+    with progress_bar(None, "values", "reading") as progress:
         return list(repair(found, scene, progress))
 
 

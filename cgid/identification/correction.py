@@ -127,10 +127,7 @@ def correct(model: Model, rows: Rows) -> Correction:
     features, guards = rows.columns(model.features), rows.columns(model.guards)
     known = model.novelty(features, guards) <= 1
     if int(known.sum()) < FEWEST_LUMPS:
-        raise BadData(
-            f"labelled impacts must lie within the training of the model, {FEWEST_LUMPS} at least, got "
-            f"{int(known.sum())} of {len(known)}; calibrate the beam (cgid calibrate) or train without --from"
-        )
+        raise _too_few_known(int(known.sum()), len(known))
     labels = rows.labels[known]
     _require_labels(labels, model, " within its training")
     lumps = _Lumps.of(model, features[known], np.array([model.labels.index(label) for label in labels]))
@@ -165,6 +162,19 @@ def require_correctable(model: Model) -> None:
         raise InvalidValue(
             f"--from must name a model of the signal alone, this one must know {', '.join(model.known)}; take another"
         )
+
+
+def require_known(model: Model, rows: Rows) -> None:
+    """Raise `BadData` if no impact of a sample of a site lies within the training of the model."""
+    if not (model.novelty(rows.columns(model.features), rows.columns(model.guards)) <= 1).any():
+        raise _too_few_known(0, len(rows.labels))
+
+
+def _too_few_known(n_known: int, n: int) -> BadData:
+    return BadData(
+        f"labelled impacts must lie within the training of the model, {FEWEST_LUMPS} at least, got {n_known} of {n}; "
+        "calibrate the beam (cgid calibrate RECORDING --channel CHANNEL) or train without --from"
+    )
 
 
 def _require_lumps(model: Model, rows: Rows) -> None:

@@ -14,7 +14,7 @@ import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -260,6 +260,18 @@ class Manifest:
     def labels(self) -> tuple[str, ...]:
         """The distinct labels, sorted."""
         return tuple(sorted({one.label for one in self.annotations if not one.reference}))
+
+    @property
+    def n_intervals(self) -> int | None:
+        """Number of labelled intervals, such as one for each impact; None where a row is a whole recording."""
+        labelled = [one for one in self.annotations if not one.reference]
+        return len(labelled) if all(one.end < math.inf for one in labelled) else None
+
+    def sample(self, n: int) -> Manifest:
+        """Return a manifest with at most `n` of the labelled rows, evenly spread, and all reference runs."""
+        labelled = [one for one in self.annotations if not one.reference]
+        step = -(-len(labelled) // n)
+        return replace(self, annotations=(*labelled[::step], *(one for one in self.annotations if one.reference)))
 
 
 def is_manifest(path: str | Path) -> bool:

@@ -6,7 +6,6 @@ must be made by the same versions, and its undamaged chunks must come out unchan
 
 from __future__ import annotations
 
-import json
 import re
 import stat
 import time
@@ -25,7 +24,7 @@ from cgid.files import locked, whole_file, write_whole
 from cgid.scene._fourier import LARGEST_FACTOR, transformable
 from cgid.scene.generation import attributes_of, in_order, next_signals, shard_plan
 from cgid.scene.recordings import recording_plan, write_recording
-from cgid.scene.schema import Scene, parse_scene, samples_of
+from cgid.scene.schema import Scene, samples_of, stored_scene
 from cgid.scene.synthesis import synthesise
 from cgid.store import Dataset
 from cgid.store.dataset import shard_content, write_dataset
@@ -311,13 +310,9 @@ def _scene_of(path: Path, attributes: Mapping[str, Any], given: Scene | None) ->
                 f"{attributes['background_sha256']}, got {background}; put that file in its place"
             )
         return given
-    try:
-        content = json.loads(attributes["scene"])
-    except (KeyError, TypeError, ValueError, RecursionError):
-        content = None
-    if not isinstance(content, dict):
+    scene = stored_scene(attributes, str(path))
+    if scene is None:
         raise BadData(f"{path}: does not say of what scene it was made; make it again by cgid generate")
-    scene = parse_scene(content, source=str(path))
     if scene.background is not None and scene.background.recorded is not None:
         # An untrusted file must not make us open other files.
         raise BadData(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, get_args
@@ -321,6 +321,18 @@ def load_scene(path: str | Path) -> Scene:
         raise BadData(f"{path}: a scene file must be valid TOML: {error}; correct it there") from None
     folder = Path(path).parent
     return parse_scene(with_spectrum(with_table(content, folder), folder), source=str(path), folder=folder)
+
+
+def stored_scene(attributes: Mapping[str, Any], source: str) -> Scene | None:
+    """Return the scene that a dataset or recording holds among its attributes; None if it holds none.
+
+    Raises `BadData` if the scene breaks rules.
+    """
+    try:
+        content = json.loads(attributes["scene"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        return None
+    return parse_scene(content, source=source) if isinstance(content, dict) else None
 
 
 def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | None = None) -> Scene:

@@ -17,9 +17,10 @@ from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import BeamModes, beam_modes, blows_of, draw
 from cgid.scene.plan import highest_frequency, plan
-from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.schema import Scene, parse_scene, stored_scene
 from cgid.scene.synthesis import batch_of, blocks, make_frames, require_count, require_frames
 from cgid.signals import Batch
+from cgid.store import Dataset
 from cgid.validation import Floats
 
 #: Pulses drawn for the principal shapes, in blocks of 256, their seed, and the number of shapes.
@@ -115,15 +116,53 @@ def _uniform(length: float, shares: tuple[float, float]) -> dict[str, Any]:
 
 def has_beam(scene: Scene) -> bool:
     """Return whether a scene has a beam to look through: a motion at one rate, of few enough modes."""
-    if (
-        scene.tail_beam is None
-        or scene.sensor.quantity == "force"
-        or any(scene.draws(name) for name in ("sampling_rate", "anti_alias_frequency"))
-        or (scene.stream is None and scene.sampling.samples < 2)
-    ):
-        return False
+    return not why_no_beam(scene)
+
+
+def why_no_beam(scene: Scene) -> str:
+    """Return why the signals of a scene cannot be looked through a beam; empty if they can."""
+    if scene.sensor.quantity == "force":
+        return "its sensor measures the force itself"
+    if scene.tail_beam is None:
+        return "it has no [tail_beam]"
+    drawn = [name for name in ("sampling_rate", "anti_alias_frequency") if scene.draws(name)]
+    if drawn:
+        return f"its {drawn[0]} differs from impact to impact"
+    if scene.stream is None and scene.sampling.samples < 2:
+        return "its frames are of one sample"
     rate, n_modes = scene.sampling.sampling_rate, beam_modes(scene).frequency.size
-    return RATES[0] <= rate <= RATES[1] and bounded(n_modes, N_SHAPES, round(SPAN_TIME * rate), _region(scene))
+    if not RATES[0] <= rate <= RATES[1]:
+        return f"its sampling rate, {rate:g} Hz, is outside of {RATES[0]:g} to {RATES[1]:g} Hz"
+    return "" if bounded(n_modes, N_SHAPES, round(SPAN_TIME * rate), _region(scene)) else "it has too many modes"
+
+
+def shared_beam(
+    sources: Sequence[Scene | Dataset], sensors: Iterable[tuple[float, float]] = ()
+) -> tuple[Beam | None, str]:
+    """Return the beam that scenes and datasets share, and in words where it comes from or why there is none.
+
+    A dataset has the beam of the scene that it was made of. Two scenes share a beam if its modes, the filters of the
+    sensor and the sampling rate are the same. Raises `BadData` if the scene that a dataset holds breaks rules.
+    """
+    scenes: list[Scene] = []
+    for source in sources:
+        scene = source if isinstance(source, Scene) else stored_scene(source.header.attributes, str(source.path))
+        if scene is None:
+            return None, "a dataset does not hold its scene"
+        if why := why_no_beam(scene):
+            return None, f"scene {scene.name}: {why}"
+        if scenes and _rig(scene) != _rig(scenes[0]):
+            return None, f"scenes {scenes[0].name} and {scene.name} differ in their beam, sensor or sampling rate"
+        scenes.append(scene)
+    return beam_of(scenes[0], sensors=sensors), f"through the beam of scene {scenes[0].name}"
+
+
+def _rig(scene: Scene) -> tuple[Any, ...]:
+    """Return what the modes and the sensor of a scene follow from."""
+    content, sensor = json.loads(scene.text), scene.sensor
+    filters = [pole for part in sensor.filters for pole in part.poles.tolist()]
+    steel = content["impact"].get("target")
+    return content["tail_beam"], steel, sensor.quantity, filters, scene.sampling.sampling_rate
 
 
 def contact_forces(scene: Scene) -> Floats:

@@ -15,7 +15,7 @@ force.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,18 +87,25 @@ class Poles:
         return np.asarray(-self.pole.real / np.abs(self.pole))
 
 
-def poles_of(decays: Floats, sampling_rate: float, band: tuple[float, float], max_order: int) -> Poles:
+def poles_of(
+    decays: Floats,
+    sampling_rate: float,
+    band: tuple[float, float],
+    max_order: int,
+    progress: Callable[[int], object] | None = None,
+) -> Poles:
     """Return the modes that ring in some decays of one body, possibly none.
 
     Decays (n_decays, n_samples) are free; the channels of several sensors are further decays. `band` [Hz] holds the
     lowest and highest natural frequency that is sought, `max_order` is the largest number of modes in one of the bands
-    that are fitted one by one.
+    that are fitted one by one. `progress` receives the percentage of the work that has been added.
     """
     decays = decays - decays.mean(axis=1, keepdims=True)
-    fits = []
-    for core in _cores(band, decays.shape[1] / sampling_rate):
-        part = _Band(decays, sampling_rate, core)
-        fits.append(part.best(max_order))
+    fits, cores = [], list(_cores(band, decays.shape[1] / sampling_rate))
+    for k, core in enumerate(cores):
+        fits.append(_Band(decays, sampling_rate, core).best(max_order))
+        if progress is not None:
+            progress(100 * (k + 1) // len(cores) - 100 * k // len(cores))
     known = np.concatenate([fit.pole[fit.band.in_core(fit.pole)] for fit in fits])
     # Once more, with the modes of other bands in the background: near the edge no polynomial follows a resonance.
     found = [fit.band.reported(fit.band.again(fit, known)) for fit in fits]

@@ -135,14 +135,14 @@ def rows_of_streams(
     """Simulate streams, such as `variations`, and measure what the detector finds in them.
 
     Each is simulated with its number in the sequence. `names` are features and guards, which look through the beam.
-    `progress` receives the number of impacts of each stream.
+    `progress` is called with 1 for each stream.
     """
     found = []
     with closing(crew.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
         for stream in streams:
             found.append(stream)
             if progress is not None:
-                progress(stream.n_found)
+                progress(1)
     return found
 
 
@@ -208,6 +208,13 @@ def _blow_of(found: Floats, touch: Floats, peak: Floats) -> NDArray[np.intp]:
     return np.array(blows, np.intp)
 
 
+def numbers_of_streams(scene: Scene, n_impacts: int) -> tuple[int, int]:
+    """Return how many streams of a scene hold about `n_impacts` to train on, and how many finish the model."""
+    each = _IMPACTS_A_ROCK * _rate_of(scene) * DURATION
+    n_streams = max(math.ceil(n_impacts / each), _FEWEST_STREAMS)
+    return n_streams, max(n_streams // 3, _FEWEST_STREAMS)
+
+
 def train_on_streams(
     scene: Scene,
     n_impacts: int,
@@ -220,12 +227,10 @@ def train_on_streams(
     """Train a model on simulated streams of a scene (see `is_streamable`), and finish it on others.
 
     It trains on about `n_impacts`, rounded up to whole streams, and is judged on impacts of rocks that did not train.
-    `progress` receives the number of impacts of each stream; `settings` are those of
+    `progress` is called with 1 for each stream; `settings` are those of
     `cgid.identification.training.train`, such as `family`.
     """
-    each = _IMPACTS_A_ROCK * _rate_of(scene) * DURATION
-    n_streams = max(math.ceil(n_impacts / each), _FEWEST_STREAMS)
-    n_further = max(n_streams // 3, _FEWEST_STREAMS)
+    n_streams, n_further = numbers_of_streams(scene, n_impacts)
     beam, names = whole_beam(scene), (*BEAM_FEATURES, *BEAM_GUARDS)
     scenes = variations(scene, n_streams, seed)
     streams = rows_of_streams(scenes, seed, names, beam, progress=progress, crew=crew)

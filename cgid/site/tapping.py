@@ -8,7 +8,7 @@ That is the estimate H1 at the pole, and neither windows nor leakage come in.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,6 +40,8 @@ SHORTEST, _LEAST_PART = 30e-3, 0.5
 _LONGEST = 1 << 18
 #: A clipped response holds its extreme for three samples, at least at this share of the largest deviation.
 _CLIPPED_SHARE = 0.5
+#: Whether a recording is one of taps at all shows in this time [s].
+_LOOK = 60.0
 #: A tap of a table is the one found within this time [s].
 _NEAR = 0.1
 #: Lowest natural frequency in periods of a decay, highest in sampling rates.
@@ -155,6 +157,7 @@ def tap_test(
     contact: float = CONTACT,
     times: Sequence[float] | None = None,
     source: str = "signal",
+    progress: Callable[[int], object] | None = None,
 ) -> TapTest:
     """Return the modes of a beam from a recording of taps on it.
 
@@ -177,6 +180,8 @@ def tap_test(
         Use only the taps at these times.
     source : str
         Name of the recording in errors.
+    progress : callable, optional
+        Called with the percentage of the work done since the last call.
 
     Returns
     -------
@@ -195,7 +200,7 @@ def tap_test(
     force, hits = None, None
     if hammer is not None:
         force, hits = _force(hammer, sampling_rate, source)
-    events = hits if hits is not None else _events(response, sampling_rate, source)
+    events = hits if hits is not None else _events(response, sampling_rate, times is None, source)
     taps = _judged(response, sampling_rate, events, contact, times, source)
     kept = [tap for tap in taps if not tap.flaw]
     if not kept:
@@ -203,7 +208,7 @@ def tap_test(
     length = min(min(tap.stop - tap.start for tap in kept), _LONGEST)
     low, high = _band(band, length / sampling_rate, sampling_rate, source)
     decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in kept])
-    poles = poles_of(decays, sampling_rate, (low, high), max_order)
+    poles = poles_of(decays, sampling_rate, (low, high), max_order, progress)
     if not poles.pole.size:
         raise BadData(
             f"{source}: a mode must ring after the taps, none is found between {low:.4g} and {high:.4g} Hz in "
@@ -244,10 +249,22 @@ def read_times(path: str | Path) -> list[float]:
 # -- taps -------------------------------------------------------------------------------------------------
 
 
-def _events(response: Floats, sampling_rate: float, source: str) -> list[Event]:
-    """Return the blows that the sensors hear; raises `BadData` if there is none."""
+def _events(response: Floats, sampling_rate: float, every: bool, source: str) -> list[Event]:
+    """Return the impacts that the sensors measure.
+
+    Raises `BadData` if there is none, or if `every` one should be a tap and those of the first minute are too close.
+    """
     detector = ImpactDetector(sampling_rate, len(response), kind="vibration", joint=True)
-    events = detector.feed(response) + detector.finish()
+    first = round(_LOOK * sampling_rate)
+    events = detector.feed(response[:, :first])
+    apart = np.median(np.diff([event.onset for event in events])) / sampling_rate if len(events) > 1 else np.inf
+    if every and apart < DOUBLE:
+        raise BadData(
+            f"{source}: taps must be {DOUBLE:g} s apart at least, and better a second, got a median of {apart:.2g} s "
+            f"between {counted(len(events), 'impact')}; record hammer taps with silence between them, or list the taps "
+            "in a table (--taps)"
+        )
+    events += detector.feed(response[:, first:]) + detector.finish()
     if not events:
         raise BadData(f"{source}: a recording of taps must hold one, {detector.why_silent()}")
     return [event for event in events if _jump(response, event.onset, sampling_rate) > _JUMP] or events
