@@ -41,6 +41,7 @@ myst_heading_anchors = 3
 
 autosummary_generate = False  # the pages of api_pages.py describe what they list
 default_role = "py:obj"
+smartquotes = False  # what is copied from a page must work: --from and "2 N", not a dash and curly quotes
 autodoc_typehints = "none"  # the docstrings say types with shapes and units
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False

@@ -23,14 +23,14 @@ from cgid.export_c import c_source
 from cgid.export_onnx import onnx_bytes
 from cgid.identification.classifier import ImpactClassifier, noise_contrast
 from cgid.identification.conformal import COVERAGES, Conformal
-from cgid.identification.families import Standardiser
+from cgid.identification.families import Boosting, Standardiser
 from cgid.identification.model import Model
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.measure.features import extract_array
 from cgid.shipped import MODELS, path_of
 from cgid.validation import UNKNOWN
 from tests import few
-from tests.hostile_models import wide_model
+from tests.hostile_models import wide_model, written
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wmissing-prototypes", "-Werror", "-O1")
@@ -301,6 +301,35 @@ def test_numbers_beyond_single_precision_are_refused_by_the_compiler(tmp_path: P
     assert compiled(c_source(large), tmp_path, "-DCGID_MAIN").exists()
     with pytest.raises(AssertionError, match="CGID_REAL must be float or double"):
         compiled(c_source(model), tmp_path, "-DCGID_MAIN", "-DCGID_REAL=int")
+
+
+@pytest.mark.parametrize("family", ["boosting", "linear", "logistic", "network"])
+def test_weights_of_integers_are_those_of_floats(family: str) -> None:
+    """A file may hold whole numbers as integers: tables of C that are read as reals must not be made of bytes."""
+    whole, indices = made(family, 2), ("conformal.labels", *(f"family.{name}" for name in Boosting.INDICES))
+    weights = {name: a for name, a in whole.arrays.items() if name not in indices and a.dtype != bool}
+    large = {name: np.where(a > 0, np.ceil(a), np.floor(a)) for name, a in weights.items() if "conformal" not in name}
+    floats = replace(whole, arrays=whole.arrays | large)
+    integers = {name: array.astype(np.int64) for name, array in large.items()}
+    read = Model.from_bytes(written(floats.header, floats.arrays | integers))
+    assert {name: array.dtype for name, array in read.arrays.items()} == {
+        name: array.dtype for name, array in whole.arrays.items()
+    }
+    assert c_source(read) == c_source(floats)
+
+
+@needs_gcc
+def test_trees_of_whole_numbers_read_their_tables_alone(tmp_path: Path) -> None:
+    """Seen by the sanitizers: byte tables were read as tables of reals."""
+    model = made("boosting", 2)
+    names = ("family.threshold", "family.value", "neighbourhood.centres", "standardiser.mean")
+    numbers = {name: model.arrays[name].round().astype(np.int32) for name in names}
+    read = Model.from_bytes(written(model.header, model.arrays | numbers))
+    rows = usual_rows(read, 200)
+    labels, probabilities, _ = judged(read, rows)
+    found = answers(compiled(c_source(read), tmp_path, "-DCGID_MAIN"), as_csv(rows))
+    np.testing.assert_array_equal(found["label"], labels)
+    np.testing.assert_allclose(found["p(coal)"], probabilities[:, 0], rtol=0, atol=1e-9)
 
 
 def test_the_file_names_the_model_it_was_made_of(tmp_path: Path) -> None:

@@ -237,6 +237,8 @@ class Boosting(Family):
         "right": 1,
         "value": 1,
     }
+    #: Those that number nodes, features or score columns.
+    INDICES: ClassVar[tuple[str, ...]] = ("roots", "columns", "feature", "left", "right")
 
     @staticmethod
     def export(estimator: Any) -> dict[str, NDArray[Any]]:
@@ -274,7 +276,7 @@ class Boosting(Family):
         a, n_nodes = self.arrays, len(self.arrays["feature"])
         for name in ("threshold", "left", "right", "value"):
             self._require(name, (n_nodes,))
-        for name in ("roots", "columns", "feature", "left", "right"):
+        for name in self.INDICES:
             if a[name].dtype.kind != "i":
                 raise BadData(f"array {name} must hold whole numbers, got {a[name].dtype}")
         self._require("baseline", (self.n_scores,))

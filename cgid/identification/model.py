@@ -34,6 +34,7 @@ from cgid.identification.model_file import (
     fields_of,
     read_header,
     signed,
+    with_floats,
 )
 from cgid.identification.reference import equalisations_of
 from cgid.measure.beam import Beam
@@ -132,6 +133,7 @@ class Model:
     sensors: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "arrays", with_floats(self.arrays))
         check_names(self)
         check_numbers(self)
         check_training(self)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData
 from cgid.identification.confusion import Confusion
-from cgid.identification.families import BY_NAME, Contrast, Linear, Network, Standardiser
+from cgid.identification.families import BY_NAME, Boosting, Contrast, Linear, Network, Standardiser
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.beam import Beam
@@ -254,6 +254,23 @@ MOST_LABELS, _MOST_SENSORS = 1000, 1000
 _LONGEST_WORD = 100
 #: Families of earlier versions, no longer supported.
 _DROPPED = ("discriminant",)
+
+
+#: Arrays that stay whole numbers.
+_WHOLE = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES)}
+
+
+def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a model, its weights as float64 where a file has integers: exports know no other type.
+
+    Those of a beam stay as they are: it refuses integers.
+    """
+    return {
+        name: array
+        if array.dtype.kind != "i" or name in _WHOLE or name.startswith("beam.")
+        else array.astype(np.float64)
+        for name, array in arrays.items()
+    }
 
 
 def check_names(model: Model) -> None:
