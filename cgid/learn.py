@@ -287,7 +287,7 @@ def stream(
     >>> batches.labels
     ('coal', 'gangue')
     """
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene = load_scene(scene)
     require_frames(scene)
     require_seed(validation.whole("seed", seed, 0))
     if not isinstance(shard, tuple) or len(shard) != 2:

@@ -332,6 +332,8 @@ def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path
         loaded.feed(page.read_text(encoding="utf-8"))
         foreign = [place for place in loaded.places if place.startswith(("http:", "https:", "//"))]
         assert not foreign, f"{page}: {foreign}"
+        curly = re.findall("[\u2013\u2014\u2018\u2019\u201c\u201d]", page.read_text(encoding="utf-8"))
+        assert not curly, f"{page}: copied from it, options would not work: {curly}"
     for sheet in html.rglob("*.css"):
         places = re.findall(r"(?:@import|url\()\s*['\"]?((?:https?:)?//[^'\")]+)", sheet.read_text(encoding="utf-8"))
         assert not places, f"{sheet}: {places}"

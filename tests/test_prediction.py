@@ -30,7 +30,7 @@ def test_the_table_agrees_with_the_command(capsys: pytest.CaptureFixture[str]) -
     assert run(["predict", str(SAMPLE), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     rows = [line for line in lines if line["kind"] == "impact"]
-    table = cgid.predict(sample(), 200e3)
+    table = cgid.predict(sample(), 200e3, "N")
     assert list(table) == [
         *("channel", "time [s]", "label", "p(coal)", "p(gangue)", "novelty"),
         *("overlapping", "clipped", "cut_off", "problem"),
@@ -43,32 +43,32 @@ def test_the_table_agrees_with_the_command(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_channels_are_columns_and_units_do_not_matter() -> None:
-    one = cgid.predict(sample(), 200e3)
+    one = cgid.predict(sample(), 200e3, "N")
     both = pd.DataFrame({"left": sample() / 1e3, "right": -sample() / 1e3})
     with pytest.warns(UserWarning, match="samples channel right: "):
         named = cgid.predict(both, 200e3, "kN", model="default")
     assert set(named["channel"]) == {"left"}
     np.testing.assert_allclose(named["p(coal)"], one["p(coal)"], rtol=1e-9)
-    two = cgid.predict(np.stack([sample(), sample()], axis=1), 200e3)
+    two = cgid.predict(np.stack([sample(), sample()], axis=1), 200e3, "N")
     assert two["channel"].value_counts().to_dict() == {"1": 6, "2": 6}
     with pytest.warns(UserWarning):
         assert cgid.predict(both, 200e3, "kN", invert=True)["channel"].unique().tolist() == ["right"]
 
 
 def test_settings_are_those_of_a_question() -> None:
-    assert (cgid.predict(sample(), 200e3, costs={"gangue": 1e6})["label"] == "gangue").all()
-    sets = cgid.predict(sample(), 200e3, coverage=0.99)["prediction_set"]
+    assert (cgid.predict(sample(), 200e3, "N", costs={"gangue": 1e6})["label"] == "gangue").all()
+    sets = cgid.predict(sample(), 200e3, "N", coverage=0.99)["prediction_set"]
     assert set(sets) <= {"coal", "gangue", "coal+gangue", ""}
-    heights = [cgid.predict(sample(), 200e3, drop_height=height)["p(coal)"] for height in (0.5, 3.0)]
+    heights = [cgid.predict(sample(), 200e3, "N", drop_height=height)["p(coal)"] for height in (0.5, 3.0)]
     assert np.max(np.abs(heights[0] - heights[1])) > 0.1
-    force = cgid.predict(sample(), 200e3)["p(coal)"]
+    force = cgid.predict(sample(), 200e3, "N")["p(coal)"]
     of_mass = cgid.predict(sample() / 2.5, 200e3, "m/s^2", mass=2.5)["p(coal)"]
     np.testing.assert_allclose(of_mass, force, rtol=1e-9)
 
 
 def test_volts_become_what_the_sensor_measured() -> None:
     """A hammer of 2 mV/N behind an amplifier of 10, and a recorder of 16 bit and 400 V."""
-    force = cgid.predict(sample(), 200e3)["p(coal)"]
+    force = cgid.predict(sample(), 200e3, "N")["p(coal)"]
     volts = sample() * 2e-3 * 10
     stated = {"sensitivity": "2 mV/N", "gain": "20 dB"}
     np.testing.assert_allclose(cgid.predict(volts, 200e3, "V", **stated)["p(coal)"], force, rtol=1e-9)
@@ -84,7 +84,7 @@ def test_volts_become_what_the_sensor_measured() -> None:
 
 
 def test_signals_bring_their_rate_unit_and_name() -> None:
-    expected = cgid.predict(sample(), 200e3)
+    expected = cgid.predict(sample(), 200e3, "N")
     (signal,) = cgid.read_recording(SAMPLE)
     for given in (signal, [signal], replace(signal, samples=signal.samples / 1e3, unit="kN")):
         pd.testing.assert_frame_equal(cgid.predict(given), expected)
@@ -104,34 +104,46 @@ def test_signals_bring_their_rate_unit_and_name() -> None:
         cgid.predict(replace(signal, unit=None))
     with pytest.raises(MissingOption, match="give sampling_rate"):
         cgid.predict(sample())
+    with pytest.raises(MissingOption, match="unit"):  # newtons would be taken for an acceleration's
+        cgid.predict(sample(), 200e3)
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    expected = cgid.predict(sample(), 200e3, "N")
+    for given in (SAMPLE, str(SAMPLE)):
+        pd.testing.assert_frame_equal(cgid.predict(given), expected)
+    np.save(tmp_path / "volts.npy", sample() * 2e-3)
+    volts = cgid.predict(tmp_path / "volts.npy", 200e3, "V", sensitivity="2 mV/N")
+    np.testing.assert_allclose(volts["p(coal)"], expected["p(coal)"], rtol=1e-9)
 
 
 def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
     with pytest.warns(UserWarning, match="no impact"):
-        table = cgid.predict(np.random.default_rng(0).normal(size=5000), 2e5)
-    assert len(table) == 0 and list(table) == list(cgid.predict(sample(), 200e3))
+        table = cgid.predict(np.random.default_rng(0).normal(size=5000), 2e5, "N")
+    assert len(table) == 0 and list(table) == list(cgid.predict(sample(), 200e3, "N"))
 
 
 @pytest.mark.parametrize(
     ("given", "settings", "error", "says"),
     [
-        ((np.zeros((2, 1000)), 2e5), {}, BadData, "transpose"),
-        ((np.zeros((2, 3, 4)), 2e5), {}, BadData, "shape"),
-        ((np.array([0.0, np.nan]), 2e5), {}, BadData, "sample 1 is nan"),
-        ((np.zeros(100), -1.0), {}, InvalidValue, "above 0"),
+        ((np.zeros((2, 1000)), 2e5, "N"), {}, BadData, "transpose"),
+        ((np.zeros((2, 3, 4)), 2e5, "N"), {}, BadData, "shape"),
+        ((np.array([0.0, np.nan]), 2e5, "N"), {}, BadData, "sample 1 is nan"),
+        ((np.zeros(100), -1.0, "N"), {}, InvalidValue, "above 0"),
         ((np.zeros(100), 2e5, "KN"), {}, InvalidValue, "level: FS\\); did you mean 'kN'"),
         ((np.zeros(100), 2e5, "V"), {}, MissingOption, "voltage"),
         ((np.zeros(100), 2e5, "N", "defualt"), {}, NoInput, "did you mean 'default'"),
         ((sample(), 2e5, "N", "default-drop-height"), {}, MissingOption, "drop_height"),
-        ((np.zeros(100), 2e5), {"masss": 2.0}, InvalidValue, "did you mean 'mass'"),
-        ((np.zeros(100), 2e5), {"costs": {"gange": 2.0}}, InvalidValue, "did you mean 'gangue'"),
-        ((np.zeros(100), 2e5), {"costs": 3.0}, InvalidValue, "costs must be a Mapping, got 3.0"),
-        ((np.zeros(100), 2e5), {"coverage": "0.9"}, InvalidValue, "coverage must be a real number"),
-        ((np.zeros(100), 2e5), {"invert": "no"}, InvalidValue, "invert must be a bool"),
-        ((np.zeros(100), 2e5), {"sensors": "left"}, InvalidValue, "sensors must be a tuple of names"),
+        ((np.zeros(100), 2e5, "N"), {"masss": 2.0}, InvalidValue, "did you mean 'mass'"),
+        ((np.zeros(100), 2e5, "N"), {"costs": {"gange": 2.0}}, InvalidValue, "did you mean 'gangue'"),
+        ((np.zeros(100), 2e5, "N"), {"costs": 3.0}, InvalidValue, "costs must be a Mapping, got 3.0"),
+        ((np.zeros(100), 2e5, "N"), {"coverage": "0.9"}, InvalidValue, "coverage must be a real number"),
+        ((np.zeros(100), 2e5, "N"), {"invert": "no"}, InvalidValue, "invert must be a bool"),
+        ((np.zeros(100), 2e5, "N"), {"sensors": "left"}, InvalidValue, "sensors must be a tuple of names"),
         ((np.zeros(100), 2e5, ["N"]), {}, InvalidValue, r"unit must be one of the known ones, got \['N'\]"),
         ((np.zeros(100), 2e5, "N", 5), {}, InvalidValue, "model must be a str or Path, got 5"),
-        (([[1.0, 2.0], [3.0]], 2e5), {}, InvalidValue, "samples must be a real number or an array of them"),
+        (("gone.csv",), {}, NoInput, "gone.csv"),
+        (([[1.0, 2.0], [3.0]], 2e5, "N"), {}, InvalidValue, "samples must be a real number or an array of them"),
     ],
 )
 def test_what_is_refused(given: tuple, settings: dict, error: type[Exception], says: str) -> None:

@@ -1,6 +1,7 @@
 """Scenes: units, distributions against scipy.stats, and every mistake with its path."""
 
 import copy
+import inspect
 import json
 import random
 import tomllib
@@ -15,7 +16,8 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from scipy import stats
 
-from cgid import shipped
+import cgid
+from cgid import ceiling, shipped, site
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.distributions import LARGEST_UNIFORM, LIMITS, SMALLEST_UNIFORM, Distribution, measured
@@ -564,6 +566,27 @@ def test_identity_does_not_depend_on_the_layout_of_the_file(tmp_path):
 def test_identity_depends_on_every_number():
     changed = parse_scene(content(populations__0__density=1400.0000001))
     assert changed.sha256 != parse_scene(content()).sha256
+
+
+def takes_a_scene():
+    """Return the public functions whose first parameter is a scene, by name."""
+    public = {name: getattr(home, name) for home in (cgid, ceiling, cgid.scene, site) for name in home.__all__}
+    functions = {name: one for name, one in public.items() if inspect.isfunction(one)}
+    return {name: one for name, one in functions.items() if next(iter(inspect.signature(one).parameters)) == "scene"}
+
+
+def test_functions_that_take_a_scene_take_its_name_or_file():
+    own, (signals,) = load_scene("reference"), synthesise(load_scene("reference"), 3)
+    for given_as in ("reference", DATASETS / "reference.toml", own):
+        (batch,) = synthesise(given_as, 3)
+        np.testing.assert_array_equal(batch.signals, signals.signals)
+    assert takes_a_scene().keys() >= {"synthesise", "generate", "record", "stream", "ceiling", "calibrate"}
+    for function in takes_a_scene().values():
+        needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+        needed = [one for one in needed if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+        with pytest.raises(NoInput, match="refrence"):
+            made = function("refrence", *[None] * (len(needed) - 1))
+            next(made)  # of those that yield
 
 
 @pytest.mark.parametrize("name", shipped.SCENES)

@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.prior import Prior
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Profile, profile
-from cgid.scene import Scene, parse_scene, synthesise
+from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws
 from cgid.signals import Batch
@@ -123,7 +124,7 @@ class Ceiling:
 
 
 def ceiling(
-    scene: Scene,
+    scene: Scene | str | Path,
     n_signals: int = 20_000,
     seed: int = 1_000_003,
     *,
@@ -134,7 +135,7 @@ def ceiling(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
         Impacts on a half space or a rigid wall, with noise of known level.
     n_signals : int
         At most `MOST_SIGNALS`; the standard error falls with the square root.
@@ -158,7 +159,7 @@ def ceiling(
 
 
 def ceilings(
-    scene: Scene,
+    scene: Scene | str | Path,
     n_signals: int,
     seed: int,
     drop_height_known: tuple[bool, ...],
@@ -185,6 +186,7 @@ def ceilings(
     -------
     tuple of Ceiling
     """
+    scene = load_scene(scene)
     check_covered(scene)
     validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # one signal has no standard error
     known = [

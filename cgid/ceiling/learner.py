@@ -16,6 +16,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from cgid.measure.features import extract_array
 from cgid.measure.pulses import PULSE_FEATURES
 from cgid.measure.table import Feature
 from cgid.measure.vibration import Beam
-from cgid.scene import Scene, synthesise
+from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws
 from cgid.validation import Floats
@@ -159,7 +160,7 @@ def sizes_up_to(highest: int) -> tuple[int, ...]:
 
 
 def bracket(
-    scene: Scene,
+    scene: Scene | str | Path,
     sizes: tuple[int, ...] = (1_000, 3_000, 10_000),
     n_test: int = 20_000,
     seed: int = 1_000_003,
@@ -174,7 +175,7 @@ def bracket(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
     sizes : tuple of int
         Numbers of training signals; each set contains the smaller ones. Their seed differs from that of the test. May
         be empty for an estimate.
@@ -195,6 +196,7 @@ def bracket(
         The scene has no single impacts or a single label, the errors behind its beam are not known, or a size is out
         of range.
     """
+    scene = load_scene(scene)
     behind_beam = scene.tail_beam is not None
     for size in sizes if sizes or behind_beam else (0,):
         sizes_up_to(size)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from cgid.ceiling.bayes import ceilings, check_covered
 from cgid.errors import BadData
-from cgid.scene import Scene, varied
+from cgid.scene import Scene, load_scene, varied
 from cgid.scene.impacts import draws
 from cgid.scene.sections import Population
 from cgid.validation import Floats
@@ -96,7 +97,7 @@ class Survey:
 
 
 def survey(
-    scene: Scene,
+    scene: Scene | str | Path,
     n_signals: int = 2000,
     seed: int = 1_000_003,
     *,
@@ -111,7 +112,7 @@ def survey(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
     n_signals : int
         Signals at each point.
     seed : int
@@ -133,6 +134,7 @@ def survey(
     InvalidValue
         As `ceiling`.
     """
+    scene = load_scene(scene)
     check_covered(scene)
     settings = [("present", 0.0), *(("snr", v) for v in snrs), *(("sampling_rate", v) for v in sampling_rates)]
     settings += [("size_spread", v) for v in size_spreads]

@@ -17,6 +17,7 @@ from cgid.identification.answers import Answer
 from cgid.identification.model import Model
 from cgid.identification.question import Question
 from cgid.identification.stream import factor_of, identify_blocks
+from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement, scaled
 from cgid.recordings.recording import Contents, require_one_rate
 from cgid.recordings.variables import full_scale_of
@@ -62,7 +63,7 @@ def load_model(model: str | Path = "default") -> Model:
 
 
 def predict(
-    samples: ArrayLike | Signal | Sequence[Signal],
+    samples: ArrayLike | Signal | Sequence[Signal] | str | Path,
     sampling_rate: float | None = None,
     unit: str | None = None,
     model: Model | str | Path | None = None,
@@ -72,22 +73,22 @@ def predict(
     full_scale: Statement | None = None,
     **settings: Any,
 ) -> pandas.DataFrame:
-    """Identify the material of every impact in some samples.
+    """Identify the material of every impact in a recording or an array of samples.
 
     Parameters
     ----------
-    samples : array_like, (n_samples,) or (n_samples, n_channels); or Signal, or list of Signal
-        In `unit`. The columns of a DataFrame name the channels; else they are numbered from 1. Signals, such as those
-        of `read_recording`, are channels of one length; rate, unit and names are theirs.
+    samples : str or Path; or Signal, or list of Signal; or array_like, (n_samples,) or (n_samples, n_channels)
+        A file, which `read_recording` reads into memory. Signals are channels of one length; rate, unit and names are
+        theirs. An array is in `unit`; the columns of a DataFrame name its channels, else they are numbered from 1.
     sampling_rate : float, optional
-        [Hz]; only for Signals it may be left out.
+        [Hz]; required for an array, and for a file that does not state it.
     unit : str, optional
-        One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; by default that of the Signals, else "N".
+        One of `cgid.units.UNITS`, such as "N", "kN", "g", "m/s^2" or "V"; required likewise.
     model : Model, str or Path, optional
         A model, or what `load_model` takes; by default the shipped one for this quantity.
     sensitivity, gain, full_scale : str, float, mapping or list, optional
         What turns volts, coulombs or integers into what the sensor measured, such as ``sensitivity="10.2 mV/g"``; as
-        in `cgid.open_recording`. With them an array needs `unit` ("V"), unless `full_scale` says it.
+        in `cgid.open_recording`. A `full_scale` may also say the unit.
     **settings
         Fields of `cgid.identification.question.Question`, such as ``mass=2.5`` [kg] of an accelerated striker,
         ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.
@@ -108,14 +109,14 @@ def predict(
     Raises
     ------
     BadData
-        The samples are not finite, have another shape, are of another quantity than the model's, or Signals differ in
-        length or rate.
+        The samples are not finite, have another shape, are of another quantity than the model's, Signals differ in
+        length or rate, or a file cannot be read as a recording.
     InvalidValue
         The sampling rate, the unit, the sensitivity or a setting is invalid.
     MissingOption
         The sampling rate or the unit is not known, volts have no sensitivity, or the model needs a drop height.
     NoInput
-        There is no such model.
+        There is no such file or model.
 
     Examples
     --------
@@ -124,20 +125,30 @@ def predict(
     >>> import numpy as np
     >>> time = np.arange(2000) / 200e3
     >>> blow = 8e3 * np.sin(np.pi * np.clip((time - 4e-3) / 0.4e-3, 0, 1)) ** 1.5
-    >>> table = predict(blow + np.random.default_rng(0).normal(0, 50, 2000), 200e3)
+    >>> table = predict(blow + np.random.default_rng(0).normal(0, 50, 2000), 200e3, "N")
     >>> list(table.columns[:5]), len(table), round(float(table["time [s]"][0]), 4)
     (['channel', 'time [s]', 'label', 'p(coal)', 'p(gangue)'], 1, 0.004)
 
     A recording:
 
-    >>> from cgid import read_recording, shipped
-    >>> len(predict(read_recording(shipped.path_of("datasets", "sample.csv"))))
+    >>> from cgid import shipped
+    >>> len(predict(shipped.path_of("datasets", "sample.csv")))
     6
     """
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
     question = replace(Question(), **settings)
-    signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
+    if isinstance(samples, str | Path):
+        signals = read_recording(
+            samples,
+            sampling_rate=sampling_rate,
+            unit=unit,
+            sensitivity=sensitivity,
+            gain=gain,
+            full_scale=full_scale,
+        )
+    else:
+        signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
     first = signals[0]
     chosen = model if isinstance(model, Model) else load_model(_default(first, question) if model is None else model)
     question.check(chosen)
@@ -158,15 +169,14 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
     listed = [samples] if isinstance(samples, Signal) else samples
     of_signals = isinstance(listed, list | tuple) and any(isinstance(one, Signal) for one in listed)
     signals = _alike(listed, sampling_rate) if of_signals else _signals(samples, sampling_rate)
-    # An array of N needs no unit; but what a sensitivity is for must be said.
-    is_force = not of_signals and chain == Chain()
+    if not of_signals and unit is None and chain == Chain():
+        raise MissingOption("samples: an array does not say its unit; give it, as in unit='N' or unit='m/s^2'")
     largest = None if of_signals else full_scale_of(validation.plain("samples", samples).dtype)
     contents = Contents(
         n_channels=len(signals),
         blocks=lambda length, channels: iter(()),
         names=[signal.channel for signal in signals],
         units=[signal.unit for signal in signals],
-        fallback_unit="N" if is_force else None,
         full_scales=[largest] * len(signals),
     )
     links = chain.links(contents, range(len(signals)), unit, signals[0].source)
@@ -180,7 +190,7 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
 def _signals(samples: Any, sampling_rate: float | None) -> list[Signal]:
     """Return the channels of samples (n_samples,) or (n_samples, n_channels), in no unit yet."""
     if sampling_rate is None:
-        raise MissingOption("samples: an array does not say its sampling rate; give sampling_rate [Hz]")
+        raise MissingOption("samples: an array does not say its sampling rate; give sampling_rate in Hz")
     names = getattr(samples, "columns", None)
     columns = validation.plain("samples", samples)
     if columns.ndim == 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.scene.calibration_blow import Blow, PreparedBlow, prepared
 from cgid.scene.calibration_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, columns, fitted, ringing_modes
 from cgid.scene.impacts import beam_modes
-from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.schema import Scene, load_scene, parse_scene
 from cgid.scene.sections import TailBeamSection
 from cgid.validation import Floats
 
@@ -54,7 +55,11 @@ class Calibration:
 
 
 def calibrated(
-    scene: Scene, blows: Sequence[Blow], *, modes: int | None = None, band: tuple[float, float] | None = None
+    scene: Scene | str | Path,
+    blows: Sequence[Blow],
+    *,
+    modes: int | None = None,
+    band: tuple[float, float] | None = None,
 ) -> Calibration:
     """Fit the gain or the modes of a scene to recorded blows: a tap test, or drops of known mass.
 
@@ -77,7 +82,7 @@ def calibrated(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
         With a beam and a sensor of motion: that of the recordings except for the gain.
     blows : sequence of Blow
     modes : int, optional
@@ -100,7 +105,7 @@ def calibrated(
     --------
     A tap test with an instrumented hammer, simulated with a scene of two modes and its force:
 
-    >>> from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
+    >>> from cgid.scene import Blow, calibrated, load_scene, parse_scene, synthesise, varied
     >>> from cgid.signals import Signal
     >>> mode = {"damping_ratio": 0.02, "modal_mass": "300 kg", "shape_impact": 0.8, "shape_sensor": 0.6}
     >>> beam = parse_scene(
@@ -127,6 +132,7 @@ def calibrated(
     >>> bool((found.explained > 0.98).all())
     True
     """
+    scene = load_scene(scene)
     blows = _checked(scene, blows)
     if modes is not None:
         validation.count("modes", modes)
@@ -140,7 +146,6 @@ def calibrated(
 
 
 def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
-    validation.instance("scene", scene, Scene)
     blows = list(blows)
     if not blows:
         raise InvalidValue("blows must be at least 1, got none")

@@ -28,7 +28,7 @@ from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import require_room, write_whole
 from cgid.scene.draws import BLOCK, parameter_units
 from cgid.scene.plan import Plan
-from cgid.scene.schema import Scene
+from cgid.scene.schema import Scene, load_scene
 from cgid.scene.synthesis import columns_of, synthesise
 from cgid.signals import Batch
 from cgid.store import TableHeader, check_output, check_table_output, table_writer
@@ -55,7 +55,7 @@ _T = TypeVar("_T")
 
 
 def generate(
-    scene: Scene,
+    scene: Scene | str | Path,
     output: str | Path,
     n_signals: int,
     seed: int = 0,
@@ -73,7 +73,7 @@ def generate(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
     output : str or Path
         Ending in .h5 or .hdf5 for one file, else a folder of shards.
     n_signals, seed : int
@@ -117,6 +117,7 @@ def generate(
     InvalidValue
         A number is out of range, or the scene randomises its sampling rate.
     """
+    scene = load_scene(scene)
     for name, value in (("n_signals", n_signals), ("jobs", jobs), ("shard_signals", shard_signals)):
         if value < 1:
             raise InvalidValue(f"{name} must be 1 or more, got {value}")

@@ -39,7 +39,7 @@ from cgid.scene.draws import (
 )
 from cgid.scene.impacts import Blows, Strike
 from cgid.scene.plan import Plan, plan
-from cgid.scene.schema import Scene
+from cgid.scene.schema import Scene, load_scene
 from cgid.scene.synthesis import batch_of, make_frames, require_frames
 from cgid.signals import Batch
 from cgid.validation import Floats
@@ -74,7 +74,7 @@ _RADIUS = 1 + FALL.index("radius")
 
 
 def synthesise_given(
-    scene: Scene,
+    scene: Scene | str | Path,
     pulses: SampledPulses,
     labels: ArrayLike,
     parameters: Mapping[str, ArrayLike] | None = None,
@@ -90,7 +90,7 @@ def synthesise_given(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
         Its populations determine only which parameters are stored.
     pulses : SampledPulses
         n pulses [N].
@@ -113,6 +113,7 @@ def synthesise_given(
         No pulses, wrong number of labels or parameters, an unknown, impossible or derived parameter, or a scene of a
         stream.
     """
+    scene = load_scene(scene)
     validation.choice("dtype", dtype, ("float32", "float64"))
     require_frames(scene)
     n = len(pulses)

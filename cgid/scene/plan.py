@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from cgid.measure.pulses import FAINT
 from cgid.physics import HuntCrossley, ThinPlate
 from cgid.scene.draws import parameter_units
 from cgid.scene.extremes import largest_error, tolerance_of
-from cgid.scene.schema import Scene, samples_of
+from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.sensor import CHUNK
 
 #: The possible outputs.
@@ -179,7 +180,7 @@ class Plan:
 
 
 def plan(
-    scene: Scene,
+    scene: Scene | str | Path,
     output: str = "frames",
     *,
     features: Iterable[str] | None = None,
@@ -194,7 +195,7 @@ def plan(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
     output : {"parameters", "closed-form", "pulses", "frames", "recordings", "features"}
     features : iterable of str, optional
         By default all of the sensor's kind that sampling rate and frames allow.
@@ -221,6 +222,7 @@ def plan(
     >>> [stage for stage, decision in asked.decisions.items() if decision.runs]
     ['impacts']
     """
+    scene = load_scene(scene)
     validation.choice("output", output, OUTPUTS)
     for name, given, needed in (("features", features, "features"), ("quantities", quantities, "closed-form")):
         if given is not None and output != needed:

@@ -17,7 +17,7 @@ from cgid.scene.draws import require_seed
 from cgid.scene.generation import attributes_of, in_order
 from cgid.scene.noise import background_of
 from cgid.scene.rocks import arrivals_of
-from cgid.scene.schema import Scene, samples_of
+from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.stream import impact_units, joined, parts_of_recording
 from cgid.store.description import (
     JOURNAL,
@@ -83,7 +83,7 @@ def _cure(duration: float, excess: float, otherwise: str) -> str:
 
 
 def generate_recordings(
-    scene: Scene,
+    scene: Scene | str | Path,
     output: str | Path,
     n_recordings: int = 1,
     seed: int = 0,
@@ -97,7 +97,7 @@ def generate_recordings(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
         With a `stream`.
     output : str or Path
         One file for a name in .h5 or .hdf5 (one recording); else a folder of recording-00000.h5 and so on.
@@ -128,6 +128,7 @@ def generate_recordings(
     WriteFailed
         The disk is full; finished recordings of a folder stay, and the run can be resumed.
     """
+    scene = load_scene(scene)
     if scene.stream is None:
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
     if not 1 <= n_recordings <= MOST_RECORDINGS:

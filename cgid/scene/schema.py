@@ -286,13 +286,14 @@ def samples_of(scene: Scene) -> int:
     return max(round(scene.stream.duration * scene.sampling.sampling_rate), 1)
 
 
-def load_scene(path: str | Path) -> Scene:
+def load_scene(path: str | Path | Scene) -> Scene:
     """Load a scene from a TOML file, or one that comes with cgid.
 
     Parameters
     ----------
     path : str or Path
-        A file, or the name of a shipped scene, as `cgid check --list` prints them; a `Path` is always a file.
+        A file, or the name of a shipped scene, as `cgid check --list` prints them; a `Path` is always a file. A `Scene`
+        is returned as it is.
 
     Returns
     -------
@@ -310,6 +311,8 @@ def load_scene(path: str | Path) -> Scene:
     >>> load_scene("reference").labels
     ('coal', 'gangue')
     """
+    if isinstance(path, Scene):
+        return path
     path = scene_path(path)
     try:
         text = read_regular(path, "a scene file", _LARGEST_FILE, "give a .toml file").decode()
@@ -441,12 +444,12 @@ _DRAWN_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}
 _OF_ITS_OWN = ("label", "weight", "dissipation")
 
 
-def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
+def varied(scene: Scene | str | Path, *, keep_frame: bool = False, **changes: Any) -> Scene:
     """Return a validated copy of a scene with some settings changed.
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
     keep_frame : bool
         With a new `sampling_rate`, keep the durations before and after touch, with at least `LEAST_PRE_TRIGGER` samples
         before touch; `samples` and `pre_trigger` must then be left out.
@@ -475,6 +478,7 @@ def varied(scene: Scene, *, keep_frame: bool = False, **changes: Any) -> Scene:
     >>> slow.sampling.samples, slow.sampling.pre_trigger
     (526, 64)
     """
+    scene = load_scene(scene)
     content = json.loads(scene.text)
     if keep_frame:
         changes |= _kept_frame(scene, changes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from cgid.scene.impacts import Recorder, impacts_by_coupling, impacts_of, record
 from cgid.scene.noise import Background, add_noise, background_of, colour_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
-from cgid.scene.schema import Scene, samples_of
+from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.sensor import CHUNK
 from cgid.signals import Signal
 from cgid.validation import Floats
@@ -197,13 +198,13 @@ def hearing_limit(scene: Scene, background: Background | None) -> float:
 
 
 def record(
-    scene: Scene, seed: int = 0, number: int = 0, *, dtype: Literal["float32", "float64"] = "float32"
+    scene: Scene | str | Path, seed: int = 0, number: int = 0, *, dtype: Literal["float32", "float64"] = "float32"
 ) -> tuple[Signal, dict[str, NDArray[Any]]]:
     """Return a recording of a stream in memory, and the truth of its impacts.
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
         With a `stream`.
     seed, number : int
         The same seed and number give the same recording.
@@ -221,6 +222,7 @@ def record(
     InvalidValue
         The scene has no stream, or a number breaks its rule.
     """
+    scene = load_scene(scene)
     samples, truth = zip(*parts_of_recording(scene, seed, number, dtype=dtype), strict=True)
     signal = Signal(
         samples=np.concatenate(samples),

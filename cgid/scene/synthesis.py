@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Blows, blows_of, impacts_by_coupling, impacts_of
 from cgid.scene.noise import HIGHEST_NOISE, add_sensor_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
-from cgid.scene.schema import Scene
+from cgid.scene.schema import Scene, load_scene
 from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
 from cgid.store import Rows
@@ -28,7 +29,7 @@ TOGETHER, _MOST_SAMPLES = 4, 1 << 22
 
 
 def synthesise(
-    scene: Scene,
+    scene: Scene | str | Path,
     n_signals: int,
     seed: int = 0,
     *,
@@ -40,7 +41,7 @@ def synthesise(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
     n_signals : int
         Above 0.
     seed : int
@@ -63,6 +64,7 @@ def synthesise(
     InvalidValue
         A number breaks its rule.
     """
+    scene = load_scene(scene)
     require_count(n_signals, first)
     require_frames(scene)
     asked = plan(scene, output, dtype=dtype)

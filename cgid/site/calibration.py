@@ -22,7 +22,7 @@ from cgid.measure.colour import colour_of
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, table_of
 from cgid.scene.impacts import beam_modes
-from cgid.scene.schema import Scene, parse_scene
+from cgid.scene.schema import Scene, load_scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.synthesis import synthesise
 from cgid.scene.through_beam import beam_of, through_modes
@@ -131,7 +131,7 @@ def usable_blows(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]]:
 
 
 def calibrate(
-    scene: Scene,
+    scene: Scene | str | Path,
     frames: NDArray[np.floating],
     sampling_rate: float,
     pre_trigger: int,
@@ -147,7 +147,7 @@ def calibrate(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
         With a beam of known size or a table of modes, and one accelerometer on it.
     frames : ndarray, (n_blows, n_samples)
         Blows at unknown places, in the SI unit of the sensor; clipped ones are left out, and of more than `most_blows`
@@ -183,6 +183,7 @@ def calibrate(
     BadData
         Too few blows, another sampling rate, modes that cross and cannot be told apart, or blows of another beam.
     """
+    scene = load_scene(scene)
     check_numbers(start_error, drift, participation_error, most_blows)
     check_scene(scene, sampling_rate)
     uncertain_dimensions = dimension_errors(scene, dimension_error)
