@@ -15,6 +15,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from scipy.io import wavfile
 
 from cgid import shipped
 from cgid.identification.model import Model
@@ -438,6 +439,14 @@ def _manifests(folder: Path, good: np.ndarray) -> None:
     (folder / "m_same.csv").write_text("path,label\ngood.csv,coal\ntwice.csv,coal\n")
     for name in ("void", "papers", "loose", "junk/coal", "junk/gangue", "two_manifests"):
         (folder / name).mkdir(parents=True)
+    header = f"# sampling_rate: {RATE:g} Hz\n"
+    _csv(folder / "motion.csv", good, f"{header}motion (m/s^2)\n")
+    rows = "".join(f"{value:.3f},{value:.3f}\n" for value in np.tile(good, 2))
+    (folder / "pair.csv").write_text(f"{header}left (N),right (N)\n{rows}")
+    intervals = "pair.csv,0,0.005,coal,{0}\npair.csv,0.005,1,gangue,{0}\n"
+    for name, channel in (("m_pair", ""), ("m_together", "1+2")):
+        (folder / f"{name}.csv").write_text("path,start,end,label,channel\n" + intervals.format(channel))
+    wavfile.write(folder / "full_scale.wav", round(RATE), (good / 1e4).astype(np.float32))
     (folder / "papers" / "readme.md").write_text("nothing")
     _csv(folder / "loose" / "a.csv", good)
     for label in ("coal", "gangue"):
@@ -799,6 +808,31 @@ CASES = (
     Case("template exists", ("train", "loose", "--template", "m_same.csv"), 73, ("m_same.csv", "--overwrite")),
     Case("impacts of silence", ("events", "constant.csv", "-o", "e.csv"), 65, ("constant.csv", "no impact")),
     Case("impacts without a unit", ("events", "no_unit.csv", "-o", "e.csv"), 2, ("no_unit.csv", "--unit")),
+    Case("impacts in parts of full scale", ("events", "full_scale.wav", "-o", "e.csv"), 2, ("full_scale.wav", "FS")),
+    Case(
+        "impacts of several quantities",
+        ("events", "good.csv", "motion.csv", "-o", "e.csv"),
+        65,
+        ("motion.csv", "one quantity", "acceleration"),
+    ),
+    Case(
+        "impacts of two channels together",
+        ("events", "pair.csv", "--channel", "1+2", "-o", "e.csv"),
+        65,
+        ("pair.csv", "--channel", "1+2"),
+    ),
+    Case(
+        "training on impacts of two channels together",
+        ("train", "m_pair.csv", "--by", "impact", "--channel", "1+2", "-o", "new.npz"),
+        65,
+        ("pair.csv", "channel", "1+2", "--by window"),
+    ),
+    Case(
+        "manifest with impacts of two channels together",
+        ("train", "m_together.csv", "--by", "impact", "-o", "new.npz"),
+        65,
+        ("pair.csv", "channel", "1+2", "--by window"),
+    ),
     Case("impacts of the standard input", ("events", "-", "-o", "e.csv"), 65, ("stdin", "save it first")),
     Case("impacts of a missing file", ("events", "gone.csv", "-o", "e.csv"), 66, ("gone.csv", "must exist")),
     Case("impacts of an empty folder", ("events", "void", "-o", "e.csv"), 65, ("void", "empty")),

@@ -437,6 +437,21 @@ def test_impacts_are_found_labelled_and_trained_on(
     ]
 
 
+def test_a_table_that_nobody_could_train_on_is_not_written(
+    blows: tuple[Path, dict[str, list[str]]], tmp_path: Path
+) -> None:
+    """One of three loggers does not say its unit, which is known before anybody labels an impact."""
+    folder, _ = blows
+    motion = np.load(folder / "0.npy")[0]
+    wavfile.write(tmp_path / "level.wav", round(FAST), (motion / 10).astype(np.float32))
+    np.savetxt(tmp_path / "known.csv", motion, header=f"sampling_rate: {FAST:g} Hz\nmotion (g)", comments="# ")
+    table = tmp_path / "events.csv"
+    for files in (["known.csv", "level.wav"], ["level.wav", "known.csv"]):
+        assert run(["events", *(str(tmp_path / name) for name in files), "-o", str(table)]) == 2
+        assert not table.exists()
+    assert run(["events", str(tmp_path / "level.wav"), "-o", str(table), "--full-scale", "10 g"]) == 0
+
+
 def test_what_was_said_of_the_reading_is_in_the_table(blows: tuple[Path, dict[str, list[str]]], tmp_path: Path) -> None:
     """One channel, upside down: training reads it alike."""
     folder, label_of = blows

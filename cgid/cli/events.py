@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ import click
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, reading_options
 from cgid.cli.output import each_file, say, warn
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     every = [str(one) for file in files for one in (recordings_in(Path(file)) if Path(file).is_dir() else [file])]
     # A recording named twice, such as by its folder, too, has its impacts once.
     once = {os.path.realpath(file): file for file in reversed(every)}
+    _require_trainable(list(reversed(once.values())), reading)
     code = each_file(reversed(once.values()), lambda file: rows.extend(_rows(file, folder, reading)), strict=strict)
     if not rows:
         return code
@@ -63,6 +64,35 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
     say(f"wrote {path}: {counted(len(rows), 'impact')}; fill in the column label, then {train}", err=True)
     return code
+
+
+def _require_trainable(files: Sequence[str], reading: Reading) -> None:
+    """Raise `MissingOption`, `BadData` or `InvalidValue` if no model could be trained on a table of these recordings.
+
+    Nobody should label impacts first and hear it then. A file that cannot be read is left to its turn.
+    """
+    from cgid.identification.labelled_recordings import require_alike, unit_of
+
+    first: RecordingFile | None = None
+    for file in files:
+        try:
+            recording = reading.recording(file)
+        except MissingOption:
+            raise
+        except CgidError:
+            continue
+        if unit_of(recording) == "FS" and reading.unit is None:
+            raise MissingOption(
+                f"{recording.source}: the file does not say what full scale [FS] stands for; give --full-scale '50 g', "
+                "or --full-scale '10 V' and the --sensitivity of the sensor, or say with --unit what 1 stands for"
+            )
+        first = first or recording
+        require_alike(recording, first)
+        if reading.channel and len(recording.channels) > 1:
+            raise InvalidValue(
+                f"{recording.source}: --channel must name one channel, got {'+'.join(reading.channel)}; single impacts "
+                "of several are not taken together: name one, or leave it out to train on a row of each"
+            )
 
 
 def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]:

@@ -128,7 +128,7 @@ _OF_TRAINING = (
     "--channel",
     "channels",
     multiple=True,
-    help="Read only this channel of the recordings; for several together give 1+2.",
+    help="Read only this channel of the recordings; for windows of several together give 1+2.",
 )
 @chain_options
 @click.option("--dead-time", type=float, help="Set how long a blow rings [ms], with --by impact.")

@@ -117,7 +117,7 @@ def open_all(
     for own in _by_channels([one for one in manifest.annotations if one.reference == references]):
         try:
             file = _opened(own, reading)
-            _require_alike(file, (files or [file])[0])
+            require_alike(file.recording, (files or [file])[0].recording)
             files.append(file)
         except CgidError as error:
             reading.note(error, failures)
@@ -225,19 +225,32 @@ def unit_of(recording: RecordingFile) -> str:
     return unit
 
 
-def _require_alike(file: AnnotatedFile, first: AnnotatedFile) -> None:
-    source = file.recording.source
-    if quantity_of(file.unit) != quantity_of(first.unit):
+def require_alike(recording: RecordingFile, first: RecordingFile) -> None:
+    """Raise `BadData` unless two recordings can train one model: of one quantity, with as many channels each."""
+    units = [unit_of(one) for one in (recording, first)]
+    got, wanted = (f"{quantity_of(unit)} [{unit}]" for unit in units)
+    if quantity_of(units[0]) != quantity_of(units[1]):
         raise BadData(
-            f"{source}: recordings must be of one quantity, got {quantity_of(file.unit)} [{file.unit}] after "
-            f"{quantity_of(first.unit)} [{first.unit}]; train apart"
+            f"{recording.source}: recordings must be of one quantity, got {got} after {wanted} of {first.source}; "
+            "train apart"
         )
-    count, wanted = len(file.recording.channels), len(first.recording.channels)
-    if count != wanted:
+    counts = [len(one.channels) for one in (recording, first)]
+    if counts[0] != counts[1]:
         raise BadData(
-            f"{source}: recordings must have as many channels each, got {count} after {wanted}; choose with --channel, "
-            "or channel in the manifest"
+            f"{recording.source}: recordings must have as many channels each, got {counts[0]} after {counts[1]} of "
+            f"{first.source}; choose with --channel, or channel in the manifest"
         )
+
+
+def _require_single(files: Sequence[AnnotatedFile], reading: Reading) -> None:
+    """Raise `InvalidValue` if several channels are named for single impacts, which are not taken together."""
+    for file in files:
+        named = file.annotations[0].channels or reading.channels
+        if named and len(file.recording.channels) > 1:
+            raise InvalidValue(
+                f"{file.recording.source}: channel must be one for single impacts, got {'+'.join(map(str, named))}; "
+                "name one, leave channel out to have a row of each, or give --by window to take several together"
+            )
 
 
 def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
@@ -300,6 +313,8 @@ def record(
         features, slicing = model.measured, replace(slicing, by="impact")
         _require_quantity(files[0], model)
     slicing, notes, warnings = _decided(files, slicing, features)
+    if slicing.by == "impact":
+        _require_single(files, reading)
     names = _names(features, files, slicing, level_free)
     runs = open_all(manifest, replace(reading, strict=True), failures, references=True)
     references = reference_spectra(runs, files[0], slicing.window_time)
