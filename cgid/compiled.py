@@ -116,7 +116,7 @@ class KernelCache(NullCache):
         target_context.refresh()
         # Whatever is wrong with the file or the disk, compiling helps.
         with contextlib.suppress(Exception):
-            payload = _read(self._file(sig, target_context.codegen()))
+            payload = read_payload(self._file(sig, target_context.codegen()))
             if payload is not None:
                 return CompileResult._rebuild(target_context, *pickle.loads(payload))
         return None
@@ -125,7 +125,7 @@ class KernelCache(NullCache):
         """Store a compiled function if possible."""
         with contextlib.suppress(Exception):
             if not data.library.has_dynamic_globals:  # addresses of this process
-                _write(self._file(sig, data.codegen), dumps(data._reduce()))
+                write_payload(self._file(sig, data.codegen), dumps(data._reduce()))
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         folder = self._folder()
@@ -170,7 +170,7 @@ def _private(status: os.stat_result) -> bool:
     return status.st_uid in (os.getuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-def _read(path: Path) -> bytes | None:
+def read_payload(path: Path) -> bytes | None:
     """Return the payload of a file, None if it is damaged or others may have written it."""
     # Do not block on a pipe or a device.
     file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -186,7 +186,7 @@ def _checksum(path: Path, payload: bytes) -> bytes:
     return hashlib.sha256(path.name.encode() + payload).digest()
 
 
-def _write(path: Path, payload: bytes) -> None:
+def write_payload(path: Path, payload: bytes) -> None:
     """Write a file atomically; it need not survive a power cut, so there is no fsync."""
     file, name = tempfile.mkstemp(prefix=".", dir=path.parent)
     temporary = Path(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,19 @@ STEEL = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
 COUNTED = 512
 FIT = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
 IN_TIME = ("peak_force", "contact_duration", "asymmetry")
+
+
+def toml(content: dict[str, Any]) -> str:
+    """Write a scene as TOML, whose values are JSON's but for the mappings."""
+
+    def value(item: Any) -> str:
+        if isinstance(item, dict):
+            return "{ " + ", ".join(f"{key} = {value(part)}" for key, part in item.items()) + " }"
+        if isinstance(item, list):
+            return "[" + ", ".join(map(value, item)) + "]"
+        return json.dumps(item)
+
+    return "".join(f"{key} = {value(part)}\n" for key, part in content.items())
 
 
 def uniform(lowest: Any, highest: Any) -> dict[str, Any]:

@@ -101,6 +101,7 @@ def test_ceiling_is_brute_force(changes, limit, monkeypatch):
     assert (apart < 4 * error + 2 * limit).all()
 
 
+@pytest.mark.long
 def test_populations_of_one_restitution_each_are_told_apart():
     def always(e):
         return {"distribution": "constant", "value": e}
@@ -226,6 +227,7 @@ def test_long_contacts_lose_nothing_to_runs(monkeypatch):
     assert np.sqrt(np.mean((ceiling(scene, 64, seed=51).probabilities - whole) ** 2)) < 0.01
 
 
+@pytest.mark.long
 def test_white_noise_is_the_same_with_and_without_whitening():
     """A range above all samples changes nothing but the way: the samples are fitted without whitening."""
     plain = rocks(*PAIR, sensor={"relative_noise": 0.05})
@@ -242,6 +244,7 @@ def test_offset_and_drift_are_known():
     assert one == pytest.approx(other, abs=2e-3)
 
 
+@pytest.mark.long
 def test_lumps_change_the_prior_alone():
     """Corners and eccentric blows: peak and duration vary more, restitution is as independent of them as before."""
     lump = {"curvature": {"distribution": "log-uniform", "lowest": 0.1, "highest": 1.0},

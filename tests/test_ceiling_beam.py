@@ -77,6 +77,7 @@ def test_the_slopes_are_those_of_signals_by_central_differences(errors: BeamErro
             assert apart < error, (name, apart)
 
 
+@pytest.mark.long
 def test_the_information_is_that_of_a_fit_to_noisy_copies(errors: BeamErrors) -> None:
     """Against the covariance of 200 least-squares fits to noisy samples, with slopes by differences."""
     information = errors.information(BLOW[None])[0]
@@ -170,6 +171,7 @@ def _few_draws(monkeypatch: pytest.MonkeyPatch, errors: BeamErrors) -> None:
     monkeypatch.setattr("cgid.ceiling.learner.N_ESTIMATED", 5 << 10)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few_draws")
 def test_the_estimate_lies_above_the_learner_from_below(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, SLOW)
@@ -185,6 +187,7 @@ def test_the_estimate_lies_above_the_learner_from_below(tmp_path: Path) -> None:
     assert known.learners == () and known.estimate[-1].accuracy > best.accuracy
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few_draws")
 def test_the_command_says_that_it_estimates(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     scene_of(tmp_path, SLOW)

@@ -52,6 +52,7 @@ def test_a_learner_comes_near_the_ceiling_from_below(peers: Scene, limits: tuple
     assert many.difference_error < 0.7 * np.hypot(many.accuracy_error, limits[0].accuracy_error)
 
 
+@pytest.mark.long
 def test_a_known_drop_height_helps_learner_and_ceiling(peers: Scene, limits: tuple[Ceiling, ...]) -> None:
     unknown, known = limits
     assert known.accuracy > unknown.accuracy + 0.03
@@ -83,6 +84,7 @@ def test_sizes_of_training() -> None:
     assert sizes_up_to(100_000) == (1000, 3000, 10_000, 30_000, 100_000)
 
 
+@pytest.mark.long
 def test_both_states_of_knowledge_are_those_of_one_at_a_time(peers: Scene) -> None:
     from cgid.ceiling import ceiling
 
@@ -157,6 +159,7 @@ def enclosed(peers: Scene) -> Bracket:
         return bracket(peers, (300, 3000), N, SEED)
 
 
+@pytest.mark.long
 def test_learners_enclose_the_ceiling(enclosed: Bracket, limits: tuple[Ceiling, ...]) -> None:
     assert enclosed.ceiling is None and enclosed.uncovered == "something else"
     assert [one.n_signals for one in enclosed.learners] == [300, 3000]
@@ -190,6 +193,7 @@ def test_exact_pulses_are_told_apart_as_well_as_their_densities_allow(peers: Sce
     assert abs(lost.mean()) < 0.003 + 2 * lost.std() / np.sqrt(8192)
 
 
+@pytest.mark.long
 def test_the_command_encloses_what_it_does_not_integrate(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -409,6 +409,7 @@ def test_scene_is_trained_on_by_its_name(made: Path) -> None:
     assert run(["train", "reference", "-n", "800", "-o", str(made / "n.npz")]) == 0
 
 
+@pytest.mark.long
 def test_interrupted_generation_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cgid", "generate", "reference", "-n", "500000", "-o", str(tmp_path / "d")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONWARNINGS": ""})

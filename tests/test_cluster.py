@@ -88,6 +88,7 @@ def test_a_dataset_is_the_same_whoever_makes_it(
     assert sorted(told) == [22, *[32] * 4]
 
 
+@pytest.mark.long
 def test_what_all_have_in_common_may_be_large(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     common = np.arange(200_000.0)
     assert common.nbytes > cluster._SMALL
@@ -142,6 +143,7 @@ def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, caps
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_what_dask_logs_is_kept_off_the_terminal(address: str) -> None:
     logs = [logging.getLogger(name) for name in ("distributed.client", "distributed.scheduler", "tornado.application")]
     before = [log.level for log in logs]
@@ -170,6 +172,7 @@ def crew_of(way: str, address: str) -> AbstractContextManager[Workers]:
     return workers(2 if way == "jobs" else 1, address if way == "cluster" else None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", WAYS)
 def test_what_a_part_raises_is_raised(way: str, address: str) -> None:
     with crew_of(way, address) as crew:
@@ -179,6 +182,7 @@ def test_what_a_part_raises_is_raised(way: str, address: str) -> None:
         assert sorted(crew.each(positive, "radius", [3, 4, 5], ordered=False)) == [3, 4, 5]  # the crew goes on
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", WAYS)
 def test_parts_that_cannot_be_made_are_told(way: str, address: str) -> None:
     def parts() -> Iterator[int]:
@@ -189,6 +193,7 @@ def test_parts_that_cannot_be_made_are_told(way: str, address: str) -> None:
         list(crew.each(positive, "radius", parts()))
 
 
+@pytest.mark.long
 def test_a_folder_that_is_not_shared_is_told(
     reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,6 +217,7 @@ def moved(asked: Any, folder: Path, *shared: str) -> Any:
     return dataclasses.replace(asked, place=folder)
 
 
+@pytest.mark.long
 def test_other_versions_are_refused_before_anything_is_written(
     reference_scene: Scene, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,9 +41,9 @@ def folder(tmp_path: Path) -> Path:
 
 def fresh(folder: Path | None, function=add_one):
     """The function as another process would have it: not compiled yet, with the cache in a folder."""
-    kernel = compiled.jit(function)
-    kernel._cache = compiled.KernelCache(function, lambda: folder)
-    return kernel
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "kernel_folder", lambda: folder)
+        return compiled.jit(function)
 
 
 def from_disk(folder: Path | None, function=add_one) -> bool:
@@ -75,19 +75,19 @@ def test_every_flipped_bit_is_found(folder: Path):
     from_disk(folder)
     (path,) = folder.iterdir()
     content = path.read_bytes()
-    assert compiled._read(path) is not None
+    assert compiled.read_payload(path) is not None
     chance = np.random.default_rng(7)
     for bit in chance.choice(8 * len(content), 300, replace=False):
         damaged = bytearray(content)
         damaged[bit // 8] ^= 1 << bit % 8
         path.write_bytes(damaged)
-        assert compiled._read(path) is None, bit
+        assert compiled.read_payload(path) is None, bit
 
 
 def test_a_file_whose_checksum_is_right_but_which_is_no_kernel_is_compiled_anew(folder: Path):
     from_disk(folder)
     (path,) = folder.iterdir()
-    compiled._write(path, b"no pickle")
+    compiled.write_payload(path, b"no pickle")
     assert [from_disk(folder), from_disk(folder)] == [False, True]
 
 
@@ -254,6 +254,7 @@ def expected() -> str:
     return hashlib.sha256(np.asarray(checksum, np.uint64).tobytes()).hexdigest()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", few([2, 4]))
 def test_processes_start_at_once_with_an_empty_cache(tmp_path: Path, expected: str, n: int):
     processes = cold_start.cached(tmp_path, "checksum")

@@ -349,18 +349,6 @@ def test_nothing_is_measured_that_was_not_asked(monkeypatch, names, unneeded):
     assert made == []
 
 
-def test_crossings_of_one_level_are_sought_once(monkeypatch):
-    levels = []
-    search = PulseBatch._crossings_at
-    monkeypatch.setattr(
-        PulseBatch,
-        "_crossings_at",
-        lambda self, level, power=1.0: levels.append(level[0]) or search(self, level, power),
-    )
-    extract_array(recorded(impact()), MEGAHERTZ, ["width_10", "rise_time", "fall_time", "asymmetry"])
-    assert sorted(levels) == [0.1, 0.8, 0.9]
-
-
 # -- baseline -------------------------------------------------------------------------------------------------
 
 
@@ -660,7 +648,7 @@ def measured_or_refused(samples, pre_trigger, remove_baseline):
 
 
 def test_memory_is_bounded_by_samples_not_by_rows(monkeypatch):
-    monkeypatch.setattr("cgid.measure.features._SAMPLES", 1 << 16)
+    monkeypatch.setattr("cgid.measure.features.BLOCK_SAMPLES", 1 << 16)
     n_samples, peaks = 1 << 14, []
     times = np.arange(n_samples) / 2e5
     pulse = 9e3 * np.sin(np.pi * np.clip((times - 1.5e-3) / 5e-4, 0, 1)) ** 1.5

@@ -18,7 +18,7 @@ from scipy.io import wavfile
 
 from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.main import run
-from cgid.cli.monitor import Inbox, UnbufferedInput, _Delay
+from cgid.cli.monitor import DelayReport, Inbox, UnbufferedInput
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 LABELS = ["coal"] * 14 + ["gangue"] * 14
@@ -237,7 +237,7 @@ class Clock:
 
 
 def test_delay_is_said_when_it_grows_and_when_it_is_over(capsys: pytest.CaptureFixture[str]) -> None:
-    inbox, delay = Clock(), _Delay("s", AnswerLines(True))
+    inbox, delay = Clock(), DelayReport("s", AnswerLines(True))
     for behind in (0.2, 0.9, 1.5, 1.8, 2.9, 3.1, 2.0, 0.8, 0.3, 0.2):
         inbox.behind = behind
         delay.see(inbox)

@@ -17,7 +17,7 @@ from scipy.stats import binom
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
 from cgid.identification.model import Model
-from cgid.identification.next_steps import Diagnosis, Hint, _Channel
+from cgid.identification.next_steps import ChannelAnswers, Diagnosis, Hint
 from cgid.identification.question import Question
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.identification.stream import identify_blocks
@@ -148,10 +148,10 @@ def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
 def test_an_upside_down_channel_is_told_even_if_its_rebounds_were_answered() -> None:
     diagnosis = Diagnosis(PULSES, RATE, "x.csv", ())
     for batch in synthesise(load_scene(ROOT / "datasets" / "reference.toml"), 256, 3):
-        diagnosis.add(identify_frames(batch.signals, batch.sampling_rate, PULSES, pre_trigger=batch.pre_trigger))
+        answers = identify_frames(batch.signals, batch.sampling_rate, PULSES, pre_trigger=batch.pre_trigger)
+        diagnosis.add(answers)
     assert diagnosis.hint() is None
-    (channel,) = diagnosis._channels
-    diagnosis.upside_down.add(channel)
+    diagnosis.upside_down.add(answers[0].channel)
     hint = diagnosis.hint()
     assert hint is not None
     assert (hint.cause, hint.n_unknown, hint.n_answers) == ("upside_down", 0, 256)
@@ -203,7 +203,7 @@ def test_causes_add_up_to_the_distance() -> None:
     assert outside
     assert all(answer.cause is not None for answer in outside)
     random = np.random.default_rng(0)
-    near = BEAM._neighbourhood
+    near = BEAM.neighbourhood
     rows = random.normal(0, 3, (20, len(BEAM.inputs)))
     for row, foremost in zip(rows, near.foremost(rows), strict=True):
         squares = [
@@ -295,14 +295,14 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
 def test_the_median_lies_above_what_is_said() -> None:
     """But for a chance of 2e-5, by the binomial distribution of ranks."""
     for n in (30, 47, 100, 300):
-        channel = _Channel()
+        channel = ChannelAnswers()
         # The later ones leave less, so that most are looked at.
         channel.unexplained.extend(np.arange(n, 0.0, -1).tolist())
         left, latest = channel.left()
         assert len(latest) == n
         rank = sorted(latest).index(left) + 1
         assert binom.cdf(rank - 1, n, 0.5) < 2e-5 < binom.cdf(rank + 1, n, 0.5)
-    assert np.isnan(_Channel().left()[0])
+    assert np.isnan(ChannelAnswers().left()[0])
 
 
 def test_a_sudden_change_is_noticed_after_a_long_shift() -> None:

@@ -368,6 +368,7 @@ def test_a_stranger_reads_the_sets_as_the_readme_says(made: Path, monkeypatch: p
     )
 
 
+@pytest.mark.long
 def test_entries_write_files_that_can_be_entered(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -113,6 +113,7 @@ def test_the_bytes_of_the_shipped_scenes() -> None:
 _CASES = few([(SOME, {key: value for key, value in OLDEST.items() if key != "NUMBA_CPU_NAME"}), ([], OLDEST)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("names", "environment"), _CASES)
 def test_another_processor_makes_the_same_bytes_of_every_kind_of_scene(
     names: list[str], environment: dict[str, str]
@@ -120,6 +121,7 @@ def test_another_processor_makes_the_same_bytes_of_every_kind_of_scene(
     assert made("varied", *names, **environment) == digests(names)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("names", few([[*SOME, "clamped panel"], []]))
 def test_nudged_functions_of_numpy_and_math_change_nothing(names: list[str]) -> None:
     assert made("varied", *names, code=_PATCH) == digests(names)
@@ -139,6 +141,7 @@ def neighbours(tmp_path_factory: pytest.TempPathFactory) -> str:
     return library
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("names", few([SOME, []]))
 def test_a_c_library_of_neighbouring_doubles_changes_nothing(neighbours: str, names: list[str]) -> None:
     assert made("varied", *names, LD_PRELOAD=neighbours, NPY_DISABLE_CPU_FEATURES=_ALL_NEWER) == digests(names)

@@ -244,6 +244,7 @@ def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys:
     assert "sensor right" in said["message"]
 
 
+@pytest.mark.long
 def test_a_stream_without_a_quiet_moment_is_said_once_and_answered() -> None:
     rng, rate = np.random.default_rng(0), 25_600
     times = np.arange(2000) / rate
@@ -543,7 +544,7 @@ def test_info_of_a_long_recording_is_that_of_a_short_one(
 ) -> None:
     found = []
     for most in (1 << 24, 0):
-        monkeypatch.setattr("cgid.cli.info._MOST_HELD", most)
+        monkeypatch.setattr("cgid.cli.info.MAX_HELD", most)
         assert run(["info", str(two_channels), "--rate", str(RATE), "--unit", "N", "--json"]) == 0
         (row,) = lines_of(capsys)
         found.append(row)

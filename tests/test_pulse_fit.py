@@ -56,7 +56,7 @@ def test_quick_template_is_the_template(s, known):
 
 
 @pytest.mark.parametrize(
-    ("table", "n"), [(template._table, 129), (template._quick_table, 129), (search._fine_bank, 201)]
+    ("table", "n"), [(template.pulse_table, 129), (template.quick_pulse_table, 129), (search.fine_bank, 201)]
 )
 def test_tables_do_not_depend_on_which_rows_come_first(table, n):
     """Bit for bit, made one or a few at a time as at once."""

@@ -21,7 +21,7 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
 from cgid import shipped
 from cgid.cli.main import run
-from cgid.cli.train import _say
+from cgid.cli.train import print_training
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.identification.answers import identify
 from cgid.identification.card import write_card
@@ -1158,7 +1158,7 @@ def test_manifest_is_trained_on_from_the_command_line(folder: Path, tmp_path: Pa
 def test_what_was_left_out_and_what_scenes_cost_is_said_beside_json(without: float, said: str, capsys: Any) -> None:
     about = {"n_left_out": 3, "recorded": {"synthetic": {"accuracy_without": without}}}
     training = SimpleNamespace(metrics={"accuracy": 0.8}, model=SimpleNamespace(kind="vibration", training=about))
-    _say(training, Path("m.npz"), [], as_json=True)
+    print_training(training, Path("m.npz"), [], as_json=True)
     out, err = capsys.readouterr()
     assert json.loads(out)["accuracy"] == 0.8
     first, *more = err.splitlines()

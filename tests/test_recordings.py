@@ -469,8 +469,8 @@ def test_nothing_of_a_stream_is_left_behind(how, kind, tmp_path, write):
 def test_a_pipe_that_nobody_writes_into_is_told_and_a_device_refused(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     said = threading.Event()
-    monkeypatch.setattr("cgid.recordings.formats._PATIENCE", 0.01)
-    monkeypatch.setattr("cgid.recordings.formats._warn_of_waiting", lambda source: said.set())
+    monkeypatch.setattr("cgid.recordings.formats.WAITING_TIME", 0.01)
+    monkeypatch.setattr("cgid.recordings.formats.warn_of_waiting", lambda source: said.set())
 
     def write_later():
         said.wait(60)
@@ -497,7 +497,7 @@ def test_a_terminal_is_no_recording(monkeypatch):
 
 def test_a_stream_without_end_is_refused(monkeypatch):
     monkeypatch.setattr("cgid.recordings.formats.LARGEST_STREAM", 1000)
-    monkeypatch.setattr("cgid.recordings.formats._PIECE", 300)
+    monkeypatch.setattr("cgid.recordings.formats.PIECE_LENGTH", 300)
     assert len(read_bytes(b"1\n" * 500, sampling_rate=1)[0].samples) == 500
     with pytest.raises(BadData, match="cgid monitor"):
         read_bytes(b"1\n" * 5000, sampling_rate=1)

@@ -11,7 +11,7 @@ from sklearn.preprocessing import StandardScaler
 
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.reference import LARGEST_DRIFT, MeanSpectrum, drift, target_spectrum
-from cgid.identification.stream import _Drifts as Drifts
+from cgid.identification.stream import Drifts
 from cgid.measure.features import choose, extract_array, supported
 from cgid.measure.filters import LARGEST_GAIN, Equalisation
 from cgid.measure.spectra import MEL_BANDS

@@ -194,6 +194,7 @@ def test_anti_alias_filter_holds_what_is_far_below_its_edge():
 # -- slow search --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("e", "contact", "noise"), [(0.15, 60, 0.02), (0.2, 30, 0.02), (0.35, 60, 0.05)])
 def test_slow_search_finds_the_deepest_of_many_optima_of_scipy(e, contact, noise):
     rng = np.random.default_rng(17)

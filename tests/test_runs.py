@@ -75,6 +75,7 @@ def path(tmp_path):
 # ---- killed ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kills", few([2, 12]))
 def test_killed_runs_go_on_to_the_same_bytes(kills):
     """The short form of the benchmark, in a process of its own: it forks."""
@@ -375,6 +376,7 @@ def test_a_run_after_one_that_was_killed_while_it_cleared_away(whole, path):
     assert [left.name for left in path.parent.iterdir()] == ["data"]
 
 
+@pytest.mark.long
 def test_a_reader_never_sees_a_mixture(path):
     dataset(path, seed=1)
     before = files(path)

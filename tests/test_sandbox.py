@@ -247,6 +247,7 @@ def test_what_is_sent_arrives(dtype):
     assert not stream.read()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kinds", few([["table"], list(KINDS)]))
 def test_hostile_files_and_mutants_do_no_harm(kinds):
     """All hand-made files of these kinds and some mutants; the longest form is `benchmarks/hostile.py` with 5,000."""

@@ -21,6 +21,7 @@ from cgid.scene.impacts import draw
 from cgid.shipped import SCENES, scene_path
 from cgid.store import Dataset
 from tests import few
+from tests.plan_scenes import toml
 
 RATE = 200e3
 STEEL = {"youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
@@ -488,22 +489,9 @@ def test_a_scene_does_not_warn_of_plates_and_check_says_how_many(tmp_path, capsy
     with warnings.catch_warnings():
         warnings.simplefilter("error", ThinPlateWarning)
         batch_of(scene, 4)
-    (tmp_path / "scene.toml").write_text(_toml(json.loads(scene.text)))
+    (tmp_path / "scene.toml").write_text(toml(json.loads(scene.text)))
     assert run(["check", str(tmp_path / "scene.toml")]) == 0
     assert "pass the range of the thin plate (lambda above 1.5)" in capsys.readouterr().err
-
-
-def _toml(content):
-    """Write a scene as TOML, whose values are JSON's but for the mappings."""
-
-    def value(item):
-        if isinstance(item, dict):
-            return "{ " + ", ".join(f"{key} = {value(part)}" for key, part in item.items()) + " }"
-        if isinstance(item, list):
-            return "[" + ", ".join(map(value, item)) + "]"
-        return json.dumps(item)
-
-    return "".join(f"{key} = {value(part)}\n" for key, part in content.items())
 
 
 @pytest.mark.long

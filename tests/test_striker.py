@@ -22,7 +22,7 @@ from cgid.scene.impacts import blows_of
 from cgid.scene.plan import Plan
 from cgid.striker import Detection, MeasuredPulses, population_of, size_distribution, strikers
 from cgid.striker.columns import matched
-from cgid.striker.population import _heard, beam_behind
+from cgid.striker.population import beam_behind, fit_through_beam
 from cgid.striker.posterior import LEVELS, QUANTITIES
 from cgid.striker.recognition import forces, of_material, through_beam
 from tests.bad_input import pulse
@@ -310,7 +310,7 @@ def test_draws_behind_a_beam_are_measured_as_blows_are():
     for strike in blows.strikes:
         rows = strike.rows[strike.rows < 192]
         peak = blows.parameters["peak_force"][strike.rows]
-        heard = (own[: rows.size] for own in _heard(strike.pulses, peak, beam))
+        heard = (own[: rows.size] for own in fit_through_beam(strike.pulses, peak, beam))
         log_peak, log_width, shape = heard
         measured_ones = seen.log_peak[rows] - np.log(peak[: rows.size]), seen.log_width[rows], seen.shape[rows]
         apart.append(np.stack(measured_ones) - np.stack([log_peak, log_width, shape]))

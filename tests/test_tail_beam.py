@@ -17,7 +17,7 @@ from cgid.physics import plates as ritz
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.physics.modes import COLUMNS, MeasuredModes, read_measured_modes
 from cgid.physics.response import Response
-from cgid.physics.tail_beam import Ribs, TailBeam, _modes
+from cgid.physics.tail_beam import Ribs, TailBeam, modes_of
 
 PLATES = Path(__file__).parent / "references" / "plates.csv"
 RIBS = Ribs(number=6, depth=0.18, thickness=0.016)
@@ -204,10 +204,10 @@ def test_no_poisson_ratio_makes_a_strip_of_any_width_a_beam():
 def test_a_larger_basis_changes_little(monkeypatch, edges, ribs, highest, frequency_error, shape_error):
     beam, points = beam_of(edges, ribs=ribs), (np.linspace(0, 1.6, 23), np.linspace(0, 1.4, 23))
     modes = beam.modes(highest)
-    _modes.cache_clear()
+    modes_of.cache_clear()
     monkeypatch.setattr(ritz, "_FOR_EDGES", 24)
     finer = beam.modes(highest)
-    _modes.cache_clear()
+    modes_of.cache_clear()
     assert finer.frequency.size == modes.frequency.size
     fall = modes.frequency / finer.frequency - 1
     assert fall.min() > -1e-10
@@ -254,7 +254,7 @@ def test_bits_do_not_depend_on_threads_or_company():
     beam = beam_of("cantilever", ribs=RIBS)
     modes = beam.modes(4000.0)
     assert beam_of("cantilever", ribs=RIBS).modes(4000.0) is modes
-    _modes.cache_clear()
+    modes_of.cache_clear()
     with threadpool_limits(2):
         again = beam.modes(4000.0)
     points = np.linspace(0, 1.6, 50), np.linspace(1.4, 0, 50)

@@ -14,7 +14,7 @@ from cgid.cli.output import print_json, say, warn
 from cgid.cli.table import written_table
 
 #: Most samples of all channels held in memory; longer recordings are read block by block.
-_MOST_HELD = 1 << 24
+MAX_HELD = 1 << 24
 #: Length of the header of an archive's first entry [bytes], and the name that follows it in a model file.
 _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
@@ -171,7 +171,7 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
 
     names, rate = recording.channels, recording.sampling_rate
     whole = None
-    if recording.n_samples is not None and recording.n_samples * len(names) <= _MOST_HELD:
+    if recording.n_samples is not None and recording.n_samples * len(names) <= MAX_HELD:
         whole = np.stack([signal.samples for signal in recording.signals()])
     lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
     total, n_samples, dtype = np.zeros(len(names)), 0, ""

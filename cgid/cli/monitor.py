@@ -235,7 +235,7 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, o
     model, sign = models.of(live.channels[0].quantity), -1.0 if question.invert else 1.0
     factors = [sign * factor_of(model, c.unit, live.source, c.name, mass=question.mass) for c in live.channels]
     names = [channel.name for channel in live.channels]
-    inbox, delay = Inbox(live, live.sampling_rate), _Delay(live.source, lines)
+    inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     blocks: Iterable[NDArray[Any]] = scaled(inbox, factors)
     if outlets is not None:
         blocks = outlets.watched(blocks, live.sampling_rate)
@@ -264,7 +264,7 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, o
             rows.finish(inbox.n_taken / live.sampling_rate)
 
 
-class _Delay:
+class DelayReport:
     """Report the delay of the answers behind the stream when it grows, and when it is over."""
 
     def __init__(self, source: str, lines: AnswerLines) -> None:

@@ -219,7 +219,7 @@ def train(
         else:
             training, failures = _from_signals(others, options)
     written = write_model(training, path, plots=plots, overwrite=overwrite)
-    _say(training, path, written, as_json)
+    print_training(training, path, written, as_json)
     if failures:
         warn(f"the model is without {counted(len(failures), 'recording')} that failed")
     return failures[0].exit_code if failures else 0
@@ -406,7 +406,8 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
         return recorded, measure(alike, recorded.names, progress, crew=options["crew"])
 
 
-def _say(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
+def print_training(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
+    """Print what a training has achieved, and warn of what it lacks."""
     metrics, about = training.metrics, training.model.training
     if about["n_left_out"]:
         what = "windows" if training.model.kind == "window" else "impacts"

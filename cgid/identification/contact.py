@@ -242,12 +242,16 @@ class ContactFit:
         n = len(vector)
         starts = self._starts(information, vector)
         refined, cost = self._descended(
-            starts.reshape(-1, 3), np.repeat(information, _KEPT, 0), np.repeat(vector, _KEPT, 0), self._between, _FEW
+            starts.reshape(-1, 3),
+            np.repeat(information, _KEPT, 0),
+            np.repeat(vector, _KEPT, 0),
+            self.table_coefficients,
+            _FEW,
         )[:2]
         best = np.argmin(cost.reshape(n, _KEPT), axis=1)
         at = refined.reshape(n, _KEPT, 3)[np.arange(n), best]
-        at = self._descended(at, information, vector, self._between, _MORE)[0]
-        at, _, peak, ways, own = self._descended(at, information, vector, self._exact, _STEPS)
+        at = self._descended(at, information, vector, self.table_coefficients, _MORE)[0]
+        at, _, peak, ways, own = self._descended(at, information, vector, self.exact_coefficients, _STEPS)
         covariance = np.linalg.inv(_curvature(ways, information))[:, :3, :3]
         return at, peak, own, np.asarray(covariance, np.float64)
 
@@ -265,13 +269,14 @@ class ContactFit:
         shapes = np.argsort(-top, axis=0)[:_KEPT]
         return np.asarray(at[shapes, np.take_along_axis(best, shapes, axis=0)].transpose(1, 0, 2))
 
-    def _exact(self, at: Floats) -> tuple[Floats, Floats]:
+    def exact_coefficients(self, at: Floats) -> tuple[Floats, Floats]:
+        """Return the coefficients of pulses of ln width, shape and onset [samples], (n, 3), and their slopes."""
         own, slopes = self.coefficients(np.exp(at[:, 0]), at[:, 1], at[:, 2] / self.beam.sampling_rate)
         slopes[:, 2] /= self.beam.sampling_rate
         return own, slopes
 
-    def _between(self, at: Floats) -> tuple[Floats, Floats]:
-        """Return coefficients and slopes as `_exact`, by cubic interpolation of the table."""
+    def table_coefficients(self, at: Floats) -> tuple[Floats, Floats]:
+        """Return coefficients and slopes as `exact_coefficients`, by cubic interpolation of the table."""
         weights, index = np.ones((4, len(at), 1), np.float32), np.zeros((len(at), 1), np.intp)
         for axis, (low, high, n) in enumerate(zip(*_LIMITS, _NODES, strict=True)):
             place = (at[:, axis] - low) * ((n - 1) / (high - low))

@@ -150,7 +150,7 @@ def correct(model: Model, rows: Rows) -> Correction:
     metrics = {**model.training.get("metrics", {}), "prediction_sets": []}
     training = {**model.training, "metrics": metrics, "correction": correction}
     return Correction(
-        replace(_moved(model, shift), training=training), shift, before, after, labels, probabilities, n_unknown
+        replace(shifted(model, shift), training=training), shift, before, after, labels, probabilities, n_unknown
     )
 
 
@@ -261,7 +261,7 @@ class _Lumps:
         """
         truth, logs = self.truth[chosen], self.logs[:, chosen]
         none = logs[self.middle, np.arange(len(truth)), truth].sum() + np.log(_NOTHING / (1 - _NOTHING))
-        fits = [_bias_and_slope(own, truth) for own in logs]
+        fits = [fit_bias_and_slope(own, truth) for own in logs]
         prior = -0.5 * (np.log(self.gains) / _GAIN) ** 2
         prior -= np.log(np.exp(prior).sum())
         evidence = np.array([found for _, found in fits]) + prior
@@ -271,7 +271,7 @@ class _Lumps:
         return Shift(self.labels, mean[:-1], float(np.exp(mean[-1])), gain)
 
 
-def _bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, float]:
+def fit_bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, float]:
     """Return the most probable biases and ln of the slope, (n_labels + 1,), and ln of their evidence.
 
     The evidence is that of the Gaussian with the curvature at its maximum (Laplace; MacKay 2003, 27).
@@ -317,7 +317,7 @@ def _gained(model: Model, gain: float) -> tuple[Floats, Floats]:
     return factors, addends
 
 
-def _moved(model: Model, shift: Shift) -> Model:
+def shifted(model: Model, shift: Shift) -> Model:
     """Return the model with a shift folded into its arrays; its prediction sets hold no longer, so it has none."""
     arrays = {name: array for name, array in model.arrays.items() if not name.startswith("conformal.")}
     gained = _gained(model, shift.gain)

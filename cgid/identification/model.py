@@ -221,7 +221,8 @@ class Model:
         return Standardiser.from_arrays(self.arrays, STANDARDISER)
 
     @cached_property
-    def _neighbourhood(self) -> Neighbourhood:
+    def neighbourhood(self) -> Neighbourhood:
+        """Distance to the training data."""
         names = ("neighbourhood.centres", "neighbourhood.whitening")
         return Neighbourhood(self.arrays[names[0]], self.arrays[names[1]], self.neighbourhood_limit)
 
@@ -311,12 +312,12 @@ class Model:
 
     def distance(self, inputs: Floats) -> Floats:
         """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""
-        near = self._neighbourhood
+        near = self.neighbourhood
         return _in_blocks(near.novelty, self._standardised(inputs), near.centres.size)
 
     def foremost(self, inputs: Floats) -> NDArray[np.intp]:
         """Return the number of the input that contributes most to the distance of each impact, (n_impacts,)."""
-        return self._neighbourhood.foremost(self._standardised(inputs))
+        return self.neighbourhood.foremost(self._standardised(inputs))
 
     def usual(self, deviations: float) -> tuple[Floats, Floats]:
         """Return the range of each input within this many standard deviations of the training, two (n_inputs,)."""

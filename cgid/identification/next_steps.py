@@ -209,7 +209,7 @@ class Hint:
 
 
 @dataclass
-class _Channel:
+class ChannelAnswers:
     """The unknown answers of a channel: how many for each cause, and for the causes of unmarked ones some examples."""
 
     n_answers: int = 0
@@ -271,13 +271,13 @@ class Diagnosis:
         self._options, self._answering = tuple(options), tuple(answering)
         self._labelled = labelled
         self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
-        self._channels: dict[str, _Channel] = {}
+        self._channels: dict[str, ChannelAnswers] = {}
         self.upside_down: set[str] = set()
 
     def add(self, answers: Iterable[Answer]) -> None:
         """Count more answers."""
         for answer in answers:
-            channel = self._channels.setdefault(answer.channel, _Channel())
+            channel = self._channels.setdefault(answer.channel, ChannelAnswers())
             after, channel.latest = answer.time - channel.latest, answer.time
             channel.n_answers += 1
             crowded = self._model.kind == "vibration" and 0 < after < EVENT_TIME

@@ -272,7 +272,7 @@ def _windows(
     votes = [RunningVote.over(*times, model.vote_correlation) for _ in names]
     sensors = question.heard_by(model, names)
     equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
-    drifts, seen = _Drifts(model, sensors, sampling_rate), False
+    drifts, seen = Drifts(model, sensors, sampling_rate), False
     for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
         parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
         judged = [
@@ -312,7 +312,7 @@ def _judged(
     return [next(answers) if known else silent for known in sound.tolist()]
 
 
-class _Drifts:
+class Drifts:
     """Drift of known sensors from their reference runs, from the mean spectra of their channels.
 
     `sensors` names the sensor of each channel, or of each group of channels that the model uses together.

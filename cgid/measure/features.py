@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas
 
 #: Most samples and rows measured at once: enough to share the overhead of the fit, few enough to bound the memory.
-_SAMPLES, _ROWS = 1 << 21, 1024
+BLOCK_SAMPLES, _ROWS = 1 << 21, 1024
 #: Most samples of windows measured at once: their overlapping frames fit in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
 #: How far windows extend after touch, in contact durations and in samples: for quantities read off the samples (the
@@ -233,7 +233,7 @@ def extract_array(
         raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
     _require_beam(names, beam)
     out = np.full((len(frames) // each, len(names)), np.nan)
-    most = _WINDOWED_SAMPLES if kind_of(names) == "window" else _SAMPLES
+    most = _WINDOWED_SAMPLES if kind_of(names) == "window" else BLOCK_SAMPLES
     n_rows = max(min(most // frames.shape[1], _ROWS), 1)
     make = partial(
         _batches,

@@ -352,7 +352,7 @@ def tangents_at(shapes: Floats, place: Floats, width: Floats) -> Floats:
 
 
 @cache
-def _fine_bank() -> RowsOnDemand:
+def fine_bank() -> RowsOnDemand:
     """Return pulses of `_FINE_SHAPES` in the bins, pseudo-inverses of their tangents, and second derivatives."""
     return RowsOnDemand(_fine, _FINE_SHAPES.size, (N_BINS,), (4, N_BINS), (N_BINS,), kind=np.float64)
 
@@ -375,7 +375,7 @@ def refined(samples: Samples, start: Floats) -> Floats:
     unit = np.exp(log_width) / own_width
     bins = samples.bins(place - own_place * unit, unit, np.arange(len(peak)))
     node = np.rint(np.nan_to_num((shape - _FINE_SHAPES[0]) / (_FINE_SHAPES[1] - _FINE_SHAPES[0]))).astype(np.intp)
-    pulses, inverses, bends = _fine_bank()(node)
+    pulses, inverses, bends = fine_bank()(node)
     left = (bins.values - baseline[:, None]) / peak[:, None] - pulses[node]
     # The line through the samples is above a curve that is bent upwards.
     left -= bends[node] * (1 / (12 * unit**2))[:, None]

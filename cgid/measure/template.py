@@ -101,7 +101,7 @@ def _times() -> Floats:
 
 
 @cache
-def _table() -> RowsOnDemand:
+def pulse_table() -> RowsOnDemand:
     """Return g, g_w, g_ww, g_s, g_sw and g_ss at the nodes of s and w."""
     return RowsOnDemand(_derivatives, _NODES.size, *((_PLACES + 1,),) * 6, kind=np.float64)
 
@@ -185,7 +185,7 @@ def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
     column = np.rint(place)
     dw = (place - column) * (1 / _PLACES)
     index = column.astype(np.intp) + (node * (_PLACES + 1))[:, None]
-    g, g_w, g_ww, g_s, g_sw, g_ss = (held.take(index) for held in _table()(node))
+    g, g_w, g_ww, g_s, g_sw, g_ss = (held.take(index) for held in pulse_table()(node))
     ds = offset[:, None]
     in_shape = (g_s + ds * g_ss + dw * g_sw) * inside
     g_w += ds * g_sw
@@ -217,7 +217,7 @@ def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
 
 
 @cache
-def _quick_table() -> RowsOnDemand:
+def quick_pulse_table() -> RowsOnDemand:
     """Return g, g_u, g_uu, g_s, g_su, g_ss at the nodes of s and at even shares u; u counts cells.
 
     Touch and separation are zero with all slopes, and so is what lies beyond.
@@ -289,7 +289,7 @@ def slopes_and_pulse(
     dx = (x - column).astype(np.float32)
     index = column.astype(np.intp)
     index += (node * (_CELLS + 1))[:, None]
-    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in _quick_table()(node))
+    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in quick_pulse_table()(node))
     x = x.astype(np.float32)
     g_uu *= dx
     slope = g_su * ds

@@ -248,7 +248,7 @@ class TailBeam:
                 f"highest_frequency must leave at most {most} modes of a {self.edges} beam, {highest:g} Hz means about "
                 f"{expected:.0f}; take {most / self.modal_density:.3g} Hz or less"
             )
-        return _modes(self, highest)
+        return modes_of(self, highest)
 
 
 def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: float) -> Rigidities:
@@ -276,7 +276,8 @@ def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: fl
 
 
 @lru_cache(maxsize=16)
-def _modes(beam: TailBeam, highest: float) -> Modes:
+def modes_of(beam: TailBeam, highest: float) -> Modes:
+    """Return the modes up to a frequency [Hz]; those of the last beams are kept."""
     held = EDGES[beam.edges]
     frequency: Floats
     shapes: Shapes

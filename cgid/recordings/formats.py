@@ -37,9 +37,9 @@ _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
 
 #: Largest stream on the standard input [bytes]; streams are saved to disk before they are read.
 LARGEST_STREAM = 32 << 30
-_PIECE = 1 << 20
+PIECE_LENGTH = 1 << 20
 #: Time without data until a warning [s].
-_PATIENCE = 5.0
+WAITING_TIME = 5.0
 
 
 @dataclass(frozen=True)
@@ -379,13 +379,13 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
 
 def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tuple[Path, ExitStack]:
     """Save a stream to a temporary file; return its path and the stack that removes it."""
-    waiting = Timer(_PATIENCE, _warn_of_waiting, [source])
+    waiting = Timer(WAITING_TIME, warn_of_waiting, [source])
     waiting.daemon = True
     waiting.start()
     spool = ExitStack()
     try:
         with opened() as stream:
-            piece = stream.read(_PIECE)
+            piece = stream.read(PIECE_LENGTH)
             waiting.cancel()
             path, file = temporary_file(spool, needs_name=is_hdf5(piece[:HEAD_SIZE]))
             while piece:
@@ -395,7 +395,7 @@ def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tu
                         "save it as a file, or follow it by cgid monitor"
                     )
                 file.write(piece)
-                piece = stream.read(_PIECE)
+                piece = stream.read(PIECE_LENGTH)
         file.flush()
     except BaseException as error:
         with suppress(OSError):
@@ -435,9 +435,10 @@ def temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path,
     return Path(kept.name), kept.file
 
 
-def _warn_of_waiting(source: str) -> None:
+def warn_of_waiting(source: str) -> None:
+    """Warn that a pipe has sent nothing yet."""
     warnings.warn(
-        f"{source}: nothing has come for {_PATIENCE:g} s, a recording is read when its stream has ended; write into "
+        f"{source}: nothing has come for {WAITING_TIME:g} s, a recording is read when its stream has ended; write into "
         "it, or follow a live one by cgid monitor",
         stacklevel=1,
     )

@@ -201,7 +201,7 @@ def calibrate(
     beam = replace(beam_of(scene), errors=None)  # errors are what is learned
     dimensions: tuple[Dimension, ...] = ()
     with threadpool_limits(1):
-        blows = _blows(frames[chosen], sampling_rate, pre_trigger)
+        blows = prepare_blows(frames[chosen], sampling_rate, pre_trigger)
         before = _evidence(beam, blows)
         if uncertain_dimensions:
             scene, dimensions = learn_dimensions(scene, beam, blows, uncertain_dimensions, progress=progress)
@@ -216,7 +216,7 @@ def calibrate(
             start.participation * np.exp(found.correction[2]),
             found.deviation,
         )
-        crossings = _crossings(scene, learned)
+        crossings = count_crossings(scene, learned)
         site = _with_learned(scene, learned)
         after, expected = _evidence(own, blows), _evidence(own, _simulated(site))
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
@@ -312,7 +312,7 @@ def _prior(scene: Scene, start: LearnedModes, start_error: float, drift: float, 
     return np.asarray(np.sqrt(np.square(known) + np.square(more)[:, None]))
 
 
-def _blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Blows:
+def prepare_blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Blows:
     batch = VibrationBatch(np.asarray(frames, np.float64), sampling_rate, pre_trigger)
     level = np.sqrt(np.mean(np.square(batch.samples), axis=1))
     first = np.maximum(batch.first - int(np.ceil(REACH * sampling_rate)), batch.n_quiet)
@@ -331,10 +331,10 @@ def _evidence(beam: Beam, blows: Blows) -> float:
 
 def _simulated(site: Scene) -> Blows:
     frames = np.concatenate([batch.signals for batch in synthesise(site, _COMPARED, _SEED)])
-    return _blows(frames, site.sampling.sampling_rate, site.sampling.pre_trigger)
+    return prepare_blows(frames, site.sampling.sampling_rate, site.sampling.pre_trigger)
 
 
-def _crossings(scene: Scene, learned: LearnedModes) -> int:
+def count_crossings(scene: Scene, learned: LearnedModes) -> int:
     """Return how many neighbours have changed places; raises `BadData` where shapes do not tell them apart."""
     logs, deviation = np.log(learned.frequency), learned.frequency_deviation
     crossed = np.flatnonzero(np.diff(logs) < -_CERTAIN * np.hypot(deviation[1:], deviation[:-1]))

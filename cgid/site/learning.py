@@ -22,7 +22,7 @@ from cgid.validation import Floats
 
 #: Relative step of the difference quotients in a pole: at the end of a response, it turns the fastest mode by some
 #: thousandths of a radian.
-_STEP = 1e-6
+POLE_STEP = 1e-6
 #: Prior deviation of a place about the one found [m].
 _PLACE_DEVIATION = 0.1
 #: Blows of a round while the poles move far, and of a search of single modes.
@@ -190,7 +190,7 @@ class _State:
 
     def search(self, n_blows: int, deviation: Floats) -> bool:
         """Move single modes to other valleys; return whether any gains by it."""
-        moved = _searched(self.beam, self.now, deviation, self._system(min(n_blows, _SOUGHT)))
+        moved = search_valleys(self.beam, self.now, deviation, self._system(min(n_blows, _SOUGHT)))
         if moved is not None:
             self.now = moved
         return moved is not None
@@ -256,9 +256,9 @@ class System:
     def _slope(self, row: int) -> Singles:
         """Return the slopes of the responses in ln frequency or ln damping ratio, like `table`."""
         step = np.zeros((len(CORRECTED), len(self.beam.poles)))
-        step[row] = _STEP
+        step[row] = POLE_STEP
         sides = [self._responses(corrected(self.beam, sign * step)) for sign in (1, -1)]
-        return self._told((sides[0] - sides[1]) / (2 * _STEP))
+        return self._told((sides[0] - sides[1]) / (2 * POLE_STEP))
 
     def equations(self, slopes: Callable[[int], Singles | Floats]) -> tuple[Floats, Floats]:
         """Return the pulls of the blows on parameters, (n_blows, n), and their curvature, (n, n).
@@ -328,7 +328,7 @@ class System:
         return every, np.asarray(weight * (exact @ exact.T) + prior), left, weight
 
 
-def _searched(beam: Beam, now: Floats, deviation: Floats, system: System) -> Floats | None:
+def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -> Floats | None:
     """Return corrections in which some modes have moved to another valley; None if none gains by it.
 
     Each mode is tried alone at frequencies all over its prior, with its prior damping and participation, while the

@@ -156,7 +156,7 @@ def _described(values: Mapping[str, Any], pulses: _Pulses | None, beam: ThroughB
     found: list[dict[str, Floats]] = []
     for rows, one in pulses:
         lasts, peak = values["contact_duration"][rows], values["peak_force"][rows]
-        log_peak, log_width, shape = _fitted(one, lasts, peak) if beam is None else _heard(one, peak, beam)
+        log_peak, log_width, shape = _fitted(one, lasts, peak) if beam is None else fit_through_beam(one, peak, beam)
         own = {"log_peak": np.log(peak) + log_peak, "log_width": log_width, "shape": shape}
         found.append(own | {name: values[name][rows] for name in names})
     return {name: np.concatenate([part[name] for part in found]) for name in (*names, "log_peak", "log_width", "shape")}
@@ -172,7 +172,7 @@ def _fitted(pulses: Impact | ModalImpact, lasts: Floats, peak: Floats) -> tuple[
     return np.log(found.peak), np.log(width), shape
 
 
-def _heard(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBeam) -> tuple[Floats, Floats, Floats]:
+def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBeam) -> tuple[Floats, Floats, Floats]:
     """Return what the fit behind a beam measures of pulses, as `_fitted`.
 
     Waves of the beam that come back during contact take the pulses of heavy rocks out of the family. The closest pulse
