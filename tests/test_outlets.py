@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
+import resource
 import shutil
 import socket
+import struct
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -21,9 +25,9 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput
-from cgid.outlets import Outlets, command, mqtt
+from cgid.outlets import Outlets, command, modbus, mqtt, web
 from cgid.outlets.modbus import HEAD, WIDTH
-from cgid.outlets.outlet import Outlet
+from cgid.outlets.outlet import MAX_CLIENTS, Outlet
 from cgid.outlets.plant import BIN_TIME, Waveform
 from cgid.outlets.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -309,7 +313,173 @@ def test_registers_are_what_a_client_reads(outlets) -> None:
         client.close()
 
 
+def asked(port: int, *frames: bytes) -> list[bytes]:
+    """Return what a Modbus server answers to each frame over one connection, empty if it hangs up."""
+    found = []
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+        for frame in frames:
+            client.sendall(frame)
+            found.append(client.recv(300))
+    return found
+
+
+def modbus_frame(request: bytes, number: int = 7, protocol: int = 0, unit: int = 3) -> bytes:
+    return struct.pack(">HHHB", number, protocol, len(request) + 1, unit) + request
+
+
+def test_only_reads_of_registers_are_answered(outlets) -> None:
+    port = free_port()
+    outlets(modbus=f"127.0.0.1:{port}")
+    requests = [bytes([function, 0, 0, 0, 1]) for function in range(256)]
+    answers = asked(port, *map(modbus_frame, requests))
+    for function, answer in enumerate(answers):
+        body = bytes([function, 2, 0, 1]) if function in (3, 4) else bytes([function | 0x80, 1])
+        assert answer == modbus_frame(body), function
+    refused = {
+        b"\4\0\0\0\0": 3,
+        b"\4\0\0\0\x7e": 3,
+        b"\4\0\0\0": 3,
+        b"\4\xff\xff\0\2": 2,
+        b"\x2b\x0e\1\0": 1,
+        b"\x11": 1,
+    }
+    for request, error in refused.items():
+        assert asked(port, modbus_frame(request)) == [modbus_frame(bytes([request[0] | 0x80, error]))]
+    assert asked(port, modbus_frame(b"\4\0\0\0\1", protocol=7)) == [b""]
+    assert asked(port, b"\0\1\0\0\xff\xff\1") == [b""]
+
+
+# -- too many, silent, slow and senseless clients ---------------------------------------------------------
+
+
+@pytest.fixture
+def two_servers(outlets) -> tuple[int, int]:
+    ports = free_port(), free_port()
+    outlets(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
+    return ports
+
+
+def honest_reads(ports: tuple[int, int]) -> None:
+    (answer,) = asked(ports[0], modbus_frame(b"\4\0\0\0\1"))
+    assert answer == modbus_frame(b"\4\2\0\1")
+    assert json.loads(get(ports[1], "/state.json")[1])["source"] == "s"
+
+
+def test_nonsense_leaves_no_line_and_no_connection(two_servers, said, capfd) -> None:
+    rng = random.Random(1)
+    before = threading.active_count()
+    for _ in range(150):
+        for port, request in zip(
+            two_servers, (modbus_frame(b"\4\0\0\0\1"), b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"), strict=True
+        ):
+            content = bytearray(request if rng.random() < 0.7 else rng.randbytes(rng.randrange(1, 400)))
+            for _ in range(rng.randrange(4)):
+                content[rng.randrange(len(content))] = rng.randrange(256)
+            with socket.create_connection(("127.0.0.1", port)) as client:
+                client.sendall(content)
+    honest_reads(two_servers)
+    wait_for(lambda: threading.active_count() <= before)
+    assert said == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_silent_clients_leave_room(two_servers, said, capfd) -> None:
+    before = threading.active_count()
+    silent = [socket.create_connection(("127.0.0.1", port)) for port in two_servers for _ in range(3 * MAX_CLIENTS)]
+    try:
+        honest_reads(two_servers)
+        assert threading.active_count() <= before + 2 * MAX_CLIENTS
+        # A client that asks is not the one that has to go.
+        with socket.create_connection(("127.0.0.1", two_servers[0]), timeout=5) as steady:
+            for _ in range(2 * MAX_CLIENTS):
+                silent.append(socket.create_connection(("127.0.0.1", two_servers[0])))
+                steady.sendall(modbus_frame(b"\4\0\0\0\1"))
+                assert steady.recv(300) == modbus_frame(b"\4\2\0\1")
+    finally:
+        for client in silent:
+            client.close()
+    assert said == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_slow_request_ends(outlets, monkeypatch) -> None:
+    for module in (modbus, web):
+        monkeypatch.setattr(module, "_TIMEOUT", 0.5)
+    ports = free_port(), free_port()
+    outlets(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
+    for port in ports:
+        with socket.create_connection(("127.0.0.1", port), timeout=0.05) as client:
+
+            def is_closed(client: socket.socket = client) -> bool:
+                try:
+                    client.send(b"\0")  # a byte each time, which never makes a request
+                    return client.recv(1) == b""
+                except TimeoutError:
+                    return False
+                except OSError:
+                    return True
+
+            wait_for(is_closed, 5.0)
+
+
+def test_command_runs_without_a_descriptor_left(outlets, said, tmp_path) -> None:
+    own = outlets(on_shut=f"touch {tmp_path / 'x'}")
+    wait_for(lambda: own._services[0]._reserved)
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    taken: list[int] = []
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (200, limits[1]))
+        with pytest.raises(OSError, match="Too many open files"):
+            while True:
+                taken.append(os.open(os.devnull, os.O_RDONLY))
+        own(turn("shut", 1.0))
+        wait_for(lambda: own.plant.outlets[0].passed or said)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        for descriptor in taken:
+            os.close(descriptor)
+    assert said == []
+    assert (tmp_path / "x").exists()
+
+
 # -- HTTP -------------------------------------------------------------------------------------------------
+
+
+def status(port: int, *hosts: str, method: str = "GET", path: str = "/state.json") -> tuple[int, bytes]:
+    lines = [f"{method} {path} HTTP/1.0", *(f"Host: {host}" for host in hosts)]
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+        client.sendall("\r\n".join([*lines, "", ""]).encode())
+        head, _, content = b"".join(iter(lambda: client.recv(65536), b"")).partition(b"\r\n\r\n")
+    assert b"frame-ancestors 'none'" in head
+    return int(head.split()[1]), content
+
+
+def test_loopback_server_answers_loopback_names_only(outlets) -> None:
+    port = free_port()
+    outlets(live=f":{port}")
+    for host in ("localhost", f"LOCALHOST:{port}", "127.0.0.1", "127.0.0.1:9", "[::1]", f"[::1]:{port}"):
+        assert status(port, host)[0] == 200, host
+    for host in (
+        "evil.example",
+        f"evil.example:{port}",
+        "",
+        "localhost.evil.example",
+        "127.0.0.1.evil.example",
+        "10.0.0.1",
+        "[::2]:80",
+        "::1.evil",
+        "127.0.0.1@evil",
+        "[::1]evil",
+    ):
+        for path in ("/", "/state.json", "/none"):
+            found, content = status(port, host, path=path)
+            assert found == 421, host
+            assert b"source" not in content
+    assert status(port, "localhost", "evil.example")[0] == 421
+    assert status(port, "localhost", method="HEAD") == (200, b"")
+    everywhere = free_port()
+    outlets(live=f"0.0.0.0:{everywhere}")
+    assert status(everywhere, "recorder.plant")[0] == 200
 
 
 def get(port: int, path: str) -> tuple[Any, str]:
@@ -395,11 +565,14 @@ def test_file_of_the_page_replaces_none_but_its_own(outlets, tmp_path) -> None:
     (tmp_path / "mine.html").write_text("my diary")
     with pytest.raises(CannotCreate, match="no live page"):
         Outlets(live=str(tmp_path / "mine.html"), warn=print)
-    with pytest.raises(CannotCreate, match="cannot be written"):
+    with pytest.raises(CannotCreate, match=r"p\.html"):
         Outlets(live=str(tmp_path / "none" / "p.html"), warn=print)
+    planted = tmp_path / ".p.html.part"
+    planted.symlink_to(tmp_path / "mine.html")
     for _ in range(2):
         outlets(live=str(tmp_path / "p.html")).__exit__(None, None, None)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.html", "p.html"]
+    assert (tmp_path / "mine.html").read_text() == "my diary"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [planted.name, "mine.html", "p.html"]
 
 
 def test_waveform_is_the_least_and_largest_of_each_bin() -> None:
@@ -451,8 +624,8 @@ def test_command_that_fails_or_hangs_is_one_line(outlets, said, monkeypatch) -> 
 
 @pytest.mark.parametrize("option", ["modbus", "prometheus", "live"])
 def test_port_in_use_is_said_before_anything_starts(option, tmp_path, capsys) -> None:
-    needed = {"modbus": "pymodbus", "prometheus": "prometheus_client"}.get(option, "json")
-    pytest.importorskip(needed, reason=f"{needed} is not installed")
+    if option == "prometheus":
+        pytest.importorskip("prometheus_client", reason="prometheus_client is not installed")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -465,15 +638,14 @@ def test_port_in_use_is_said_before_anything_starts(option, tmp_path, capsys) ->
 
 
 def test_missing_library_names_the_extra(monkeypatch) -> None:
-    for name in ("paho.mqtt.client", "pymodbus.server", "prometheus_client"):
+    for name in ("paho.mqtt.client", "prometheus_client"):
         monkeypatch.setitem(sys.modules, name, None)
-    for option, value in (("mqtt", "mqtt://127.0.0.1/t"), ("modbus", ":1502"), ("prometheus", ":9400")):
+    for option, value in (("mqtt", "mqtt://127.0.0.1/t"), ("prometheus", ":9400")):
         with pytest.raises(MissingExtra, match=rf"--{option} needs .* pip install 'cgid\[plant\]'"):
             Outlets(**{option: value}, warn=print)
 
 
 def test_two_servers_on_one_port_are_refused() -> None:
-    pytest.importorskip("pymodbus", reason="pymodbus is not installed")
     port = free_port()
     with pytest.raises(CannotCreate, match=f"--modbus 127.0.0.1:{port}: the address must be free"):
         Outlets(live=f":{port}", modbus=f":{port}", warn=print)

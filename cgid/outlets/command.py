@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from cgid.errors import InvalidValue
@@ -15,10 +16,15 @@ from cgid.outlets.outlet import Outlet
 
 #: A command that takes longer is ended [s]; at most this many turns wait for it.
 LONGEST_RUN, MOST_TURNS = 30.0, 100
+#: Descriptors that starting a command takes, with room to spare.
+_N_RESERVED = 10
 
 
 class Command(Outlet):
-    """Runs one command at a time, without a shell; it gets the turn as JSON on stdin and in its environment."""
+    """Runs one command at a time, without a shell; it gets the turn as JSON on stdin and in its environment.
+
+    Descriptors are kept in reserve between the runs, so that it can start even if none are left.
+    """
 
     def __init__(self, option: str, command: str, kind: str, warn: Callable[[str], None]) -> None:
         super().__init__(option, warn, MOST_TURNS)
@@ -34,20 +40,33 @@ class Command(Outlet):
             )
         self._kind, self._longest = kind, LONGEST_RUN
         self.up = True
+        self._reserved: list[int] = []
 
     def put(self, record: dict[str, Any]) -> None:
         """Let a turn wait; nothing else."""
         if record["kind"] == self._kind:
             super().put(record)
 
+    def _reserve(self) -> None:
+        with suppress(OSError):
+            while len(self._reserved) < _N_RESERVED:
+                self._reserved.append(os.open(os.devnull, os.O_RDONLY))
+
+    def _release(self) -> None:
+        while self._reserved:
+            os.close(self._reserved.pop())
+
     def run(self) -> None:
         """Run the command for each turn, those that wait at the end, too."""
+        self._reserve()
         while True:
             record = self._next()
             if record is not None:
+                self._release()
                 self._run(record)
+                self._reserve()
             elif self._ending:
-                return
+                return self._release()
 
     def _run(self, record: dict[str, Any]) -> None:
         more = {

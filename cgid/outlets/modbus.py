@@ -6,12 +6,13 @@ Addresses count from 0 (30001 in the notation of some vendors is address 0). All
 
 from __future__ import annotations
 
-import asyncio
 import math
+import socketserver
+import struct
 from collections.abc import Callable
 from typing import Any
 
-from cgid.outlets.outlet import Address, Service, library, since
+from cgid.outlets.outlet import Address, Server, since
 from cgid.outlets.plant import Plant, Support
 from cgid.validation import UNKNOWN
 
@@ -19,47 +20,58 @@ from cgid.validation import UNKNOWN
 VERSION = 1
 #: Registers of the head and of each support; most supports.
 HEAD, WIDTH, MOST_SUPPORTS = 16, 16, 256
+_SIZE = HEAD + WIDTH * MOST_SUPPORTS
 _NOT_KNOWN = 0xFFFF
+#: A client that asks nothing for this time is disconnected [s].
+_TIMEOUT = 60.0
+#: Functions that are answered, most registers of an answer, most bytes of a frame after its length.
+_READS, _MAX_COUNT, _MAX_LENGTH = (3, 4), 125, 254
+_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
 
 
-class Modbus(Service):
-    """A Modbus TCP server that only answers reads."""
+class Modbus(Server):
+    """A Modbus TCP server that only answers reads of registers."""
 
     def __init__(self, address: str, plant: Plant, warn: Callable[[str], None]) -> None:
-        own = Address.of("--modbus", address)
-        super().__init__(f"modbus {own}", warn)
-        # Simulated devices are how pymodbus serves registers.
-        self._server = library("pymodbus.server", "--modbus", "pymodbus").ModbusTcpServer
-        self._simulator = library("pymodbus.simulator", "--modbus", "pymodbus")
-        self._codes = library("pymodbus.constants", "--modbus", "pymodbus").ExcCodes
-        own.bound("--modbus").close()  # the library binds by itself, and tells no reason
-        self._address, self._plant = own, plant
+        class Handler(socketserver.StreamRequestHandler):
+            server: Any
 
-    def run(self) -> None:
-        """Serve until the end."""
-        asyncio.run(self._serve())
+            def handle(self) -> None:
+                """Answer requests until the client ends, or sends what is no Modbus."""
+                while len(head := self.rfile.read(7)) == 7:
+                    transaction, protocol, length, unit = struct.unpack(">HHHB", head)
+                    if protocol or not 2 <= length <= _MAX_LENGTH:
+                        return
+                    request = self.rfile.read(length - 1)
+                    if len(request) < length - 1:
+                        return
+                    answer = answered(request, plant)
+                    self.wfile.write(struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer)
+                    self.server.completed(self.request)
 
-    async def _serve(self) -> None:
-        size = HEAD + WIDTH * MOST_SUPPORTS
-        data = self._simulator.SimData(0, values=[0] * size, datatype=self._simulator.DataType.REGISTERS)
-        device = self._simulator.SimDevice(0, simdata=[data], action=self._answer)
-        server = self._server(device, address=tuple(self._address))
-        await server.serve_forever(background=True)
-        while not self._ending:
-            await asyncio.sleep(0.1)
-        await server.shutdown()
+        super().__init__("--modbus", Address.of("--modbus", address), Handler, _TIMEOUT, warn)
 
-    async def _answer(
-        self, function: int, start: int, address: int, count: int, current: list[int], values: Any
-    ) -> Any:
-        """Fill in the registers that are read; refuse to write."""
-        if values is not None or function not in (3, 4):
-            return self._codes.ILLEGAL_FUNCTION
-        now = self._plant.read(lambda supports: registers(self._plant, supports))
-        first = address - start
-        wanted = now[address : address + count]
-        current[first : first + count] = wanted + [0] * (count - len(wanted))
-        return None
+
+def answered(request: bytes, plant: Plant) -> bytes:
+    """Return the answer to a request, both from the function code on.
+
+    Examples
+    --------
+    >>> answered(bytes([4, 0, 0, 0, 1]), Plant()).hex(" "), answered(bytes([6, 0, 0, 0, 1]), Plant()).hex(" ")
+    ('04 02 00 01', '86 01')
+    """
+    function, error = request[0], 0
+    first, count = struct.unpack(">HH", request[1:]) if len(request) == 5 else (0, 0)
+    if function not in _READS:
+        error = _ILLEGAL_FUNCTION
+    elif not 1 <= count <= _MAX_COUNT:
+        error = _ILLEGAL_VALUE
+    elif first + count > _SIZE:
+        error = _ILLEGAL_ADDRESS
+    if error:
+        return bytes([function | 0x80, error])
+    known = plant.read(lambda supports: registers(plant, supports))[first : first + count]
+    return struct.pack(f">BB{count}H", function, 2 * count, *known, *[0] * (count - len(known)))
 
 
 def registers(plant: Plant, supports: dict[str, Support]) -> list[int]:

@@ -1,14 +1,15 @@
-"""What all outlets share: threads, a bounded queue, addresses, and their libraries."""
+"""What all outlets share: threads, a bounded queue, addresses, servers, and their libraries."""
 
 from __future__ import annotations
 
 import re
 import socket
+import socketserver
 import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from threading import Condition, Thread
+from threading import Condition, Lock, Thread
 from typing import Any, NamedTuple
 
 from cgid.errors import CannotCreate, InvalidValue, optional
@@ -17,6 +18,9 @@ from cgid.errors import CannotCreate, InvalidValue, optional
 MOST_WAITING = 10_000
 #: An outlet that is away is looked for after this time, then after twice as long, up to the longest [s].
 FIRST_PAUSE, LONGEST_PAUSE = 1, 30
+#: Clients of a server; after one was sent away, the next is let in after this time [s], which leaves the rest to the
+#: answers of the monitor.
+MAX_CLIENTS, _REST = 10, 0.01
 
 
 class Service:
@@ -152,6 +156,115 @@ class Address(NamedTuple):
                 "another, or end what listens there"
             ) from None
         return found
+
+
+class Server(Service):
+    """A TCP server; each of at most `MAX_CLIENTS` clients has a thread.
+
+    A client without a complete request for `timeout` [s] is disconnected, however often it sends a byte. A client too
+    many replaces the one whose last complete request is the oldest. `handler` reads `self.request`, and may call
+    `self.server.completed(self.request)`.
+    """
+
+    def __init__(
+        self,
+        option: str,
+        address: Address,
+        handler: Callable[..., socketserver.BaseRequestHandler],
+        timeout: float,
+        warn: Callable[[str], None],
+    ) -> None:
+        super().__init__(f"{option.removeprefix('--')} {address}", warn)
+        self._listener = _Listener(address.bound(option), handler, timeout)
+
+    def run(self) -> None:
+        """Serve until the end."""
+        self._listener.serve_forever(poll_interval=0.2)
+
+    def ask_to_end(self) -> None:
+        """Close the port."""
+        super().ask_to_end()
+        if self._thread.ident is not None:
+            self._listener.shutdown()
+        self._listener.server_close()
+
+
+class _Listener(socketserver.ThreadingTCPServer):
+    """Accepts the clients of a `Server`, and disconnects them."""
+
+    def __init__(
+        self, listening: socket.socket, handler: Callable[..., socketserver.BaseRequestHandler], timeout: float
+    ) -> None:
+        socketserver.BaseServer.__init__(self, listening.getsockname(), handler)
+        self.socket, self._timeout = listening, timeout
+        self._clients: dict[socket.socket, tuple[Thread, float]] = {}  # with the time of the last complete request
+        self._lock = Lock()
+
+    def completed(self, request: socket.socket) -> None:
+        """Note that a client has completed a request."""
+        with self._lock:
+            if request in self._clients:
+                self._clients[request] = self._clients[request][0], time.monotonic()
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Accept a client."""
+        try:
+            return super().get_request()
+        except OSError:  # such as no descriptor left: asking again at once would keep the processor busy
+            time.sleep(0.1)
+            raise
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Start the thread of a client, in place of another one if there are too many."""
+        with self._lock:
+            oldest = min(self._clients, key=lambda one: self._clients[one][1]) if self._is_full() else None
+            before = None if oldest is None else self._clients[oldest][0]
+        if oldest is not None and before is not None:
+            _disconnect(oldest)
+            before.join(1.0)
+            time.sleep(_REST)
+        thread = Thread(target=self.process_request_thread, args=(request, client_address), daemon=True)
+        with self._lock:
+            refused = self._is_full()
+            if not refused:
+                self._clients[request] = thread, time.monotonic()
+        if refused:
+            self.shutdown_request(request)
+        else:
+            thread.start()
+
+    def _is_full(self) -> bool:
+        return len(self._clients) >= MAX_CLIENTS
+
+    def service_actions(self) -> None:
+        """Disconnect clients that complete no request; called five times a second."""
+        with self._lock:
+            late = [one for one, (_, at) in self._clients.items() if time.monotonic() - at > self._timeout]
+        for one in late:
+            _disconnect(one)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close the connection of a client."""
+        with self._lock:
+            self._clients.pop(request, None)
+        super().shutdown_request(request)
+
+    def server_close(self) -> None:
+        """Close the port and disconnect all clients."""
+        self.socket.close()
+        with self._lock:
+            clients = list(self._clients)
+        for one in clients:
+            _disconnect(one)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore clients that go away or send nonsense."""
+
+
+def _disconnect(client: socket.socket) -> None:
+    """Wake the thread of a client, which closes the connection."""
+    with suppress(OSError):
+        client.shutdown(socket.SHUT_RDWR)
 
 
 def library(module: str, option: str, package: str) -> Any:

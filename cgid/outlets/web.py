@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import json
-import os
-import socket
+import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 from cgid.errors import CannotCreate
-from cgid.outlets.outlet import Address, Service, library
+from cgid.files import write_whole
+from cgid.outlets.outlet import Address, Server, Service, library
 from cgid.outlets.plant import SHUT, Plant
 
 #: What a path returns: a function that makes the bytes, and their type.
 Routes = dict[str, tuple[Callable[[], bytes], str]]
 #: The page as a file is written this often [s].
 _EVERY = 1.0
+#: Time for a request and its answer [s].
+_TIMEOUT = 10.0
 _HTML = "text/html; charset=utf-8"
-#: Nothing is loaded from elsewhere, whatever a name contains.
-_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'"
+#: Nothing is loaded from elsewhere, whatever a name contains, and no other page shows this one in a frame.
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
+    "frame-ancestors 'none'"
+)
 _DATA = "/*DATA*/null"
 
 
@@ -46,55 +53,62 @@ def web_services(
         yield WebServer(options[address], address, own, warn)
 
 
-class WebServer(Service):
-    """Serves a few paths by GET."""
+class WebServer(Server):
+    """Serves a few paths by GET and HEAD.
+
+    On a loopback address it answers loopback names only. Otherwise any web page could read it through a name of its own
+    that it lets point here (DNS rebinding).
+    """
 
     def __init__(self, option: str, address: Address, routes: Routes, warn: Callable[[str], None]) -> None:
-        super().__init__(f"{option.removeprefix('--')} {address}", warn)
-
         class Handler(BaseHTTPRequestHandler):
-            timeout = 10
             server_version, sys_version = "cgid", ""
 
-            def do_GET(self) -> None:
+            def _answer(self) -> None:
                 """Answer one request."""
                 make, kind = routes.get(self.path.partition("?")[0], (lambda: b"nothing here\n", ""))
+                status = 200 if kind else 404
+                names = map(_host, self.headers.get_all("Host", []))
+                if _is_loopback(self.server.server_address[0]) and not all(
+                    _is_loopback(name, address.host) for name in names
+                ):
+                    make, kind, status = (lambda: b"this server answers loopback names only\n"), "", 421
                 content = make()
-                self.send_response(200 if kind else 404)
+                self.send_response(status)
                 self.send_header("Content-Type", kind or "text/plain")
                 self.send_header("Content-Length", str(len(content)))
                 self.send_header("Content-Security-Policy", _POLICY)
                 self.send_header("X-Content-Type-Options", "nosniff")
                 self.send_header("Cache-Control", "no-store")
                 self.end_headers()
-                self.wfile.write(content)
+                if self.command == "GET":
+                    self.wfile.write(content)
+
+            do_GET = do_HEAD = _answer  # noqa: N815 - names that http.server looks for
 
             def log_message(self, *_: Any) -> None:
                 """Be silent."""
 
-        self._server = _Server((address.host, address.port), Handler, bind_and_activate=False)
-        self._server.socket.close()
-        self._server.socket = address.bound(option)
-        self._server.server_address = self._server.socket.getsockname()
-
-    def run(self) -> None:
-        """Serve until the end."""
-        self._server.serve_forever(poll_interval=0.2)
-
-    def ask_to_end(self) -> None:
-        """Close the port."""
-        super().ask_to_end()
-        if self._thread.ident is not None:
-            self._server.shutdown()
-        self._server.server_close()
+        super().__init__(option, address, Handler, _TIMEOUT, warn)
 
 
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
+def _host(header: str) -> str:
+    """Return the name in a Host header, without its port.
 
-    def handle_error(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
-        """Ignore readers that go away or send nonsense."""
+    Examples
+    --------
+    >>> _host("localhost:8080"), _host("[::1]:8080"), _host("::1")
+    ('localhost', '::1', '::1')
+    """
+    found = re.fullmatch(r"\[(.*)\](?::\d*)?|([^:]*)(?::\d*)?", header.strip())
+    return (found[1] or found[2] or "") if found else header.strip()
+
+
+def _is_loopback(name: str, given: str = "localhost") -> bool:
+    """Return whether a name or an address is of this machine alone: a loopback one, or the one `given`."""
+    with suppress(ValueError):
+        return ip_address(name).is_loopback
+    return name.lower() in ("localhost", given.lower())
 
 
 class PageFile(Service):
@@ -103,17 +117,16 @@ class PageFile(Service):
     def __init__(self, path: str, plant: Plant, warn: Callable[[str], None]) -> None:
         super().__init__(f"live {path}", warn)
         self._path, self._plant = Path(path), plant
-        self._part = self._path.with_name(f".{self._path.name}.part")
         if self._path.exists() and not self._path.is_file():
             raise CannotCreate(f"--live {path}: it must be a file, it is something else; choose another name")
-        if self._path.exists() and not self._path.read_bytes()[:200].startswith(page()[:60].encode()):
-            raise CannotCreate(f"--live {path}: the file exists already, and is no live page; choose another name")
-        try:
-            self._write()
-        except OSError as error:
-            raise CannotCreate(
-                f"--live {path}: the page cannot be written ({error.strerror or error}); choose another place"
-            ) from None
+        if self._path.exists():
+            begin = page()[:60].encode()
+            with self._path.open("rb") as file:
+                if file.read(len(begin)) != begin:
+                    raise CannotCreate(
+                        f"--live {path}: the file exists already, and is no live page; choose another name"
+                    )
+        self._write()
 
     def run(self) -> None:
         """Write the page until the end, and once more then."""
@@ -124,19 +137,14 @@ class PageFile(Service):
                 self._write()
                 self._said = ""
             except OSError as error:
-                self.say(f"the page cannot be written ({error.strerror or error}); the answers go on")
+                self.say(f"{error}; the answers go on")
             if ending:
                 return
 
     def _write(self) -> None:
         # Text within a script must not end it.
         data = _json(self._plant).replace("<", "\\u003c")
-        try:
-            self._part.write_text(page().replace(_DATA, data), encoding="utf-8")
-            os.replace(self._part, self._path)  # noqa: PTH105 - atomic
-        except OSError:
-            self._part.unlink(missing_ok=True)
-            raise
+        write_whole(self._path, page().replace(_DATA, data).encode())
 
 
 @cache
