@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -23,11 +24,12 @@ from cgid.measure.features import FEATURES, choose, extract_array
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
 from cgid.scene import Scene, load_scene, synthesise
 from cgid.scene.draws import require_seed
-from cgid.scene.synthesis import require_frames
+from cgid.scene.synthesis import require_count, require_frames
 from cgid.scene.through_beam import shared_beam
 from cgid.signals import Signal
 from cgid.store import Dataset
 from cgid.validation import Floats
+from cgid.workers import MAX_JOBS
 from cgid.workers import workers as executor
 
 if TYPE_CHECKING:
@@ -184,6 +186,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     def _measured(self, frames: NDArray[Any], names: tuple[str, ...]) -> Floats:
         if frames.shape[1] < MINIMUM_FRAME and self.invalid == "nan":
             return np.full((len(frames), len(names)), np.nan)
+        limit = validation.number("detection_limit", self.detection_limit, rule=validation.positive)
         return extract_array(
             frames,
             self._rate,
@@ -191,7 +194,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
             pre_trigger=self.pre_trigger,
             remove_baseline=self.remove_baseline,
             invalid=self.invalid,
-            detection_limit=self.detection_limit,
+            detection_limit=limit,
             beam=self._beam,
         )
 
@@ -230,7 +233,11 @@ class TrainingStream:
         if self.n_signals is not None:
             n = self.n_signals
             places = takewhile(lambda place: place < n, places)
-        with executor(self.workers) as crew, closing(crew.each_in_step(_batches, self, places)) as made:
+        # More processes than processors would only cost memory.
+        with (
+            executor(min(self.workers, os.cpu_count() or 1)) as crew,
+            closing(crew.each_in_step(_batches, self, places)) as made,
+        ):
             for batches in made:
                 yield from batches
 
@@ -259,7 +266,7 @@ def stream(
     seed : int
         From 0 to 2^63 - 1.
     workers : int
-        Processes that make signals; 1 is this process.
+        Processes that make signals, no more than processors; 1 is this process.
     n_signals : int, optional
         Signals of all shards together; by default without end.
     first : int
@@ -289,17 +296,16 @@ def stream(
     """
     scene = load_scene(scene)
     require_frames(scene)
-    require_seed(validation.whole("seed", seed, 0))
     if not isinstance(shard, tuple) or len(shard) != 2:
         raise InvalidValue(f"shard must be the number of this part and of all parts, as in (0, 2), got {shard!r}")
     n_parts = validation.count("number of shards", shard[1])
     return TrainingStream(
         scene=scene,
         batch_size=validation.count("batch_size", batch_size),
-        seed=seed,
-        workers=validation.count("workers", workers),
-        first=validation.whole("first", first, 0),
-        n_signals=None if n_signals is None else validation.count("n_signals", n_signals),
+        seed=require_seed(seed),
+        workers=validation.whole("workers", workers, 1, MAX_JOBS),
+        first=require_count(1, first)[1],
+        n_signals=None if n_signals is None else require_count(n_signals, first)[0],
         shard=(validation.whole("shard", shard[0], 0, n_parts - 1), n_parts),
     )
 

@@ -13,6 +13,7 @@ import posixpath
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from threading import Thread
 from urllib.error import HTTPError, URLError
 from urllib.parse import quote, urlsplit
 from urllib.request import Request, urlopen
@@ -21,8 +22,9 @@ from cgid import shipped, validation
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.files import looking_at, write_whole
 
-#: Waiting time for an answer [s].
-_PATIENCE = 30.0
+#: Waiting time for an answer [s], and rate from which on the rest must arrive [bytes/s].
+_PATIENCE, _MIN_RATE = 30.0, 5e3
+_CURE = "check the connection, or give --mirror with the address of a copy"
 #: Where GitHub serves files of a commit.
 _GITHUB = "https://raw.githubusercontent.com"
 
@@ -146,8 +148,7 @@ def fetch(
     validation.choice("dataset", name, tuple(PUBLIC))
     data = PUBLIC[name]
     base = data.base if mirror is None else mirror.rstrip("/")
-    if urlsplit(base).scheme not in ("https", "http"):
-        raise InvalidValue(f"mirror must be an address that begins with https:// or http://, got {base!r}")
+    _require_address(base)
     target = Path(folder) / name
     top = len(PurePosixPath(posixpath.commonpath([posixpath.dirname(file.path) for file in data.files])).parts)
     for file in data.files:
@@ -168,6 +169,22 @@ def fetch(
     return target
 
 
+def _require_address(base: str) -> None:
+    """Raise `InvalidValue` if a mirror is no address of a web server, or tells a password that would not be used."""
+    try:
+        address = urlsplit(base)
+        scheme, host, user = address.scheme, address.hostname, address.username
+        _ = address.port  # raises, too
+    except ValueError as error:
+        raise InvalidValue(
+            f"mirror must be an address such as http://[::1]:8000/copy, got {base!r} ({error})"
+        ) from None
+    if user is not None:
+        raise InvalidValue("mirror must have no user and password, which are not used; leave them out of the address")
+    if scheme not in ("https", "http") or not host:
+        raise InvalidValue(f"mirror must be an address that begins with https:// or http://, got {base!r}")
+
+
 def _check_kept(path: Path, file: PublicFile) -> None:
     """Raise `CannotCreate` if the existing file is another one."""
     if not path.is_file() or path.stat().st_size != file.size or _sum(path.read_bytes()) != file.sha256:
@@ -179,19 +196,39 @@ def _sum(content: bytes) -> str:
 
 
 def _downloaded(address: str, file: PublicFile) -> bytes:
-    cure = "check the connection, or give --mirror with the address of a copy"
+    """Return a file, or raise `NoInput` if it takes too long: a server may send a byte now and then for days."""
+    timeout = _PATIENCE + file.size / _MIN_RATE
+    found: list[bytes | Exception] = []
+
+    def transfer() -> None:
+        try:
+            found.append(_transferred(address, file))
+        except Exception as error:
+            found.append(error)
+
+    thread = Thread(target=transfer, daemon=True)  # names, handshakes and headers have no limit of their own
+    thread.start()
+    thread.join(timeout)
+    if not found:
+        raise NoInput(f"{address}: {file.size} bytes must arrive within {timeout:.3g} s, they do not; {_CURE}")
+    if isinstance(found[0], Exception):
+        raise found[0]
+    return found[0]
+
+
+def _transferred(address: str, file: PublicFile) -> bytes:
     try:
         with urlopen(Request(address, headers={"User-Agent": "cgid"}), timeout=_PATIENCE) as answer:
             content = bytes(answer.read(file.size + 1))  # no more, whatever a server sends
     except HTTPError as error:
         error.close()
-        told = f"the server answers {error.code} {error.reason}"
-        raise NoInput(f"{address}: cannot be downloaded, {told}; {cure}") from None
+        told = f"the server answers {error.code} {validation.cut(str(error.reason))}"
+        raise NoInput(f"{address}: cannot be downloaded, {told}; {_CURE}") from None
     except http.client.IncompleteRead as error:
         content = error.partial
     except (OSError, URLError, http.client.HTTPException, ValueError) as error:
         reason = getattr(error, "reason", None) or error
-        raise NoInput(f"{address}: cannot be downloaded: {reason}; {cure}") from None
+        raise NoInput(f"{address}: cannot be downloaded: {validation.cut(str(reason))}; {_CURE}") from None
     if len(content) < file.size:
         raise BadData(f"{address}: must hold {file.size} bytes, {len(content)} arrived: cut off; run the command again")
     if len(content) != file.size or _sum(content) != file.sha256:

@@ -23,6 +23,7 @@ from importlib.metadata import version
 from itertools import islice
 from typing import Any, TypeVar
 
+from cgid import validation
 from cgid.errors import ClusterFailed, InvalidValue, optional
 
 #: The scheduler must answer and have a worker within this time [s].
@@ -31,6 +32,8 @@ PATIENCE = 10.0
 DESERTED = 60.0
 #: Count the workers again after this time [s]: a cluster may grow.
 _RECOUNT = 1.0
+#: Most processes on this machine.
+MAX_JOBS = 1024
 #: Up to this size the common data go with each part and survive the loss of any worker; larger data are sent once to
 #: each worker [bytes].
 _SMALL = 1 << 20
@@ -222,12 +225,11 @@ ALONE = Workers()
 def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     """Yield the executor: `jobs` local processes, or all workers of the dask `scheduler` instead.
 
-    The address looks like tcp://192.168.0.7:8786. Raises `InvalidValue` for a bad address or `jobs` below 1,
+    The address looks like tcp://192.168.0.7:8786. Raises `InvalidValue` for a bad address or `jobs` outside 1 to 1024,
     `MissingExtra` without dask.distributed, and `ClusterFailed` if the scheduler does not answer, has no workers, or a
     worker has other library versions.
     """
-    if jobs < 1:
-        raise InvalidValue(f"jobs must be 1 or more, got {jobs}")
+    jobs = validation.whole("jobs", jobs, 1, MAX_JOBS)
     if scheduler is None:
         yield Workers(jobs)
         return

@@ -269,7 +269,7 @@ def test_jobs_and_a_scheduler_exclude_each_other(capsys: pytest.CaptureFixture[s
         assert "--jobs is for this machine, --scheduler for a cluster" in capsys.readouterr().err
     assert run(["generate", "caving", "-o", "d.h5", "--scheduler", "tcp://host:1"]) == 65
     assert "--scheduler is for datasets" in capsys.readouterr().err
-    with pytest.raises(InvalidValue, match="jobs must be 1 or more"), workers(0):
+    with pytest.raises(InvalidValue, match="jobs"), workers(0):
         pass
 
 

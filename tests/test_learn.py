@@ -101,6 +101,10 @@ def test_rows_that_cannot_be_measured_are_nan_or_an_error(impacts: tuple[np.ndar
         ({"sampling_rate": 2e5, "features": "window_level_*_hz"}, "window_level"),
         ({"sampling_rate": 2e5, "features": "beam_restitution"}, "beam"),
         ({"sampling_rate": 2e5, "pre_trigger": 5000}, "pre_trigger"),
+        *(
+            ({"sampling_rate": 2e5, "detection_limit": limit}, "detection_limit")
+            for limit in (np.nan, 0, -1, "6", None)
+        ),
     ],
 )
 def test_bad_settings_are_refused_when_fitting(settings: dict[str, Any], says: str) -> None:
@@ -213,11 +217,16 @@ def test_a_killed_worker_is_named(tmp_path: Path) -> None:
     [
         ({"batch_size": 0}, "batch_size must be a whole number of 1 or more, got 0"),
         ({"batch_size": 1.5}, "batch_size must be a whole number"),
-        ({"workers": 0}, "workers must be a whole number of 1 or more"),
-        ({"seed": -1}, "seed must be a whole number of 0 or more"),
-        ({"seed": 2**63}, "seed must lie between"),
-        ({"n_signals": 0}, "n_signals must be a whole number of 1 or more"),
-        ({"first": -1}, "first must be a whole number of 0 or more"),
+        ({"batch_size": "8"}, "batch_size"),
+        ({"workers": 0}, "workers"),
+        ({"workers": 10**6}, "workers"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 2**63}, "seed"),
+        ({"seed": "3"}, "seed"),
+        ({"n_signals": 0}, "n_signals"),
+        ({"n_signals": 10**30}, "n_signals"),
+        ({"first": -1}, "first"),
+        ({"first": 10**30}, "first"),
         ({"shard": (2, 2)}, "shard must be"),
         ({"shard": (0, 0)}, "number of shards must be a whole number of 1 or more"),
         ({"shard": 1}, "shard must be the number of this part"),
@@ -228,6 +237,16 @@ def test_a_killed_worker_is_named(tmp_path: Path) -> None:
 def test_bad_streams_are_refused_at_once(settings: dict[str, Any], says: str) -> None:
     with pytest.raises(CgidError, match=says):
         cgid.stream(**{"scene": "reference", **settings})
+
+
+def test_numpy_integers_are_integers(reference_scene: Scene) -> None:
+    small = {"seed": np.int8(3), "n_signals": np.int8(120), "first": np.int8(100), "batch_size": np.int8(100)}
+    large = {name: int(number) for name, number in small.items()}
+    whole = list(cgid.stream(reference_scene, **large))
+    assert same(list(cgid.stream(reference_scene, **small)), whole)
+    made = synthesise(reference_scene, small["n_signals"], small["seed"], first=small["first"])
+    np.testing.assert_array_equal(np.concatenate([batch.signals for batch in made]), joined(whole)[0])
+    assert next(iter(cgid.stream(reference_scene, first=2**62)))[0].shape == (64, 2048)
 
 
 def test_a_float_seed_is_refused() -> None:

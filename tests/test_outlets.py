@@ -368,7 +368,7 @@ def honest_reads(ports: tuple[int, int]) -> None:
 def test_nonsense_leaves_no_line_and_no_connection(two_servers, said, capfd) -> None:
     rng = random.Random(1)
     before = threading.active_count()
-    for _ in range(150):
+    for _ in range(60):
         for port, request in zip(
             two_servers, (modbus_frame(b"\4\0\0\0\1"), b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"), strict=True
         ):

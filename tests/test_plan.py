@@ -551,7 +551,7 @@ def test_what_is_asked_of_a_law_is_not_what_it_delivers() -> None:
         (lambda: plan(scene_of(), "closed-form", quantities=["colour"]), "colour"),
         (lambda: plan(scene_of(), "closed-form", quantities=["impulse", "impulse"]), "once each"),
         (lambda: columns_of(plan(scene_of(), "frames"), 5), "use synthesise"),
-        (lambda: features_of(scene_of(), 0), "n_signals must be 1"),
+        (lambda: features_of(scene_of(), 0), "n_signals"),
         (lambda: next(synthesise(scene_of(), 5, output="features")), "frames or pulses"),
     ],
 )

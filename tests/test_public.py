@@ -6,6 +6,7 @@ import hashlib
 import re
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socketserver import BaseRequestHandler, ThreadingTCPServer
 from urllib.parse import unquote
 
 import pytest
@@ -85,6 +86,31 @@ def test_what_arrives_is_checked(one, server, tmp_path, change, error, says):
     with pytest.raises(error, match=re.escape(says)) as caught:
         public.fetch(one, tmp_path, mirror=address)
     assert "\n" not in str(caught.value)
+    assert not list(tmp_path.rglob("*.txt"))
+
+
+@pytest.mark.parametrize("dripped", ["head", "body"])
+def test_server_that_drips_is_given_up(one, tmp_path, monkeypatch, dripped):
+    monkeypatch.setattr(public, "_PATIENCE", 0.3)
+    monkeypatch.setattr(public, "_MIN_RATE", 1e9)
+    ended = threading.Event()
+
+    class Dripping(BaseRequestHandler):
+        def handle(self):
+            self.request.recv(65536)
+            head = b"HTTP/1.0 200 OK\r\n" + b"Content-Length: 2400\r\n\r\n" * (dripped == "body")
+            self.request.sendall(head)
+            while not ended.wait(0.05):  # each byte is in time
+                self.request.sendall(b"a")
+
+    with ThreadingTCPServer(("127.0.0.1", 0), Dripping) as own:
+        threading.Thread(target=own.serve_forever, daemon=True).start()
+        try:
+            with pytest.raises(NoInput, match="2400 bytes"):
+                public.fetch(one, tmp_path, mirror=f"http://127.0.0.1:{own.server_address[1]}")
+        finally:
+            ended.set()
+            own.shutdown()
     assert not list(tmp_path.rglob("*.txt"))
 
 

@@ -311,9 +311,9 @@ def test_batches_say_what_they_are(small):
     assert (batch.unit, batch.sampling_rate, batch.pre_trigger, batch.source) == ("N", RATE, 16, scene.sha256)
 
 
-@pytest.mark.parametrize(("count", "first"), [(0, 0), (-1, 0), (1, -1)])
+@pytest.mark.parametrize(("count", "first"), [(0, 0), (-1, 0), (1, -1), (10**30, 0), (1, 10**30), (1.5, 0)])
 def test_impossible_ranges(small, count, first):
-    with pytest.raises(InvalidValue, match="n_signals must be 1 or more"):
+    with pytest.raises(InvalidValue, match="first" if first else "n_signals"):
         next(synthesise(small[0], count, first=first))
 
 

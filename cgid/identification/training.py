@@ -188,6 +188,7 @@ def train(
     InvalidValue
         An unknown choice, a label with a single specimen, or a guard that is not positive.
     """
+    seed = validation.whole("seed", seed, 0, 2**32 - 1)
     if isinstance(data, Rows):
         rows, names, limiting = data, tuple(features or ()), tuple(guards or ())
         for name in (*names, *limiting):

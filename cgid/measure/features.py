@@ -228,6 +228,7 @@ def extract_array(
     each = 1 if beam is None else beam.n_sensors
     frames, rate = frames_of(_as_rows(samples, each, names), pre_trigger), require_rate(sampling_rate)
     validation.choice("invalid", invalid, ("raise", "nan"))
+    detection_limit = validation.number("detection_limit", detection_limit, rule=validation.not_negative)
     require_supported(names, rate, frames.shape[1])
     if equalisation is not None and kind_of(names) == "pulse":
         raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")

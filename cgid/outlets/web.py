@@ -68,10 +68,9 @@ class WebServer(Server):
                 """Answer one request."""
                 make, kind = routes.get(self.path.partition("?")[0], (lambda: b"nothing here\n", ""))
                 status = 200 if kind else 404
+                listening: Any = self.server.server_address
                 names = map(_host, self.headers.get_all("Host", []))
-                if _is_loopback(self.server.server_address[0]) and not all(
-                    _is_loopback(name, address.host) for name in names
-                ):
+                if _is_loopback(listening[0]) and not all(_is_loopback(name, address.host) for name in names):
                     make, kind, status = (lambda: b"this server answers loopback names only\n"), "", 421
                 content = make()
                 self.send_response(status)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.errors import InvalidValue
+from cgid import validation
 from cgid.physics import free_fall_velocity
 from cgid.physics.materials import YIELD_OVER_STRENGTH
 from cgid.scene.background import BackgroundSection, HumLine
@@ -100,16 +100,14 @@ RANDOMISED_UNITS = {
 UNLIMITED = 0.45
 
 
-def require_seed(seed: int) -> None:
-    """Raise `InvalidValue` unless the seed lies within 0 and 2^63 - 1."""
-    if not 0 <= seed < 2**63:
-        raise InvalidValue(f"seed must lie between 0 and 2^63 - 1, got {seed}")
+def require_seed(seed: int) -> int:
+    """Return a seed as an integer, or raise `InvalidValue` unless it is one within 0 and 2^63 - 1."""
+    return validation.whole("seed", seed, 0, 2**63 - 1)
 
 
 def generator(seed: int, purpose: int, block: int, recording: int = 0) -> np.random.Generator:
     """Return the generator of one address; raises as `require_seed`. `recording` is the number within a stream."""
-    require_seed(seed)
-    key = np.array([seed, purpose], np.uint64)
+    key = np.array([require_seed(seed), purpose], np.uint64)
     # The lower two words of the counter count the numbers drawn.
     counter = np.array([0, 0, recording, block], np.uint64)
     return np.random.Generator(np.random.Philox(key=key, counter=counter))

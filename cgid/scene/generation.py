@@ -26,7 +26,7 @@ import numpy as np
 from cgid import __version__, validation
 from cgid.errors import CannotCreate, InvalidValue
 from cgid.files import require_room, write_whole
-from cgid.scene.draws import BLOCK, parameter_units
+from cgid.scene.draws import BLOCK, parameter_units, require_seed
 from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene, load_scene
 from cgid.scene.synthesis import columns_of, synthesise
@@ -118,9 +118,8 @@ def generate(
         A number is out of range, or the scene randomises its sampling rate.
     """
     scene = load_scene(scene)
-    for name, value in (("n_signals", n_signals), ("jobs", jobs), ("shard_signals", shard_signals)):
-        if value < 1:
-            raise InvalidValue(f"{name} must be 1 or more, got {value}")
+    n_signals, seed = validation.count("n_signals", n_signals), require_seed(seed)
+    jobs, shard_signals = validation.count("jobs", jobs), validation.count("shard_signals", shard_signals)
     if scene.randomise is not None and scene.randomise.sampling_rate is not None:
         low, high = scene.randomise.sampling_rate.extremes
         raise InvalidValue(
@@ -356,8 +355,7 @@ def tabulate(
     Raises `CannotCreate`, `WriteFailed` (nothing is left behind), `MissingExtra` without the Parquet library, and
     `InvalidValue` for a bad number or a plan for signals.
     """
-    if not 1 <= n_signals <= MOST_SIGNALS:
-        raise InvalidValue(f"n_signals must lie between 1 and {MOST_SIGNALS}, got {n_signals}")
+    n_signals, seed = validation.whole("n_signals", n_signals, 1, MOST_SIGNALS), require_seed(seed)
     path = check_table_output(output, overwrite)
     next(iter(columns_of(asked, 1, seed)))  # raises errors of the plan or the seed before anything is written
     size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)

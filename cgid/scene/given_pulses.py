@@ -32,6 +32,7 @@ from cgid.scene.draws import (
     onset_of,
     parameter_units,
     points_of_impact,
+    require_seed,
     settings_of,
     settled,
     specimen_of,
@@ -115,6 +116,7 @@ def synthesise_given(
     """
     scene = load_scene(scene)
     validation.choice("dtype", dtype, ("float32", "float64"))
+    seed = require_seed(seed)
     require_frames(scene)
     n = len(pulses)
     names = np.asarray(labels, dtype=np.str_)

@@ -53,7 +53,7 @@ def add_noise(
     >>> bool((whole[:, 700:710] == window).all())
     True
     """
-    require_seed(seed)
+    seed = require_seed(seed)
     if purpose == NOISE:
         count("noise_samples", frames.size)
     if not 0 <= block < 2**56:

@@ -131,8 +131,7 @@ def generate_recordings(
     scene = load_scene(scene)
     if scene.stream is None:
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
-    if not 1 <= n_recordings <= MOST_RECORDINGS:
-        raise InvalidValue(f"n_recordings must lie between 1 and {MOST_RECORDINGS}, got {n_recordings}")
+    n_recordings = validation.whole("n_recordings", n_recordings, 1, MOST_RECORDINGS)
     path = Path(output)
     if n_recordings > 1 and is_single_file(path):
         raise InvalidValue(
@@ -140,7 +139,7 @@ def generate_recordings(
             "for a folder"
         )
     validation.choice("dtype", dtype, ("float32", "float64"))
-    require_seed(seed)
+    seed = require_seed(seed)
     require_capacity(scene, dtype)
     background_of(scene)
     path = check_output(path, RECORDING_FILES, overwrite or resume)

@@ -9,13 +9,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid import validation
 from cgid.counting import count
 from cgid.elementary import log
 from cgid.errors import InvalidValue
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene._fourier import transformable
-from cgid.scene.draws import LUMP, PARAMETER_UNITS, POINT_UNITS
+from cgid.scene.draws import LUMP, PARAMETER_UNITS, POINT_UNITS, require_seed
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Recorder, impacts_by_coupling, impacts_of, recorder_of
 from cgid.scene.noise import Background, add_noise, background_of, colour_of
@@ -239,8 +240,7 @@ def parts_of_recording(
     """Yield the next samples of a recording and the truth of some impacts, perhaps before or after these samples."""
     if scene.stream is None:
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
-    if not 0 <= number < 2**32:
-        raise InvalidValue(f"number of the recording must lie between 0 and 2^32 - 1, got {number}")
+    seed, number = require_seed(seed), validation.whole("number of the recording", number, 0, 2**32 - 1)
     asked = plan(scene, "recordings", dtype=dtype)
     background = background_of(scene) if asked.runs("background") else None
     audible, recorder = hearing_limit(scene, background), recorder_of(asked)

@@ -10,10 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
-from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units
+from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Blows, blows_of, impacts_by_coupling, impacts_of
 from cgid.scene.noise import HIGHEST_NOISE, add_sensor_noise, background_of
@@ -26,6 +27,8 @@ from cgid.validation import Floats
 
 #: Blocks drawn and measured at once, to share the overhead, and most samples of their frames (16 MB).
 TOGETHER, _MOST_SAMPLES = 4, 1 << 22
+#: Highest number of a signal that may come first: those that follow stay within 64 bits.
+MAX_NUMBER = 2**62
 
 
 def synthesise(
@@ -65,7 +68,8 @@ def synthesise(
         A number breaks its rule.
     """
     scene = load_scene(scene)
-    require_count(n_signals, first)
+    n_signals, first = require_count(n_signals, first)
+    seed = require_seed(seed)
     require_frames(scene)
     asked = plan(scene, output, dtype=dtype)
     if not asked.kept:
@@ -96,10 +100,9 @@ def _by_block(part: slice) -> Iterator[tuple[int, slice]]:
         yield number, slice(max(number * BLOCK, part.start), min((number + 1) * BLOCK, part.stop))
 
 
-def require_count(n_signals: int, first: int) -> None:
-    """Raise `InvalidValue` for less than one signal, or a negative first one."""
-    if n_signals < 1 or first < 0:
-        raise InvalidValue(f"n_signals must be 1 or more and first 0 or more, got {n_signals} and {first}")
+def require_count(n_signals: int, first: int) -> tuple[int, int]:
+    """Return a number of signals and the number of the first as integers, at most `MAX_NUMBER`."""
+    return validation.whole("n_signals", n_signals, 1, MAX_NUMBER), validation.whole("first", first, 0, MAX_NUMBER)
 
 
 def require_frames(scene: Scene) -> None:
@@ -197,7 +200,8 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
     Features equal those of `cgid.measure.features.extract` for float32 signals of `synthesise` with the same numbers.
     Raises `InvalidValue` if a number breaks its rule, or the plan is one for signals.
     """
-    require_count(n_signals, first)
+    n_signals, first = require_count(n_signals, first)
+    seed = require_seed(seed)
     require_frames(asked.scene)
     if asked.kept:
         raise InvalidValue(

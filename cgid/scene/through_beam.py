@@ -14,7 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.beam import FINE, MOST_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, nodes, points_of
 from cgid.physics.modes import MeasuredModes
 from cgid.physics.response import DERIVATIVES
-from cgid.scene.draws import BLOCK
+from cgid.scene.draws import BLOCK, require_seed
 from cgid.scene.impacts import BeamModes, beam_modes, blows_of, draw
 from cgid.scene.plan import highest_frequency, plan
 from cgid.scene.schema import Scene, parse_scene, stored_scene
@@ -229,7 +229,8 @@ def recorded_together(
     InvalidValue, BadData
         As `moved` and `cgid.scene.synthesise`.
     """
-    require_count(n_signals, 0)
+    n_signals, _ = require_count(n_signals, 0)
+    seed = require_seed(seed)
     require_frames(scene)
     plans = [plan(moved(scene, point), "frames") for point in sensors]
     for block, part in blocks(n_signals, 0):
