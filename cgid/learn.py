@@ -184,9 +184,9 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         return np.asarray(validate_data(self, X, dtype=(np.float64, np.float32), reset=reset))
 
     def _measured(self, frames: NDArray[Any], names: tuple[str, ...]) -> Floats:
+        limit = validation.number("detection_limit", self.detection_limit, rule=validation.positive)
         if frames.shape[1] < MINIMUM_FRAME and self.invalid == "nan":
             return np.full((len(frames), len(names)), np.nan)
-        limit = validation.number("detection_limit", self.detection_limit, rule=validation.positive)
         return extract_array(
             frames,
             self._rate,
