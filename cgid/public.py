@@ -23,7 +23,7 @@ from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.files import looking_at, write_whole
 
 #: Waiting time for an answer [s], and rate from which on the rest must arrive [bytes/s].
-_PATIENCE, _MIN_RATE = 30.0, 5e3
+PATIENCE, MIN_RATE = 30.0, 5e3
 _CURE = "check the connection, or give --mirror with the address of a copy"
 #: Where GitHub serves files of a commit.
 _GITHUB = "https://raw.githubusercontent.com"
@@ -197,7 +197,7 @@ def _sum(content: bytes) -> str:
 
 def _downloaded(address: str, file: PublicFile) -> bytes:
     """Return a file, or raise `NoInput` if it takes too long: a server may send a byte now and then for days."""
-    timeout = _PATIENCE + file.size / _MIN_RATE
+    timeout = PATIENCE + file.size / MIN_RATE
     found: list[bytes | Exception] = []
 
     def transfer() -> None:
@@ -218,7 +218,7 @@ def _downloaded(address: str, file: PublicFile) -> bytes:
 
 def _transferred(address: str, file: PublicFile) -> bytes:
     try:
-        with urlopen(Request(address, headers={"User-Agent": "cgid"}), timeout=_PATIENCE) as answer:
+        with urlopen(Request(address, headers={"User-Agent": "cgid"}), timeout=PATIENCE) as answer:
             content = bytes(answer.read(file.size + 1))  # no more, whatever a server sends
     except HTTPError as error:
         error.close()

@@ -404,7 +404,7 @@ def test_silent_clients_leave_room(two_servers, said, capfd) -> None:
 
 def test_slow_request_ends(outlets, monkeypatch) -> None:
     for module in (modbus, web):
-        monkeypatch.setattr(module, "_TIMEOUT", 0.5)
+        monkeypatch.setattr(module, "TIMEOUT", 0.5)
     ports = free_port(), free_port()
     outlets(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
     for port in ports:
@@ -424,7 +424,7 @@ def test_slow_request_ends(outlets, monkeypatch) -> None:
 
 def test_command_runs_without_a_descriptor_left(outlets, said, tmp_path) -> None:
     own = outlets(on_shut=f"touch {tmp_path / 'x'}")
-    wait_for(lambda: own._services[0]._reserved)
+    wait_for(lambda: own.plant.outlets[0].reserved)
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     taken: list[int] = []
     try:

@@ -91,8 +91,8 @@ def test_what_arrives_is_checked(one, server, tmp_path, change, error, says):
 
 @pytest.mark.parametrize("dripped", ["head", "body"])
 def test_server_that_drips_is_given_up(one, tmp_path, monkeypatch, dripped):
-    monkeypatch.setattr(public, "_PATIENCE", 0.3)
-    monkeypatch.setattr(public, "_MIN_RATE", 1e9)
+    monkeypatch.setattr(public, "PATIENCE", 0.3)
+    monkeypatch.setattr(public, "MIN_RATE", 1e9)
     ended = threading.Event()
 
     class Dripping(BaseRequestHandler):

@@ -17,7 +17,7 @@ from cgid.outlets.outlet import Outlet
 #: A command that takes longer is ended [s]; at most this many turns wait for it.
 LONGEST_RUN, MOST_TURNS = 30.0, 100
 #: Descriptors that starting a command takes, with room to spare.
-_N_RESERVED = 10
+N_RESERVED = 10
 
 
 class Command(Outlet):
@@ -40,7 +40,7 @@ class Command(Outlet):
             )
         self._kind, self._longest = kind, LONGEST_RUN
         self.up = True
-        self._reserved: list[int] = []
+        self.reserved: list[int] = []
 
     def put(self, record: dict[str, Any]) -> None:
         """Let a turn wait; nothing else."""
@@ -49,12 +49,12 @@ class Command(Outlet):
 
     def _reserve(self) -> None:
         with suppress(OSError):
-            while len(self._reserved) < _N_RESERVED:
-                self._reserved.append(os.open(os.devnull, os.O_RDONLY))
+            while len(self.reserved) < N_RESERVED:
+                self.reserved.append(os.open(os.devnull, os.O_RDONLY))
 
     def _release(self) -> None:
-        while self._reserved:
-            os.close(self._reserved.pop())
+        while self.reserved:
+            os.close(self.reserved.pop())
 
     def run(self) -> None:
         """Run the command for each turn, those that wait at the end, too."""

@@ -23,7 +23,7 @@ HEAD, WIDTH, MOST_SUPPORTS = 16, 16, 256
 _SIZE = HEAD + WIDTH * MOST_SUPPORTS
 _NOT_KNOWN = 0xFFFF
 #: A client that asks nothing for this time is disconnected [s].
-_TIMEOUT = 60.0
+TIMEOUT = 60.0
 #: Functions that are answered, most registers of an answer, most bytes of a frame after its length.
 _READS, _MAX_COUNT, _MAX_LENGTH = (3, 4), 125, 254
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
@@ -49,7 +49,7 @@ class Modbus(Server):
                     self.wfile.write(struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer)
                     self.server.completed(self.request)
 
-        super().__init__("--modbus", Address.of("--modbus", address), Handler, _TIMEOUT, warn)
+        super().__init__("--modbus", Address.of("--modbus", address), Handler, TIMEOUT, warn)
 
 
 def answered(request: bytes, plant: Plant) -> bytes:

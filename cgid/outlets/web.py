@@ -22,7 +22,7 @@ Routes = dict[str, tuple[Callable[[], bytes], str]]
 #: The page as a file is written this often [s].
 _EVERY = 1.0
 #: Time for a request and its answer [s].
-_TIMEOUT = 10.0
+TIMEOUT = 10.0
 _HTML = "text/html; charset=utf-8"
 #: Nothing is loaded from elsewhere, whatever a name contains, and no other page shows this one in a frame.
 _POLICY = (
@@ -88,7 +88,7 @@ class WebServer(Server):
             def log_message(self, *_: Any) -> None:
                 """Be silent."""
 
-        super().__init__(option, address, Handler, _TIMEOUT, warn)
+        super().__init__(option, address, Handler, TIMEOUT, warn)
 
 
 def _host(header: str) -> str:
