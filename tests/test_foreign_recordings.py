@@ -370,6 +370,7 @@ def mat(tmp_path):
     return written
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("dtype", ["f4", "f8", "i1", "u2", "i4", "i8"])
 @pytest.mark.parametrize("turned", [False, True])
@@ -441,6 +442,7 @@ def nested_structs(depth):
     return b"".join(struct.pack("<II", 14, len(head) + k * (8 + len(head))) + head for k in reversed(range(depth)))
 
 
+@pytest.mark.long
 def test_hostile_mat_is_refused(mat):
     huge = mat_array("x", (1, 2**31 - 1), 6, 9, b"")
     assert "damaged" in refused(mat(mat_file(huge)))
@@ -475,6 +477,7 @@ def test_mat_is_closed_when_it_is_not_read(tmp_path, packed):
         assert n_open() == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("packed", [False, True])
 def test_mat_cut_anywhere_is_refused(tmp_path, packed):
     path = tmp_path / "cut.mat"
@@ -485,6 +488,7 @@ def test_mat_cut_anywhere_is_refused(tmp_path, packed):
         assert "\n" not in refused(path, CgidError, variable="x")
 
 
+@pytest.mark.long
 def test_checksum_of_packed_mat_finds_what_changed(tmp_path):
     path = tmp_path / "flipped.mat"
     savemat(path, {"x": SAMPLES, "Fs": 100.0}, do_compression=True)

@@ -26,7 +26,7 @@ VERBS = """
     Weight Write
 """
 #: Of minutes.
-SLOW = ("ceiling", "calibrate")
+SLOW = ("ceiling", "calibrate", "tap")
 
 
 def test_bare_cgid_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:

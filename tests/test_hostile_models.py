@@ -31,6 +31,7 @@ def _busy_machine(monkeypatch):
     monkeypatch.setattr("benchmarks.hostile_models.TIME_LIMIT", 20.0)
 
 
+@pytest.mark.long
 def test_files_made_by_hand_do_no_harm(tmp_path):
     assert len(HOSTILE) > 100
     assert failed_by_hand(by_hand(tmp_path)) == {}

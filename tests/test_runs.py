@@ -113,6 +113,7 @@ def test_ctrl_c_with_two_workers_and_on(whole, path):
     assert files(path) == whole[dataset]
 
 
+@pytest.mark.long
 def test_a_spawned_process_makes_the_same_bytes(whole, path):
     """As on Windows, where no process is forked: all that is handed over must be pickled."""
     process = multiprocessing.get_context("spawn").Process(target=dataset, args=(path,))

@@ -91,6 +91,7 @@ def mended(path: Path, **options: object) -> list[bool]:
 # ---- bits and lengths ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_no_flipped_bit_and_no_length_is_a_silent_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The long form: python benchmarks/bit_flips.py."""
     monkeypatch.setattr("benchmarks.bit_flips.TIME_LIMIT", 300.0)  # however busy the machine is

@@ -2,6 +2,7 @@
 
     python tests/golden/make.py data         # datasets, a recording, tables, and another reader's view of them
     python tests/golden/make.py models       # a model of each family, and the answers of the estimators behind them
+    python tests/golden/make.py answers      # what predict, train and calibrate find today
 
 Files of an older version are made by a checkout of that version and never again: there, the same command writes the
 files of its own schemas, which are then added to the existing ones. Origins:
@@ -10,17 +11,25 @@ files of its own schemas, which are then added to the existing ones. Origins:
     models-3-*, manifest-1, single, gzip, recording, table, data    by commit 54cf5f0
     models-4-*, manifest-2                                          by the commits that added them
 
-JSON files next to them hold the expected content: for data, that which h5py, pyarrow and Python's own csv read, not
+answers.json is of this version: make it anew where a change is meant to move an answer, a card or a calibration, and
+say so in CHANGELOG.md. `test_golden.py` has the tolerances.
+
+The other JSON files hold the expected content: for data, that which h5py, pyarrow and Python's own csv read, not
 cgid; for models, the answers of the underlying scikit-learn estimators to drawn inputs.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import gzip
 import hashlib
+import io
 import json
+import re
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +92,80 @@ def make_models(folder: Path) -> None:
     _write(folder / f"models-{version}.json", expected)
 
 
+def make_answers(folder: Path) -> None:
+    """Write answers.json."""
+    _write(folder / "answers.json", {name: make() for name, make in ANSWERS.items()})
+
+
+def predicted(*recordings: str) -> dict[str, Any]:
+    """Return the columns of what `cgid predict --json` says of the impacts of recordings, and its shares of gangue."""
+    from cgid.cli.main import run
+
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert run(["predict", *recordings, "--json"]) == 0
+    rows = [json.loads(line) for line in printed.getvalue().splitlines()]
+    impacts = [row for row in rows if row["kind"] == "impact"]
+    names = ("label", "time_s", "end_s", "novelty", "overlapping", "clipped", "cut_off", "prediction_set")
+    found: dict[str, Any] = {name: [row[name] for row in impacts] for name in names}
+    found["p(gangue)"] = [row["probabilities"]["gangue"] for row in impacts]
+    found["kinds"] = [row["kind"] for row in rows if row["kind"] != "impact"]
+    found["share"] = [row["gangue_share"] for row in rows if row["kind"] == "share"]
+    return found
+
+
+def predicted_in_caving() -> dict[str, Any]:
+    """Return what `predicted` does, of twelve seconds of the scene `caving` whose rocks turn to gangue."""
+    from cgid.scene import load_scene, parse_scene
+    from cgid.scene.stream import record
+
+    content = json.loads(load_scene("caving").text)
+    content["stream"] |= {"duration": 12.0, "mixture": {"times": [0.0, 12.0], "gangue": [0.1, 0.9]}}
+    signal, _ = record(parse_scene(content), SEED, 0)
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(Path(folder, "caving.npy"), signal.samples)
+        return predicted(str(Path(folder, "caving.npy")), "--rate", f"{signal.sampling_rate:g}", "--unit", "m/s^2")
+
+
+def numbers_of_card() -> list[float]:
+    """Return the numbers on the card of a small training."""
+    from cgid.cli.main import run
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        assert run(["train", "reference", "-n", "600", "--seed", str(SEED), "-o", f"{folder}/model.npz"]) == 0
+        card = Path(folder, "model.md").read_text(encoding="utf-8")
+    # Versions, digests and file names are none of them.
+    return [float(text) for text in re.findall(r"(?<![\w.:/-])-?\d+\.?\d*(?![\w:/-]|\.\d)", card)]
+
+
+def calibrated() -> dict[str, list[float]]:
+    """Return the modes of the site file of a panel that is truly 1 % thicker, from 40 impacts."""
+    from cgid.scene import load_scene, parse_scene, synthesise
+    from cgid.site import calibrate
+
+    panel = load_scene(HERE / "panel.toml")
+    content = json.loads(panel.text)
+    content["tail_beam"]["thickness"] *= 1.01
+    (batch,) = synthesise(parse_scene(content), 40, SEED)
+    found = calibrate(panel, batch.signals, batch.sampling_rate, batch.pre_trigger)
+    with tempfile.TemporaryDirectory() as folder:
+        found.save(Path(folder, "site.toml"))
+        beam = load_scene(Path(folder, "site.toml")).tail_beam
+    assert beam is not None and beam.learned_modes is not None
+    names = ("frequency", "damping_ratio", "frequency_deviation", "damping_ratio_deviation")
+    return {name: getattr(beam.learned_modes, name).tolist() for name in names}
+
+
+#: What answers.json holds, and what makes it.
+ANSWERS: dict[str, Callable[[], Any]] = {
+    "sample": lambda: predicted("--sample"),
+    "sample of acceleration": lambda: predicted(str(HERE.parents[1] / "datasets" / "sample_acceleration.csv")),
+    "caving": predicted_in_caving,
+    "card": numbers_of_card,
+    "calibration": calibrated,
+}
+
+
 def _content(file: Path) -> dict[str, Any]:
     """Return shape and SHA-256 of every dataset in an HDF5 file, as h5py reads them."""
     found: dict[str, Any] = {}
@@ -134,10 +217,10 @@ def _write(path: Path, content: Any) -> None:
 def main() -> None:
     """Make the requested files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("data", "models"))
+    parser.add_argument("what", choices=("data", "models", "answers"))
     parser.add_argument("--into", type=Path, default=HERE, help="another folder")
     arguments = parser.parse_args()
-    {"data": make_data, "models": make_models}[arguments.what](arguments.into)
+    {"data": make_data, "models": make_models, "answers": make_answers}[arguments.what](arguments.into)
 
 
 if __name__ == "__main__":
