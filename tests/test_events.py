@@ -18,7 +18,7 @@ from cgid.identification.pulse_onsets import THRESHOLD_OVER_PEAK
 from cgid.measure.features import extract_array
 from cgid.scene import load_scene, synthesise
 from cgid.signals import Signal
-from tests import naive
+from tests import few, naive
 
 ROOT = Path(__file__).parents[1]
 RATE = 1e5
@@ -308,7 +308,7 @@ def answers_from_sample(frames, rate, model, before_touch, first):
 @pytest.mark.parametrize(
     ("scene", "model", "begun", "agreement", "answered"),
     # Without samples before touch, what rings and what is noise is not known: the beam explains fewer.
-    [("reference", "default", 8, 0.95, 0.95), ("tail_beam", "default-acceleration", 12, 0.85, 0.85)],
+    few([("reference", "default", 8, 0.95, 0.95), ("tail_beam", "default-acceleration", 12, 0.85, 0.85)]),
 )
 def test_a_blow_at_sample_0_is_measured(scene, model, begun, agreement, answered):
     """The answer is that of the whole signal; once its flank is cut, most say so and are not answered."""

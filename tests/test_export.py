@@ -39,8 +39,14 @@ SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 LABELS = ("coal", "grès 7", "шале")
 
 
+#: Programs by source and options, each made once.
+_PROGRAMS: dict[tuple[str, ...], Path] = {}
+
+
 def compiled(source: str, folder: Path, *options: str) -> Path:
     """Compile a file with all warnings as errors and with sanitizers; return the program."""
+    if (source, *options) in _PROGRAMS:
+        return _PROGRAMS[source, *options]
     file = folder / "model.c"
     file.write_text(source, encoding="ascii")
     program = folder / "model"
@@ -48,6 +54,7 @@ def compiled(source: str, folder: Path, *options: str) -> Path:
         ["gcc", *STRICT, *SANITIZED, *options, str(file), "-o", str(program), "-lm"], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+    _PROGRAMS[source, *options] = program
     return program
 
 
@@ -165,7 +172,7 @@ NAMES = few(
 @pytest.mark.parametrize("name", NAMES)
 def test_double_precision_gives_the_models_answers(name: str, tmp_path: Path) -> None:
     model = named(name)
-    rows = np.concatenate([usual_rows(model, 2000), odd_rows(model, 10_000)])
+    rows = np.concatenate([usual_rows(model, 2000), odd_rows(model, 3000)])
     found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN"), as_csv(rows))
     labels, probabilities, novelties = judged(model, rows)
     np.testing.assert_array_equal(found["label"], labels)

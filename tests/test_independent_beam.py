@@ -21,6 +21,7 @@ from cgid.physics.response import LowPass, Resonance, Response
 from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene import load_scene
 from cgid.scene.draws import drawn_block
+from tests import few
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 if str(BENCHMARKS) not in sys.path:
@@ -84,7 +85,7 @@ def test_low_ribs_are_as_the_packages_smeared_ones(ribs):
     np.testing.assert_allclose(frequencies(beam, 130.0)[:6], expected, rtol=0.03)
 
 
-@pytest.mark.parametrize("ribs", ["shells", "beams", "smeared"])
+@pytest.mark.parametrize("ribs", few(["smeared", "beams", "shells"]))
 def test_a_finer_mesh_changes_little(ribs):
     beam = Beam(ribs=ribs, element=0.3, degree=4)
     coarse = frequencies(beam, 800.0)
@@ -94,6 +95,7 @@ def test_a_finer_mesh_changes_little(ribs):
     assert np.median(coarse / fine - 1) < 3e-3
 
 
+@pytest.mark.long
 def test_the_first_modes_do_not_ask_how_the_ribs_are_made():
     first = np.array([frequencies(Beam(ribs=ribs, element=0.3), 150.0)[:2] for ribs in ("shells", "beams", "smeared")])
     np.testing.assert_allclose(first / first[0], 1.0, atol=0.08)
@@ -231,7 +233,12 @@ def test_energy_is_kept_in_an_elastic_impact_without_damping(coarse):
 
 
 @pytest.mark.parametrize(
-    "attached", [(), (Attached(1.3, 0.3, 6e3), Attached(0.7, 1.1, 3e3)), (Attached(1.25, 0.95, 2.2e4, 60.0, 2e8),)]
+    "attached",
+    [
+        pytest.param((), marks=pytest.mark.long),
+        pytest.param((Attached(1.3, 0.3, 6e3), Attached(0.7, 1.1, 3e3)), marks=pytest.mark.long),
+        (Attached(1.25, 0.95, 2.2e4, 60.0, 2e8),),
+    ],
 )
 def test_newmarks_method_on_the_full_matrices_agrees(coarse, attached):
     """A half sine through beam, dampers or a lump, mounting and filter; damping proportional to mass and stiffness."""

@@ -36,6 +36,7 @@ from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, has_beam, shared_beam
 from cgid.signals import Batch
 from cgid.store import Dataset
+from tests import few
 from tests.hostile_models import beam_arrays
 from tests.test_response import impacts
 
@@ -389,7 +390,7 @@ def test_stated_errors_of_the_modes_leave_true_deviations() -> None:
             strict=True,
         )
     ]
-    batch = next(iter(synthesise(parse_scene(content), 192, SEED)))
+    batch = next(iter(synthesise(parse_scene(content), 96, SEED)))
     spread, apart = {}, {}
     for name, beam in (("known", nominal), ("stated", replace(nominal, errors=errors))):
         inverted, contact = ThroughBeam(beam).look(vibrations(batch))
@@ -431,7 +432,7 @@ def test_noise_leaves_nothing_that_surely_is_unexplained() -> None:
     off = replace(own, poles=own.poles * np.exp(0.01 * rng.normal(size=own.poles.size)))
     for noise, seen in ((0.003, 0.8), (0.03, 0.3), (0.2, 0.0)):
         noisy = varied(scene, noise_density=None, range=None, bits=None, relative_noise=noise)
-        batch = next(iter(synthesise(noisy, 128, 5)))
+        batch = next(iter(synthesise(noisy, 64, 5)))
         right, wrong = (
             beam.measured(vibrations(batch))["beam_surely_unexplained"] for beam in (tail_beam(), ThroughBeam(off))
         )
@@ -467,7 +468,7 @@ def test_no_row_depends_on_its_batch() -> None:
         np.testing.assert_allclose(fitted.peak, contact.peak[rows], rtol=1e-3)
 
 
-@pytest.mark.parametrize("rate", [12_800, 51_200, pytest.param(102_400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("rate", few([12_800, 51_200, 102_400]))
 def test_other_rates_tell_the_same(rate: float) -> None:
     batch, n = blows()[0], 96
     other = at_rate(rate, n)
@@ -632,7 +633,7 @@ def test_beams_without_filters_and_of_slow_recorders() -> None:
 
 def test_a_dataset_trains_as_its_scene_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The same signals, read from shards or made on the fly, look through the same beam."""
-    made = ["-n", "300", "--seed", "77"]
+    made = ["-n", "150", "--seed", "77"]
     assert run(["generate", "tail_beam", "-o", str(tmp_path / "data"), *made]) == 0
     told = []
     for number, data in enumerate(([str(tmp_path / "data"), "--seed", "77"], ["tail_beam", *made])):

@@ -162,6 +162,7 @@ def test_batches_are_the_signals_of_synthesise(reference_scene: Scene, size: int
     assert (signals.dtype, labels.dtype) == (np.float32, np.int64)
 
 
+@pytest.mark.long
 def test_two_workers_give_the_same_batches(reference_scene: Scene) -> None:
     alone, together = (
         list(cgid.stream(reference_scene, batch_size=100, seed=7, n_signals=3333, workers=n)) for n in (1, 2)
