@@ -39,6 +39,21 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "level": {"FS": 1.0},
 }
 
+#: What no sensor gives, in the SI unit of each quantity: some times the range of the largest sensor that is sold, such
+#: as 2e6 m/s^2 (200,000 g) or 5e7 N. Of full scale, the count of 32 bits, since a float may hold counts.
+LARGEST: Mapping[str, float] = {
+    "force": 1e8,
+    "acceleration": 3e6,
+    "velocity": 1e4,
+    "displacement": 1e3,
+    "pressure": 1e10,
+    "voltage": 1e6,
+    "charge": 1.0,
+    "energy": 1e9,
+    "strain": 10.0,
+    "level": 1e10,
+}
+
 #: Quantities of a sensor's signal, which its sensitivity turns into what it measures.
 ELECTRICAL = ("voltage", "charge")
 

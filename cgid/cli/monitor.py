@@ -231,12 +231,24 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, o
     from cgid.identification.next_steps import Diagnosis
     from cgid.identification.stream import factor_of, identify_blocks
     from cgid.recordings.chain import scaled
+    from cgid.recordings.gaps import Gaps
+
+    def warned(text: str) -> None:
+        lines.warning(live.source, f"{live.source}: {text}")
 
     model, sign = models.of(live.channels[0].quantity), -1.0 if question.invert else 1.0
     factors = [sign * factor_of(model, c.unit, live.source, c.name, mass=question.mass) for c in live.channels]
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
-    blocks: Iterable[NDArray[Any]] = scaled(inbox, factors)
+    gaps = Gaps(
+        live.channels,
+        live.sampling_rate,
+        warned,
+        give_up=question.give_up,
+        joint=model.together > 1,
+        at_once=True,
+    )
+    blocks: Iterable[NDArray[Any]] = scaled(gaps.marked(inbox), factors)
     if outlets is not None:
         blocks = outlets.watched(blocks, live.sampling_rate)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
@@ -258,10 +270,12 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, o
             rows.feed(step)
             delay.see(inbox)
     finally:
+        gaps.finish()
         for warning in live.warnings:
-            lines.warning(live.source, f"{live.source}: {warning}")
+            warned(warning)
         if inbox.n_taken:
             rows.finish(inbox.n_taken / live.sampling_rate)
+    gaps.require(live.source)
 
 
 class DelayReport:

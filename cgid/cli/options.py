@@ -344,6 +344,9 @@ answering_options = _options(
         "--hold", type=float, help="Keep to SHUT or OPEN at least this long [s], by default as long as the window."
     ),
     _renamed("--gangue-cost", "--dilution-cost"),
+    click.option(
+        "--give-up", type=float, help="Give up a channel that stays unreadable for this long [s], by default 10."
+    ),
 )
 
 
@@ -356,7 +359,7 @@ def question_of(
 
     dead_time, by_label = dead_time_in_seconds(milliseconds), dict(_cost(text) for text in costs)
     flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "dilution_cost": ("--dilution-cost", "")}
-    flags |= {"hold": ("--hold", "s")}
+    flags |= {"hold": ("--hold", "s"), "give_up": ("--give-up", "s")}
     for name, (flag, unit) in flags.items():
         rule = validation.not_negative if flag in ("--vote", "--hold") else validation.positive
         if settings[name] is not None:

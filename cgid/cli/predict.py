@@ -136,7 +136,8 @@ class _Prediction:
         names = [recording.channels[number].name for number in numbers]
         keep = self.reports is not None
         passing = _Passing(recording, numbers, keep)
-        blocks = model_blocks(recording, model, numbers, question, seen=passing.see)
+        gaps = recording.gaps(numbers, question.give_up, joint=model.together > 1)
+        blocks = model_blocks(recording, model, numbers, question, gaps=gaps, seen=passing.see)
         steps = identify_blocks(blocks, rate, model, names, question, source)
         diagnosis = Diagnosis(model, rate, source, *given_options())
         rows = RecordingRows(source, model, names, question, self.lines, keep=keep, diagnosis=diagnosis)
@@ -148,6 +149,7 @@ class _Prediction:
                 progress(passing.n_samples - seen)
                 seen = passing.n_samples
         rows.finish(passing.n_samples / rate, recording.start_time)
+        gaps.require(source)
         if self.reports is not None:
             self.reports.append(_report(recording, passing, model, self.models.name(model), rows))
 

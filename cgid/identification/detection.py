@@ -61,6 +61,8 @@ class ImpactDetector:
         `DEAD_TIME` by default; for vibrations, from the onset, `VIBRATION_DEAD_TIME` by default, at least 4 ms.
     joint : bool
         Whether an impact in any channel is one in all, and an event has the frames of all channels.
+    gaps : bool
+        Whether nan is a missing sample, which is in no noise level and no frame; otherwise it is an error.
 
     Attributes
     ----------
@@ -87,6 +89,7 @@ class ImpactDetector:
         kind: ImpactKind,
         dead_time: float | None = None,
         joint: bool = False,
+        gaps: bool = False,
     ) -> None:
         validation.choice("kind", kind, get_args(ImpactKind))
         rate = require_rate(sampling_rate)
@@ -98,7 +101,7 @@ class ImpactDetector:
         if dead_time is None:
             dead_time = DEAD_TIME if kind == "pulse" else VIBRATION_DEAD_TIME
         dead_time = validation.number("dead_time", dead_time, "s", validation.not_negative)
-        self.n_channels, self.joint = n_channels, joint
+        self.n_channels, self.joint, self._gaps = n_channels, joint, gaps
         self._framing = Framing.of(kind, rate)
         self.n_samples, self.n_quiet = self._framing.n_samples, self._framing.quiet
         self.pre_trigger = self._framing.pre_trigger
@@ -112,6 +115,8 @@ class ImpactDetector:
         self._first = 0
         self._blocks: list[NDArray[Any]] = []
         self._taken, self._fed = 0, 0
+        # Samples before this one may be missing.
+        self._gap_until = 0
         self._needed = start * self._onsets.chunk
         self._pending: list[Onset] = []
         self._cutter = FrameCutter(self._framing, self._onsets.end_of, joint)
@@ -132,7 +137,7 @@ class ImpactDetector:
         Parameters
         ----------
         block : array_like, (n_channels, n) or, of one channel, (n,)
-            Finite numbers; pulses point upwards.
+            Finite numbers, or nan where `gaps` allows it; pulses point upwards.
 
         Returns
         -------
@@ -190,6 +195,8 @@ class ImpactDetector:
         """Explain why a channel of a finished recording has no impact, and suggest a remedy."""
         limits, own = self._limits, f" {unit}" if unit else ""
         lowest, highest = float(limits.lowest[channel]), float(limits.highest[channel])
+        if lowest > highest:
+            return "no impact: no sample could be read; check the sensor and its cable"
         if not lowest < highest:
             constant = f"all {self._fed} samples are" if self._fed > 1 else "its only sample is"
             return f"no impact: {constant} {lowest:g}; check the sensor and its cable"
@@ -229,6 +236,15 @@ class ImpactDetector:
         if samples.size:
             lowest, highest = samples.min(axis=1), samples.max(axis=1)
             least, most = float(lowest.min()), float(highest.max())
+            if self._gaps and np.isnan(least):
+                self._gap_until = self._fed + samples.shape[1]
+                lowest, highest = (
+                    extreme.reduce(samples, axis=1, initial=start)
+                    for extreme, start in ((np.fmin, np.inf), (np.fmax, -np.inf))
+                )
+                least, most = float(lowest.min()), float(highest.max())
+                if least > most:  # nothing is there
+                    return samples
             # The comparison is also false for nan.
             if not -LARGEST <= least <= most <= LARGEST:
                 raise BadData(
@@ -273,9 +289,34 @@ class ImpactDetector:
             if not self._ended and not (onset.closed and onset.sample + reach <= known):
                 break
             del self._pending[0]
+            bounds = self._between_gaps(onset, onset.sample + reach)
+            if bounds is None:
+                continue
+            begin, end = bounds
+            end = stop if end is None else end
             following = next((other for other in self._pending if other.row == onset.row), None)
-            events.append(self._cutter.cut(onset, following, self._samples, self._first, stop))
+            if following is not None and end is not None and following.sample >= end:
+                following = None
+            events.append(self._cutter.cut(onset, following, self._samples, self._first, begin, end))
         return events
+
+    def _between_gaps(self, onset: Onset, reach: int) -> tuple[int, int | None] | None:
+        """Return where the samples around an onset begin and end, up to the next gaps; None without an end.
+
+        `reach` is the index to which they count. Return None alone if one of joint channels misses the onset.
+        """
+        earliest = onset.sample - self._framing.quiet
+        if earliest >= self._gap_until:
+            return 0, None
+        start = max(earliest, self._first)
+        rows = slice(None) if self.joint else slice(onset.channel, onset.channel + 1)
+        missing = np.isnan(self._samples[rows, start - self._first : reach - self._first]).any(axis=0)
+        place = onset.sample - start
+        if missing[place]:
+            return None
+        before, after = np.flatnonzero(missing[:place]), np.flatnonzero(missing[place:])
+        begin = start + int(before[-1]) + 1 if before.size else 0
+        return begin, onset.sample + int(after[0]) if after.size else None
 
 
 class _Limits:

@@ -228,14 +228,19 @@ class FrameCutter:
         # The previous impact of each row, and whether it was still going on when the next began.
         self._before: dict[int, tuple[Onset, bool]] = {}
 
-    def cut(self, onset: Onset, following: Onset | None, samples: NDArray[Any], first: int, stop: int | None) -> Event:
+    def cut(
+        self, onset: Onset, following: Onset | None, samples: NDArray[Any], first: int, begin: int, stop: int | None
+    ) -> Event:
         """Return the event of an onset.
 
         `following` is the next onset of its row, if any. `samples` (n_channels, n) begin at index `first` of the
-        recording and cover the frame. `stop` is the length of the recording, once it is over.
+        recording and cover the frame. It can be read from `begin` to `stop`: between gaps, and to its end once it is
+        over.
         """
         framing, length = self._framing, self._framing.length_of(onset)
         before, running = self._before.get(onset.row, (None, False))
+        if before is not None and before.sample < begin:
+            before, running = None, False
         limit = onset.sample + length
         behind = min(limit, limit if stop is None else stop)
         if following is not None:
@@ -246,18 +251,18 @@ class FrameCutter:
         end = behind if lasted < 0 else min(onset.sample + lasted, max(behind, onset.sample + 1))
         self._before[onset.row] = onset, interrupted
         ended_cut = end == stop
-        start = max(onset.sample - framing.quiet, 0, 0 if before is None else (before.last or before.sample) + 1)
+        start = max(onset.sample - framing.quiet, begin, 0 if before is None else (before.last or before.sample) + 1)
         if following is not None:
             behind = min(behind, max(following.sample - framing.late, onset.sample + 1))
         rows = samples if self._joint else samples[onset.channel : onset.channel + 1]
         part = rows[:, start - first : behind - first]
         heard = onset.channel if self._joint else 0
-        stretch = quietest(part[heard], framing.quiet) if before is None and start == 0 else slice(0, 0)
+        stretch = quietest(part[heard], framing.quiet) if before is None and start == begin else slice(0, 0)
         frame, baseline = self._frame(part, onset, start, length, stretch)
         mine = float(baseline[heard])
-        began_cut = onset.sample < 1
-        if framing.pre_trigger is not None and onset.sample < framing.lead:
-            began_cut = start > 0 or has_begun(part[heard], onset.sample, mine, stretch, framing.lead)
+        began_cut = onset.sample <= begin
+        if framing.pre_trigger is not None and onset.sample - begin < framing.lead:
+            began_cut = start > begin or has_begun(part[heard], onset.sample - begin, mine, stretch, framing.lead)
         return Event(
             channel=onset.channel,
             onset=onset.sample,
@@ -269,7 +274,7 @@ class FrameCutter:
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
             clipped=_is_clipped(own[: end - onset.sample] - mine),
             cut=began_cut or ended_cut,
-            problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample),
+            problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample, begin),
         )
 
     def _frame(
@@ -296,19 +301,20 @@ class FrameCutter:
             frame[:, :missing] = np.pad(quiet, ((0, 0), (missing, 0)), mode="symmetric")[:, :missing]
         return frame, baseline
 
-    def _problem(self, began_cut: bool, ended_cut: bool, recorded: int) -> str:
+    def _problem(self, began_cut: bool, ended_cut: bool, recorded: int, begin: int) -> str:
         framing = self._framing
         if began_cut:
+            cut_by = f"a gap before sample {begin}" if begin else "its start (sample 0)"
             return (
-                "the impact must begin inside the recording, it is cut off by its start (sample 0): record some "
-                "samples before touch"
+                f"the impact must begin inside the recording, it is cut off by {cut_by}: record some samples before "
+                "touch"
             )
         if ended_cut and framing.pre_trigger is None:
-            return "the pulse must end inside the recording, it is cut off by its end: record a longer frame"
+            return "the pulse must end inside the recording, it is cut off by its end or a gap: record a longer frame"
         if recorded < framing.shortest:  # Even if it is over: what comes then tells one structure from another.
             return (
                 f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the recording, it is cut off by its end "
-                f"after {recorded / framing.sampling_rate * 1e3:.3g} ms: record longer"
+                f"or a gap after {recorded / framing.sampling_rate * 1e3:.3g} ms: record longer"
             )
         return ""
 

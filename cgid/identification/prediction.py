@@ -19,7 +19,8 @@ from cgid.identification.question import Question
 from cgid.identification.stream import factor_of, identify_blocks
 from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement, scaled
-from cgid.recordings.recording import Contents, require_one_rate
+from cgid.recordings.gaps import Gaps
+from cgid.recordings.recording import Channel, Contents, require_one_rate
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import model_path
 from cgid.signals import Signal
@@ -104,7 +105,7 @@ def predict(
     Warns
     -----
     UserWarning
-        A channel has no impact, for the reason given.
+        A channel has no impact, for the reason given, or samples that no sensor can give are left out.
 
     Raises
     ------
@@ -154,7 +155,13 @@ def predict(
     question.check(chosen)
     sign = -1.0 if question.invert else 1.0
     factors = [sign * factor_of(chosen, s.unit, s.source, s.channel, mass=question.mass) for s in signals]
-    blocks = scaled([np.stack([signal.samples for signal in signals])], factors)
+    channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
+
+    def warned(text: str) -> None:
+        warnings.warn(f"{first.source}: {text}", stacklevel=3)
+
+    gaps = Gaps(channels, first.sampling_rate, warned)
+    blocks = scaled(gaps.marked([np.stack([signal.samples for signal in signals])]), factors)
     names = [signal.channel for signal in signals]
     answers: list[Answer] = []
     for step in identify_blocks(blocks, first.sampling_rate, chosen, names, question, first.source):

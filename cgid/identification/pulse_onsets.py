@@ -40,8 +40,9 @@ _HOP_TIME = 0.5e-3
 #: Nothing rings where the mean square of this time [s], a period of 200 Hz, is at most this many times the noise's: a
 #: ringing of 1.2 sigma, whose crests are far below the threshold.
 _QUIET_TIME, _QUIET_POWER = 5e-3, 1.7
-#: Differences below this share of the largest sample so far are rounding: six steps of single precision.
-_ROUNDING = 1e-6
+#: Differences below this share of the largest sample of this many latest windows (0.8 s) are rounding: six steps of
+#: single precision. A longer memory would let one loud sample hide what follows.
+_ROUNDING, _ROUNDING_WINDOWS = 1e-6, 40
 #: Length of the windows for the estimates of baseline and noise [s], and its minimum [samples].
 _WINDOW_TIME, _SHORTEST_WINDOW = 20e-3, 64
 #: Approximate number of samples used of each window.
@@ -114,7 +115,7 @@ class _Blow:
 
 
 class PulseOnsets:
-    """Find pulses in chunks of samples.
+    """Find pulses in chunks of samples; nan is a missing sample.
 
     Each channel counts by itself or, if `joint`, a pulse in one channel is one in all. The noise is 1.4826 times the
     median absolute deviation; where most samples are equal, the smallest step below the median. A recording shorter
@@ -144,7 +145,7 @@ class PulseOnsets:
         self._taken = 0
         self._medians = np.zeros((n_channels, 0))
         self._noises = np.zeros((n_channels, 0))
-        self._largest = np.zeros((n_channels, 1))
+        self._largest = np.zeros((n_channels, _ROUNDING_WINDOWS - 1))
         self._ringing = [_Ringing() for _ in range(n_channels)]
         self._open: list[_Blow | None] = [None] * len(self._rows)
         # Also the last high sample of closed blows.
@@ -198,18 +199,19 @@ class PulseOnsets:
             baseline[:, chunk] = _median(medians[:, near])
             latest = np.clip(np.maximum(numbers, _RISING_WINDOWS - 1) - np.arange(_RISING_WINDOWS), 0, stop - 1)
             typical = _typical(noises[:, max(stop - _NOISE_WINDOWS, 0) : stop])[:, None]
-            noise[:, chunk] = np.maximum(typical, noises[:, latest].min(axis=2))
+            noise[:, chunk] = np.maximum(typical, np.fmin.reduce(noises[:, latest], axis=2))
         highest, lowest = np.empty(shape), np.empty(shape)
-        highest[:, :whole], lowest[:, :whole] = windows.max(axis=2), windows.min(axis=2)
+        highest[:, :whole], lowest[:, :whole] = _extremes(windows)
         if shape[1] > whole:
-            rest = samples[:, whole * length :]
-            highest[:, whole], lowest[:, whole] = rest.max(axis=1), rest.min(axis=1)
+            highest[:, whole], lowest[:, whole] = _extremes(samples[:, whole * length :])
         largest = np.concatenate([self._largest, np.maximum(highest, -lowest)], axis=1)
-        largest = np.maximum.accumulate(largest, axis=1)
-        self._largest, self.noise = largest[:, -1:], noise[:, -1]
-        self.rise = np.maximum(self.rise, (highest - baseline).max(axis=1))
-        self.fall = np.maximum(self.fall, (baseline - lowest).max(axis=1))
-        limit = np.maximum(THRESHOLD_OVER_NOISE * noise, _ROUNDING * largest[:, 1:])
+        self._largest = largest[:, largest.shape[1] - _ROUNDING_WINDOWS + 1 :]
+        largest = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(largest, _ROUNDING_WINDOWS, axis=1), axis=-1)
+        self.noise = np.where(np.isnan(noise[:, -1]), self.noise, noise[:, -1])
+        self.rise = np.fmax(self.rise, np.fmax.reduce(highest - baseline, axis=1))
+        self.fall = np.fmax(self.fall, np.fmax.reduce(baseline - lowest, axis=1))
+        # Neither a missing baseline nor a missing noise shows an impact: no comparison with nan holds.
+        limit = np.maximum(THRESHOLD_OVER_NOISE * noise, _ROUNDING * largest)
         return _Levels(length, baseline, limit, highest, lowest)
 
     def _high_in(self, channel: int, samples: Floats, levels: _Levels) -> NDArray[np.intp]:
@@ -223,6 +225,7 @@ class PulseOnsets:
             first = window * length
             self._pass(first - behind, ringing)
             heights = samples[first : first + length] - baselines[window]
+            heights[np.isnan(heights)] = 0.0
             needed = self._needed(heights, float(limits[window]), ringing)
             if above[window]:
                 parts.append(np.flatnonzero(heights > needed) + first)
@@ -305,7 +308,8 @@ class PulseOnsets:
             return
         onset, places = blow.onset, np.concatenate(blow.places)
         heights, limits = np.concatenate(blow.heights, axis=1), np.concatenate(blow.limits, axis=1)
-        excess = heights - np.maximum(limits, THRESHOLD_OVER_PEAK * heights.max(axis=1, keepdims=True))
+        highest = np.fmax.reduce(heights, axis=1, keepdims=True)
+        excess = np.nan_to_num(heights - np.maximum(limits, THRESHOLD_OVER_PEAK * highest), nan=-np.inf, posinf=np.inf)
         own = np.flatnonzero((excess > 0).any(axis=0))
         if own.size == 0:
             own = np.arange(places.size)
@@ -316,9 +320,11 @@ class PulseOnsets:
 
 
 def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
-    """Return both for windows (..., n_samples), from every `step`-th sample."""
+    """Return both for windows (..., n_samples), from every `step`-th sample; nan where most of these are missing."""
     looked = windows[..., ::step]
     median = _median(looked)
+    if np.isnan(looked).any():
+        median[np.isnan(looked).mean(axis=-1) > 0.5] = np.nan
     noise = 1.4826 * _median(np.abs(looked - median[..., None]))
     for place in np.argwhere(noise == 0):
         where = tuple(place)
@@ -329,10 +335,24 @@ def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
 
 
 def _median(values: Floats) -> Floats:
-    """Return the median along the last axis, of finite values; `np.median` would import `numpy.ma` for a few."""
+    """Return the median along the last axis, of what is not nan; `np.median` would import `numpy.ma` for a few."""
     below, above = (values.shape[-1] - 1) // 2, values.shape[-1] // 2
     ordered = np.partition(values, (below, above), axis=-1)
-    return np.asarray(0.5 * (ordered[..., below] + ordered[..., above]))
+    found = np.asarray(0.5 * (ordered[..., below] + ordered[..., above]))
+    lacking = np.isnan(values)
+    if lacking.any():
+        for place in map(tuple, np.argwhere(lacking.any(axis=-1))):
+            own = values[place][~lacking[place]]
+            found[place] = _median(own) if own.size else np.nan
+    return found
+
+
+def _extremes(windows: Floats) -> tuple[Floats, Floats]:
+    """Return the highest and the lowest sample along the last axis, nan where all are missing."""
+    highest, lowest = windows.max(axis=-1), windows.min(axis=-1)
+    if np.isnan(highest).any():
+        highest, lowest = np.fmax.reduce(windows, axis=-1), np.fmin.reduce(windows, axis=-1)
+    return highest, lowest
 
 
 def _typical(noises: Floats) -> Floats:

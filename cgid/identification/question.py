@@ -86,6 +86,8 @@ class Question:
         Probability of being right before SHUT or OPEN is said, from .5 to below 1; None: `EVIDENCE`.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
+    give_up : float, optional [s]
+        A channel that is unreadable for this long is given up; None: `cgid.recordings.gaps.GIVE_UP`.
     strikers : Asked, optional
         Says what struck, such as `cgid.striker.StrikerColumns`.
     """
@@ -106,6 +108,7 @@ class Question:
     dilution_cost: float | None = None
     evidence: float | None = None
     hold: float | None = None
+    give_up: float | None = None
     strikers: Asked | None = None
 
     def __post_init__(self) -> None:
@@ -122,6 +125,8 @@ class Question:
         validation.positive("dilution_cost", self.cost_of_dilution)
         require_evidence("evidence", self.least_evidence)
         validation.not_negative("hold", self.least_hold, "s")
+        if self.give_up is not None:
+            validation.positive("give_up", self.give_up, "s")
 
     def _require_types(self) -> None:
         validation.instance("costs", self.costs, Mapping)

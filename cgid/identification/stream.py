@@ -20,11 +20,12 @@ from cgid.identification.events import Event
 from cgid.identification.model import Model
 from cgid.identification.question import Question
 from cgid.identification.reference import MeanSpectrum, drift
-from cgid.identification.windows import RunningVote, measure_windows, windows_of
+from cgid.identification.windows import RunningVote, measure_windows, whole_windows, windows_of
 from cgid.measure.features import FEATURES
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import ImpactKind
 from cgid.recordings.chain import scaled
+from cgid.recordings.gaps import Gaps
 from cgid.signals import Signal
 from cgid.validation import Floats
 
@@ -95,10 +96,13 @@ def identify_recording(
         The unit of a channel, or the drop height that the model needs, is not given.
     """
     question = replace(question or Question(), **fields)
-    blocks = model_blocks(recording, model, range(len(recording.channels)), question)
+    rows = range(len(recording.channels))
+    gaps = recording.gaps(rows, question.give_up, joint=model.together > 1)
+    blocks = model_blocks(recording, model, rows, question, gaps=gaps)
     names = [channel.name for channel in recording.channels]
     for step in identify_blocks(blocks, recording.sampling_rate, model, names, question, recording.source):
         yield from step.answers
+    gaps.require(recording.source)
 
 
 def model_blocks(
@@ -107,12 +111,13 @@ def model_blocks(
     rows: Sequence[int],
     question: Question,
     *,
+    gaps: Gaps,
     seen: Callable[[NDArray[Any]], object] = lambda block: None,
 ) -> Iterator[NDArray[Any]]:
-    """Return an iterator over the blocks of some channels, in the quantity and unit of the model.
+    """Return an iterator over the blocks of some channels, in the quantity and unit of the model, with nan in gaps.
 
-    Raises as `identify_recording`; a wrong quantity or unit raises here, before the first block is read. `seen`
-    receives each block of these channels in their own units.
+    Raises as `identify_recording`; a wrong quantity or unit raises here, before the first block is read. `gaps` are
+    those of these channels; `seen` receives each block of them in their own units.
     """
     chosen, sign = list(rows), -1.0 if question.invert else 1.0
     channels = [recording.channels[row] for row in chosen]
@@ -120,10 +125,10 @@ def model_blocks(
     every = chosen == list(range(len(recording.channels)))
 
     def blocks() -> Iterator[NDArray[Any]]:
-        for block in recording.blocks():
-            own = block if every else block[chosen]
-            seen(own)
-            yield own
+        unchecked = recording.blocks(gaps=True)
+        for block in gaps.marked(unchecked if every else (block[chosen] for block in unchecked)):
+            seen(block)
+            yield block
 
     return scaled(blocks(), factors)
 
@@ -144,7 +149,7 @@ def identify_blocks(
 ) -> Iterator[Step]:
     """Return an iterator over the answers for blocks (n_channels, n_samples) in the unit of the model.
 
-    `source` names the recording. Raises `BadData` for absurd samples, or another number of channels than the model uses
+    Samples that are nan are missing. `source` names the recording. Raises `BadData` for absurd samples, or another number of channels than the model uses
     together; `InvalidValue` for a sampling rate that is too low for the model's features, or absurdly high.
     """
     needed = max([SLOWEST, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
@@ -180,7 +185,7 @@ def _impacts(
     """Yield the answers for impacts: when a batch is full, or when no impact waits."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
     names, joint = answering_channels(model, channels), model.together > 1
-    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time, joint=joint)
+    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time, joint=joint, gaps=True)
     waiting: list[Event] = []
     everything = set(range(len(channels)))
     silent = everything
@@ -308,7 +313,7 @@ def _judged(
     guards = table[:, :, len(model.features) :].max(axis=1)
     sound = np.asarray(np.isfinite(table).all(axis=(1, 2)))
     answers = answers_from(inputs[sound], guards[sound], model, question, sampling_rate, vote.feed)
-    silent = unmeasured("the window cannot be measured: it is silent, constant or not a number")
+    silent = unmeasured("the window cannot be measured: it is silent, constant or lacks samples")
     return [next(answers) if known else silent for known in sound.tolist()]
 
 
@@ -328,6 +333,7 @@ class Drifts:
     def see(self, number: int, windows: NDArray[np.floating]) -> None:
         """Take the next windows (n_windows, n_channels, n_samples) of one sensor."""
         apart = windows[-self._seen[number] % self._every :: self._every]
+        apart = apart[whole_windows(apart)]
         self._seen[number] += len(windows)
         for channel, spectrum in enumerate(self._spectra[number]):
             spectrum.feed(apart[:, channel])

@@ -43,8 +43,9 @@ _QUIET_SHARE, _WINDOWS_KEPT = 0.2, 20
 _QUIET_FACTOR = 1.2
 #: Number of chunks needed for the first estimate of the noise.
 START_CHUNKS = 2
-#: Energy below this share of the maximum so far is rounding, not vibration.
-_ROUNDING = 1e-10
+#: Energy below this share of the maximum of this many latest chunks (0.8 s) is rounding, not vibration. A longer memory
+#: would let one loud sample hide what follows.
+_ROUNDING, _CHUNKS_KEPT = 1e-10, 4
 #: Upper limit of scaled samples, lower limit of energies.
 _LARGEST, _TINY = np.float32(1e15), np.float32(1e-30)
 #: An event ends when its energy over that of the noise has fallen to this share of its maximum, or to this value.
@@ -54,7 +55,7 @@ _ONSET_RATE = 25_600.0
 
 
 class VibrationOnsets:
-    """Find blows in vibrations in chunks of samples.
+    """Find blows in vibrations in chunks of samples; nan is a missing sample.
 
     Each channel counts by itself or, if `joint`, a blow in one channel is one in all. A rise within `dead_time` [s]
     after a blow, at least 4 ms, is not a new one.
@@ -77,12 +78,12 @@ class VibrationOnsets:
         self._dead = max(int(min(dead_time * sampling_rate / self.hop, 2.0**60)), _REACH)
         self._joint = joint
         self._n_hops = 0
-        self._offset: Floats | None = None
+        self._offset: Floats = np.full((n_channels, 1), np.nan)
         self._scale = np.zeros((n_channels, 1))
         self._halves = np.zeros((n_channels, 2 * self.n_bands), np.float32)
         self._energies = np.zeros((n_channels, _NOW + _BEFORE, self.n_bands), np.float32)
         self._windows = np.zeros((n_channels, 0, self.n_bands), np.float32)
-        self._most = np.zeros((n_channels, 1, self.n_bands), np.float32)
+        self._most = np.zeros((n_channels, _CHUNKS_KEPT - 1, self.n_bands), np.float32)
         self._rises = np.zeros((n_channels, 0), np.float32)
         self._latest: list[tuple[int, Onset] | None] = [None] * (1 if joint else n_channels)
         self.steepest = np.zeros(n_channels)
@@ -92,14 +93,18 @@ class VibrationOnsets:
     def _scaled(self, samples: Floats) -> Singles:
         """Return samples (n_channels, n) in single precision, of order 1.
 
-        Zero is the first sample of each channel; the unit is the power of two above the largest sample of its first
-        chunk that is not silent.
+        Zero is the median of each channel's first chunk with samples, since a single one may be loud; the unit is the
+        power of two above the largest sample of its first chunk that is not silent.
         """
-        if self._offset is None:
-            self._offset = samples[:, :1].copy()
+        for channel in np.flatnonzero(np.isnan(self._offset[:, 0])):
+            for chunk in samples[channel].reshape(-1, self.chunk):
+                there = chunk[~np.isnan(chunk)]
+                if there.size:
+                    self._offset[channel] = np.partition(there, there.size // 2)[there.size // 2]
+                    break
         moved = samples - self._offset
         for channel in np.flatnonzero(self._scale == 0):
-            highest = np.abs(moved[channel]).reshape(-1, self.chunk).max(axis=1)
+            highest = np.fmax.reduce(np.abs(moved[channel]).reshape(-1, self.chunk), axis=1)
             for size in highest[highest > 0][:1]:
                 self._scale[channel] = 2.0 ** -np.clip(np.frexp(size)[1], -500, 500)
         return _single(moved * self._scale)
@@ -128,9 +133,10 @@ class VibrationOnsets:
         """
         n_channels, _, n_bands = energies.shape
         means = _window_means(energies)
-        highest = means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands).max(axis=2)
-        most = np.maximum.accumulate(np.concatenate([self._most, highest], axis=1), axis=1)
-        self._most = most[:, -1:]
+        highest = np.fmax.reduce(means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands), axis=2)
+        most = np.concatenate([self._most, highest], axis=1)
+        self._most = most[:, most.shape[1] - _CHUNKS_KEPT + 1 :]
+        most = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(most, _CHUNKS_KEPT, axis=1), axis=-1)
         n_kept = self._windows.shape[1]
         means = means[:, : n_known // _WINDOW_HOPS]
         if not n_kept and means.shape[1] < _CHUNK_WINDOWS:
@@ -148,7 +154,12 @@ class VibrationOnsets:
             latest = windows[:, max(min(stop, windows.shape[1]) - _WINDOWS_KEPT, 0) : stop]
             place = int(_QUIET_SHARE * latest.shape[1])
             noise[:, number] = np.partition(latest, place, axis=1)[:, place]
-        return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most[:, 1:]
+            lacking = np.isnan(latest).any(axis=(1, 2))
+            for channel in np.flatnonzero(lacking).tolist():
+                own = latest[channel][~np.isnan(latest[channel]).any(axis=1)]
+                place = int(_QUIET_SHARE * len(own))
+                noise[channel, number] = np.partition(own, place, axis=0)[place] if len(own) else np.nan
+        return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most
 
     def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
         """Return the rise at each hop (n_channels, n_hops), three hops late, because it looks ahead by that much."""
@@ -172,6 +183,8 @@ class VibrationOnsets:
             rise += ratio[..., band]
         rise *= np.float32(np.sqrt(_BEFORE / _NOW) / n_bands)
         rise *= rise
+        # Where a sample or the noise is missing, nothing rises.
+        rise[np.isnan(rise)] = 0.0
         return np.asarray(rise.reshape(n_channels, n_hops))
 
     # -- blows ----------------------------------------------------------------------------------------
@@ -234,7 +247,6 @@ class VibrationOnsets:
         n_hops = samples.size // self.hop
         if n_hops < 2:
             return -1
-        assert self._offset is not None
         moved = (samples[: n_hops * self.hop] - self._offset[onset.channel]) * self._scale[onset.channel]
         halves = np.clip(moved, -_LARGEST, _LARGEST).reshape(n_hops, self.hop) @ self._atoms
         windows = halves[:-1, : 2 * self.n_bands] + halves[1:, 2 * self.n_bands :]

@@ -121,13 +121,24 @@ def measure_windows(
 ) -> Floats:
     """Return the features of windows (n_windows, n_channels, n_samples) as (n_windows, n_channels * n_features).
 
-    The features of the first channel come first; nan where a window cannot be measured. `equalisation` corrects the
-    response of each channel's sensor.
+    The features of the first channel come first; nan where a window cannot be measured, or lacks a sample.
+    `equalisation` corrects the response of each channel's sensor.
     """
+    whole = whole_windows(windows)
+    if not whole.all():
+        table = np.full((len(windows), windows.shape[1] * len(names)), np.nan)
+        if whole.any():
+            table[whole] = measure_windows(windows[whole], sampling_rate, names, equalisation)
+        return table
     own = [None] * windows.shape[1] if equalisation is None else equalisation
     channels = zip(np.moveaxis(windows, 1, 0), own, strict=True)
     parts = [extract_array(rows, sampling_rate, names, invalid="nan", equalisation=one) for rows, one in channels]
     return np.concatenate(parts, axis=1)
+
+
+def whole_windows(windows: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return which windows (n_windows, n_channels, n_samples) lack no sample."""
+    return np.asarray(~np.isnan(windows.max(axis=(1, 2), initial=-np.inf)))
 
 
 def columns_of(names: Sequence[str], chosen: Sequence[str], n_columns: int) -> list[int]:

@@ -100,7 +100,7 @@ class OverviewStream:
         self._spectra: _Spectra | None = None
 
     def feed(self, block: NDArray[Any]) -> None:
-        """Add finite samples (n_channels, n_samples); n_samples may be 0.
+        """Add samples (n_channels, n_samples); n_samples may be 0. One that is nan is missing: the mean stands in for it.
 
         Raise `InvalidValue` for another number of channels, `BadData` for a sample so large that its power overflows.
         """
@@ -136,6 +136,9 @@ class OverviewStream:
         )
 
     def _take(self, samples: Floats) -> None:
+        missing = np.isnan(samples)
+        if missing.any():
+            samples = np.where(missing, self._mean[:, np.newaxis], samples)
         largest = max(samples.max(), -samples.min())
         if not largest <= _LARGEST:
             raise BadData(

@@ -184,12 +184,12 @@ class Waveform:
         first = self._seen // length
         self._seen += size
         borders = np.maximum(starts, 0)
-        low, high = (ufunc.reduceat(shown, borders, axis=1).T for ufunc in (np.minimum, np.maximum))
+        low, high = (ufunc.reduceat(shown, borders, axis=1).T for ufunc in (np.fmin, np.fmax))
         with self._lock:
             for number, (least, most) in enumerate(zip(low, high, strict=True), start=first):
                 if self._bins and self._bins[-1][0] == number:
                     _, before_low, before_high = self._bins.pop()
-                    least, most = np.minimum(least, before_low), np.maximum(most, before_high)
+                    least, most = np.fmin(least, before_low), np.fmax(most, before_high)
                 self._bins.append((number, least, most))
 
     def content(self, rows: Sequence[str]) -> dict[str, Any]:
@@ -201,7 +201,8 @@ class Waveform:
             bins = list(self._bins)
         if not bins:
             return {"start": 0.0, "step": BIN_TIME, "channels": []}
-        low, high = (np.stack([one[k] for one in bins], axis=1) for k in (1, 2))
+        # A bin without a sample is drawn at 0.
+        low, high = (np.nan_to_num(np.stack([one[k] for one in bins], axis=1)) for k in (1, 2))
         scales = np.maximum(np.maximum(high.max(axis=1), -low.min(axis=1)) / _PIXELS, np.finfo(np.float32).tiny)
         low, high = (np.rint(values / scales[:, None]).astype(int) for values in (low, high))
         channels = [

@@ -66,14 +66,16 @@ class LiveStream:
     def __iter__(self) -> Iterator[NDArray[Any]]:
         """Yield arrived samples, (n_channels, n), as soon as one is whole; never wait for a full block.
 
-        Raises `BadData` if the stream holds no samples, or at a float that is not finite, after the samples before it.
+        Floats that are not finite are yielded as they are. Raises `BadData` if the stream holds no samples.
         """
         frame_size = self.n_channels * self.coding.width
         pending, left = self.head, self.size
         while True:
             whole = len(pending) - len(pending) % frame_size
             if whole:
-                yield from scaled(self._blocks(pending[:whole]), self.factors)
+                samples = self.coding.decoded(pending[:whole]).reshape(-1, self.n_channels)
+                self.n_samples += len(samples)
+                yield from scaled([np.ascontiguousarray(samples.T)], self.factors)
                 pending = pending[whole:]
             most = max(1, _MOST_NUMBERS // self.n_channels) * frame_size
             raw = _available(self.file, most if left is None else min(most, left))
@@ -90,21 +92,6 @@ class LiveStream:
             )
         if not self.n_samples:
             raise BadData(f"{self.source}: a stream must hold samples, it ended before the first; check what writes it")
-
-    def _blocks(self, raw: bytes) -> Iterator[NDArray[Any]]:
-        """Yield the samples; raise `BadData` at the first that is not finite, after those before it."""
-        samples = self.coding.decoded(raw).reshape(-1, self.n_channels)
-        broken = np.argwhere(~np.isfinite(samples))
-        good = len(samples) if not len(broken) else int(broken[0, 0])
-        if good:
-            self.n_samples += good
-            yield np.ascontiguousarray(samples[:good].T)
-        if len(broken):
-            sample, channel = broken[0]
-            raise BadData(
-                f"{self.source}: samples must be finite, sample {self.n_samples} of channel {channel + 1} is "
-                f"{samples[sample, channel]}; check the sample format and the number of channels"
-            )
 
 
 def live_stream(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
+from cgid.recordings.gaps import Gaps
 from cgid.signals import Signal
 from cgid.units import UNITS, quantity_of
 from cgid.validation import require_rate
@@ -294,13 +295,23 @@ class RecordingFile:
         """The warnings that are no remarks."""
         return tuple(one for one in self.said if not isinstance(one, Remark))
 
-    def blocks(self, length: int = BLOCK_LENGTH) -> Iterator[NDArray[Any]]:
+    def gaps(self, rows: Sequence[int], give_up: float | None = None, *, joint: bool = False) -> Gaps:
+        """Return what marks the gaps of some channels, for one reading; `warnings` say what it found.
+
+        A channel is given up when it has been unreadable for `give_up` [s]; `joint` channels are used together.
+        """
+        channels = [self.channels[row] for row in rows]
+        return Gaps(channels, self.sampling_rate, self._contents.warnings.append, give_up=give_up, joint=joint)
+
+    def blocks(self, length: int = BLOCK_LENGTH, *, gaps: bool = False) -> Iterator[NDArray[Any]]:
         """Yield the samples in order, (n_channels, at most `length`), float32 or float64.
 
         Parameters
         ----------
         length : int
             Samples of a block; the last one may be shorter.
+        gaps : bool
+            Whether numbers that are not finite are yielded as they are; otherwise the first one is an error.
 
         Raises
         ------
@@ -309,6 +320,9 @@ class RecordingFile:
         NoInput
             The file has disappeared or is no longer readable.
         """
+        if gaps:
+            yield from self._blocks(length)
+            return
         first = 0
         for block in self._blocks(length):
             finite = np.isfinite(block)
