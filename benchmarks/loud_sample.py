@@ -86,7 +86,11 @@ def main() -> None:
     given = parser.parse_args()
     minutes = [f"minute {number + 1}" for number in range(given.minutes)]
     print(*["stream", "command", "raised by", "exit", *minutes, "lost", "new", "differ"], sep=" | ")
-    way = contextlib.nullcontext() if given.answers else mock.patch("cgid.identification.stream.identify_events", found_only)
+    way = (
+        contextlib.nullcontext()
+        if given.answers
+        else mock.patch("cgid.identification.stream.identify_events", found_only)
+    )
     with way, tempfile.TemporaryDirectory() as folder:
         for name, (samples, rate, unit) in streams(given.minutes).items():
             for command in ("predict", "monitor"):

@@ -1181,6 +1181,8 @@ CASES = (
     Case("evidence that is no number", ("predict", "good.csv", "--evidence", "nan"), 65, ("--evidence", "nan")),
     Case("negative hold", ("monitor", "-", "--hold", "-3"), 65, ("--hold", "0 or more", "-3 s")),
     Case("endless hold", ("predict", "good.csv", "--hold", "inf"), 65, ("--hold", "inf")),
+    Case("give up at once", ("monitor", "-", "--give-up", "0"), 65, ("--give-up", "above 0", "0 s")),
+    Case("give up at no time", ("predict", "good.csv", "--give-up", "nan"), 65, ("--give-up", "nan")),
     Case("dilution that costs nothing", ("monitor", "-", "--dilution-cost", "0"), 65, ("--dilution-cost", "above 0")),
     Case("dilution cost no number", ("monitor", "-", "--dilution-cost", "nan"), 65, ("--dilution-cost", "nan")),
     Case("dilution that pays", ("predict", "good.csv", "--dilution-cost", "-2"), 65, ("--dilution-cost", "above 0")),

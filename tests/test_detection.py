@@ -248,6 +248,96 @@ def test_length_of_the_recording_changes_no_impact(kind):
     assert found[0] == found[1]
 
 
+# -- gaps and loud samples -------------------------------------------------------------------------------------
+
+
+def struck(kind, seconds=4.0, seed=0):
+    """Samples with an impact every 110 ms or so, of more than a decade in height."""
+    random, n_samples = np.random.default_rng(seed), int(seconds * RATE)
+    samples = random.normal(size=n_samples)
+    for number, place in enumerate(range(1500, n_samples - 4000, 2816)):
+        height = 30.0 * 20.0 ** random.random()
+        own = ringing(amplitude=3 * height)[: n_samples - place] if kind == "vibration" else height * np.hanning(30)
+        samples[place + 7 * number : place + 7 * number + own.size] += own[: n_samples - place - 7 * number]
+    return samples
+
+
+def after(events, sample):
+    """What is known of the impacts after a sample."""
+    return all_of(event for event in events if event.onset > sample)
+
+
+@pytest.mark.parametrize("kind", ["vibration", "pulse"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("place", [0, 3001, 25_600])
+@pytest.mark.parametrize("height", [1e3, -1e5, 1e6])
+def test_a_loud_sample_hides_nothing_a_second_later(kind, dtype, place, height):
+    samples = struck(kind).astype(dtype)
+    expected = after(detected(samples, kind), place + RATE)
+    assert len(expected) >= 15
+    samples[place] += height
+    events = detected(samples, kind)
+    assert [own[:3] for own in after(events, place + RATE)] == [own[:3] for own in expected]
+    if place:  # The first sample stands in the level from which vibrations are counted: only rounding tells them apart.
+        assert after(events, place + RATE) == expected
+
+
+@pytest.mark.parametrize("kind", ["vibration", "pulse"])
+@pytest.mark.parametrize("length", [1, 40, 2000, 30_000])
+def test_a_gap_is_in_no_frame_and_hides_nothing_a_second_later(kind, length):
+    place, samples = 30_001, struck(kind, 5.0)
+    whole = detected(samples, kind)
+    samples[place : place + length] = np.nan
+    events = detected(samples, kind, gaps=True)
+    # Before it nothing changes but frames that reach into it.
+    assert [e.onset for e in events if e.onset < place - 200] == [e.onset for e in whole if e.onset < place - 200]
+    assert all(np.isfinite(event.samples).all() for event in events)
+    assert not [event for event in events if place <= event.onset < place + length]
+    late = place + length + RATE
+    assert len(after(whole, late)) >= 10
+    if kind == "vibration" or length == 1:  # The noise of pulses looks back for two seconds.
+        assert after(events, late) == after(whole, late)
+    assert [e.onset for e in events if e.onset > late] == [e.onset for e in whole if e.onset > late]
+    # Beside it at most what it covers is lost, and nothing is made up.
+    assert {e.onset for e in events} <= {e.onset for e in whole}
+    assert len(whole) - len(events) <= 2 + length // 2816
+    for size in (1000, 4096):
+        assert all_of(detected(samples, kind, cuts=range(size, samples.size, size), gaps=True)) == all_of(events)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from(["vibration", "pulse"]),
+    st.lists(st.tuples(st.integers(0, 30_000), st.integers(1, 9000)), max_size=6),
+    st.lists(st.integers(0, 30_000), max_size=5),
+    st.booleans(),
+)
+def test_any_gaps_in_any_blocks_give_the_same(kind, gaps, cuts, joint):
+    samples = np.stack([blows([3000, 9000, 9400, 16_000, 25_000], 30_000, seed=seed) for seed in (0, 1)])
+    alone = all_of(detected(samples[1], kind))
+    for number, (start, length) in enumerate(gaps):
+        samples[0 if not joint else number % 2, start : start + length] = np.nan
+    events = detected(samples, kind, joint=joint, gaps=True)
+    assert all(np.isfinite(event.samples).all() for event in events)
+    assert all_of(detected(samples, kind, cuts=sorted(cuts), joint=joint, gaps=True)) == all_of(events)
+    if not joint:  # The other channel has no gap.
+        assert all_of(replace(event, channel=0) for event in events if event.channel == 1) == alone
+
+
+def test_missing_samples_are_an_error_unless_they_are_expected():
+    samples = np.zeros((1, 30_000))
+    samples[0, 17_000] = np.nan
+    with pytest.raises(BadData):
+        ImpactDetector(RATE, kind="pulse").feed(samples)
+    samples[0, 16_000] = np.inf
+    with pytest.raises(BadData):
+        ImpactDetector(RATE, kind="pulse", gaps=True).feed(samples)
+    for kind in ("pulse", "vibration"):
+        detector = ImpactDetector(RATE, kind=kind, gaps=True)
+        assert detector.feed(np.full((1, 30_000), np.nan)) + detector.finish() == []
+        assert "read" in detector.why_silent()
+
+
 # -- every impact that stands clear ---------------------------------------------------------------------------
 
 

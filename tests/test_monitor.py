@@ -45,6 +45,84 @@ def raw(tmp_path: Path, force: np.ndarray) -> Path:
     return tmp_path / "stream.raw"
 
 
+# -- gaps -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["predict", "monitor"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_a_gap_costs_one_warning_and_no_other_channel(
+    command: str, value: float, force: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    samples = np.stack([force, force[::-1]], axis=1).astype("<f4")
+
+    def answered() -> tuple[list[dict], list[str]]:
+        np.save(tmp_path / "s.npy", samples)
+        samples.tofile(tmp_path / "s.f32")
+        given = ["s.f32", "--channels", "2", "--sample-format", "f32le"] if command == "monitor" else ["s.npy"]
+        assert run([command, str(tmp_path / given[0]), *given[1:], "--rate", str(RATE), "--unit", "N", "--json"]) == 0
+        out = capsys.readouterr().out
+        return rows_of(out, "impact"), [row["message"] for row in rows_of(out, "warning")]
+
+    expected, said = answered()
+    assert not said
+    # Between two impacts, and in the middle of one: of 20 ms each, the impact after 10.
+    samples[[round(0.202 * RATE), round(0.2501 * RATE)], 1] = value
+    got, said = answered()
+    assert len(said) == (1 if command == "predict" else len(said)) > 0
+    assert "2 samples in 2 gaps" in said[-1]
+    assert [row for row in got if row["channel"] == "1"] == [row for row in expected if row["channel"] == "1"]
+    before, after = ([row for row in rows if row["channel"] == "2"] for rows in (expected, got))
+    by_time = {row["time_s"]: row for row in before}
+    differ = [row for row in after if by_time.get(row["time_s"]) != row]
+    # Only frames that reach to a gap, and none with another label: at most unknown.
+    assert len(before) - 1 <= len(after) <= len(before)
+    assert 1 <= len(differ) <= 3
+    assert all(0.18 < row["time_s"] < 0.26 for row in differ)
+    assert all(row["label"] in ("unknown", by_time[row["time_s"]]["label"]) for row in differ)
+
+
+@pytest.mark.parametrize("command", ["predict", "monitor"])
+def test_a_channel_that_stays_unreadable_is_given_up(
+    command: str, force: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    samples = np.stack([force, force], axis=1).astype("<f4")
+    given = ["s.f32", "--channels", "2", "--sample-format", "f32le"] if command == "monitor" else ["s.npy"]
+
+    def answered(*options: str) -> tuple[int, list[dict], list[str], str]:
+        np.save(tmp_path / "s.npy", samples)
+        samples.tofile(tmp_path / "s.f32")
+        reading = [*given[1:], "--rate", str(RATE), "--unit", "N", "--json"]
+        code = run([command, str(tmp_path / given[0]), *reading, *options])
+        out, err = capsys.readouterr()
+        return code, rows_of(out, "impact"), [row["message"] for row in rows_of(out, "warning")], err
+
+    first = round(0.3 * RATE)
+    samples[first:, 1] = np.nan
+    samples[-100:, 1] = 0.0
+    code, impacts, said, _ = answered("--give-up", "0.1")
+    assert code == 0
+    assert sum("given up at 0.4 s" in message for message in said) == 1
+    assert sum(row["channel"] == "1" for row in impacts) == 28
+    assert sum(row["channel"] == "2" for row in impacts) == 15
+    assert not any("given up" in message for message in answered()[2])
+    samples[first:, 0] = 1e20
+    code, impacts, said, err = answered("--give-up", "0.1")
+    assert code == 65
+    assert len(impacts) == 30
+    assert len([line for line in err.splitlines() if line.startswith("cgid: error: ")]) == 1
+
+
+def test_windows_with_a_gap_have_no_vote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "m.npz").write_bytes(window_model(hop_time=0.1).to_bytes())
+    noise = (np.random.default_rng(4).normal(size=16_000) / 5).astype("<f4")
+    noise[8500] = np.nan
+    noise.tofile(tmp_path / "n.raw")
+    arguments = ["monitor", str(tmp_path / "n.raw"), "--rate", "8000", "--channels", "1", "--sample-format", "f32le"]
+    assert run([*arguments, "--unit", "FS", "--model", str(tmp_path / "m.npz"), "--json"]) == 0
+    labels = [row["label"] for row in rows_of(capsys.readouterr().out, "window")]
+    assert labels == ["gangue"] * 10 + ["unknown"] + ["gangue"] * 9
+
+
 # -- what is said -----------------------------------------------------------------------------------------
 
 

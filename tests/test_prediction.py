@@ -117,6 +117,16 @@ def test_a_file_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(volts["p(coal)"], expected["p(coal)"], rtol=1e-9)
 
 
+@pytest.mark.parametrize("unit", ["N", "m/s^2"])
+def test_a_sample_that_no_sensor_gives_is_left_out(unit: str) -> None:
+    samples = sample()
+    samples[-50] = 1e12
+    with pytest.warns(UserWarning) as said:
+        table = cgid.predict(samples, 200e3, unit)
+    assert ["gap" in str(one.message) for one in said] == [True]
+    pd.testing.assert_frame_equal(table, cgid.predict(sample()[:-50], 200e3, unit), check_exact=True)
+
+
 def test_no_impact_is_a_table_without_rows_and_a_reason() -> None:
     with pytest.warns(UserWarning, match="no impact"):
         table = cgid.predict(np.random.default_rng(0).normal(size=5000), 2e5, "N")

@@ -17,7 +17,10 @@ from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.recordings import lvm as lvm_files
 from cgid.recordings import open_recording, read_recording
 from cgid.recordings import text as rows
+from cgid.recordings.gaps import Gaps, largest
 from cgid.recordings.live import live_stream
+from cgid.recordings.recording import Channel
+from cgid.units import KNOWN_UNITS
 
 
 @pytest.fixture
@@ -812,3 +815,60 @@ def test_bad_live_streams():
         list(live_stream(io.BytesIO(b"1234567"), **raw))
     with pytest.raises(BadData, match="this is FLAC; give it to cgid predict"):
         live_stream(io.BytesIO(b"fLaC" + bytes(100)), **raw)
+
+
+# ---- gaps ----
+
+
+def marked_by_hand(samples, limit, longest):
+    """Mark the gaps of one channel sample by sample; return it, its missing samples, its gaps, and whether given up."""
+    out, n_samples, n_gaps, running = samples.copy(), 0, 0, 0
+    for k, sample in enumerate(samples):
+        if running < longest and abs(sample) <= limit:
+            running = 0
+            continue
+        out[k] = np.nan
+        if running < longest:
+            n_gaps += running == 0
+            n_samples += 1
+            running += 1
+    return out, n_samples, n_gaps, running >= longest
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.integers(0, 2**32), st.lists(st.integers(0, 80), max_size=6), st.sampled_from(["N", "kN", "m/s^2", "g", None])
+)
+def test_gaps_are_the_same_sample_by_sample(seed, cuts, unit):
+    random, limit = np.random.default_rng(seed), largest(unit)
+    samples = (limit * random.uniform(-0.9, 0.9, (2, 80))).astype(np.float32)
+    for row in range(2):
+        for start in random.integers(0, 80, 4):
+            own = samples[row, start : start + random.integers(1, 14)]
+            own[:] = random.choice([np.nan, np.inf, -np.inf, 1e35, -1.2 * limit], own.size)
+    lines = []
+    gaps = Gaps([Channel(name=name, unit=unit) for name in ("left", "right")], 10.0, lines.append, give_up=1.15)
+    blocks = list(gaps.marked(np.split(samples, sorted(cuts), axis=1)))
+    by_hand = [marked_by_hand(own, limit, 12) for own in samples]
+    got = np.concatenate(blocks, axis=1)
+    ended = all(one[3] for one in by_hand)
+    assert ended or got.shape == samples.shape
+    assert np.array_equal(got, np.stack([one[0] for one in by_hand])[:, : got.shape[1]], equal_nan=True)
+    assert [gaps.n_samples.tolist(), gaps.n_gaps.tolist()] == [[one[1] for one in by_hand], [one[2] for one in by_hand]]
+    assert len(lines) == sum(one[3] for one in by_hand) + bool(gaps.n_samples.sum())
+    if ended:
+        with pytest.raises(BadData, match="here"):
+            gaps.require("here")
+    else:
+        gaps.require("here")
+
+
+def test_every_unit_has_a_largest_sample_and_no_block_is_copied():
+    # Loud, but possible: 1e6 m/s^2 and 10 MN.
+    assert largest("g") * 9.80665 == pytest.approx(largest("m/s^2"))
+    assert largest("m/s^2") > 1e6
+    assert largest("kN") > 1e4
+    assert all(0 < largest(unit) < 1e17 for unit in KNOWN_UNITS)
+    block = np.ones((1, 5), np.float32)
+    (passed,) = Gaps([Channel(name="1", unit="N")], 10.0, pytest.fail).marked([block])
+    assert passed is block

@@ -174,11 +174,13 @@ def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
         )
     check_scene(scene, recording.sampling_rate)
     factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
-    detector = ImpactDetector(recording.sampling_rate, kind="vibration", dead_time=reading.dead_time)
+    detector = ImpactDetector(recording.sampling_rate, kind="vibration", dead_time=reading.dead_time, gaps=True)
     events: list[Event] = []
-    for block in recording.blocks():
+    for block in recording.blocks_with_gaps():
         events += detector.feed(block * factor)
     events += detector.finish()
+    for warning in recording.warnings:
+        warn(warning)
     if not events:
         raise BadData(f"{recording.source}: {detector.why_silent(unit=unit)}")
     return events

@@ -148,9 +148,10 @@ def _found(recording: RecordingFile, unit: str, reading: Reading) -> list[Event]
         kind=kind_for(quantity_of(unit)),
         dead_time=reading.dead_time,
         joint=True,
+        gaps=True,
     )
     found: list[Event] = []
-    for block in recording.blocks():
+    for block in recording.blocks_with_gaps(joint=True):
         found += detector.feed(-block if reading.invert else block)
     found += detector.finish()
     if not found:

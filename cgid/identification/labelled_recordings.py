@@ -27,7 +27,7 @@ from cgid.identification.model import Model
 from cgid.identification.reference import Equalisations, MeanSpectrum, equalisations_of
 from cgid.identification.rows import Rows, Slicing, sets_for, union_of
 from cgid.identification.silence import Silence, silence_of
-from cgid.identification.windows import Grid, NoisyCopies, measure_windows, windows_of
+from cgid.identification.windows import Grid, NoisyCopies, measure_windows, whole_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
 from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
@@ -83,9 +83,9 @@ class AnnotatedFile:
         return -1.0 if self.annotations[0].invert else 1.0
 
     def blocks(self) -> Iterator[NDArray[Any]]:
-        """Yield the samples; raise `BadData` at the end if an annotation starts behind it."""
+        """Yield the samples, nan in gaps; raise `BadData` at the end if an annotation starts behind it."""
         count = 0
-        for block in self.recording.blocks():
+        for block in self.recording.blocks_with_gaps():
             count += block.shape[1]
             yield block
         self.require_inside(count)
@@ -273,8 +273,9 @@ def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, w
             if own[0].sampling_rate != rate:
                 raise BadData(f"{source}: the reference runs of a sensor must be sampled alike; take one out")
             for _, windows in windows_of(blocks, rate, window_time, window_time):
+                whole = whole_windows(windows)
                 for channel, spectrum in enumerate(own):
-                    spectrum.feed(windows[:, channel])
+                    spectrum.feed(windows[whole, channel])
     return {sensor: np.stack([spectrum.levels for spectrum in own]) for sensor, own in spectra.items()}
 
 
@@ -517,6 +518,7 @@ def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
         len(recording.channels),
         kind="vibration" if kind_of(cutting.names) == "vibration" else "pulse",
         dead_time=cutting.slicing.dead_time,
+        gaps=True,
     )
     for block in file.blocks():
         yield from _measured_events(detector.feed(sign * block), file, cutting)

@@ -204,9 +204,10 @@ class PulseOnsets:
         highest[:, :whole], lowest[:, :whole] = _extremes(windows)
         if shape[1] > whole:
             highest[:, whole], lowest[:, whole] = _extremes(samples[:, whole * length :])
-        largest = np.concatenate([self._largest, np.maximum(highest, -lowest)], axis=1)
+        # A window without samples has no largest one.
+        largest = np.concatenate([self._largest, np.fmax(np.maximum(highest, -lowest), 0.0)], axis=1)
         self._largest = largest[:, largest.shape[1] - _ROUNDING_WINDOWS + 1 :]
-        largest = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(largest, _ROUNDING_WINDOWS, axis=1), axis=-1)
+        largest = np.lib.stride_tricks.sliding_window_view(largest, _ROUNDING_WINDOWS, axis=1).max(axis=-1)
         self.noise = np.where(np.isnan(noise[:, -1]), self.noise, noise[:, -1])
         self.rise = np.fmax(self.rise, np.fmax.reduce(highest - baseline, axis=1))
         self.fall = np.fmax(self.fall, np.fmax.reduce(baseline - lowest, axis=1))

@@ -82,13 +82,13 @@ def silence_of(
 ) -> Silence:
     """Return what a recording holds within intervals [s]; raises as its `blocks` and the detector."""
     rate = recording.sampling_rate
-    detector = ImpactDetector(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True)
+    detector = ImpactDetector(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, gaps=True)
     events: list[Event] = []
     most = left = round(LONGEST_LOOK * rate)
 
     def seen() -> Iterator[NDArray[np.floating]]:
         nonlocal left
-        for block in recording.blocks():
+        for block in recording.blocks_with_gaps(joint=True):
             part = -block[:, :left] if invert else block[:, :left]
             events.extend(detector.feed(part))
             yield part
@@ -105,6 +105,8 @@ def silence_of(
     if not parts:
         return found
     first, power = (np.concatenate(column) for column in zip(*parts, strict=True))
+    whole = ~np.isnan(power).any(axis=1)
+    first, power = first[whole], power[whole]
     chosen = np.zeros(len(first), bool)
     for start, end in intervals:
         chosen |= (first >= start * rate) & (first + WINDOW_TIME * rate <= end * rate + 0.5)

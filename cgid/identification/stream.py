@@ -149,8 +149,9 @@ def identify_blocks(
 ) -> Iterator[Step]:
     """Return an iterator over the answers for blocks (n_channels, n_samples) in the unit of the model.
 
-    Samples that are nan are missing. `source` names the recording. Raises `BadData` for absurd samples, or another number of channels than the model uses
-    together; `InvalidValue` for a sampling rate that is too low for the model's features, or absurdly high.
+    Samples that are nan are missing. `source` names the recording. Raises `BadData` for absurd samples, or another
+    number of channels than the model uses together; `InvalidValue` for a sampling rate that is too low for the model's
+    features, or absurdly high.
     """
     needed = max([SLOWEST, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
     if sampling_rate < needed:
@@ -185,7 +186,9 @@ def _impacts(
     """Yield the answers for impacts: when a batch is full, or when no impact waits."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
     names, joint = answering_channels(model, channels), model.together > 1
-    detector = ImpactDetector(sampling_rate, len(channels), kind=kind, dead_time=question.dead_time, joint=joint, gaps=True)
+    detector = ImpactDetector(
+        sampling_rate, len(channels), kind=kind, dead_time=question.dead_time, joint=joint, gaps=True
+    )
     waiting: list[Event] = []
     everything = set(range(len(channels)))
     silent = everything

@@ -134,9 +134,10 @@ class VibrationOnsets:
         n_channels, _, n_bands = energies.shape
         means = _window_means(energies)
         highest = np.fmax.reduce(means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands), axis=2)
-        most = np.concatenate([self._most, highest], axis=1)
+        # A chunk without a whole window has no largest one.
+        most = np.concatenate([self._most, np.fmax(highest, np.float32(0))], axis=1)
         self._most = most[:, most.shape[1] - _CHUNKS_KEPT + 1 :]
-        most = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(most, _CHUNKS_KEPT, axis=1), axis=-1)
+        most = np.lib.stride_tricks.sliding_window_view(most, _CHUNKS_KEPT, axis=1).max(axis=-1)
         n_kept = self._windows.shape[1]
         means = means[:, : n_known // _WINDOW_HOPS]
         if not n_kept and means.shape[1] < _CHUNK_WINDOWS:

@@ -100,7 +100,7 @@ class OverviewStream:
         self._spectra: _Spectra | None = None
 
     def feed(self, block: NDArray[Any]) -> None:
-        """Add samples (n_channels, n_samples); n_samples may be 0. One that is nan is missing: the mean stands in for it.
+        """Add samples (n_channels, n_samples); n_samples may be 0. The mean stands in for missing ones, which are nan.
 
         Raise `InvalidValue` for another number of channels, `BadData` for a sample so large that its power overflows.
         """

@@ -335,6 +335,15 @@ class RecordingFile:
             first += block.shape[1]
             yield block
 
+    def blocks_with_gaps(self, *, joint: bool = False) -> Iterator[NDArray[Any]]:
+        """Yield the samples as `blocks` does, with nan where no sensor can give a number; `warnings` say where.
+
+        Raises `BadData` at the end if no sample can be read, or the channels stay unreadable, of `joint` ones any.
+        """
+        gaps = self.gaps(range(len(self.channels)), joint=joint)
+        yield from gaps.marked(self.blocks(gaps=True))
+        gaps.require(self.source)
+
     def signals(self) -> list[Signal]:
         """Return one `Signal` per channel, all in memory.
 

@@ -312,10 +312,13 @@ def formats() -> str:
 
 
 def sample_units() -> str:
-    """Return the units of samples."""
-    from cgid.units import UNITS
+    """Return the units of samples, and what no sensor gives."""
+    from cgid.units import LARGEST, UNITS
 
-    return table(("quantity", "units"), [[name, ", ".join(map(coded, units))] for name, units in UNITS.items()])
+    rows = [
+        [name, ", ".join(map(coded, units)), f"{LARGEST[name]:g} {next(iter(units))}"] for name, units in UNITS.items()
+    ]
+    return table(("quantity", "units, the SI unit first", "no sensor gives more than"), rows)
 
 
 def scene_units() -> str:
