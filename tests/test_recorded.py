@@ -45,7 +45,7 @@ from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for, 
 from cgid.identification.share import wilson_interval
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.training import train
-from cgid.identification.windows import CLEAR, Grid, NoisyCopies, RunningVote, measure_windows, windows_of
+from cgid.identification.windows import CLEAR, WINDOW_TIME, Grid, NoisyCopies, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
@@ -281,15 +281,29 @@ def test_a_bad_file_stops_nobody_unless_strict(folder: Path) -> None:
         record(read_manifest(folder / "gone.csv"), NAMES, reading=Reading(strict=True))
 
 
-def test_a_file_that_breaks_off_in_numbers_adds_no_row(folder: Path, tmp_path: Path) -> None:
-    broken = np.load(folder / "1.npy")
-    broken[0, 7000] = np.nan
-    np.save(tmp_path / "broken.npy", broken)
+def test_a_gap_costs_the_windows_that_lack_samples(folder: Path, tmp_path: Path) -> None:
     text = f"path,label,rate,unit\n{folder}/0.npy,coal,{RATE},g\nbroken.npy,gangue,{RATE},g\n"
     (tmp_path / "m.csv").write_text(text)
-    rows = record(read_manifest(tmp_path / "m.csv"), NAMES)
+
+    def recorded(samples: np.ndarray) -> Rows:
+        np.save(tmp_path / "broken.npy", samples)
+        return record(read_manifest(tmp_path / "m.csv"), NAMES, slicing=Slicing(by="window"))
+
+    samples = np.load(folder / "1.npy")
+    whole = recorded(samples)
+    assert not whole.warnings
+    samples[0, 7000] = np.nan
+    rows = recorded(samples)
+    assert not rows.failures
+    assert "1 gap" in rows.warnings[0]
+    hop = whole.time[1] - whole.time[0]
+    lacking = (whole.labels == "gangue") & (whole.time <= 7000 / RATE) & (whole.time + WINDOW_TIME > 7000 / RATE)
+    assert 1 <= lacking.sum() <= WINDOW_TIME / hop + 1
+    assert np.array_equal(rows.features, whole.features[~lacking])
+    # Without any reading it adds no row.
+    rows = recorded(np.full_like(samples, np.nan))
     assert set(rows.labels) == {"coal"}
-    assert "sample 7000" in str(rows.failures[0])
+    assert "broken.npy" in str(rows.failures[0])
 
 
 @pytest.mark.parametrize(

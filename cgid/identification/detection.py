@@ -293,11 +293,12 @@ class ImpactDetector:
             if bounds is None:
                 continue
             begin, end = bounds
+            by = "its end" if end is None else f"a gap at sample {end}"
             end = stop if end is None else end
             following = next((other for other in self._pending if other.row == onset.row), None)
             if following is not None and end is not None and following.sample >= end:
                 following = None
-            events.append(self._cutter.cut(onset, following, self._samples, self._first, begin, end))
+            events.append(self._cutter.cut(onset, following, self._samples, self._first, begin, end, by))
         return events
 
     def _between_gaps(self, onset: Onset, reach: int) -> tuple[int, int | None] | None:

@@ -229,13 +229,20 @@ class FrameCutter:
         self._before: dict[int, tuple[Onset, bool]] = {}
 
     def cut(
-        self, onset: Onset, following: Onset | None, samples: NDArray[Any], first: int, begin: int, stop: int | None
+        self,
+        onset: Onset,
+        following: Onset | None,
+        samples: NDArray[Any],
+        first: int,
+        begin: int,
+        stop: int | None,
+        by: str,
     ) -> Event:
         """Return the event of an onset.
 
         `following` is the next onset of its row, if any. `samples` (n_channels, n) begin at index `first` of the
         recording and cover the frame. It can be read from `begin` to `stop`: between gaps, and to its end once it is
-        over.
+        over; `by` says what cuts it off there.
         """
         framing, length = self._framing, self._framing.length_of(onset)
         before, running = self._before.get(onset.row, (None, False))
@@ -274,7 +281,7 @@ class FrameCutter:
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
             clipped=_is_clipped(own[: end - onset.sample] - mine),
             cut=began_cut or ended_cut,
-            problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample, begin),
+            problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample, begin, by),
         )
 
     def _frame(
@@ -301,7 +308,7 @@ class FrameCutter:
             frame[:, :missing] = np.pad(quiet, ((0, 0), (missing, 0)), mode="symmetric")[:, :missing]
         return frame, baseline
 
-    def _problem(self, began_cut: bool, ended_cut: bool, recorded: int, begin: int) -> str:
+    def _problem(self, began_cut: bool, ended_cut: bool, recorded: int, begin: int, by: str) -> str:
         framing = self._framing
         if began_cut:
             cut_by = f"a gap before sample {begin}" if begin else "its start (sample 0)"
@@ -310,11 +317,11 @@ class FrameCutter:
                 "touch"
             )
         if ended_cut and framing.pre_trigger is None:
-            return "the pulse must end inside the recording, it is cut off by its end or a gap: record a longer frame"
+            return f"the pulse must end inside the recording, it is cut off by {by}: record a longer frame"
         if recorded < framing.shortest:  # Even if it is over: what comes then tells one structure from another.
             return (
-                f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the recording, it is cut off by its end "
-                f"or a gap after {recorded / framing.sampling_rate * 1e3:.3g} ms: record longer"
+                f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the recording, it is cut off by {by} "
+                f"after {recorded / framing.sampling_rate * 1e3:.3g} ms: record longer"
             )
         return ""
 

@@ -168,6 +168,7 @@ def predict(
         answers += step.answers
         for text in (*step.silent, *step.warnings):
             warnings.warn(text, stacklevel=2)
+    gaps.require(first.source)
     return _table(answers, chosen, question)
 
 

@@ -111,18 +111,19 @@ def model_blocks(
     rows: Sequence[int],
     question: Question,
     *,
-    gaps: Gaps,
+    gaps: Gaps | None = None,
     seen: Callable[[NDArray[Any]], object] = lambda block: None,
 ) -> Iterator[NDArray[Any]]:
     """Return an iterator over the blocks of some channels, in the quantity and unit of the model, with nan in gaps.
 
     Raises as `identify_recording`; a wrong quantity or unit raises here, before the first block is read. `gaps` are
-    those of these channels; `seen` receives each block of them in their own units.
+    those of these channels, by default anew; `seen` receives each block of them in their own units.
     """
     chosen, sign = list(rows), -1.0 if question.invert else 1.0
     channels = [recording.channels[row] for row in chosen]
     factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=question.mass) for c in channels]
     every = chosen == list(range(len(recording.channels)))
+    gaps = gaps or recording.gaps(chosen, question.give_up, joint=model.together > 1)
 
     def blocks() -> Iterator[NDArray[Any]]:
         unchecked = recording.blocks(gaps=True)
