@@ -730,3 +730,13 @@ def test_killed_monitor_leaves_its_last_will(raw, broker) -> None:
         finally:
             process.kill()
             process.communicate()
+
+
+def test_a_waveform_leaves_out_missing_samples() -> None:
+    samples = np.array([[1.0, 2.0, np.nan, 4.0, np.nan, np.nan]])
+    waveform = Waveform()
+    waveform.add(samples[:, :3], 3 / BIN_TIME)
+    waveform.add(samples[:, 3:], 3 / BIN_TIME)
+    (channel,) = waveform.content(["1"])["channels"]
+    assert np.array(channel["low"]) * channel["scale"] == pytest.approx([1.0, 4.0], rel=0.01)
+    assert np.array(channel["high"]) * channel["scale"] == pytest.approx([2.0, 4.0], rel=0.01)

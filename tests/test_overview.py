@@ -145,3 +145,17 @@ def test_what_cannot_be_drawn() -> None:
         stream.feed(np.array([[0.0], [-1e200]]))
     with pytest.raises(InvalidValue, match="sampling_rate"):
         OverviewStream(0.0)
+
+
+def test_a_missing_sample_counts_as_the_mean() -> None:
+    samples = np.random.default_rng(0).normal(5.0, 1.0, (1, 3000))
+    lacking, filled = samples.copy(), samples.copy()
+    lacking[0, 2000:2050], filled[0, 2000:2050] = np.nan, samples[0, :2000].mean()
+    seen = []
+    for one in (lacking, filled):
+        stream = OverviewStream(1000.0, 1)
+        stream.feed(one[:, :2000])
+        stream.feed(one[:, 2000:])
+        seen.append(stream.overview())
+    for name in ("lowest", "highest", "mean", "deviation", "spectrum", "spectrogram"):
+        np.testing.assert_allclose(getattr(seen[0], name), getattr(seen[1], name), rtol=1e-12)
