@@ -16,7 +16,7 @@ from cgid.identification.rows import BEAM_GUARDS, measure
 from cgid.identification.training import train
 from cgid.measure.beam import corrected, respond
 from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, read_learned_modes
-from cgid.scene import generate, load_scene, parse_scene, synthesise
+from cgid.scene import generate, load_scene, parse_scene, record, synthesise
 from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of, through_modes
@@ -549,3 +549,30 @@ def test_measured_modes_must_not_cross():
     with pytest.raises(BadData, match="modes 1 and 2 must not cross"):
         count_crossings(scene, crossed)
     assert count_crossings(scene, replace(crossed, frequency_deviation=np.full(4, 0.3))) == 0  # not known to have
+
+
+@pytest.mark.long
+def test_a_recording_calibrates_the_scene_of_a_stream(known, tmp_path):
+    """Its rocks bounce all over the beam and ring into each other; the frames of a detector are compared with such."""
+    content, (site, error) = json.loads(known[0].text), modes_off(known[0], 0.01, 0.1, seed=3)
+    rocks = {"duration": 16.0, "arrivals": {"rate": 4.0}, "mixture": {"times": [0.0], "gangue": [0.5]}}
+    more = {"stream": rocks | {"rebounds": {"most": 2, "least_speed": 0.2}}, "sampling": {"sampling_rate": RATE}}
+    signal, _ = record(parse_scene(json.loads(site.text) | more), seed=4)
+    np.save(tmp_path / "stream.npy", signal.samples)
+    (tmp_path / "stream.toml").write_text(toml(content | more))
+    command = ["calibrate", str(tmp_path / "stream.npy"), "--rate", f"{RATE:g}", "--unit", signal.unit]
+    output = tmp_path / "site.toml"
+    assert run([*command, "--scene", str(tmp_path / "stream.toml"), "-o", str(output)]) == 0
+    found = load_scene(output)
+    assert json.loads(found.text)["stream"] == json.loads(load_scene(tmp_path / "stream.toml").text)["stream"]
+    assert json.loads(found.text)["tail_beam"]["impact_point"] == content["tail_beam"]["impact_point"]
+    heard = beam_modes(site).frequency < 2000
+    left = np.log(found.tail_beam.learned_modes.frequency / beam_modes(site).frequency)
+    assert np.median(np.abs(left[heard])) < 0.3 * np.median(np.abs(error[0][heard]))
+
+
+def test_a_stream_without_impacts_to_compare_with_is_refused_before_the_work(known):
+    more = {"stream": {"duration": 2.0, "arrivals": {"times": [1.99]}, "mixture": {"times": [0.0], "gangue": [0.5]}}}
+    silent = parse_scene(json.loads(known[0].text) | more | {"sampling": {"sampling_rate": RATE}})
+    with pytest.raises(BadData, match="stream"):
+        calibrate(silent, known[3], RATE, BEFORE)

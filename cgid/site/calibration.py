@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, write_together
 from cgid.identification.contact import REACH, clipped_samples
+from cgid.identification.detection import ImpactDetector
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam, corrected
 from cgid.measure.colour import colour_of
@@ -24,8 +25,9 @@ from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, table_of
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, load_scene, parse_scene
 from cgid.scene.sections import rows_of
+from cgid.scene.stream import parts_of_recording
 from cgid.scene.synthesis import synthesise
-from cgid.scene.through_beam import beam_of, through_modes
+from cgid.scene.through_beam import beam_of, spread_over, through_modes
 from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
 from cgid.site.learning import MOST_ROUNDS, Blows, evidence_of, learn
 from cgid.validation import Floats
@@ -41,10 +43,14 @@ FEWEST = 20
 _DAMPING_A_FREQUENCY, _MOST_DAMPING = 10.0, 0.3
 #: Blows whose evidence is compared, and the seed of simulated ones.
 _COMPARED, _SEED = 256, 0x5EED_0002_CA11
+#: Recordings of a stream, and their length together [s], that are simulated for these at most.
+_RECORDINGS, _LONGEST_STREAM = 16, 120.0
 #: The evidence may stay this much below that of simulation, absolutely and relatively.
 _BELOW, _BELOW_SHARE = 0.1, 0.1
 #: Share of the worst blows that is left out: a touch that is missed, two blows at once, another place than the scene's.
 _WORST = 0.2
+#: In a stream, where many begin while earlier ones still ring.
+_WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor where its shape is below this share of its own root mean square, 1/2; a sensor on nodes
 #: of more than this share of the modes learns nothing. On a line of symmetry it is half.
 _SILENT, _MOST_SILENT = 0.02, 0.6
@@ -67,8 +73,8 @@ class SiteCalibration:
     n_blows : int
         Blows that were used.
     before, after, expected : float
-        Log evidence of a blow per sample (mean without the worst fifth): before, after, and of blows that are simulated
-        through the learned beam.
+        Log evidence of a blow per sample (mean without the worst fifth, in a stream the worst half): before, after, and
+        of blows that are simulated through the learned beam.
     crossings : int
         Neighbouring modes that have changed places.
     at_rest : bool
@@ -198,11 +204,20 @@ def calibrate(
             + (", and below the sensor's range" if left_out else "")
         )
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most_blows)).round().astype(np.intp))
+    if scene.stream is not None and next(_simulated_events(scene), None) is None:
+        raise BadData(
+            f"scene {scene.name}: stream must hold impacts to compare with that stand alone, there is none in "
+            f"{_RECORDINGS} simulated recordings; correct its arrivals, noise and duration"
+        )
+    region, worst = None, _WORST
+    if scene.stream is not None:  # whose rocks bounce all over the beam
+        region, worst = json.loads(scene.text)["tail_beam"].get("impact_point"), _WORST_OF_STREAM
+        scene = _with_beam(scene, spread=True)
     beam = replace(beam_of(scene), errors=None)  # errors are what is learned
     dimensions: tuple[Dimension, ...] = ()
     with threadpool_limits(1):
         blows = prepare_blows(frames[chosen], sampling_rate, pre_trigger)
-        before = _evidence(beam, blows)
+        before = _evidence(beam, blows, worst)
         if uncertain_dimensions:
             scene, dimensions = learn_dimensions(scene, beam, blows, uncertain_dimensions, progress=progress)
             beam = through_modes(scene, beam)
@@ -217,8 +232,8 @@ def calibrate(
             found.deviation,
         )
         crossings = count_crossings(scene, learned)
-        site = _with_learned(scene, learned)
-        after, expected = _evidence(own, blows), _evidence(own, _simulated(site))
+        site = _with_beam(scene, learned=rows_of(learned, LEARNED_COLUMNS), impact_point=region)
+        after, expected = _evidence(own, blows, worst), _evidence(own, _simulated(site), worst)
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
         raise BadData(
             f"the beam of scene {scene.name} must explain the blows as it explains simulated ones: their evidence is "
@@ -250,7 +265,7 @@ def uncertain(scene: Scene, start_error: float) -> Scene:
     start = _start(scene)
     deviation = _prior(scene, start, start_error, start_error, 0.0)
     modes = LearnedModes.of(start.frequency, start.damping_ratio, start.participation, deviation)
-    return _with_learned(scene, modes)
+    return _with_beam(scene, learned=rows_of(modes, LEARNED_COLUMNS))
 
 
 def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:
@@ -322,16 +337,36 @@ def prepare_blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigge
     return Blows(still, start, noise, colour_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
 
 
-def _evidence(beam: Beam, blows: Blows) -> float:
-    """Return the mean evidence of some blows, without the worst."""
+def _evidence(beam: Beam, blows: Blows, worst: float) -> float:
+    """Return the mean evidence of some blows, without this share, the worst."""
     part = blows.taken(slice(_COMPARED))
     found = np.sort(evidence_of(Inversion(beam), part))
-    return float(found[int(_WORST * found.size) :].mean())
+    return float(found[int(worst * found.size) :].mean())
 
 
 def _simulated(site: Scene) -> Blows:
-    frames = np.concatenate([batch.signals for batch in synthesise(site, _COMPARED, _SEED)])
-    return prepare_blows(frames, site.sampling.sampling_rate, site.sampling.pre_trigger)
+    """Return blows simulated through the beam of a scene, as a detector finds them if it has a stream."""
+    rate = site.sampling.sampling_rate
+    if site.stream is None:
+        frames = np.concatenate([batch.signals for batch in synthesise(site, _COMPARED, _SEED)])
+        return prepare_blows(frames, rate, site.sampling.pre_trigger)
+    events = list(_simulated_events(site))
+    taken = np.unique(np.linspace(0, len(events) - 1, min(len(events), _COMPARED)).round().astype(np.intp))
+    frames, before = frames_of([events[number] for number in taken])
+    return prepare_blows(frames, rate, before)
+
+
+def _simulated_events(site: Scene) -> Iterator[Event]:
+    """Yield the usable impacts that a detector finds in recordings of a stream."""
+    left = round(_LONGEST_STREAM * site.sampling.sampling_rate)
+    for number in range(_RECORDINGS):
+        detector = ImpactDetector(site.sampling.sampling_rate, kind="vibration")
+        for samples, _ in parts_of_recording(site, _SEED, number, dtype="float32"):
+            yield from usable_blows(detector.feed(samples[np.newaxis]))[0]
+            left -= samples.size
+            if left <= 0:
+                return
+        yield from usable_blows(detector.finish())[0]
 
 
 def count_crossings(scene: Scene, learned: LearnedModes) -> int:
@@ -347,9 +382,12 @@ def count_crossings(scene: Scene, learned: LearnedModes) -> int:
     return int(crossed.size)
 
 
-def _with_learned(scene: Scene, learned: LearnedModes) -> Scene:
+def _with_beam(scene: Scene, *, spread: bool = False, **changes: Any) -> Scene:
+    """Return a scene with another beam: with some of its keys changed, or impacts all over it."""
     content = json.loads(scene.text)
-    content["tail_beam"]["learned"] = rows_of(learned, LEARNED_COLUMNS)
+    content["tail_beam"] |= {name: value for name, value in changes.items() if value is not None}
+    if spread:
+        spread_over(content["tail_beam"])
     return parse_scene(content, source=f"calibration of {scene.name}", folder=scene.folder)
 
 
