@@ -313,6 +313,7 @@ def test_a_sudden_change_is_noticed_after_a_long_shift() -> None:
     assert hint is not None and "of the last 30 impacts unexplained" in hint.reason
 
 
+@pytest.mark.long
 def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, model = tmp_path / "stream.raw", tmp_path / "off.npz"
     of_the_trained_beam(4.0).astype("<f4").tofile(path)

@@ -51,6 +51,7 @@ from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
 from cgid.scene import Scene, synthesise
 from cgid.signals import Batch, Signal
+from tests import few
 
 RATE = 8000
 #: Few, so that training takes no time.
@@ -159,7 +160,7 @@ def test_windows_that_are_unknown_do_not_vote_and_correlated_ones_count_as_fewer
     assert (np.concatenate([vote.feed(*part) for part in parts]) == whole).all()
 
 
-@pytest.mark.parametrize("shared", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("shared", few([0.5, 0.0, 1.0]))
 def test_votes_of_windows_with_a_common_error_are_calibrated(shared: float) -> None:
     """Log odds z ~ N(+-m, 2 m) are calibrated; n of them that correlate by c add up to sum(z) / (1 + (n - 1) c)."""
     mean, n_windows, n_recordings = 1.2, 20, 3000
@@ -961,7 +962,7 @@ def test_noisy_copies_neither_judge_nor_count(folder: Path, recorded: Rows) -> N
     assert training.test_probabilities.shape == (len(own.labels), 2)
 
 
-@pytest.mark.parametrize("n_channels", [1, 2])
+@pytest.mark.parametrize("n_channels", few([2, 1]))
 def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, capsys: Any) -> None:
     """Bands of a rustle are clear at 30 dB, and drowned where noise is as strong; the model says why."""
     rows = []

@@ -25,6 +25,7 @@ from cgid.striker.columns import matched
 from cgid.striker.population import beam_behind, fit_through_beam
 from cgid.striker.posterior import LEVELS, QUANTITIES
 from cgid.striker.recognition import forces, of_material, through_beam
+from tests import few
 from tests.bad_input import pulse
 
 RATE = 2e5
@@ -65,7 +66,7 @@ def frames_of(scene, n, seed=5):
 # -- the posterior ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("deviations", [(0.2, 0.1, 0.2), (0.1, 0.1, 0.6), (0.3, 0.3, 0.1)])
+@pytest.mark.parametrize("deviations", few([((0.2, 0.1, 0.2),), ((0.1, 0.1, 0.6),), ((0.3, 0.3, 0.1),)]))
 def test_posterior_is_that_of_all_draws_weighted_by_likelihood(population, deviations):
     """Slow twin: every draw of the population, none moved, its weight the Gaussian of all three numbers."""
     rng = np.random.default_rng(3)
