@@ -42,12 +42,13 @@ def row_of(specimen: Specimen, folder: Path, n_samples: int) -> tuple[str, ...]:
     error = np.abs(expected - written).max() if expected.shape == written.shape and not told else np.inf
     rate = open_recording(path, **specimen.options).sampling_rate
     assert abs(rate - RATE) < 1e-6 * RATE
+    unit_option = "`--full-scale`" if "full_scale" in specimen.options else "`--unit`"
     return (
         specimen.name,
         specimen.writer,
         f"{error:.0e}" if error else "exact",
         "found" if _stated(path, specimen, "sampling_rate") else "`--rate`",
-        "found" if _stated(path, specimen, "unit") else "`--unit`",
+        "found" if _stated(path, specimen, "unit") else unit_option,
         f"{growth(specimen, folder, n_samples):.2f}",
         *damaged(path, specimen, expected),
     )

@@ -89,7 +89,7 @@ def recording(folder: Path, minutes: float) -> None:
         for second, _ in zip(seconds_of(RECORDING_RATE, N_CHANNELS, 0), range(duration), strict=False):
             file.writeframes(second.tobytes())
     print(f"recording: {duration} s, {N_CHANNELS} channels, {RECORDING_RATE} Hz, {path.stat().st_size >> 20} MiB")
-    arguments = ["-m", "cgid", "predict", str(path), "--unit", "m/s^2", "--json"]
+    arguments = ["-m", "cgid", "predict", str(path), "--full-scale", f"{FULL_SCALE:g} m/s^2", "--json"]
     for name, run in (("read", timed(["-c", _READ, str(path)])), ("predict", timed(arguments))):
         found = f", {len(lines_of(run, 'impact'))} impacts" if name == "predict" else ""
         print(

@@ -240,15 +240,16 @@ def _parquet(path: Path, samples: np.ndarray, rate: float) -> None:
 
 
 _WITHOUT_UNIT: dict[str, Any] = {"options": {"unit": UNIT}, "says_unit": False}
+_OF_FULL_SCALE: dict[str, Any] = {"options": {"unit": UNIT, "full_scale": 1}, "says_unit": False}
 
 SPECIMENS: tuple[Specimen, ...] = (
     Specimen("CSV", ".csv", _csv, "pandas"),
     Specimen("TXT, decimal comma", ".txt", _german, "pandas"),
     Specimen("LVM", ".lvm", _lvm, "numpy"),
-    Specimen("WAV 8 bit", ".wav", _wav("uint8"), "scipy", resolution=2**-8, **_WITHOUT_UNIT),
-    Specimen("WAV 16 bit", ".wav", _wav("int16"), "scipy", resolution=2**-16, **_WITHOUT_UNIT),
-    Specimen("WAV 24 bit", ".wav", _sound("PCM_24", "WAV"), "soundfile", resolution=2**-23, **_WITHOUT_UNIT),
-    Specimen("WAV 32 bit", ".wav", _wav("int32"), "scipy", resolution=2**-32, **_WITHOUT_UNIT),
+    Specimen("WAV 8 bit", ".wav", _wav("uint8"), "scipy", resolution=2**-8, **_OF_FULL_SCALE),
+    Specimen("WAV 16 bit", ".wav", _wav("int16"), "scipy", resolution=2**-16, **_OF_FULL_SCALE),
+    Specimen("WAV 24 bit", ".wav", _sound("PCM_24", "WAV"), "soundfile", resolution=2**-23, **_OF_FULL_SCALE),
+    Specimen("WAV 32 bit", ".wav", _wav("int32"), "scipy", resolution=2**-32, **_OF_FULL_SCALE),
     Specimen("WAV float", ".wav", _wav("float32"), "scipy", **_WITHOUT_UNIT),
     Specimen("WAV double", ".wav", _wav("float64"), "scipy", **_WITHOUT_UNIT),
     Specimen(
@@ -268,7 +269,7 @@ SPECIMENS: tuple[Specimen, ...] = (
     Specimen("TDMS", ".tdms", _tdms, "nptdms"),
     Specimen("UFF-58 ASCII", ".uff", _uff(0), "pyuff", resolution=1e-11),
     Specimen("UFF-58 binary", ".uff", _uff(1), "pyuff"),
-    Specimen("FLAC", ".flac", _sound("PCM_24", "FLAC"), "soundfile", resolution=2**-23, **_WITHOUT_UNIT),
-    Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.2, **_WITHOUT_UNIT),
+    Specimen("FLAC", ".flac", _sound("PCM_24", "FLAC"), "soundfile", resolution=2**-23, **_OF_FULL_SCALE),
+    Specimen("OGG", ".ogg", _sound("VORBIS", "OGG"), "soundfile", resolution=0.2, **_OF_FULL_SCALE),
     Specimen("Parquet", ".parquet", _parquet, "pyarrow"),
 )

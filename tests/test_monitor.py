@@ -224,7 +224,7 @@ def test_windows_are_monitored(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (b"\0" * 4000, ["--rate", "1e5", "--channels", "1"], 2, "--sample-format"),
         (b"\0" * 4000, [*RAW[:5], "f31le"], 65, "f31le"),
         (b"\0" * 4000, RAW[:6], 2, "--unit"),
-        (b"\0" * 4000, [*RAW[:5], "s16le"], 65, "say with --unit what 1 stands for"),
+        (b"\0" * 4000, [*RAW[:5], "s16le"], 65, "--full-scale"),
         (b"\xff" * 4000, RAW, 65, "samples must be finite"),
         (b"RIFF" + b"\0" * 40, [], 65, "WAV"),
         (b"\0" * 4000, [*RAW, "--full-scale", "0"], 65, "full_scale must be above 0"),

@@ -423,7 +423,7 @@ def test_truncated_wav_is_answered_with_a_warning(tmp_path: Path, capsys: pytest
     wavfile.write(tmp_path / "w.wav", int(RATE), (force / np.abs(force).max() * 32767).astype(np.int16))
     raw = (tmp_path / "w.wav").read_bytes()
     (tmp_path / "cut.wav").write_bytes(raw[: len(raw) * 15 // 16 + 1])
-    assert run(["predict", str(tmp_path / "cut.wav"), "--unit", "kN", "--json"]) == 0
+    assert run(["predict", str(tmp_path / "cut.wav"), "--full-scale", "1 kN", "--json"]) == 0
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
     assert len(of_kind(rows, "impact")) == 4
@@ -431,7 +431,7 @@ def test_truncated_wav_is_answered_with_a_warning(tmp_path: Path, capsys: pytest
     assert messages
     assert all(message in err for message in messages)
     for command in ("features", "info"):
-        assert run([command, str(tmp_path / "cut.wav"), "--unit", "kN"]) == 0
+        assert run([command, str(tmp_path / "cut.wav"), "--full-scale", "1 kN"]) == 0
         assert all(message in capsys.readouterr().err for message in messages)
 
 

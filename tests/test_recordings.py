@@ -631,7 +631,8 @@ def test_wav_is_scaled_to_full_scale(samples, expected):
     assert (signal.samples.tolist(), signal.sampling_rate) == (expected, 44100)
     assert (signal.unit, signal.quantity) == ("FS", "level")
     assert signal.samples.dtype == (samples.dtype if samples.dtype == np.float32 else np.float64)
-    left, right = read_bytes(wav(np.c_[samples, samples[::-1]]), unit="Pa")
+    full_scale = {} if samples.dtype.kind == "f" else {"full_scale": 1}
+    left, right = read_bytes(wav(np.c_[samples, samples[::-1]]), unit="Pa", **full_scale)
     assert (left.samples.tolist(), right.samples.tolist()) == (expected, expected[::-1])
     assert (left.channel, right.channel, left.unit) == ("1", "2", "Pa")
 

@@ -247,6 +247,50 @@ def test_integers_of_a_recorder_are_right_to_their_rounding(tmp_path: Path) -> N
     assert_same(answers(str(tmp_path / "a.wav"), *stated), expected)
 
 
+def written_as_integers(path: Path, counts: np.ndarray) -> None:
+    """Write counts of 16 bit (n_samples,) without a unit, by another library."""
+    import h5py
+    import pandas
+    import soundfile
+    from scipy.io import savemat, wavfile
+
+    {
+        ".wav": lambda: wavfile.write(path, RATE, counts),
+        ".flac": lambda: soundfile.write(path, counts, RATE, subtype="PCM_16"),
+        ".npy": lambda: np.save(path, counts),
+        ".npz": lambda: np.savez(path, samples=counts),
+        ".mat": lambda: savemat(path, {"samples": counts}),
+        ".tdms": lambda: tdms(path, counts[None], [""]),
+        ".parquet": lambda: pandas.DataFrame({"a": counts}).to_parquet(path),
+        ".h5": lambda: h5py.File(path, "w").create_dataset("samples", data=counts).file.close(),
+    }[path.suffix]()
+
+
+@pytest.mark.parametrize("suffix", [".wav", ".flac", ".npy", ".npz", ".mat", ".tdms", ".parquet", ".h5"])
+def test_integers_need_a_full_scale(suffix: str, tmp_path: Path) -> None:
+    counts = np.rint(blows(2000)[1]).astype(np.int16)
+    written_as_integers(tmp_path / f"a{suffix}", counts)
+    given = {} if suffix in (".wav", ".flac", ".tdms") else {"sampling_rate": RATE}
+    for unit in ("m/s^2", "V"):
+        with pytest.raises(MissingOption, match="--full-scale"):
+            open_recording(tmp_path / f"a{suffix}", unit=unit, **given)
+    scale = "50 g at 16 bit" if suffix in (".mat", ".h5") else "50 g"
+    (found,) = read_recording(tmp_path / f"a{suffix}", full_scale=scale, **given)
+    assert found.unit == "g"
+    np.testing.assert_allclose(found.samples, counts / 2**15 * 50)
+    assert run(["predict", str(tmp_path / f"a{suffix}"), "--rate", str(RATE), "--unit", "m/s^2"]).exit_code == 2
+
+
+def test_integers_whose_unit_the_file_states_and_streams_of_floats_need_no_full_scale(tmp_path: Path) -> None:
+    tdms(tmp_path / "a.tdms", np.arange(2000, dtype=np.int16)[None], ["N"])
+    (found,) = read_recording(tmp_path / "a.tdms")
+    assert found.unit == "N" and found.samples.tolist() == list(range(2000))
+    stream = {"sampling_rate": RATE, "n_channels": 1, "unit": "N"}
+    assert live_stream(io.BytesIO(bytes(8)), sample_format="f32le", **stream).channels[0].unit == "N"
+    with pytest.raises(MissingOption, match="--full-scale"):
+        live_stream(io.BytesIO(bytes(8)), sample_format="s16le", **stream)
+
+
 def test_clipping_is_seen_behind_a_sensitivity(tmp_path: Path) -> None:
     from scipy.io import wavfile
 

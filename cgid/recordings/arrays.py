@@ -117,6 +117,7 @@ def read_npy(path: Path, source: str) -> Contents:
         blocks=blocks,
         n_samples=head.n_samples,
         full_scales=[full_scale_of(head.dtype)] * head.n_channels,
+        integers=[head.dtype.kind in "iu"] * head.n_channels,
     )
 
 
@@ -252,6 +253,7 @@ def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, sou
         n_samples=head.n_samples,
         blocks=blocks,
         full_scale=full_scale_of(head.dtype),
+        is_integer=head.dtype.kind in "iu",
         fault=fault,
     )
 
@@ -366,6 +368,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
             n_samples=array.shape[along],
             blocks=blocks,
             about=about,
+            is_integer=array.is_integer and (factor, offset) == (1.0, 0.0),
             fault=array.fault,
             warning=array.warning,
         )

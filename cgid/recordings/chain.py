@@ -262,6 +262,8 @@ class Chain:
         if scale is not None:
             own, factor = _full_scale(scale, own, contents, index, source)
             origin.append(f"{scale.text} at full scale")
+        else:
+            _require_full_scale(own, contents, index, source)
         gain, _ = self.gain.at(index, contents, source)
         if gain is not None and not gain.is_of_charge:
             factor /= gain.value
@@ -318,7 +320,7 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Contents, index:
             f"{name}: full_scale must be of the quantity of the samples, got {scale.text} where file or --unit say "
             f"{stated} ({quantity_of(stated)}); leave one out"
         )
-    largest = contents.full_scales[index] if index < len(contents.full_scales) else None
+    largest = _full_scale_number(contents, index)
     if scale.bits is not None:
         if largest == 1.0:
             raise InvalidValue(
@@ -331,6 +333,24 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Contents, index:
             f"what its largest number is; give the bits of the converter, as in '{scale.value:g} {unit} at 24 bit'"
         )
     return unit, scale.value / largest
+
+
+def _require_full_scale(unit: str | None, contents: Contents, index: int, source: str) -> None:
+    """Raise `MissingOption` for integers whose unit the user states: it does not say how many of it one step is."""
+    is_integer = index < len(contents.integers) and contents.integers[index]
+    if not is_integer or unit is None or unit == "FS" or _of_file(contents.units, index) is not None:
+        return
+    bits = "" if _full_scale_number(contents, index) else " at 24 bit"
+    example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
+    raise MissingOption(
+        f"{_name(contents, index, source)}: the samples are integers, and the unit ({unit}) does not say how many "
+        f"{unit} full scale is; give it as in --full-scale '{example}{bits}'"
+    )
+
+
+def _full_scale_number(contents: Contents, index: int) -> float | None:
+    """Return the number that stands for full scale, None if the file does not say it."""
+    return contents.full_scales[index] if index < len(contents.full_scales) else None
 
 
 def _charge_gain(

@@ -134,7 +134,7 @@ def live_stream(
             file=file,
             coding=head.coding,
             sampling_rate=given or head.sampling_rate,
-            **_channels(head.n_channels, unit, "FS", chain, source),
+            **_channels(head.n_channels, head.coding, unit, "FS", chain, source),
             source=source,
             size=head.data_size if 0 < head.data_size < ENDLESS else None,
             warnings=head.warnings,
@@ -154,16 +154,22 @@ def live_stream(
         file=file,
         coding=coding,
         sampling_rate=given,
-        **_channels(n_channels, unit, None if coding.kind == "f" else "FS", chain, source),
+        **_channels(n_channels, coding, unit, None if coding.kind == "f" else "FS", chain, source),
         source=source,
         head=start,
     )
 
 
-def _channels(n: int, unit: str | None, fallback: str | None, chain: Chain | None, source: str) -> dict[str, Any]:
+def _channels(
+    n: int, coding: Coding, unit: str | None, fallback: str | None, chain: Chain | None, source: str
+) -> dict[str, Any]:
     """Return the channels of a stream and the factors of their samples."""
     contents = Contents(
-        n_channels=n, blocks=lambda length, channels: iter(()), fallback_unit=fallback, full_scales=[1.0] * n
+        n_channels=n,
+        blocks=lambda length, channels: iter(()),
+        fallback_unit=fallback,
+        full_scales=[1.0] * n,
+        integers=[coding.kind != "f"] * n,
     )
     links = (chain or Chain()).links(contents, range(n), unit, source)
     return {

@@ -95,7 +95,8 @@ def read_parquet(path: Path, source: str) -> Contents:
         units=units,
         sampling_rate=rate,
         rate_from=rate_from,
-        full_scales=[file.full_scale(name) for name, *_ in kept],
+        full_scales=[full_scale_of(file.dtype(name)) for name, *_ in kept],
+        integers=[file.dtype(name).kind in "iu" for name, *_ in kept],
         sensitivities=[_own(stated_sensitivities, values, file.said) for _, _, values, _ in kept],
         gains=[_own(stated_gains, values, file.said) for _, _, values, _ in kept],
         start_time=start,
@@ -166,12 +167,10 @@ class _Parquet:
             is_stamp = pa.types.is_timestamp(one.type) or pa.types.is_duration(one.type)
             yield one.name, "number" if is_number else "timestamp" if is_stamp else "other", _texts(one.metadata)
 
-    def full_scale(self, name: str) -> float | None:
-        """Return the number of full scale of a column of integers, None if it is not known."""
-        import pyarrow as pa
-
-        kind = self._schema.field(name).type
-        return full_scale_of(np.dtype(kind.to_pandas_dtype())) if pa.types.is_integer(kind) else None
+    def dtype(self, name: str) -> np.dtype[Any]:
+        """Return the type of a column of numbers."""
+        dtype: np.dtype[Any] = np.dtype(self._schema.field(name).type.to_pandas_dtype())
+        return dtype
 
     def first_time(self, name: str) -> datetime | None:
         """Return the first timestamp of a column."""

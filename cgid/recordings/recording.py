@@ -55,6 +55,7 @@ class Contents:
     fallback_unit : unit if neither the file nor the user gives one
     full_scales : one per channel, the number of full scale: 1 in sound files, 2^15 in integers of 16 bit; None if
         the file does not say it
+    integers : one per channel, whether the samples were integers, whose unit alone says nothing about their size
     sensitivities, gains : one text per channel, such as "10.2 mV/g", None if the file states none; they count for
         samples in volts or coulombs
     start_time : time of the first sample, as stated by the file
@@ -70,6 +71,7 @@ class Contents:
     rate_from: str = "header"
     fallback_unit: str | None = None
     full_scales: Sequence[float | None] = ()
+    integers: Sequence[bool] = ()
     sensitivities: Sequence[str | None] = ()
     gains: Sequence[str | None] = ()
     start_time: datetime | None = None

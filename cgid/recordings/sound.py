@@ -258,6 +258,7 @@ def read_wav(path: Path, source: str) -> Contents:
         rate_from="header of the WAV file",
         fallback_unit="FS",
         full_scales=[1.0] * head.n_channels,
+        integers=[head.coding.kind != "f"] * head.n_channels,
         start_time=head.start_time,
         warnings=warnings,
     )
@@ -342,6 +343,7 @@ def read_audio(path: Path, source: str) -> Contents:
         rate_from="header of the audio file",
         fallback_unit="FS",
         full_scales=[1.0] * n_channels,
+        integers=[True] * n_channels,
         warnings=sound.warnings,
     )
 

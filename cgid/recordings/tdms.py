@@ -141,6 +141,7 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
         about=about,
         # That of the numbers after the scales of NI, which nptdms applies.
         full_scale=full_scale_of(channel.dtype),
+        is_integer=channel.dtype.kind in "iu",
     )
 
 

@@ -262,6 +262,7 @@ class Variable:
     blocks : as in `Contents`
     about : named values attached to it
     full_scale : number of full scale of integers, None if unknown
+    is_integer : whether it holds integers
     fault : why its samples cannot be read, "" if they can
     warning : which samples are missing, "" if none
     """
@@ -273,6 +274,7 @@ class Variable:
     group: str = ""
     about: Values = field(default_factory=dict)
     full_scale: float | None = None
+    is_integer: bool = False
     fault: str = ""
     warning: str = ""
 
@@ -373,6 +375,7 @@ def contents_of(
         sampling_rate=rates[0][0],
         rate_from=rates[0][1],
         full_scales=[one.full_scale for one in chosen for _ in range(one.n_channels)],
+        integers=[one.is_integer for one in chosen for _ in range(one.n_channels)],
         sensitivities=sensitivities,
         gains=gains,
         start_time=start,

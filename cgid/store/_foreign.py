@@ -84,7 +84,7 @@ def foreign_survey(path: str, source: str, wanted: Sequence[str]) -> dict[str, A
                     said.setdefault(group, {})[last] = value
             elif item.dtype.kind in "iuf" and matlab != "logical" and item.size:  # logical arrays are not samples
                 fault, warning = storage_fault(item, size), missing_chunks(item)
-                about = {"name": name, "shape": item.shape, "attributes": values}
+                about = {"name": name, "shape": item.shape, "attributes": values, "is_integer": item.dtype.kind != "f"}
                 arrays.append({**about, "fault": fault, "warning": warning})
     return {"arrays": arrays, "said": said, "texts": texts}
 

@@ -373,6 +373,7 @@ class ForeignArray:
 
     name : its path, separated by slashes
     attributes : numbers, texts, and lists of texts
+    is_integer : whether it holds integers
     fault : why the samples cannot be read, "" if they can
     warning : the missing parts, "" if there are none
     """
@@ -380,6 +381,7 @@ class ForeignArray:
     name: str
     shape: tuple[int, ...]
     attributes: dict[str, Any]
+    is_integer: bool
     fault: str
     warning: str
 
