@@ -402,3 +402,106 @@ def test_a_labelled_dataset_trains_itself() -> None:
     hint = diagnosis.hint()
     assert hint is not None
     assert hint.commands == ("cgid train mine.h5 -o mine.npz", "cgid predict mine.h5 --model mine.npz")
+
+
+# -- the level ----------------------------------------------------------------------------------------
+
+
+@cache
+def own_answers(model: str, factor: float) -> tuple[Answer, ...]:
+    """Return the answers for 400 impacts of the scene of a model, 120 of a beam, their samples times a factor."""
+    scene = load_scene(ROOT / "datasets" / ("tail_beam.toml" if "acceleration" in model else "reference.toml"))
+    shipped, found = Model.load(ROOT / "models" / f"{model}.npz"), []
+    for batch in synthesise(scene, 120 if shipped.beam else 400, 77):
+        heights = batch.drop_heights() if shipped.known else None
+        found += identify_frames(
+            factor * batch.signals, batch.sampling_rate, shipped, pre_trigger=batch.pre_trigger, drop_height=heights
+        )
+    return tuple(found)
+
+
+def level_of(model: str, answers: tuple[Answer, ...], *, live: bool = False) -> str | None:
+    shipped = Model.load(ROOT / "models" / f"{model}.npz")
+    diagnosis = Diagnosis(shipped, shipped.sampling_rates[0], "x")
+    diagnosis.add(answers)
+    return diagnosis.level_warning(live=live)
+
+
+SHIPPED = ["default", "default-drop-height", "default-acceleration"]
+
+
+@pytest.mark.parametrize("model", SHIPPED)
+def test_a_factor_adds_its_logarithm_to_the_levels(model: str) -> None:
+    own, scaled = ([one.level for one in own_answers(model, factor)] for factor in (1.0, 9.81))
+    assert np.isfinite(own).all()
+    # A fit may end elsewhere.
+    assert np.median(np.abs(np.subtract(scaled, own) - np.log(9.81))) < 1e-6
+
+
+@pytest.mark.parametrize("model", SHIPPED)
+def test_a_wrong_scale_is_told_from_ten_impacts_on(model: str) -> None:
+    own, wrong = own_answers(model, 1.0), own_answers(model, 9.81)
+    assert sum(one.label == "unknown" for one in wrong) < len(wrong) / 2
+    for size, most in ((10, 1), (30, 0), (100, 0)):
+        parts = [slice(first, first + size) for first in range(0, len(own), size)]
+        assert sum(level_of(model, own[part]) is not None for part in parts) <= most
+    # Of those of 9.81, some have a hint instead: most of their impacts are unknown.
+    told = [level_of(model, wrong[first : first + 10]) for first in range(0, len(wrong), 10)]
+    assert sum(one is not None for one in told) >= 0.75 * len(told)
+    assert level_of(model, wrong[:9]) is None
+    text = level_of(model, wrong)
+    assert text is not None
+    assert ("9.81" in text) == (model == "default-acceleration")
+    assert 6 < float(text.partition("about ")[2].split()[0]) < 16
+    small = level_of(model, own_answers(model, 0.102))
+    assert small is not None and "small" in small
+
+
+@pytest.mark.parametrize("model", SHIPPED)
+def test_a_factor_of_two_is_told_with_many_impacts(model: str) -> None:
+    assert level_of(model, own_answers(model, 2.0)) is not None
+
+
+def test_a_hint_and_a_warning_of_the_level_are_never_both_given() -> None:
+    model = Model.load(ROOT / "models" / "default.npz")
+    for factor in (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3):
+        diagnosis = Diagnosis(model, RATE, "x")
+        diagnosis.add(own_answers("default", factor))
+        assert (diagnosis.hint() is None) == (diagnosis.level_warning() is not None)
+
+
+def test_a_live_stream_is_looked_at_less_and_less_often() -> None:
+    diagnosis, looks = Diagnosis(BEAM, BEAM_RATE, "x"), []
+    for number, answer in enumerate(own_answers("default-acceleration", 9.81), start=1):
+        diagnosis.add([answer])
+        if diagnosis.level_warning(live=True) is not None:
+            looks.append(number)
+    assert looks == [10, 30, 90]
+
+
+def test_a_vibration_far_from_the_scale_of_the_beam_is_told_by_its_amplitude() -> None:
+    diagnosis = Diagnosis(BEAM, BEAM_RATE, "x")
+    diagnosis.add(one for one in own_answers("default-acceleration", 1e5))
+    hint = diagnosis.hint()
+    assert hint is not None and hint.cause == "amplitude"
+    assert diagnosis.level_warning() is None
+
+
+def test_commands_tell_a_wrong_scale_once(
+    beam: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = ["--rate", "25600", "--unit", "m/s^2", "--json"]
+    raw = ["--channels", "1", "--sample-format", "f32le"]
+    for factor in (1.0, 9.81):
+        np.save("x.npy", factor * beam[: 12 * 25_600])
+        (factor * beam[: 12 * 25_600]).astype("<f4").tofile("x.f32")
+        commands = (["predict", "x.npy", "--report", "x.html", "--overwrite"], ["monitor", "x.f32", *raw])
+        for command in commands:
+            assert run([*command, *given]) == 0
+            out, err = capsys.readouterr()
+            lines = [json.loads(line) for line in out.splitlines()]
+            messages = [line["message"] for line in lines if line["kind"] == "warning"]
+            assert len(messages) == (factor != 1)
+            assert all("9.81" in message and message in err for message in messages)
+        assert ("9.81" in Path("x.html").read_text()) == (factor != 1)

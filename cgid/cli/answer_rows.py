@@ -265,6 +265,7 @@ class RecordingRows:
         self._numbers: Counter[str] = Counter()
         self._diagnosis = diagnosis
         self.hint: Hint | None = None
+        self.level: str | None = None
         self._measured = always
         self._silent: tuple[str, ...] = ()
         self._held_answers: list[Answer] = []
@@ -295,6 +296,8 @@ class RecordingRows:
             self._diagnosis.upside_down.update(step.upside_down)
             if self._always and self._diagnosis.is_clear:
                 self._print_hint()
+            if self._always:
+                self._print_level(live=True)
 
     def finish(self, duration: float, start_time: Any = None) -> None:
         """Print the rest at the end of a recording of this duration [s], and its silent channels.
@@ -323,6 +326,16 @@ class RecordingRows:
         if self.tally.total > 1 or self._always:
             self.lines.summary(self.source, self.tally, duration, start_time)
         self._print_hint()
+        self._print_level()
+
+    def _print_level(self, *, live: bool = False) -> None:
+        """Print once that the level is not that of the training, unless a hint says why."""
+        if self._diagnosis is None or self.hint is not None or self.level is not None:
+            return
+        text = self._diagnosis.level_warning(live=live)
+        if text is not None:
+            self.level = f"{self.source}: {text}"
+            self.lines.warning(self.source, self.level)
 
     def _print_hint(self) -> None:
         """Print the hint once, if there is one."""

@@ -87,7 +87,7 @@ def _report(recording: RecordingFile, passing: _Passing, model: Model, model_nam
         shares=rows.shares,
         turns=rows.turns,
         threshold=rows.threshold,
-        warnings=recording.warnings,
+        warnings=(*recording.warnings, *([rows.level] if rows.level else ())),
         unit_of_decision=rows.kind,
         hint=rows.hint,
     )
@@ -194,6 +194,8 @@ class _Prediction:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
         if (hint := diagnosis.hint()) is not None:
             self.lines.hint(path, hint)
+        elif (level := diagnosis.level_warning()) is not None:
+            self.lines.warning(path, f"{path}: {level}")
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:
         """Print the answer for one signal of a dataset."""

@@ -57,6 +57,8 @@ class Answer:
         What puts it outside of the training range; None where it lies inside or could not be measured.
     unexplained : float
         Share of its energy that the model's beam leaves unexplained [%]; nan without a beam or a measurement.
+    level : float
+        Logarithm of its peak force over what the training expects of such a pulse; nan without one.
     striker : mapping or None
         What struck, where the question asks for it.
     """
@@ -75,6 +77,7 @@ class Answer:
     cut: bool = False
     cause: Cause | None = None
     unexplained: float = float("nan")
+    level: float = float("nan")
     striker: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
@@ -115,7 +118,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     if signal.unit is None:
         raise MissingOption(
             f"{signal.name}: the unit must be known, neither header nor option says it; give --unit, such as "
-            f"{_unit_options(model)}"
+            f"{_unit_options(model)}, and for integers --full-scale, too, such as --full-scale '500 g'"
         )
     if model.quantity not in ELECTRICAL:
         require_measured(signal.unit, signal.name)
@@ -126,9 +129,10 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
             cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
         elif signal.quantity == "level":
+            example = "500 g" if model.quantity == "acceleration" else "2 kN"
             cure = (
-                f"say with --unit what 1 stands for, such as {_unit_options(model)}; or how many volts with "
-                "--full-scale '10 V', and the --sensitivity of the sensor"
+                f"say what full scale is, as in --full-scale '{example}', or with --full-scale '10 V' "
+                f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
             )
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
@@ -329,6 +333,7 @@ def answers_from(
     outliers = np.flatnonzero(novelties > 1)
     causes = dict(zip(outliers.tolist(), causes_of(model, inputs[outliers], guards[outliers]), strict=True))
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
+    levels = model.levels(inputs)
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
     for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
@@ -343,6 +348,7 @@ def answers_from(
             prediction_set=labels,
             cause=causes.get(row),
             unexplained=float("nan") if column is None else float(column[row]),
+            level=float(levels[row]),
         )
 
 

@@ -132,6 +132,16 @@ class Neighbourhood:
         white = offsets @ np.swapaxes(self.whitening, 1, 2)
         return _or_infinite(np.sqrt(np.sum(white**2, axis=2)).min(axis=0) / self.limit)
 
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of all classes together, (n_features, n_features), of rows whose mean is 0."""
+        # The classes have the shares with which their centres have a mean of 0.
+        system = np.vstack([self.centres.T, np.ones(len(self.centres))])
+        shares = np.maximum(np.linalg.lstsq(system, np.eye(len(system))[-1], rcond=None)[0], 0)
+        inner = np.linalg.inv(np.swapaxes(self.whitening, 1, 2) @ self.whitening)
+        outer = self.centres[:, :, None] * self.centres[:, None]
+        return np.asarray(np.tensordot(shares / shares.sum(), inner + outer, 1))
+
     def foremost(self, standardised: Floats) -> NDArray[np.intp]:
         """Return the number of the feature that adds most to the squared distance of each row, (n,)."""
         offsets = standardised[None] - self.centres[:, None]

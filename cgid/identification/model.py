@@ -38,7 +38,7 @@ from cgid.identification.model_file import (
 )
 from cgid.identification.reference import equalisations_of
 from cgid.measure.beam import Beam
-from cgid.measure.features import kind_of
+from cgid.measure.features import FEATURES, kind_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import Kind
 from cgid.units import quantity_of
@@ -309,6 +309,41 @@ class Model:
     def confusion(self) -> Confusion | None:
         """What it answers to rocks in streams; None if it was not finished on streams."""
         return Confusion.from_arrays(self.arrays)
+
+    @cached_property
+    def _level_weights(self) -> tuple[Floats, float] | None:
+        """Weights of the standardised inputs, (n_inputs,), for the level, and its standard deviation in the training.
+
+        The weighted sum is the best linear estimate of the logarithm of a factor on the signal: the peak force without
+        what the other quantities of the pulse, which no factor changes, say about it. Uncertainties are left out: they
+        depend on the noise.
+        """
+        units = [FEATURES[name].unit if name in FEATURES else "" for name in self.inputs]
+        scaled = np.array([unit in ("U", "N") for unit in units])
+        certain = np.array([not name.endswith(("deviation", "correlation")) for name in self.inputs])
+        used = scaled | (certain & ["U" not in unit for unit in units])
+        is_pulse = self.kind == "pulse" or self.beam is not None
+        if not is_pulse or not scaled.any() or not self._standardiser.logarithmic[scaled].all():
+            return None
+        shift = (scaled / self._standardiser.scale)[used]
+        solved = np.linalg.solve(self.neighbourhood.covariance[np.ix_(used, used)], shift)
+        weights = np.zeros(len(used))
+        weights[used] = solved / (shift @ solved)
+        return weights, float(1 / np.sqrt(shift @ solved))
+
+    @property
+    def level_deviation(self) -> float:
+        """Standard deviation of `levels` in the training; 0 if the model has no levels."""
+        return 0.0 if self._level_weights is None else self._level_weights[1]
+
+    def levels(self, inputs: Floats) -> Floats:
+        """Return the logarithm of each peak force over what the training expects of such a pulse, (n_impacts,).
+
+        A factor on the signal adds its logarithm. Not a number if the model looks at no contact force.
+        """
+        if self._level_weights is None:
+            return np.full(len(inputs), np.nan)
+        return np.asarray(self._standardised(inputs) @ self._level_weights[0])
 
     def distance(self, inputs: Floats) -> Floats:
         """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""

@@ -46,6 +46,18 @@ _ANOTHER = 0.95
 #: The beam has changed where the latest impacts, so many, surely leave more than this share of their energy unexplained
 #: [%] in the median; surely is by so many deviations of a median. Not less than so many times that of the training.
 _LATEST, CHANGED, _SURE, _OVER_USUAL = (30, 100, 300), 0.5, 4.0, 3.0
+#: Impacts from which on their levels are compared with those of the training, times as many to the next look at a live
+#: stream, and the latest levels kept of a channel.
+_ENOUGH_LEVELS, _NEXT_LOOK, _MOST_LEVELS = 10, 3, 10_000
+#: Levels count up to so many standard deviations from their median; the upper end of n levels, their mean and standard
+#: deviation together, is about this one in the training. In standard deviations of the training.
+_CLIPPED, _UPPER = 2.0, 0.85
+#: The upper end of n levels lies above and below that by more than sqrt(a / n + b) in less than one of 200 recordings
+#: each, by simulation (benchmarks/wrong_scale.py): (a, b) above and below, for a force and for what a beam gives. Slow
+#: rebounds on a beam only lower the level.
+_SPREAD = {False: ((7.0, 0.10), (10.0, 0.12)), True: ((3.5, 0.05), (15.0, 0.34))}
+#: Between these factors g and m/s^2 may have been confused.
+_LIKE_G = (5.0, 20.0)
 #: Share of answers without any mark from which these, and not the marks, decide on the cause.
 _UNMARKED = 0.25
 
@@ -120,6 +132,7 @@ def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
     names = [name.split(" of channel ")[0] for name in model.inputs]
     units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
     logarithmic = np.array([unit.startswith("log10") for unit in units])
+    units = ["U" if unit == "N" else unit for unit in units]  # a force that is recovered through a beam
     powers = np.array([2.0 if f"{symbol}^2" in unit else float(symbol in unit) for unit in units])
     if symbol == "s":
         powers[logarithmic] = 0.0
@@ -221,6 +234,8 @@ class ChannelAnswers:
     latest: float = -np.inf
     problems: Counter[str] = field(default_factory=Counter)
     unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST[-1]))
+    levels: deque[float] = field(default_factory=lambda: deque(maxlen=_MOST_LEVELS))
+    n_levels: int = 0
 
     def left(self) -> tuple[float, list[float]]:
         """Return what the median of the latest impacts surely leaves unexplained [%], and what these leave.
@@ -273,6 +288,7 @@ class Diagnosis:
         self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
         self._channels: dict[str, ChannelAnswers] = {}
         self.upside_down: set[str] = set()
+        self._next_look = _ENOUGH_LEVELS
 
     def add(self, answers: Iterable[Answer]) -> None:
         """Count more answers."""
@@ -285,6 +301,9 @@ class Diagnosis:
             channel.n_unmarked += not marked
             if np.isfinite(answer.unexplained) and not (crowded or answer.overlapping or answer.clipped or answer.cut):
                 channel.unexplained.append(answer.unexplained)
+            if np.isfinite(answer.level):
+                channel.levels.append(answer.level)
+                channel.n_levels += 1
             if answer.label != UNKNOWN:
                 continue
             channel.n_unknown += 1
@@ -357,6 +376,26 @@ class Diagnosis:
             channels=() if len(own) == len(self._channels) else tuple(own),
             n_unknown=sum(self._channels[name].n_unknown for name in own),
             n_answers=sum(self._channels[name].n_answers for name in own),
+        )
+
+    # -- the level ------------------------------------------------------------------------------------
+
+    def level_warning(self, *, live: bool = False) -> str | None:
+        """Return one line if the levels are not those of the training, None if they are or a hint says why not.
+
+        A live stream is looked at when it has three times as many impacts as at the last look: a chance for each look.
+        """
+        if live:
+            if max((channel.n_levels for channel in self._channels.values()), default=0) < self._next_look:
+                return None
+            self._next_look *= _NEXT_LOOK
+        factors = {name: _factor_of(channel.levels, self._model) for name, channel in self._channels.items()}
+        factors = {name: factor for name, factor in factors.items() if factor != 1}
+        if not factors or self.hint() is not None:
+            return None
+        one = len(self._channels) == 1
+        return "; ".join(
+            ("" if one else f"channel {name}: ") + _level_text(factor, self._model) for name, factor in factors.items()
         )
 
     # -- words ----------------------------------------------------------------------------------------
@@ -478,6 +517,33 @@ class Diagnosis:
             "cgid train site.toml -o site.npz",
             self._predict("--model", "site.npz"),
         )
+
+
+def _factor_of(levels: Sequence[float], model: Model) -> float:
+    """Return the likely factor of a signal with these levels; 1 if they are as in recordings like the training's."""
+    n, deviation = len(levels), model.level_deviation
+    if n < _ENOUGH_LEVELS or not deviation:
+        return 1.0
+    scaled = np.array(levels) / deviation
+    middle = np.median(scaled)
+    scaled = np.clip(scaled, middle - _CLIPPED, middle + _CLIPPED)
+    excess = float(scaled.mean() + scaled.std()) - _UPPER
+    chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
+    # What the training itself does not know for few impacts counts as well.
+    limit = np.sqrt(chance / n + chance / model.training.get("n_train", np.inf) + spread)
+    return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
+
+
+def _level_text(factor: float, model: Model) -> str:
+    """Return both explanations of a level that is not that of the training."""
+    size = max(factor, 1 / factor)
+    side = "large" if factor > 1 else "small"
+    is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < size < _LIKE_G[1]
+    as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
+    return (
+        f"the forces are about {size:.2g} times as {side} as in the training: the scale of the samples is wrong{as_g}, "
+        "or the rocks are of other sizes, drop heights or kinds; check unit, sensitivity, gain and full scale"
+    )
 
 
 def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:

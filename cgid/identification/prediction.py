@@ -15,6 +15,7 @@ from cgid import validation
 from cgid.errors import BadData, MissingOption
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
+from cgid.identification.next_steps import Diagnosis
 from cgid.identification.question import Question
 from cgid.identification.stream import factor_of, identify_blocks
 from cgid.recordings import read_recording
@@ -164,11 +165,15 @@ def predict(
     blocks = scaled(gaps.marked([np.stack([signal.samples for signal in signals])]), factors)
     names = [signal.channel for signal in signals]
     answers: list[Answer] = []
+    diagnosis = Diagnosis(chosen, first.sampling_rate, first.source)
     for step in identify_blocks(blocks, first.sampling_rate, chosen, names, question, first.source):
         answers += step.answers
         for text in (*step.silent, *step.warnings):
             warnings.warn(text, stacklevel=2)
     gaps.require(first.source)
+    diagnosis.add(answers)
+    if (level := diagnosis.level_warning()) is not None:
+        warnings.warn(level, stacklevel=2)
     return _table(answers, chosen, question)
 
 
@@ -186,6 +191,7 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
         names=[signal.channel for signal in signals],
         units=[signal.unit for signal in signals],
         full_scales=[largest] * len(signals),
+        integers=[largest is not None] * len(signals),
     )
     links = chain.links(contents, range(len(signals)), unit, signals[0].source)
     with np.errstate(over="ignore"):  # infinite samples are refused
