@@ -85,7 +85,6 @@ COMMANDS = (
     _command("plot: SVG", "plot {inputs}/sample.csv -o {here}/p.svg"),
     _command("plot: PDF", "plot {inputs}/sample.csv -o {here}/p.pdf"),
     _command("predict: report", "predict {inputs}/sample.csv --report {here}/r.html"),
-    _command("ceiling: survey", "ceiling reference -n 300 --plot {here}/c.png", computes=True),
 )
 
 

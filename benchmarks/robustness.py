@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from cgid import plots, shipped
-from cgid.ceiling import ceiling
-from cgid.ceiling.survey import untrusted
+from cgid.ceiling import untrusted
 from cgid.errors import CgidError
 from cgid.identification.answers import identify_frames
 from cgid.identification.metrics import reliability
 from cgid.identification.model import Model
 from cgid.identification.training import train
 from cgid.scene import Scene, load_scene, synthesise, varied
+from studies.ceilings.coloured import limits
 
 HERE = Path(__file__).parent
 COLUMNS = ("model", "axis", "setting", "n", "accuracy", "accuracy_measured", "unmeasured", "flagged", "ece", "ceiling")
@@ -106,7 +106,7 @@ def ceiling_of(scene: Scene, n_signals: int, drop_height_known: bool) -> float:
     if untrusted(scene):
         return float("nan")
     try:
-        found = ceiling(scene, n_signals, _SEED, drop_height_known=drop_height_known)
+        (found,) = limits(scene, n_signals, _SEED, (drop_height_known,))
     except CgidError:
         return float("nan")
     return found.accuracy

@@ -36,7 +36,6 @@ from rock_pulses import CASES, LAWS, RATE, Case, Impacts, record
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
-from cgid.ceiling import ceiling
 from cgid.errors import CgidError
 from cgid.identification.answers import UNKNOWN, identify, identify_frames, suited
 from cgid.identification.classifier import ImpactClassifier
@@ -47,6 +46,7 @@ from cgid.measure.features import choose, extract_array
 from cgid.recordings import read_recording
 from cgid.scene import Scene, load_scene, synthesise, varied
 from cgid.signals import Batch
+from studies.ceilings.coloured import limits as limits_of
 
 Floats = NDArray[np.float64]
 Line = dict[str, Any]
@@ -382,7 +382,7 @@ def table_of_learners(names: Sequence[str], n_test: int, n_ceiling: int, n_large
         line: Line = {"case": name, "to train": n, "accuracy": mean, "its s.e.": (mean * (1 - mean) / n_test) ** 0.5}
         if name in scenes:
             with suppress(CgidError):  # a scene that the ceiling does not cover
-                limit = ceiling(scenes[name], n_ceiling, _JUDGED)
+                (limit,) = limits_of(scenes[name], n_ceiling, _JUDGED)
                 line |= {"ceiling": limit.accuracy, "s.e.": limit.accuracy_error, "below": limit.accuracy - mean}
         families = [family for family, _ in found]
         yield line | {"families": " ".join(f"{families.count(one)} {one}" for one in dict.fromkeys(families))}

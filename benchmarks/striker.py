@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.ceiling.beam import BeamErrors
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.detection import find_impacts
 from cgid.identification.estimation import cramer_rao_bound, estimate
@@ -46,6 +45,7 @@ from cgid.striker.population import beam_behind
 from cgid.striker.posterior import QUANTITIES
 from cgid.striker.recognition import of_material, through_beam
 from cgid.validation import Floats
+from studies.ceilings.beam import BeamErrors
 
 #: No population or training draws from this seed, nor any that is given in its place.
 SEED = 777_000_024

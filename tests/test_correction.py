@@ -144,7 +144,7 @@ def test_labelled_impacts_correct_a_shipped_model(tmp_path: Path, capsys: Any) -
     assert run(arguments) == 0
     said = capsys.readouterr()
     assert "on this site, each of 1" in said.out and "moved bias coal" in said.out
-    assert "would narrow the interval" in said.err and "cgid ceiling" in said.err
+    assert "would narrow the interval" in said.err and "cgid train" in said.err
     assert "Corrected for a site" in (tmp_path / "s.md").read_text()
     assert run([*arguments, "--json", "--overwrite"]) == 0
     told = json.loads(capsys.readouterr().out)

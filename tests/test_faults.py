@@ -327,7 +327,6 @@ def test_a_real_disk_that_is_full_or_read_only(tmp_path, options, code, says):
     [
         "plot sample.csv -o {}/p.png",
         "train reference -o {}/m.npz",
-        "ceiling reference --plot {}/c.png",
         "predict sample.csv --report {}/r.html",
         "generate reference -o {}/d.h5",
         "generate reference --parameters-only -o {}/t.csv",

@@ -1,7 +1,6 @@
 """Crushing with viscous loss: pulses against an integrator, balances by quadrature, limits, scenes, bad input."""
 
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from cgid.ceiling import ceiling
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
 from cgid.physics.materials import Material
@@ -407,14 +405,3 @@ def test_scenes_that_cannot_be(impact, population, says):
     with pytest.raises(BadData) as error:
         scene_of({"dissipation": impact}, population)
     assert says in str(error.value)
-
-
-def two_labels():
-    rock = {key: value for key, value in {**POPULATION, **CRUSHED, **BOTH}.items() if value is not None}
-    stiff = {**rock, "label": "gangue", "yield_pressure": uniform("100 MPa", "400 MPa")}
-    return scene_of({"dissipation": "thornton"}, None, {"relative_noise": 0.01}, populations=[rock, stiff])
-
-
-def test_the_ceiling_says_that_a_bracket_encloses_it():
-    with pytest.raises(InvalidValue, match=re.escape("cgid.ceiling.bracket, encloses it by learners")):
-        ceiling(two_labels(), 100)

@@ -14,6 +14,8 @@ import click
 
 from cgid import __version__
 from cgid.cli.calibrate import calibrate
+from cgid.cli.ceiling import ceiling
+from cgid.cli.check import check
 from cgid.cli.events import events
 from cgid.cli.export import export, export_model
 from cgid.cli.features import features
@@ -25,7 +27,6 @@ from cgid.cli.monitor import monitor
 from cgid.cli.output import drop, heard, open_missing, say, say_error, warn
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
-from cgid.cli.studies import ceiling, check
 from cgid.cli.tap import tap
 from cgid.cli.train import train
 from cgid.cli.verify import verify

@@ -212,7 +212,7 @@ def advice(correction: Correction) -> list[str]:
         lines.append(f"{wanted} labelled impacts would narrow the interval to +- {_NARROW:g}, {n} leave it this wide")
     lines.append(
         "more labels raise the accuracy little, they correct a threshold; a model of this site's beam and rocks raises "
-        "it (cgid calibrate, then cgid train SITE.toml), up to the limit that cgid ceiling SITE.toml computes"
+        "it (cgid calibrate, then cgid train SITE.toml)"
     )
     return lines
 

@@ -13,7 +13,6 @@ from cgid.plots.figure import (
     png,
     require_matplotlib,
     stabilisation_picture,
-    survey_picture,
 )
 from cgid.plots.recording import MOST_CHANNELS, Mark, hertz, overview_figure, recording_picture, written
 
@@ -39,6 +38,5 @@ __all__ = [
     "require_matplotlib",
     "share_figure",
     "stabilisation_picture",
-    "survey_picture",
     "written",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -167,47 +167,6 @@ def _roc(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ..
     axes.plot([0, 1], [0, 1], color="0.7")
     axes.set(xlabel="share of the others taken for it", ylabel="share of it that is found")
     axes.legend()
-    return png(figure)
-
-
-def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, float], here: Any) -> bytes:
-    """Return the ceiling against noise, sampling rate and spread of sizes as PNG.
-
-    Parameters
-    ----------
-    points : dict
-        Points (`cgid.ceiling.survey.Point`) of the axes "snr", "sampling_rate" and "size_spread".
-    present : dict of float
-        Value of the scene on each axis.
-    here : Point
-        Ceiling of the scene itself.
-
-    Returns
-    -------
-    bytes
-    """
-    titles = {
-        "snr": "peak over noise [dB]",
-        "sampling_rate": "sampling rate [Hz]",
-        "size_spread": "largest over smallest rock",
-    }
-    figure = require_matplotlib()(figsize=(10, 3.6), layout="constrained")
-    for axes, (axis, title) in zip(figure.subplots(1, 3, sharey=True), titles.items(), strict=True):
-        held = sorted((p for p in points[axis] if np.isfinite(p.accuracy)), key=lambda p: p.value)
-        for suffix, colour, name in (("", "C0", "drop height not known"), ("_known", "C1", "drop height known")):
-            heights = [getattr(p, f"accuracy{suffix}") for p in held]
-            errors = [2 * getattr(p, f"accuracy{suffix}_error") for p in held]
-            axes.errorbar([p.value for p in held], heights, errors, fmt="o-", color=colour, capsize=2, label=name)
-            if np.isfinite(present[axis]):
-                axes.plot(present[axis], getattr(here, f"accuracy{suffix}"), "D", color=colour, mec="k", ms=8, zorder=3)
-        if np.isfinite(present[axis]):
-            axes.axvline(present[axis], color="0.7", zorder=0, label="now")
-        if axis != "snr":
-            axes.set_xscale("log")
-        axes.set(xlabel=title)
-        axes.grid(alpha=0.3)
-    figure.axes[0].set(ylabel="highest accuracy possible (2 std. errors)")
-    figure.axes[0].legend(fontsize="small")
     return png(figure)
 
 

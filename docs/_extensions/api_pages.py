@@ -83,7 +83,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
             "cgid.store.dataset": ("export",),
         },
     ),
-    "ceiling": ("How well anybody could do: cgid.ceiling", {"cgid.ceiling": None}),
+    "ceiling": ("The best possible accuracy: cgid.ceiling", {"cgid.ceiling": None}),
     "site": ("The beam of a site: cgid.site", {"cgid.site": None}),
     "striker": (
         "What struck, and public recordings: cgid.striker, cgid.public",
@@ -92,7 +92,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
     "output": (
         "Pictures and reports: cgid.plots, cgid.report",
         {
-            "cgid.plots": ("picture", "recording_picture", "share_figure", "survey_picture"),
+            "cgid.plots": ("picture", "recording_picture", "share_figure"),
             "cgid.report": ("Report", "report_page", "write_report"),
         },
     ),

@@ -1,4 +1,4 @@
-"""Pulses in Gaussian noise of a known covariance: pink, of a measured spectrum, hum of random phase, or a sum of these.
+"""The Bayes limit in Gaussian noise of a known covariance: pink, of a measured spectrum, hum of random phase, or a sum.
 
 A pulse is zero outside a window of the frame that begins at touch. The samples outside, before touch and after
 separation, hold noise alone, and tell the expected noise within the window and what remains uncertain of it. With y
@@ -12,15 +12,25 @@ all that a frame tells of its amplitude and phase is used, but not that its ampl
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
+from cgid.ceiling import (
+    NODES,
+    Ceiling,
+    ceilings,
+    check_asked,
+    onset_and_response,
+    true_pulses,
+    uncovered_pulses,
+)
+from cgid.errors import InvalidValue
 from cgid.measure.excerpts import by_length
 from cgid.measure.filters import mixing_matrix
 from cgid.measure.likelihood import Profile, profile
@@ -29,7 +39,6 @@ from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
     free_parameters,
-    parameters_of,
     pulse_and_slopes,
     relative_times,
     shape_deviation,
@@ -38,6 +47,7 @@ from cgid.measure.template import (
 from cgid.scene import Scene
 from cgid.scene.draws import COLOURED
 from cgid.scene.noise import Coloured, colour_of
+from cgid.signals import Batch
 from cgid.validation import Floats
 
 #: White noise that is always added, over the peak: the accuracy of the pulse as a curve.
@@ -50,6 +60,52 @@ _LEVEL_STEP = 0.05
 _ITERATIONS = 10
 #: Room that a window leaves for the most likely pulses of other shapes to be longer.
 _ROOM = 1.15
+
+
+def uncovered(scene: Scene) -> str:
+    """Return what the integration needs that a scene does not have, empty if it covers the scene."""
+    if scene.background is not None and scene.background.recorded is not None:
+        return (
+            "noise of a known spectrum: take [background.recorded] out, or give its spectrum as [background.coloured]"
+        )
+    noise, sensor = noise_of(scene), scene.sensor
+    if sensor.range is not None and (not noise.white or sensor.offset or sensor.drift):
+        return "white noise without offset and drift where a range cuts samples off: take sensor.range out"
+    return uncovered_pulses(scene, noisy=bool(noise.level(np.ones(1)).any()))
+
+
+def limits(
+    scene: Scene,
+    n_signals: int,
+    seed: int,
+    drop_height_known: tuple[bool, ...] = (False,),
+    *,
+    n_nodes: int = NODES,
+    progress: Callable[[int], object] | None = None,
+) -> tuple[Ceiling, ...]:
+    """Return the Bayes limits of the same signals for each value of `drop_height_known`."""
+    check_asked(scene)
+    if rule := uncovered(scene):
+        raise InvalidValue(f"scene {scene.name}: the Bayes limit needs {rule}")
+    # Clipped samples tell that the force was higher, which whitening cannot say.
+    noise = noise_of(scene)
+    along = None if scene.sensor.range is not None else partial(_along, noise)
+    # Signals of equal peaks share most of the work.
+    n_rows = 4096 if noise.mixed else 1024
+    return ceilings(
+        scene, n_signals, seed, drop_height_known, along=along, n_nodes=n_nodes, n_rows=n_rows, progress=progress
+    )
+
+
+def _along(noise: Noise, scene: Scene, batch: Batch, lowest: float, highest: float, n_nodes: int) -> Profile:
+    onset, onset_between, response = onset_and_response(scene, len(batch))
+    sensor, peak = scene.sensor, batch.parameters["peak_force"]
+    shift = (sensor.offset or 0.0) + (sensor.drift or 0.0) / batch.sampling_rate * np.arange(batch.signals.shape[1])
+    first = float(scene.sampling.pre_trigger)
+    frames = Frames(batch.signals - shift, peak, noise, first, onset, response)
+    return profile_in(
+        frames, true_pulses(batch), lowest=lowest, highest=highest, n_nodes=n_nodes, onset_between=onset_between
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,9 +430,3 @@ def _search(points: Whitened, near: Floats, lowest: float, highest: float) -> tu
     unit[:, points.free.index(3)] = 1.0
     spread = solve_scaled(information, unit, 1e-12)[:, points.free.index(3)]
     return best, np.sqrt(np.maximum(spread, 1e-300))
-
-
-def true_parameters(peak: Floats, duration: Floats, onset: Floats, restitution: Floats) -> Floats:
-    """Return (peak, ln width, place, s, 0) of pulses, (n, 5), with duration and onset in samples."""
-    shape = np.log(restitution)
-    return parameters_of(peak, duration / relative_times(shape)[0], onset, shape)

@@ -1,8 +1,10 @@
-"""The ceiling of a scene: the highest accuracy possible given the scene and the signals.
+"""The Bayes limit of a scene: the highest accuracy possible given the scene and the signals.
 
 It is the accuracy of Bayes' rule on many synthetic signals. The probability of a signal under a population is the
 integral of its likelihood over the population's pulses: by quadrature along the shape, by Laplace's approximation over
-peak, duration and (if unknown) onset. The density of the pulses comes from many draws.
+peak, duration and (if unknown) onset. The density of the pulses comes from many draws. Where this does not cover a
+scene, a learner on measured signals bounds its limit from below. Coloured noise, acceleration and bounds from above are
+in `studies/ceilings`.
 """
 
 from __future__ import annotations
@@ -11,23 +13,27 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid import validation
-from cgid.ceiling.coloured import Frames, Noise, noise_of, profile_in, true_parameters
 from cgid.errors import InvalidValue
 from cgid.identification.prior import Prior
+from cgid.measure.features import extract_array
 from cgid.measure.filters import low_pass_response
 from cgid.measure.likelihood import Profile, profile
-from cgid.scene import Scene, load_scene, parse_scene, synthesise
+from cgid.measure.pulses import PULSE_FEATURES
+from cgid.measure.table import Feature
+from cgid.measure.template import parameters_of, relative_times
+from cgid.scene import Scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws
 from cgid.signals import Batch
 from cgid.validation import Floats
+
+__all__ = ["Ceiling", "Learner", "ceiling", "learner", "uncovered", "untrusted"]
 
 #: Most signals to judge or train on: they take hours, and give the accuracy to 1e-4.
 MOST_SIGNALS = 10_000_000
@@ -36,13 +42,23 @@ PRIOR_DRAWS = 1 << 19
 #: Seed of these draws, unlikely to be chosen for the signals.
 _PRIOR_SEED = 0x5EED_0000_C9D1
 #: Number of populations whose draws are cached (8 MiB each); noise and sampling do not change them.
-_KEPT = 8
+_CACHED = 8
 #: Nodes along the shape: half as many change the probability of a signal by up to .1, the accuracy by .0005.
 NODES = 33
-#: Signals integrated at once, and where those of equal peaks share most of the work.
-_ROWS, _MANY_ROWS = 1024, 4096
 #: A population whose ln(restitution) varies by less than this has its own nodes.
 _NARROW = 0.3
+#: Fewest samples per contact (5 % quantile) for which the integration is trusted.
+MIN_SAMPLES = 5.0
+#: Lowest signal over noise [dB]. At 10 dB some initial fits miss the pulse, and the limit of scene peers is .012 too
+#: high against brute force over 65,536 draws of each population; at 15 dB .002 to .005.
+MIN_SNR = 14.0
+#: Fewest signals to train the learner on.
+MIN_TRAINING = 100
+#: Blocks of 256 impacts from which to estimate noise and contacts.
+_BLOCKS = 8
+
+#: Returns the likelihood of a scene's signals along the shape between two bounds, at a number of nodes.
+Along = Callable[[Scene, Batch, float, float, int], Profile]
 
 
 @dataclass(frozen=True)
@@ -91,23 +107,6 @@ class Ceiling:
         true = self.truth[:, None] == np.array(self.labels)[None]
         return np.asarray(np.sum((self.probabilities - true) ** 2, axis=1))
 
-    def roc(self, label: str) -> tuple[Floats, Floats]:
-        """Return false and true positive rate of a label for falling thresholds.
-
-        Parameters
-        ----------
-        label : str
-
-        Returns
-        -------
-        tuple of two ndarray
-            False and true positive rates.
-        """
-        validation.choice("label", label, self.labels)
-        order = np.argsort(-self.probabilities[:, self.labels.index(label)], kind="stable")
-        own = (self.truth == label)[order]
-        return np.cumsum(~own) / max((~own).sum(), 1), np.cumsum(own) / max(own.sum(), 1)
-
     def roc_area(self, label: str) -> float:
         """Return the area under the ROC curve of a label.
 
@@ -119,12 +118,14 @@ class Ceiling:
         -------
         float
         """
-        wrong, right = self.roc(label)
-        return float(np.trapezoid(np.append(0.0, right), np.append(0.0, wrong)))
+        from sklearn.metrics import roc_auc_score
+
+        validation.choice("label", label, self.labels)
+        return float(roc_auc_score(self.truth == label, self.probabilities[:, self.labels.index(label)]))
 
 
 def ceiling(
-    scene: Scene | str | Path,
+    scene: Scene,
     n_signals: int = 20_000,
     seed: int = 1_000_003,
     *,
@@ -135,8 +136,8 @@ def ceiling(
 
     Parameters
     ----------
-    scene : Scene, str or Path
-        Impacts on a half space or a rigid wall, with noise of known level.
+    scene : Scene
+        Impacts on a half space or a rigid wall, in white noise of known level.
     n_signals : int
         At most `MOST_SIGNALS`; the standard error falls with the square root.
     seed : int
@@ -155,57 +156,47 @@ def ceiling(
     InvalidValue
         The integration does not cover the scene, it has a single label, or `n_signals` is out of range.
     """
+    check_asked(scene)
+    if rule := uncovered(scene):
+        raise InvalidValue(
+            f"scene {scene.name}: the Bayes limit needs {rule}; cgid.ceiling.learner bounds it from below"
+        )
     return ceilings(scene, n_signals, seed, (drop_height_known,), progress=progress)[0]
 
 
 def ceilings(
-    scene: Scene | str | Path,
+    scene: Scene,
     n_signals: int,
     seed: int,
     drop_height_known: tuple[bool, ...],
     *,
+    along: Along | None = None,
     n_nodes: int = NODES,
+    n_rows: int = 1024,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Ceiling, ...]:
-    """Return ceilings of the same signals for each value of `drop_height_known`; otherwise as `ceiling`.
+    """Return the limits of the same signals for each value of `drop_height_known`; otherwise as `ceiling`.
 
-    The likelihoods take almost all of the time and do not depend on this. `n_nodes` are those along the shape.
-
-    Parameters
-    ----------
-    scene, n_signals, seed
-        As in `ceiling`.
-    drop_height_known : tuple of bool
-        One ceiling for each.
-    n_nodes : int
-        Nodes of the quadrature along the shape.
-    progress : callable, optional
-        Is called with the number of signals done.
-
-    Returns
-    -------
-    tuple of Ceiling
+    The likelihoods take almost all of the time and do not depend on this. `along` computes them, for white noise by
+    default; `n_nodes` are those along the shape, `n_rows` the signals at once.
     """
-    scene = load_scene(scene)
-    check_covered(scene)
     validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # one signal has no standard error
     known = [
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
     ]
     weights = np.log([population.weight for population in scene.populations])
-    noise = noise_of(scene)
     truth: list[NDArray[np.str_]] = []
     evidence: list[list[Floats]] = [[] for _ in known]
-    for batch in _joined(synthesise(scene, n_signals, seed), _MANY_ROWS if noise.mixed else _ROWS):
+    for batch in _joined(synthesise(scene, n_signals, seed), n_rows):
         truth.append(batch.labels)
         log_speed = np.log(batch.parameters["velocity"])[:, None]
-        profiles = _profiles(scene, batch, noise, known[0], n_nodes)
-        for held, knowledge in zip(evidence, known, strict=True):
+        profiles = _profiles(scene, batch, along or _in_white_noise, known[0], n_nodes)
+        for part, knowledge in zip(evidence, known, strict=True):
             columns = [k.evidence(p, batch, log_speed) for k, p in zip(knowledge, profiles, strict=True)]
-            held.append(np.stack(columns, axis=1) + weights)
+            part.append(np.stack(columns, axis=1) + weights)
         if progress is not None:
             progress(len(batch))
-    return tuple(_by_label(scene, np.concatenate(truth), np.concatenate(held), weights) for held in evidence)
+    return tuple(_by_label(scene, np.concatenate(truth), np.concatenate(part), weights) for part in evidence)
 
 
 def check_asked(scene: Scene) -> None:
@@ -217,24 +208,40 @@ def check_asked(scene: Scene) -> None:
     )
     for wrong, rule in problems:
         if wrong:
-            raise InvalidValue(f"scene {scene.name}: the ceiling needs {rule}")
+            raise InvalidValue(f"scene {scene.name}: the Bayes limit needs {rule}")
 
 
 def uncovered(scene: Scene) -> str:
-    """Return what the integration needs that a scene does not have, empty if it covers the scene."""
-    sensor, background = scene.sensor, scene.background
-    noise = noise_of(scene) if scene.sampling.samples else None
+    """Return what the integration needs that a scene does not have.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    str
+        Empty if it covers the scene.
+    """
+    sensor = scene.sensor
+    if sensor.coloured or scene.background is not None or sensor.offset or sensor.drift:
+        return "white noise alone: take noise_exponent, noise_spectrum, [background], offset and drift out"
+    return uncovered_pulses(scene, noisy=bool(_noise_level(scene, np.ones(1)).any()))
+
+
+def uncovered_pulses(scene: Scene, *, noisy: bool) -> str:
+    """Return what the integration needs of pulses and sensor, whatever the colour of the noise."""
+    sensor = scene.sensor
     problems = (
-        (scene.tail_beam is not None, "the force itself: what a beam makes of it is no member of the family"),
-        (bool(sensor.filters), "the force itself: what a filter makes of it is no member of the family"),
         (
-            background is not None and background.recorded is not None,
-            "noise of a known spectrum: take [background.recorded] out, or give its spectrum as [background.coloured]",
+            scene.tail_beam is not None or sensor.quantity != "force",
+            "the force itself: what a beam makes of it is no member of the family",
         ),
+        (bool(sensor.filters), "the force itself: what a filter makes of it is no member of the family"),
         (sensor.relative_range is not None, "a full scale that does not follow each peak: give sensor.range"),
         (scene.impact.gravity is not None, "impacts without gravity, which the family leaves out"),
         (scene.randomise is not None, "a scene without [randomise]: vary it setting by setting"),
-        (noise is not None and not noise.level(np.ones(1)).any(), "noise: without it every pulse is told exactly"),
+        (not noisy, "noise: without it every pulse is told exactly"),
         (
             getattr(scene.impact.target, "thickness", None) is not None,
             "a half space or a rigid wall: on a plate the pulses are another family",
@@ -249,22 +256,32 @@ def uncovered(scene: Scene) -> str:
             any(p.second_hit is not None or p.clipped_at is not None for p in scene.populations),
             "single hits that no sensor cuts off",
         ),
-        (
-            sensor.range is not None and ((noise is not None and not noise.white) or sensor.offset or sensor.drift),
-            "white noise without offset and drift where a range cuts samples off: take sensor.range out",
-        ),
     )
     return next((rule for wrong, rule in problems if wrong), "")
 
 
-def check_covered(scene: Scene) -> None:
-    """Raise `InvalidValue` if the integration does not cover a scene, or it has a single label."""
-    check_asked(scene)
-    if rule := uncovered(scene):
-        raise InvalidValue(
-            f"scene {scene.name}: the ceiling needs {rule}; cgid ceiling without --plot, or cgid.ceiling.bracket, "
-            f"{'estimates' if scene.tail_beam is not None else 'encloses'} it by learners"
-        )
+def untrusted(scene: Scene) -> str:
+    """Return why Laplace's approximation fails in a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    str
+        Empty if it holds.
+    """
+    sampled = [one.parameters for one in draws(scene, 0, _BLOCKS)]
+    peak, duration = (np.concatenate([d[name] for d in sampled]) for name in ("peak_force", "contact_duration"))
+    rate = scene.sampling.sampling_rate
+    level = float(np.median(20 * np.log10(peak / scene.sensor.noise_level(peak, rate))))
+    if level < MIN_SNR:
+        return f"signal over noise {level:.3g} dB, below {MIN_SNR:g} dB the integration is not trusted"
+    samples = float(np.quantile(duration, 0.05) * rate)
+    if samples < MIN_SAMPLES:
+        return f"{samples:.2g} samples on short contacts, below {MIN_SAMPLES:g} the integration is not trusted"
+    return ""
 
 
 @dataclass(frozen=True)
@@ -310,7 +327,7 @@ def _population_alone(scene: Scene, index: int) -> str:
     return json.dumps({"name": "one", "sampling": frame, **{k: content[k] for k in ("impact", "populations")}})
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_CACHED)
 def _draws(text: str, n_draws: int) -> dict[str, Floats]:
     scene = parse_scene(json.loads(text))
     names = ("peak_force", "contact_duration", "restitution", "velocity")
@@ -340,7 +357,7 @@ def _one(held: list[Batch]) -> Batch:
     )
 
 
-def _profiles(scene: Scene, batch: Batch, noise: Noise, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
+def _profiles(scene: Scene, batch: Batch, along: Along, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
     """Return the likelihood along the shape for each population.
 
     The populations share it, unless the restitution of one hardly varies: then each has its own nodes.
@@ -348,54 +365,52 @@ def _profiles(scene: Scene, batch: Batch, noise: Noise, knowledge: list[_Knowled
     bounds = [k.prior.shape_bounds for k in knowledge]
     if min(high - low for low, high in bounds) > _NARROW:
         bounds = [(min(low for low, _ in bounds), max(high for _, high in bounds))] * len(bounds)
-    # Clipped samples tell that the force was higher, which whitening cannot say.
-    along = _along if scene.sensor.range is None else _along_clipped
-    found = {(low, high): along(scene, batch, noise, low, high, n_nodes) for low, high in set(bounds)}
+    found = {(low, high): along(scene, batch, low, high, n_nodes) for low, high in set(bounds)}
     return [found[bound] for bound in bounds]
 
 
-def _along(scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int) -> Profile:
-    onset, onset_between, response = _touch(scene, len(batch))
-    sensor, peak = scene.sensor, batch.parameters["peak_force"]
-    shift = (sensor.offset or 0.0) + (sensor.drift or 0.0) / batch.sampling_rate * np.arange(batch.signals.shape[1])
-    frames = Frames(batch.signals - shift, peak, noise, float(scene.sampling.pre_trigger), onset, response)
-    return profile_in(
-        frames, _true(batch), lowest=lowest, highest=highest, n_nodes=n_nodes, onset_between=onset_between
-    )
-
-
-def _along_clipped(scene: Scene, batch: Batch, noise: Noise, lowest: float, highest: float, n_nodes: int) -> Profile:
-    onset, onset_between, response = _touch(scene, len(batch))
-    assert scene.sensor.range is not None
+def _in_white_noise(scene: Scene, batch: Batch, lowest: float, highest: float, n_nodes: int) -> Profile:
+    onset, onset_between, response = onset_and_response(scene, len(batch))
+    full_scale = scene.sensor.range
     return profile(
         batch.signals,
-        _true(batch),
-        noise.level(batch.parameters["peak_force"]),
+        true_pulses(batch),
+        _noise_level(scene, batch.parameters["peak_force"]),
         lowest=lowest,
         highest=highest,
         n_nodes=n_nodes,
         onset=onset,
         onset_between=onset_between,
-        clip_level=np.full(len(batch), 0.999 * scene.sensor.range),
+        clip_level=None if full_scale is None else np.full(len(batch), 0.999 * full_scale),
         response=response,
     )
 
 
-def _true(batch: Batch) -> Floats:
-    """Return the true pulses, (n, 5), near which the most likely ones are."""
+def _noise_level(scene: Scene, peak: Floats) -> Floats:
+    """Return the standard deviation of white noise and rounding, for signals with these peaks."""
+    sensor = scene.sensor
+    level = sensor.noise_level(peak, scene.sampling.sampling_rate)
+    if sensor.bits is None or sensor.range is None:
+        return level
+    return np.asarray(np.hypot(level, sensor.range / 2 ** (sensor.bits - 1) / np.sqrt(12)))
+
+
+def true_pulses(batch: Batch) -> Floats:
+    """Return the true pulses, (n, 5), near which the most likely ones are: (peak, ln width, location, s, 0)."""
     values, rate = batch.parameters, batch.sampling_rate
-    duration, onset = values["contact_duration"] * rate, values["onset"] * rate
-    return true_parameters(values["peak_force"], duration, onset, values["restitution"])
+    shape = np.log(values["restitution"])
+    width = values["contact_duration"] * rate / relative_times(shape)[0]
+    return parameters_of(values["peak_force"], width, values["onset"] * rate, shape)
 
 
-def _touch(scene: Scene, n: int) -> tuple[Floats | None, tuple[float, float] | None, Floats | None]:
+def onset_and_response(scene: Scene, n: int) -> tuple[Floats | None, tuple[float, float] | None, Floats | None]:
     """Return the onsets if known, their bounds if not [samples], and the response of the sensor."""
     sampling, bandwidth = scene.sampling, scene.sensor.bandwidth
-    touch = float(sampling.pre_trigger)
+    first = float(sampling.pre_trigger)
     response = None if bandwidth is None else low_pass_response(sampling.sampling_rate, bandwidth)
     if sampling.jitter == 0:
-        return np.full(n, touch), None, response
-    return None, (touch, touch + sampling.jitter), response
+        return np.full(n, first), None, response
+    return None, (first, first + sampling.jitter), response
 
 
 def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: Floats) -> Ceiling:
@@ -407,3 +422,105 @@ def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: 
     columns = [share[:, of_population == label].sum(axis=1) for label in scene.labels]
     probabilities = np.stack(columns, axis=1)
     return Ceiling(scene.labels, truth, probabilities / probabilities.sum(axis=1, keepdims=True))
+
+
+# ---- from below ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The result of a learner, which bounds the limit of a scene from below.
+
+    Attributes
+    ----------
+    n_training : int
+        Training signals.
+    hits : ndarray of bool, (n,)
+        Whether it was right.
+    """
+
+    n_training: int
+    hits: NDArray[np.bool_]
+
+    @property
+    def accuracy(self) -> float:
+        """Fraction of right answers."""
+        return float(self.hits.mean())
+
+    @property
+    def accuracy_error(self) -> float:
+        """Standard error of the accuracy."""
+        return float(self.hits.std(ddof=1) / np.sqrt(len(self.hits)))
+
+
+def learner(
+    scene: Scene,
+    n_training: int = 10_000,
+    n_signals: int = 20_000,
+    seed: int = 1_000_003,
+    *,
+    drop_height_known: bool = False,
+    progress: Callable[[int], object] | None = None,
+) -> Learner:
+    """Return how often boosted trees on all features of a pulse are right on a scene of force.
+
+    Parameters
+    ----------
+    scene : Scene
+    n_training : int
+        Training signals, of the next seed.
+    n_signals, seed, drop_height_known, progress
+        As in `ceiling`, whose signals it answers.
+
+    Returns
+    -------
+    Learner
+
+    Raises
+    ------
+    InvalidValue
+        The scene is not one of force, has no single impacts or a single label, or a number is out of range.
+    """
+    from sklearn.ensemble import HistGradientBoostingClassifier
+    from threadpoolctl import threadpool_limits
+
+    check_asked(scene)
+    if scene.sensor.quantity != "force":
+        raise InvalidValue(f"scene {scene.name}: the learner needs a sensor of force, it has {scene.sensor.quantity}")
+    validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)
+    check_training(n_training)
+    another = seed + 1 if seed < 2**63 - 1 else 0
+    test, truth = _measured(scene, n_signals, seed, drop_height_known, progress)
+    inputs, labels = _measured(scene, n_training, another, drop_height_known, progress)
+    # Numbers, because in scikit-learn before 1.8 early stopping fails with string labels.
+    names, numbers, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    trees = HistGradientBoostingClassifier(
+        learning_rate=0.05,
+        max_iter=400,
+        l2_regularization=1.0,
+        early_stopping=bool(counts.min() >= 100),
+        random_state=0,
+    )
+    with threadpool_limits(1):
+        answers = names[trees.fit(inputs, numbers).predict(test)]
+    return Learner(n_training, answers == truth)
+
+
+def check_training(n_training: int) -> None:
+    """Raise `InvalidValue` if a learner cannot be trained on so many signals."""
+    validation.whole("learner", n_training, MIN_TRAINING, MOST_SIGNALS)
+
+
+def _measured(
+    scene: Scene, n_signals: int, seed: int, drop_height_known: bool, progress: Callable[[int], object] | None
+) -> tuple[Floats, NDArray[np.str_]]:
+    """Return the features of a scene's signals, nan where they cannot be measured, and the labels."""
+    names = [f.name for f in PULSE_FEATURES if isinstance(f, Feature)]
+    rows, labels = [], []
+    for batch in synthesise(scene, n_signals, seed):
+        values = extract_array(batch.signals, batch.sampling_rate, names, pre_trigger=batch.pre_trigger, invalid="nan")
+        rows.append(np.column_stack([values, batch.parameters["velocity"]] if drop_height_known else [values]))
+        labels.append(batch.labels)
+        if progress is not None:
+            progress(len(batch))
+    return np.concatenate(rows), np.concatenate(labels)

@@ -3,8 +3,8 @@
 The samples of a scene with a tail beam depend on six unknowns: ln peak, ln width and shape of the pulse, touch, and the
 place x, y. Their slopes and the noise give the information of Fisher; its inverse is the least covariance of an
 unbiased estimate (Rao 1945, Cramér 1946), which estimates reach at high signal to noise. What a scene says of touch and
-place is information, too. A learner on pulses with such errors estimates the ceiling (`cgid.ceiling.learner`). It is no
-bound: estimates may be biased, faint blows are not linear, and a pulse stands for the closest one of the family.
+place is information, too. A learner on pulses with such errors estimates the limit (`studies.ceilings.learners`). It is
+no bound: estimates may be biased, faint blows are not linear, and a pulse stands for the closest one of the family.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.ceiling.bayes import check_asked
+from cgid.ceiling import check_asked
 from cgid.errors import InvalidValue
 from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
 from cgid.identification.inversion import Inversion
@@ -48,7 +48,7 @@ def check_estimated(scene: Scene) -> None:
     check_asked(scene)
     sensor = scene.sensor
     problems = (
-        (scene.tail_beam is None, "a [tail_beam], add one; without a beam, take cgid.ceiling.bracket"),
+        (scene.tail_beam is None, "a [tail_beam], add one"),
         (sensor.quantity == "force", "a sensor of motion: give sensor.quantity, or take [tail_beam] out"),
         (scene.randomise is not None, "one rig and one sampling rate: take [randomise] out"),
         (not has_beam(scene), "at least 2 samples, at one sampling rate: give sampling.samples"),

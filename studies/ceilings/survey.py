@@ -1,31 +1,25 @@
-"""The survey of a rig: the ceiling against noise, sampling rate and size spread."""
+"""The survey of a rig: the Bayes limit against noise, sampling rate and spread of sizes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from cgid.ceiling.bayes import ceilings, check_covered
+from cgid.ceiling import untrusted
 from cgid.errors import BadData
-from cgid.scene import Scene, load_scene, varied
+from cgid.plots import png, require_matplotlib
+from cgid.scene import Scene, varied
 from cgid.scene.impacts import draws
 from cgid.scene.sections import Population
-from cgid.validation import Floats
+from studies.ceilings.coloured import limits
 
 #: Settings of a survey: signal over noise [dB], sampling rate [Hz], largest over smallest radius.
 SNRS = (15.0, 20.0, 25.0, 30.0, 40.0, 50.0)
 RATES = (10e3, 20e3, 50e3, 100e3, 200e3, 500e3, 1e6)
 SPREADS = (1.1, 1.5, 2.0, 4.0, 8.0, 16.0)
-#: Points of a survey, including the present setting.
-N_POINTS = 1 + len(SNRS) + len(RATES) + len(SPREADS)
-#: Fewest samples per contact (5 % quantile) for which the integration is trusted.
-FEWEST_SAMPLES = 5.0
-#: Lowest signal over noise [dB]. At 10 dB some initial fits miss the pulse, and the ceiling of scene peers is .012 too
-#: high against brute force over 65,536 draws of each population; at 15 dB .002 to .005.
-LOWEST_SNR = 14.0
 #: Nodes along the shape: the error of the accuracy, up to .0005, is below the standard error of a survey.
 _NODES = 17
 #: Blocks of 256 impacts from which to estimate noise and contacts.
@@ -82,22 +76,12 @@ class Survey:
     points: tuple[Point, ...]
 
     def along(self, axis: str) -> tuple[Point, ...]:
-        """Return the points of one axis that have a ceiling.
-
-        Parameters
-        ----------
-        axis : str
-            As in `Point`.
-
-        Returns
-        -------
-        tuple of Point
-        """
+        """Return the points of one axis that have a limit."""
         return tuple(p for p in self.points if p.axis == axis and not p.left_out)
 
 
 def survey(
-    scene: Scene | str | Path,
+    scene: Scene,
     n_signals: int = 2000,
     seed: int = 1_000_003,
     *,
@@ -108,34 +92,10 @@ def survey(
 ) -> Survey:
     """Return the ceiling of a scene at other noise levels, sampling rates and size spreads.
 
-    All points have the same rocks as far as possible, so that differences are more precise than the points.
-
-    Parameters
-    ----------
-    scene : Scene, str or Path
-    n_signals : int
-        Signals at each point.
-    seed : int
-    snrs : tuple of float
-        Peak over standard deviation of a sample's noise [dB].
-    sampling_rates : tuple of float
-        [Hz]; the frame keeps its length in seconds.
-    size_spreads : tuple of float
-        Largest over smallest radius, log-uniform about the geometric mean of each population.
-    progress : callable, optional
-        Called with the number of signals done.
-
-    Returns
-    -------
-    Survey
-
-    Raises
-    ------
-    InvalidValue
-        As `ceiling`.
+    All points have the same rocks as far as possible, so that differences are more precise than the points. `snrs` are
+    in dB, `sampling_rates` in Hz with frames of the same duration, `size_spreads` largest over smallest radius,
+    log-uniform about the geometric mean of each population.
     """
-    scene = load_scene(scene)
-    check_covered(scene)
     settings = [("present", 0.0), *(("snr", v) for v in snrs), *(("sampling_rate", v) for v in sampling_rates)]
     settings += [("size_spread", v) for v in size_spreads]
     points = [_point(scene, axis, value, n_signals, seed, progress) for axis, value in settings]
@@ -180,38 +140,44 @@ def _point(
         return Point(axis, value, left_out=str(error).splitlines()[0])
     if problem := untrusted(here):
         return Point(axis, value, left_out=problem)
-    unknown, known = ceilings(here, n_signals, seed, (False, True), n_nodes=_NODES, progress=progress)
+    unknown, known = limits(here, n_signals, seed, (False, True), n_nodes=_NODES, progress=progress)
     return Point(axis, value, unknown.accuracy, unknown.accuracy_error, known.accuracy, known.accuracy_error)
 
 
-def untrusted(scene: Scene) -> str:
-    """Return why Laplace's approximation fails in a scene, empty if it holds."""
-    peak, duration = _contacts(scene)
-    level = float(np.median(_decibels(scene, peak)))
-    if level < LOWEST_SNR:
-        return f"signal over noise {level:.3g} dB, below {LOWEST_SNR:g} dB the integration is not trusted"
-    samples = float(np.quantile(duration, 0.05) * scene.sampling.sampling_rate)
-    if samples < FEWEST_SAMPLES:
-        return f"{samples:.2g} samples on short contacts, below {FEWEST_SAMPLES:g} the integration is not trusted"
-    return ""
-
-
-def _contacts(scene: Scene) -> tuple[Floats, Floats]:
-    drawn = [one.parameters for one in draws(scene, 0, _BLOCKS)]
-    peak, duration = (np.concatenate([d[name] for d in drawn]) for name in ("peak_force", "contact_duration"))
-    return peak, duration
-
-
-def _decibels(scene: Scene, peak: Floats) -> Floats:
-    return np.asarray(20 * np.log10(peak / scene.sensor.noise_level(peak, scene.sampling.sampling_rate)))
-
-
 def _present(scene: Scene) -> dict[str, float]:
-    peak, _ = _contacts(scene)
+    peaks = np.concatenate([one.parameters["peak_force"] for one in draws(scene, 0, _BLOCKS)])
+    noise = scene.sensor.noise_level(peaks, scene.sampling.sampling_rate)
     radii = [law.extremes for law in (p.laws["radius"] for p in scene.populations)]
     spread = float(np.mean([high / low for low, high in radii]))
     return {
-        "snr": float(np.median(_decibels(scene, peak))),
+        "snr": float(np.median(20 * np.log10(peaks / noise))),
         "sampling_rate": scene.sampling.sampling_rate,
         "size_spread": spread if np.isfinite(spread) else float("nan"),
     }
+
+
+def survey_picture(points: Mapping[str, Sequence[Any]], present: Mapping[str, float], here: Any) -> bytes:
+    """Return the ceiling against noise, sampling rate and spread of sizes as PNG."""
+    titles = {
+        "snr": "peak over noise [dB]",
+        "sampling_rate": "sampling rate [Hz]",
+        "size_spread": "largest over smallest rock",
+    }
+    figure = require_matplotlib()(figsize=(10, 3.6), layout="constrained")
+    for axes, (axis, title) in zip(figure.subplots(1, 3, sharey=True), titles.items(), strict=True):
+        held = sorted((p for p in points[axis] if np.isfinite(p.accuracy)), key=lambda p: p.value)
+        for suffix, colour, name in (("", "C0", "drop height not known"), ("_known", "C1", "drop height known")):
+            heights = [getattr(p, f"accuracy{suffix}") for p in held]
+            errors = [2 * getattr(p, f"accuracy{suffix}_error") for p in held]
+            axes.errorbar([p.value for p in held], heights, errors, fmt="o-", color=colour, capsize=2, label=name)
+            if np.isfinite(present[axis]):
+                axes.plot(present[axis], getattr(here, f"accuracy{suffix}"), "D", color=colour, mec="k", ms=8, zorder=3)
+        if np.isfinite(present[axis]):
+            axes.axvline(present[axis], color="0.7", zorder=0, label="now")
+        if axis != "snr":
+            axes.set_xscale("log")
+        axes.set(xlabel=title)
+        axes.grid(alpha=0.3)
+    figure.axes[0].set(ylabel="highest accuracy possible (2 std. errors)")
+    figure.axes[0].legend(fontsize="small")
+    return png(figure)
