@@ -289,20 +289,19 @@ def peers():
 
 
 def test_a_learner_comes_near_the_limit_from_below(peers):
-    (unknown, known), learned = ceilings(peers, 512, 8, (False, True)), learner(peers, 3000, 512, 8)
+    unknown, known = ceilings(peers, 512, 8, (False, True))
     assert known.accuracy > unknown.accuracy + 0.03
-    for limit, found in ((unknown, learned), (known, learner(peers, 3000, 512, 8, drop_height_known=True))):
-        # On the very same signals: less uncertain than either accuracy.
-        lost = limit.hits.astype(float) - found.hits
-        error = lost.std(ddof=1) / np.sqrt(512)
-        assert -2 * error < lost.mean() < 0.03 + 2 * error
-        assert error < 0.8 * np.hypot(found.accuracy_error, limit.accuracy_error)
+    found = learner(peers, 3000, 512, 8, drop_height_known=True)
+    assert found.accuracy > unknown.accuracy + 0.02
+    lost = known.hits.astype(float) - found.hits  # on the very same signals
+    error = lost.std(ddof=1) / np.sqrt(512)
+    assert -2 * error < lost.mean() < 0.02 + 2 * error
 
 
-def test_what_cannot_be_measured_is_answered_all_the_same(peers):
-    """Frames that end before the contact does hold no pulse; the most frequent label is the best answer."""
-    blind = varied(peers, samples=40, pre_trigger=38)
-    assert learner(blind, 200, 200, 8).accuracy > 0.4
+def test_what_cannot_be_measured_is_answered_all_the_same():
+    """A tenth of the signals of this scene cannot be measured: too faint, or too few samples."""
+    found = learner(load_scene(shipped.scene_path("randomised")), 600, 300, 8)
+    assert len(found.hits) == 300 and found.accuracy > 0.65
 
 
 def test_laplaces_approximation_is_trusted_at_little_noise_alone(peers):

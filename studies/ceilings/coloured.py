@@ -74,6 +74,13 @@ def uncovered(scene: Scene) -> str:
     return uncovered_pulses(scene, noisy=bool(noise.level(np.ones(1)).any()))
 
 
+def check_covered(scene: Scene) -> None:
+    """Raise `InvalidValue` if the integration does not cover a scene."""
+    check_asked(scene)
+    if rule := uncovered(scene):
+        raise InvalidValue(f"scene {scene.name}: the Bayes limit needs {rule}")
+
+
 def limits(
     scene: Scene,
     n_signals: int,
@@ -84,9 +91,7 @@ def limits(
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Ceiling, ...]:
     """Return the Bayes limits of the same signals for each value of `drop_height_known`."""
-    check_asked(scene)
-    if rule := uncovered(scene):
-        raise InvalidValue(f"scene {scene.name}: the Bayes limit needs {rule}")
+    check_covered(scene)
     # Clipped samples tell that the force was higher, which whitening cannot say.
     noise = noise_of(scene)
     along = None if scene.sensor.range is not None else partial(_along, noise)

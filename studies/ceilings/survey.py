@@ -14,7 +14,7 @@ from cgid.plots import png, require_matplotlib
 from cgid.scene import Scene, varied
 from cgid.scene.impacts import draws
 from cgid.scene.sections import Population
-from studies.ceilings.coloured import limits
+from studies.ceilings.coloured import check_covered, limits
 
 #: Settings of a survey: signal over noise [dB], sampling rate [Hz], largest over smallest radius.
 SNRS = (15.0, 20.0, 25.0, 30.0, 40.0, 50.0)
@@ -96,6 +96,7 @@ def survey(
     in dB, `sampling_rates` in Hz with frames of the same duration, `size_spreads` largest over smallest radius,
     log-uniform about the geometric mean of each population.
     """
+    check_covered(scene)
     settings = [("present", 0.0), *(("snr", v) for v in snrs), *(("sampling_rate", v) for v in sampling_rates)]
     settings += [("size_spread", v) for v in size_spreads]
     points = [_point(scene, axis, value, n_signals, seed, progress) for axis, value in settings]

@@ -25,10 +25,11 @@ def peers() -> Scene:
 @pytest.fixture
 def _few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ceiling, "PRIOR_DRAWS", 1 << 15)
-    monkeypatch.setattr(learners, "_EXACT_SIZES", (1 << 13, 1 << 15))
+    monkeypatch.setattr(learners, "_EXACT_SIZES", (1 << 12, 1 << 14))
     monkeypatch.setattr(learners, "_HELD_DRAWS", 1 << 12)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few_draws")
 def test_exact_pulses_bound_the_limit_from_above(peers: Scene) -> None:
     limit, (*_, bound) = ceiling.ceiling(peers, 512, SEED), learners.above(peers, 512, SEED)
