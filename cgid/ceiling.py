@@ -13,6 +13,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from cgid.measure.likelihood import Profile, profile
 from cgid.measure.pulses import PULSE_FEATURES
 from cgid.measure.table import Feature
 from cgid.measure.template import parameters_of, relative_times
-from cgid.scene import Scene, parse_scene, synthesise
+from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import draws
 from cgid.signals import Batch
@@ -125,7 +126,7 @@ class Ceiling:
 
 
 def ceiling(
-    scene: Scene,
+    scene: Scene | str | Path,
     n_signals: int = 20_000,
     seed: int = 1_000_003,
     *,
@@ -136,7 +137,7 @@ def ceiling(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
         Impacts on a half space or a rigid wall, in white noise of known level.
     n_signals : int
         At most `MOST_SIGNALS`; the standard error falls with the square root.
@@ -156,6 +157,7 @@ def ceiling(
     InvalidValue
         The integration does not cover the scene, it has a single label, or `n_signals` is out of range.
     """
+    scene = load_scene(scene)
     check_asked(scene)
     if rule := uncovered(scene):
         raise InvalidValue(
@@ -454,7 +456,7 @@ class Learner:
 
 
 def learner(
-    scene: Scene,
+    scene: Scene | str | Path,
     n_training: int = 10_000,
     n_signals: int = 20_000,
     seed: int = 1_000_003,
@@ -466,7 +468,7 @@ def learner(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
     n_training : int
         Training signals, of the next seed.
     n_signals, seed, drop_height_known, progress
@@ -484,6 +486,7 @@ def learner(
     from sklearn.ensemble import HistGradientBoostingClassifier
     from threadpoolctl import threadpool_limits
 
+    scene = load_scene(scene)
     check_asked(scene)
     if scene.sensor.quantity != "force":
         raise InvalidValue(f"scene {scene.name}: the learner needs a sensor of force, it has {scene.sensor.quantity}")

@@ -104,6 +104,7 @@ def test_ceiling_is_brute_force(changes, limit, monkeypatch):
     assert (apart < 4 * error + 2 * limit).all()
 
 
+@pytest.mark.long
 def test_populations_of_one_restitution_each_are_told_apart():
     def always(e):
         return {"distribution": "constant", "value": e}
@@ -126,6 +127,7 @@ def test_weights_of_the_populations_count():
     assert signals.accuracy >= 5 / 6 - 0.02  # always saying coal is right so often
 
 
+@pytest.mark.long
 def test_lumps_change_the_prior_alone():
     """Corners and eccentric blows: peak and duration vary more, restitution is as independent of them as before."""
     lump = {"curvature": {"distribution": "log-uniform", "lowest": 0.1, "highest": 1.0},

@@ -62,7 +62,7 @@ def ceiling(scene: str, n_signals: int, seed: int, drop_height: bool, n_training
     content: dict[str, Any] = {"scene": loaded.name, "n_signals": n_signals, "drop_height_known": drop_height}
     content["kind"] = "below" if rule else "limit"
     total = (0 if rule else n_signals) + (0 if n_training is None else n_signals + n_training)
-    with progress_bar(total, "signals") as progress:
+    with progress_bar(total, "signals", "estimating") as progress:
         if rule:
             content["uncovered"] = rule
         else:

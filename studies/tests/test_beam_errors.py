@@ -76,6 +76,7 @@ def test_the_slopes_are_those_of_signals_by_central_differences(errors: BeamErro
             assert apart < error, (name, apart)
 
 
+@pytest.mark.long
 def test_the_information_is_that_of_a_fit_to_noisy_copies(errors: BeamErrors) -> None:
     """Against the covariance of 200 least-squares fits to noisy samples, with slopes by differences."""
     information = errors.information(BLOW[None])[0]

@@ -85,6 +85,7 @@ def test_the_spread_of_sizes_keeps_its_middle(peers: Scene) -> None:
     assert changed(peers, "snr", 20.0).sensor.relative_noise == pytest.approx(0.1)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few_draws")
 def test_the_command_says_which_kind_of_limit_it_is(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     text = Path(shipped.scene_path("peers")).read_text()

@@ -127,6 +127,7 @@ def test_long_contacts_lose_nothing_to_runs(monkeypatch):
     assert np.sqrt(np.mean((limit(scene, 64, seed=51).probabilities - whole) ** 2)) < 0.01
 
 
+@pytest.mark.long
 def test_white_noise_is_the_same_with_and_without_whitening():
     scene = rocks(*PAIR, sensor={"relative_noise": 0.05})
     one, other = ceiling(scene, 512, seed=44), limit(scene, 512, seed=44)

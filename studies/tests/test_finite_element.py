@@ -224,11 +224,13 @@ def test_restitution_converges_to_that_of_the_slow_twin(twins):
     assert errors[1] < errors[0] / (twins.divided**2 / 2) + 1e-7
 
 
+@pytest.mark.long
 def test_stable_step_is_that_of_the_highest_frequency(twins):
     highest = np.sqrt(max(twins.sphere.squares[-1], twins.plate.squares[-1]))
     assert 0.95 * 2 / highest < twins.impact.stable_time_step <= 2 / highest * (1 + 1e-6)
 
 
+@pytest.mark.long
 def test_energy_error_is_the_steps(twins):
     errors = [history.energy_error for history in twins.histories]
     assert 0 < errors[1] < errors[0] / (twins.divided**2 / 2)
