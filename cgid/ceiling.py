@@ -495,6 +495,7 @@ def learner(
     another = seed + 1 if seed < 2**63 - 1 else 0
     test, truth = _measured(scene, n_signals, seed, drop_height_known, progress)
     inputs, labels = _measured(scene, n_training, another, drop_height_known, progress)
+    inputs[:, np.isnan(inputs).all(axis=0)] = 0.0  # scikit-learn cannot bin a column without numbers
     # Numbers, because in scikit-learn before 1.8 early stopping fails with string labels.
     names, numbers, counts = np.unique(labels, return_inverse=True, return_counts=True)
     trees = HistGradientBoostingClassifier(

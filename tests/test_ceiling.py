@@ -300,10 +300,12 @@ def test_a_learner_comes_near_the_limit_from_below(peers):
     assert -2 * error < lost.mean() < 0.02 + 2 * error
 
 
-def test_what_cannot_be_measured_is_answered_all_the_same():
+def test_what_cannot_be_measured_is_answered_all_the_same(peers):
     """A tenth of the signals of this scene cannot be measured: too faint, or too few samples."""
     found = learner(load_scene(shipped.scene_path("randomised")), 600, 300, 8)
     assert len(found.hits) == 300 and found.accuracy > 0.65
+    # Frames that end before the contact does: some features are never measured.
+    assert learner(varied(peers, samples=40, pre_trigger=32), 200, 200, 8).accuracy > 0.4
 
 
 def test_laplaces_approximation_is_trusted_at_little_noise_alone(peers):
