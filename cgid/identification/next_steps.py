@@ -542,7 +542,7 @@ def _level_text(factor: float, model: Model) -> str:
     as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
     return (
         f"the forces are about {size:.2g} times as {side} as in the training: the scale of the samples is wrong{as_g}, "
-        "or the rocks are of other sizes, drop heights or kinds; check unit, sensitivity, gain and full scale"
+        "or the rocks are of other sizes, drop heights or mixture; check unit, sensitivity, gain and full scale"
     )
 
 
