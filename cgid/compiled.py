@@ -40,9 +40,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Files whose text is in the compiled kernels: those with kernels, and those they take constants from.
 SOURCES = (
-    "_elementary.py",
     "compiled.py",
-    "elementary.py",
     "family.py",
     "physics/_coupled.py",
     "physics/_coupled_step.py",
@@ -51,7 +49,6 @@ SOURCES = (
     "physics/_response.py",
     "physics/_taylor.py",
     "physics/collocation.py",
-    "scene/_fourier.py",
     "scene/_noise.py",
     "store/_fletcher.py",
 )

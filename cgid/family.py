@@ -20,8 +20,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid.elementary import log
-
 Floats = NDArray[np.float64]
 
 TABLE_PATH = Path(__file__).with_name("family.npz")
@@ -65,7 +63,7 @@ def in_table(restitution: ArrayLike) -> NDArray[np.bool_]:
 def coordinate(restitution: ArrayLike) -> Floats:
     """Return the place of a restitution in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
     e = np.asarray(restitution, dtype=np.float64)
-    return np.asarray(np.clip(log(e) * (INTERVALS / log(LOWEST_RESTITUTION)), 0, INTERVALS))
+    return np.asarray(np.clip(np.log(e) * (INTERVALS / np.log(LOWEST_RESTITUTION)), 0, INTERVALS))
 
 
 def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import InvalidValue
 
 Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 #: Limits of sampling rates [Hz]: no recorder exceeds them, and beyond them squares of times leave the range of floats.
 RATES = (1e-6, 1e12)
 

@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
-from cgid.elementary import sin
 from cgid.errors import InvalidValue
 from cgid.measure.spectra import MEL_BANDS, mel, padded_length
 from cgid.validation import Floats, require_rate
@@ -137,7 +136,7 @@ def _below(frequency: Floats, edge: float, taper: float) -> Floats:
     if taper == 0:
         return np.asarray(frequency <= edge, np.float64)
     place = np.clip((frequency - edge) / (taper * edge), -0.5, 0.5)
-    return np.asarray(0.5 - 0.5 * sin(np.pi * place))
+    return np.asarray(0.5 - 0.5 * np.sin(np.pi * place))
 
 
 def low_pass_response(sampling_rate: float, edge: float) -> Floats:

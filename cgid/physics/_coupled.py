@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 
-from cgid._elementary import power
 from cgid.compiled import inner_jit, jit
 from cgid.physics._coupled_step import (
     N_STATE,
@@ -221,7 +220,7 @@ def _follow(p: Problem, course: Array, result: Array, s: Scratch) -> int:
         total += p.share[r]
         for k in range(s.answer.size):
             s.answer[k] += p.share[r] * (p.table[r, 0, k] - p.loss[r] * p.table[r, 1, k])
-    first = _FIRST_STEP * power((1.0 + total) * (1.0 + p.damping), -0.4)
+    first = _FIRST_STEP * math.pow((1.0 + total) * (1.0 + p.damping), -0.4)
     wish, touch = first, 0.0
     for n in range(MOST_STEPS):
         kind, h, free_after, wish = find_step(p, wish, result[_PEAK], state, s)

@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._elementary import exp, power, sincos
 from cgid.compiled import inner_jit, jit
 from cgid.physics.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocation
 
@@ -75,7 +74,7 @@ def tabulate(decay: Array, angular: Array, longest: float, times: Array, table: 
     for r in range(decay.size):
         for k in range(times.size):
             t = longest * times[k]
-            size, (sine, cosine) = exp(-decay[r] * t), sincos(angular[r] * t)
+            size, sine, cosine = math.exp(-decay[r] * t), math.sin(angular[r] * t), math.cos(angular[r] * t)
             table[r, 0, k], table[r, 1, k] = size * cosine, size * sine
 
 
@@ -405,7 +404,7 @@ def find_step(p: Problem, wish: float, peak: float, state: Array, s: Scratch) ->
         fine = _attempt(p, kind, h, state, s) and _pressed(s)
         tail = _tail(s, peak) if fine else math.inf
         if fine and tail <= p.tolerance:
-            factor = min(2.0, power(0.2 * p.tolerance / max(tail, 1e-18), 2.0 / n))
+            factor = min(2.0, math.pow(0.2 * p.tolerance / max(tail, 1e-18), 2.0 / n))
             released = _release(p, kind, h, s) if p.damping > 0.0 else 0.0
             if released == 0.0:
                 return kind, h, False, max(factor * h, 0.5 * wish if h < wish else 0.0)
@@ -414,7 +413,7 @@ def find_step(p: Problem, wish: float, peak: float, state: Array, s: Scratch) ->
                 return kind, found, True, wish
             h = 0.5 * released
         elif fine:
-            h *= max(0.3, power(0.2 * p.tolerance / tail, 2.0 / n))
+            h *= max(0.3, math.pow(0.2 * p.tolerance / tail, 2.0 / n))
         else:
             h *= 0.4
         if h < 1e-13:

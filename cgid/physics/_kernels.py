@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._elementary import sincos
 from cgid.compiled import jit
 from cgid.family import CONTACT, CUT, INTERVALS, ORDERS, POWERS, SEGMENTS
 
@@ -193,7 +192,7 @@ def add_branches_to_frames(
             here = end
         end = max(_sample_after(touch + peak * grid, samples.size), here)
         for k in range(here, end):
-            share = sincos(rate * (peak - (k - touch) * step[i]))[1]
+            share = math.cos(rate * (peak - (k - touch) * step[i]))
             samples[k] += amplitude[i] * max(branches[i, 5] + branches[i, 6] * share, 0.0)
         here, height = end, amplitude[i] * branches[i, 8]
         for segment in range(SEGMENTS - 1, -1, -1):
@@ -203,7 +202,7 @@ def add_branches_to_frames(
                 end -= 1  # a sample that falls on separation itself holds no force
             if linear:
                 for k in range(here, end):
-                    samples[k] += height * max(sincos((contact - (k - touch) * step[i]) / unit)[0], 0.0)
+                    samples[k] += height * max(math.sin((contact - (k - touch) * step[i]) / unit), 0.0)
             else:
                 square = (contact - (here - touch) * step[i]) / (unit * cut)
                 coefficients = pulse[segment * POWERS : (segment + 1) * POWERS]
@@ -239,9 +238,9 @@ def branches_at_times(
             elif tau <= branches[i, 0]:
                 value = _in_half(pulse, 0, tau / cut, cubic)
             elif tau <= branches[i, 2]:
-                value = branches[i, 5] + branches[i, 6] * sincos(branches[i, 1] * (branches[i, 2] - tau))[1]
+                value = branches[i, 5] + branches[i, 6] * math.cos(branches[i, 1] * (branches[i, 2] - tau))
             elif linear:
-                value = branches[i, 7] + branches[i, 8] * sincos((contact - tau) / unit)[0]
+                value = branches[i, 7] + branches[i, 8] * math.sin((contact - tau) / unit)
             else:
                 value = branches[i, 7] + branches[i, 8] * _in_half(pulse, 0, (contact - tau) / (unit * cut), cubic)
             out[i, k] = amplitude[i] * max(value, 0.0)

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid._elementary import exp, log, power
 from cgid.compiled import jit
 
 Array = NDArray[Any]
@@ -124,7 +123,7 @@ def _inverse_radius(series: Array, row: int, order: int, scale: float) -> float:
     for k in range(max(order - 5, 1), order + 1):
         size = abs(series[row, k]) / scale
         if size > 0.0:
-            largest = max(largest, exp(log(size) / k))
+            largest = max(largest, math.exp(math.log(size) / k))
     return largest
 
 
@@ -201,7 +200,7 @@ def _stays(step: Array, order: int, h: float, damping: float, zeta: float, weigh
         return True
     # Force and weight are in balance, and where the sphere can rest (x^(3/2) = gamma) it is so damped that it creeps
     # there: it will not swing beyond.
-    root = power(weight, 1.0 / 3.0)
+    root = math.pow(weight, 1.0 / 3.0)
     loss = damping * weight + zeta * root
     return loss * loss > 100.0 * root and abs(_value(step, _F, order, h) - weight) < 1e-3 * weight
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid.elementary import exp, expm1, log1p, power
 from cgid.validation import Floats, not_negative
 from cgid.validation import restitution as valid_restitution
 
@@ -50,7 +49,7 @@ def langevin(t: ArrayLike) -> tuple[Floats, Floats]:
     series = below * np.polynomial.polynomial.polyval(below * below, _SERIES)
     large = np.where(small, 1.0, t)
     # Beyond 2t = 700 the exponential overflows; its term is negligible.
-    complement = 1 / large - 2 / expm1(np.minimum(2 * large, 700.0))
+    complement = 1 / large - 2 / np.expm1(np.minimum(2 * large, 700.0))
     return np.where(small, series, 1 - complement), np.where(small, 1 - series, complement)
 
 
@@ -65,14 +64,14 @@ def inverse_langevin(kappa: ArrayLike, complement: ArrayLike) -> Floats:
         error = np.where(kappa < 0.5, value - kappa, complement - rest)
         # Newton in ln t keeps t positive.
         step = np.divide(error, _logarithmic_slope(t), out=np.zeros_like(t), where=t > 0)
-        t = t * exp(-np.clip(step, -1, 1))
+        t = t * np.exp(-np.clip(step, -1, 1))
     return np.asarray(t)
 
 
 def _logarithmic_slope(t: Floats) -> Floats:
     """Return `t L'(t)`, without overflow for any t."""
     safe = np.where(t < 0.02, 1.0, np.minimum(t, 350.0))
-    grown = expm1(safe)
+    grown = np.expm1(safe)
     sinh = (grown + grown / (grown + 1)) / 2
     slope = 1 / safe - safe / (sinh * sinh)
     slope = np.where(t > 350.0, 1 / np.maximum(t, 1.0), slope)
@@ -138,7 +137,7 @@ def logarithms(damping: ArrayLike, restitution: ArrayLike) -> tuple[Floats, Floa
     The second follows from their sum, `(1 + e) D`, which avoids the underflow of `1 - e D`.
     """
     damping = np.asarray(damping, dtype=np.float64)
-    start = log1p(damping)
+    start = np.log1p(damping)
     return start, (1 + np.asarray(restitution)) * damping - start
 
 
@@ -151,7 +150,7 @@ def exponential_rest(p: ArrayLike) -> Floats:
     series = np.ones_like(x)
     for order in range(18, 2, -1):
         series = 1 + x / order * series
-    return np.asarray(np.where(small, x * x / 2 * series, expm1(p) - p), dtype=np.float64)
+    return np.asarray(np.where(small, x * x / 2 * series, np.expm1(p) - p), dtype=np.float64)
 
 
 def energy_below(damping: ArrayLike) -> Floats:
@@ -161,7 +160,7 @@ def energy_below(damping: ArrayLike) -> Floats:
     """
     damping = np.asarray(damping, dtype=np.float64)
     # D - ln(1 + D) = expm1(a) - a with a = ln(1 + D), accurate for small D.
-    rest = exponential_rest(log1p(damping))
+    rest = exponential_rest(np.log1p(damping))
     return _over_square(rest, damping, 0.5)
 
 
@@ -171,16 +170,16 @@ def peak_displacement(damping: ArrayLike) -> Floats:
     >>> round(float(peak_displacement(0.0)), 12)  # (5/4)^(2/5)
     1.093362073943
     """
-    return power(2.5 * energy_below(damping), 0.4)
+    return np.power(2.5 * energy_below(damping), 0.4)
 
 
 def peak_logarithm(damping: float | Floats) -> Floats:
     """Return p = `ln(1 + D x')` at the peak force: the root of `(8/5) expm1(p) - p = expm1(a) - a`, `a = ln(1 + D)`."""
-    a = log1p(np.asarray(damping, dtype=np.float64))
+    a = np.log1p(np.asarray(damping, dtype=np.float64))
     energy = exponential_rest(a)
     p = np.where(a < 1, 5 / 6 * a * a, np.maximum(a - 0.47, 0.1))
     for _ in range(_PEAK_NEWTON_STEPS):
-        p = p - (1.6 * expm1(p) - p - energy) / (1.6 * exp(p) - 1)
+        p = p - (1.6 * np.expm1(p) - p - energy) / (1.6 * np.exp(p) - 1)
     return np.maximum(p, 0.0)
 
 
@@ -193,8 +192,8 @@ def peak_force(damping: ArrayLike) -> Floats:
     damping = np.asarray(damping, dtype=np.float64)
     p = peak_logarithm(damping)
     # (2/5) x^(5/2) = 3 x' / (5 D) at the peak, and x' / D = expm1(p) / D^2.
-    ratio = _over_square(expm1(p), damping, 5 / 6)
-    return np.asarray(power(1.5 * ratio, 0.6) * exp(p))
+    ratio = _over_square(np.expm1(p), damping, 5 / 6)
+    return np.asarray(np.power(1.5 * ratio, 0.6) * np.exp(p))
 
 
 def _over_square(values: Floats, damping: Floats, limit: float) -> Floats:

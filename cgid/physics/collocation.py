@@ -16,8 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.elementary import cos, matrix_product, sin
-
 Floats = NDArray[np.float64]
 
 #: Kinds of a step, the first index of many arrays.
@@ -60,7 +58,7 @@ class Collocation(NamedTuple):
 def collocation(n_nodes: int, n_times: int) -> Collocation:
     """Return the weights for n Gauss nodes and k Chebyshev times."""
     nodes, weights = _on_unit(n_nodes)
-    sine = sin(np.pi / 2 * np.arange(n_times) / (n_times - 1))
+    sine = np.sin(np.pi / 2 * np.arange(n_times) / (n_times - 1))
     times = sine * sine
     barycentric: Floats = np.where(np.arange(n_times) % 2, -1.0, 1.0)
     barycentric[[0, -1]] /= 2
@@ -73,8 +71,7 @@ def collocation(n_nodes: int, n_times: int) -> Collocation:
     share = nodes[:, None] * fine_weights
     vander = np.polynomial.legendre.legvander
     at_nodes, at_fine = (
-        matrix_product(np.asarray(vander(2 * place.ravel() - 1, n_nodes - 1), np.float64), legendre)
-        for place in (before, fine)
+        np.einsum("pj,jn->pn", vander(2 * place.ravel() - 1, n_nodes - 1), legendre) for place in (before, fine)
     )
     at_nodes = at_nodes.reshape(*before.shape, n_nodes)
     integral, memory, moment, cardinal = [], [], [], []
@@ -84,7 +81,7 @@ def collocation(n_nodes: int, n_times: int) -> Collocation:
         past = _cardinal(times, barycentric, time(nodes)[:, None] - time(before))
         memory.append((past[..., None] * weighed[:, :, None]).sum(axis=1).swapaxes(0, 1))
         past = _cardinal(times, barycentric, 1 - time(fine))
-        moment.append(matrix_product(past.T, (fine_weights * rate(fine))[:, None] * at_fine))
+        moment.append(np.einsum("ft,fn->tn", past, (fine_weights * rate(fine))[:, None] * at_fine))
         cardinal.append(_cardinal(times, barycentric, time(nodes)))
     flight = (times[:, None] * fine_weights)[..., None] * _cardinal(times, barycentric, times[:, None] * fine)
     return Collocation(
@@ -111,7 +108,7 @@ def gauss(n_nodes: int) -> tuple[Floats, Floats]:
     ([-0.57735, 0.57735], [1.0, 1.0])
     """
     # Tricomi's estimate; Abramowitz & Stegun (1964), 22.16.6.
-    x = -cos(np.pi * (np.arange(n_nodes) + 0.75) / (n_nodes + 0.5))
+    x = -np.cos(np.pi * (np.arange(n_nodes) + 0.75) / (n_nodes + 0.5))
     for _ in range(6):
         before, value = np.ones_like(x), x
         for degree in range(1, n_nodes):

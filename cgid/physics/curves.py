@@ -22,7 +22,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
 from cgid.counting import count, counting
-from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
 from cgid.validation import Floats
@@ -259,7 +258,7 @@ class Curves:
 
             if tolerance >= FINEST_STEPPED:
                 stepped = self.damping[rest] < _MOST_STEPPED_DAMPING
-                n_steps = int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4)))
+                n_steps = int(np.ceil(_STEPS_FOR_ONE * np.power(tolerance, -0.4)))
                 numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
                 in_threads(kernel(_taylor, "add_stepped", *frames.shape), numbers, rest[stepped], threads)
                 rest = rest[~stepped]

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from cgid.elementary import Complex, complex_exp, complex_product, modulus, power
 from cgid.errors import InvalidValue
-from cgid.validation import Floats
+from cgid.validation import Complex, Floats
 
 #: Steps per contact for an error of 1 (see `steps_for`), fewest steps per contact, most steps per sample.
 _STEPS_FOR_ONE, _LEAST_STEPS, _MOST_STRIDE = 4.0, 32, 1 << 16
@@ -40,7 +39,7 @@ def steps_for(tolerance: float) -> int:
     The force is linear between steps, after a correction by its second difference. The remaining error comes from touch
     and separation, where the force grows as `t^(3/2)`; it falls as the number of steps to the power -5/2.
     """
-    return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * power(tolerance, -0.4))))
+    return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * np.power(tolerance, -0.4))))
 
 
 class DrivenSample:
@@ -54,15 +53,15 @@ class DrivenSample:
         # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
         phi1, phi2 = _phi(poles * h)
         edge = h * phi2
-        drive = h * (phi1 - phi2) + complex_product(complex_exp(poles * h), edge)
+        drive = h * (phi1 - phi2) + np.exp(poles * h) * edge
         self.polynomials = np.zeros((stride, n_polynomials))
         shares = np.zeros((n_polynomials, poles.size), complex)
         if stride <= n_polynomials:  # each step separately
             self.polynomials[:, :stride] = np.eye(stride)
-            shares[:stride] = complex_product(drive, complex_exp(np.arange(stride)[::-1, None] * (poles * h)))
+            shares[:stride] = drive * np.exp(np.arange(stride)[::-1, None] * (poles * h))
         else:
             self.polynomials[:] = legendre.legvander(np.linspace(-1, 1, stride), n_polynomials - 1)
-            shares[:] = complex_product(drive, _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials))
+            shares[:] = drive * _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials)
         self.shares, self.edge = np.stack([shares.real, shares.imag]), np.stack([edge.real, edge.imag])
 
 
@@ -70,7 +69,7 @@ def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:
     """Return the Legendre coefficients of `exp(c (1 - v))` over v in [-1, 1], (n_polynomials, n)."""
     # They are e^c (2 n + 1) (-1)^n i_n(c).
     n = np.arange(n_polynomials)[:, None]
-    return complex_product(complex_exp(c), (2 * n + 1) * np.where(n % 2, -1.0, 1.0) * _bessel(c, n_polynomials))
+    return np.exp(c) * (2 * n + 1) * np.where(n % 2, -1.0, 1.0) * _bessel(c, n_polynomials)
 
 
 def _bessel(c: Complex, count: int) -> Complex:
@@ -78,17 +77,17 @@ def _bessel(c: Complex, count: int) -> Complex:
 
     Miller's backward recurrence gives their ratios; `e^c = sum (2 n + 1) i_n(c)` gives the scale.
     """
-    start = count + int(np.ceil(1.5 * modulus(c).max(initial=0.0))) + 30
+    start = count + int(np.ceil(1.5 * np.abs(c).max(initial=0.0))) + 30
     above = np.zeros((start + 2, *c.shape), complex)
     above[start] = 1e-30
-    safe = np.where(modulus(c) < 1e-30, 1e-30, c)
+    safe = np.where(np.abs(c) < 1e-30, 1e-30, c)
     inverse = np.asarray(1 / safe, np.complex128)
     for n in range(start, 0, -1):
-        above[n - 1] = above[n + 1] + (2 * n + 1) * complex_product(above[n], inverse)
-        largest = modulus(above[n - 1])
+        above[n - 1] = above[n + 1] + (2 * n + 1) * above[n] * inverse
+        largest = np.abs(above[n - 1])
         above *= np.where(largest > 1e100, 1e-100, 1.0)
     total = ((2 * np.arange(start + 2) + 1)[:, None] * above).sum(axis=0)
-    return complex_product(above[:count], complex_exp(safe) / total)
+    return np.asarray(above[:count] * np.exp(safe) / total)
 
 
 @cache
@@ -102,13 +101,13 @@ def polynomials_for(phase: float, tolerance: float) -> int:
 
 def _phi(x: Complex) -> tuple[Complex, Complex]:
     """Return (e^x - 1) / x and (e^x - 1 - x) / x^2, by series for small x, where these would cancel."""
-    small = modulus(x) < 0.5
+    small = np.abs(x) < 0.5
     safe = np.where(small, 1.0, x)
-    grown = complex_exp(safe) - 1
+    grown = np.exp(safe) - 1
     first, second = np.ones_like(x), np.full_like(x, 0.5)
     term = np.ones_like(x)
     for n in range(2, 20):
-        term = complex_product(term, np.where(small, x, 0.0)) / n
+        term = term * np.where(small, x, 0.0) / n
         first, second = first + term, second + term / (n + 1)
     return np.where(small, first, grown / safe), np.where(small, second, (grown / safe - 1) / safe)
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid import validation
-from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.physics import bodies
 from cgid.physics.bodies import Sphere, Target, ThinPlate
@@ -229,7 +228,7 @@ class Impact:
     @cached_property
     def length_scale(self) -> Floats:
         """`L = (m v^2 / K)^(2/5)` [m], the unit of displacement."""
-        return _fixed(power(self.reduced_mass * self._velocity**2 / self.contact_stiffness, 0.4))
+        return _fixed(np.power(self.reduced_mass * self._velocity**2 / self.contact_stiffness, 0.4))
 
     @cached_property
     def time_scale(self) -> Floats:
@@ -268,7 +267,7 @@ class Impact:
         # The contact grows with the damping, about as e^-0.6 T0. A weight is neglected only where the pulse then comes
         # from the table.
         plain = (zeta == 0) & (self.inelasticity == 0)
-        weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * power(restitution, 0.6)), 0.0, self._weight)
+        weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * np.power(restitution, 0.6)), 0.0, self._weight)
         return Curves(restitution.ravel(), zeta.ravel(), np.ravel(self.inelasticity), weight.ravel())
 
     def _plastic_curves(self) -> Curves:

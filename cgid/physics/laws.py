@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 
 from cgid import family, validation
 from cgid.counting import count
-from cgid.elementary import exp, power
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import Sphere, Target, sphere_share
 from cgid.physics.closed_forms import damping_number, delivered_restitution
@@ -97,7 +96,7 @@ HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
     # Gonthier, McPhee, Lange & Piedboeuf (2004), Multibody Syst. Dyn. 11, 209: their approximation.
     "gonthier": lambda e: (1 - e) * (1 + e) / e,
     # Zhang Zhiying & Lu Qishao (2006).
-    "zhiying-qishao": lambda e: 0.75 * (1 - e) * (1 + e) * exp(2 * (1 - e)),
+    "zhiying-qishao": lambda e: 0.75 * (1 - e) * (1 + e) * np.exp(2 * (1 - e)),
     # Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357.
     "flores": lambda e: 1.6 * (1 - e) / e,
     # Hu & Guo (2015), Multibody Syst. Dyn. 35, 131.
@@ -208,7 +207,7 @@ def viscoelastic_number(restitution: ArrayLike) -> Floats:
     1.0
     """
     e = np.asarray(restitution, np.float64)
-    fifth = power(e, 0.2)
+    fifth = np.power(e, 0.2)
     series = chebval(2 * np.sqrt(1 - fifth) - 1, _OF_RESTITUTION)
     return np.asarray((1 - e) / (fifth * fifth * fifth) * series)
 

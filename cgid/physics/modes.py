@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 
 from cgid import validation
-from cgid.elementary import exp, normal_quantile
 from cgid.errors import BadData, InvalidValue
 from cgid.files import read_cells
 from cgid.physics.plates import Shapes
@@ -181,12 +181,12 @@ class LearnedModes:
 
     def drawn(self, uniform: Floats) -> LearnedModes:
         """Return certain modes, drawn from these for uniform numbers (3, n_modes), each mode by itself."""
-        normal = normal_quantile(uniform)
-        damping = self.damping_ratio * exp(self.damping_ratio_deviation * normal[1])
+        normal = ndtri(uniform)
+        damping = self.damping_ratio * np.exp(self.damping_ratio_deviation * normal[1])
         return LearnedModes.of(
-            self.frequency * exp(self.frequency_deviation * normal[0]),
+            self.frequency * np.exp(self.frequency_deviation * normal[0]),
             np.minimum(damping, np.maximum(self.damping_ratio, _MOST_DAMPING)),
-            self.participation * exp(self.participation_deviation * normal[2]),
+            self.participation * np.exp(self.participation_deviation * normal[2]),
         )
 
 

@@ -32,7 +32,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
 from cgid.counting import count, counting
-from cgid.elementary import power, sincos
 from cgid.physics.closed_forms import peak_displacement, peak_force
 from cgid.physics.curves import Curves, Quantity, in_threads, kernel, samples_in_contact
 from cgid.validation import Floats
@@ -130,7 +129,7 @@ def thornton_curves(yield_displacement: Floats) -> PlasticCurves:
     """Return the curves of elastic-plastic spheres that yield at these displacements [L], (n,)."""
     yields = yield_displacement < _DEPTH
     y = np.minimum(yield_displacement, _DEPTH)
-    square = np.minimum(0.8 * power(y, 2.5), 1.0)  # (v_y / v)^2
+    square = np.minimum(0.8 * np.power(y, 2.5), 1.0)  # (v_y / v)^2
     speed = np.where(yields, np.sqrt(1 - square), 0.0)
     rate = np.sqrt(1.5 * np.sqrt(y))
     along, across = rate * (2 / 3 * y), speed
@@ -179,7 +178,7 @@ def _time_to_peak(speed: Floats) -> Floats:
     return np.asarray(speed * polyval(speed * speed, _TO_PEAK) / _FORCE)
 
 
-_HALF = float(power(0.625, 0.4) * polyval(0.5, _FROM_TOUCH) + _time_to_peak(np.sqrt(0.5)))
+_HALF = float(np.power(0.625, 0.4) * polyval(0.5, _FROM_TOUCH) + _time_to_peak(np.sqrt(0.5)))
 
 
 def _elastic_time(depth: Floats, square: Floats, speed: Floats) -> Floats:
@@ -194,6 +193,6 @@ def _angle(cosine: Floats, sine: Floats) -> Floats:
     tangent = sine / (1 + cosine)
     angle = 2 * tangent / (1 + 0.28 * tangent * tangent)
     for _ in range(_ANGLE_STEPS):
-        now = sincos(angle)
+        now = np.sin(angle), np.cos(angle)
         angle = angle + (sine * now[1] - cosine * now[0])
     return np.asarray(angle)

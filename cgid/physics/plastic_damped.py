@@ -30,7 +30,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from cgid import family
 from cgid.counting import count, counting
-from cgid.elementary import exp, expm1, log1p, power
 from cgid.physics.closed_forms import energy_below, peak_displacement, peak_force, peak_logarithm
 from cgid.physics.curves import Curves, Quantity, in_threads, kernel, samples_in_contact
 from cgid.validation import Floats
@@ -137,14 +136,14 @@ class DampedPlasticCurves(Curves):
         turn, damping = self._turn, self.damping[:, None]
         early = (turn.fallen < 0.45 * turn.momentum)[:, None]
         top = (turn.fallen + turn.momentum)[:, None]
-        scale = np.where(early, 5 * power(turn.fallen, 0.4)[:, None], turn.momentum[:, None])
+        scale = np.where(early, 5 * np.power(turn.fallen, 0.4)[:, None], turn.momentum[:, None])
         total = np.zeros(self.plastic.shape)
         for panel in range(_ELASTIC_PANELS):
             share = (panel + _GAUSS) / _ELASTIC_PANELS
             fifth = share * share * share * share * share
             fall = np.where(early, turn.fallen[:, None] * fifth, top - turn.momentum[:, None] * share)
             rates = 2.5 * _over_fall(fall, np.ones(fall.shape), damping) * np.where(early, 1.0, fall)
-            rates = scale * np.where(early, share, 1.0) / power(rates, 0.6)
+            rates = scale * np.where(early, share, 1.0) / np.power(rates, 0.6)
             for k, weight in enumerate(_WEIGHTS):
                 total = total + weight / _ELASTIC_PANELS * rates[:, k]
         return np.where(early[:, 0], total, self._slower.times[2] - total)
@@ -245,7 +244,7 @@ class _Turn:
     def __init__(self, of: DampedPlasticCurves) -> None:
         damping, viscous = of.damping, of.material_restitution
         energy = energy_below(damping)
-        taken = 0.4 * power(of.corner, 2.5)
+        taken = 0.4 * np.power(of.corner, 2.5)
         yields = np.full(viscous.shape, True) if of.linear else of.corner < peak_displacement(damping)
         rest = np.where(yields, np.maximum(energy - taken, 0.0), 0.0)
         offset = 2 / 3 * of.corner
@@ -265,7 +264,7 @@ class _Turn:
         self.second = np.clip(second, family.LOWEST_RESTITUTION, 1.0)
         hertzian = yields & (not of.linear)
         compliance = np.where(hertzian, way * np.sqrt(way), 0.0) / self.force
-        self.length = np.where(hertzian, power(speed * speed * compliance, 0.4), 1.0)
+        self.length = np.where(hertzian, np.power(speed * speed * compliance, 0.4), 1.0)
         self.unit = self.length / speed
         early = np.divide(peak_logarithm(damping), damping, out=np.zeros(damping.shape), where=damping > 0)
         self.peaks_early = np.zeros(viscous.shape, bool) if of.linear else early >= self.momentum
@@ -282,7 +281,7 @@ def _rest(x: Floats) -> Floats:
     if near.all():
         return series
     large = np.where(near, 1.0, x)
-    return np.where(near, series, (expm1(large) - large) / (large * large))
+    return np.where(near, series, (np.expm1(large) - large) / (large * large))
 
 
 def _speed(momentum: Floats, damping: Floats) -> Floats:
@@ -290,7 +289,7 @@ def _speed(momentum: Floats, damping: Floats) -> Floats:
     x = damping * momentum
     far = np.abs(x) > 1e-30
     safe = np.where(far, x, 1.0)
-    return momentum * np.where(far, expm1(safe) / safe, 1.0)
+    return momentum * np.where(far, np.expm1(safe) / safe, 1.0)
 
 
 def _momentum(energy: Floats, damping: Floats) -> Floats:
@@ -299,9 +298,9 @@ def _momentum(energy: Floats, damping: Floats) -> Floats:
     x = damping * root
     x = np.where(np.abs(x) > 1e-60, x, 1e-60)
     level = 0.5 * x * x
-    y = np.where(x > 0, log1p(np.abs(x) + level), x - level / 3)
+    y = np.where(x > 0, np.log1p(np.abs(x) + level), x - level / 3)
     for _ in range(_NEWTON_STEPS):
-        y = y - (y * y * _rest(y) - level) / expm1(y)
+        y = y - (y * y * _rest(y) - level) / np.expm1(y)
     return root * (y / x)
 
 
@@ -327,10 +326,10 @@ def _spring_peak(coefficient: Floats) -> tuple[Floats, Floats]:
     There psi = B phi^2. With `p = ln(1 + B psi)` that is `3 (exp(p) - 1) - 2 p = B^2`.
     """
     b = np.maximum(coefficient, 1e-20)
-    p = log1p(b * b)
+    p = np.log1p(b * b)
     for _ in range(_NEWTON_STEPS):
-        p = p - (3 * expm1(p) - 2 * p - b * b) / (3 * exp(p) - 2)
-    return p / b, np.sqrt(expm1(p)) / b * exp(p)
+        p = p - (3 * np.expm1(p) - 2 * p - b * b) / (3 * np.exp(p) - 2)
+    return p / b, np.sqrt(np.expm1(p)) / b * np.exp(p)
 
 
 class _Quarter:

@@ -20,8 +20,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.linalg import eigh
+from threadpoolctl import threadpool_limits
 
-from cgid.elementary import matrix_product
 from cgid.physics import _modes
 from cgid.physics.collocation import gauss
 from cgid.validation import Floats
@@ -196,14 +197,12 @@ class _Line:
         """
         nodes, weights = gauss(len(self.functions))
         value, slope, bend = (
-            matrix_product(
-                np.asarray(legendre.legvander(nodes, len(part) - 1), np.float64), np.asarray(part, np.float64)
-            )
+            legendre.legvander(nodes, len(part) - 1) @ part
             for part in (self.functions, legendre.legder(self.functions), legendre.legder(self.functions, 2))
         )
         pairs = ((value, value), (slope, slope), (bend, bend), (bend, value))
         weighed = ((first, weights[:, None] * second) for first, second in pairs)
-        mass, slopes, bending, mixed = (matrix_product(first.T, second) for first, second in weighed)
+        mass, slopes, bending, mixed = (first.T @ second for first, second in weighed)
         return mass, slopes, bending, mixed
 
 
@@ -233,7 +232,7 @@ def _line(number: int, held: str) -> tuple[_Line, ...]:
         functions[:2] = 0.0  # bending only; rigid-body motions are added below
     parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
-        parts[parity] = matrix_product(part, eigenpairs(_Line(part).integrals[0])[1])
+        parts[parity] = part @ eigh(_Line(part).integrals[0])[1]
         if held == "none":
             rigid = np.zeros((len(part), 1))
             rigid[parity] = math.sqrt(parity + 0.5)
@@ -261,32 +260,31 @@ class _Panel:
         self.stiffness = np.asarray(stiffness / rigidities.mass, dtype=np.float64)
         self.mass: Floats = np.kron(np.diag(mass_x), np.diag(mass_y)).astype(np.float64)
 
-    def _standard(self) -> tuple[Floats, Floats, Floats]:
-        """Return the standard form of `M v = v K / omega^2`, the stiffness factor, and the scale of the products."""
+    def _scaled(self) -> tuple[Floats, Floats, Floats]:
+        """Return the scale of products that makes the diagonal of the stiffness 1, and scaled mass and stiffness."""
         scale = 1 / np.sqrt(np.diag(self.stiffness))
-        factor = self.stiffness * scale * scale[:, None]
-        if not _modes.factorise(factor):
-            raise FloatingPointError("stiffness of a panel is not positive")
-        form = np.empty_like(factor)
-        _modes.standard_form(factor, self.mass * scale * scale, form)
-        return form, factor, scale
+        return scale, np.diag(self.mass * scale * scale), self.stiffness * scale * scale[:, None]
 
     def frequencies(self, highest: float) -> Floats:
         """Return the natural frequencies up to `highest` [rad/s], ascending."""
-        return 1 / np.sqrt(eigenvalues(self._standard()[0], 1 / (highest * highest)))
+        _, mass, stiffness = self._scaled()
+        inverse = eigh(mass, stiffness, eigvals_only=True)[::-1]
+        return np.asarray(1 / np.sqrt(inverse[inverse > 1 / (highest * highest)]))
 
     def modes(self, highest: float) -> tuple[Floats, Floats]:
         """Return the frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4.
 
         The shapes are coefficients (n_degrees_x, n_degrees_y, n_modes) in products of Legendre polynomials.
         """
-        form, factor, scale = self._standard()
-        inverse, vectors = eigenpairs(form, 1 / (highest * highest))
-        _modes.unfactorised(factor, vectors)
-        vectors *= scale[:, None] / np.sqrt(inverse)
+        scale, mass, stiffness = self._scaled()
+        # M v = K v / omega^2, so that the modes wanted are the largest eigenvalues, the most accurate ones.
+        inverse, vectors = eigh(mass, stiffness)
+        first = int(np.searchsorted(inverse, 1 / (highest * highest), side="right"))
+        inverse, vectors = inverse[first:][::-1], vectors[:, first:][:, ::-1]
+        vectors = vectors * scale[:, None] / np.sqrt(inverse)
         cube = vectors.reshape(self.along.functions.shape[1], self.across.functions.shape[1], -1)
-        half = matrix_product(self.along.functions, cube).swapaxes(0, 1)
-        return 1 / np.sqrt(inverse), matrix_product(self.across.functions, half).swapaxes(0, 1)
+        half = np.tensordot(self.along.functions, cube, 1)
+        return 1 / np.sqrt(inverse), np.tensordot(half, self.across.functions, (1, 1)).swapaxes(1, 2)
 
 
 def ritz_modes(
@@ -294,8 +292,16 @@ def ritz_modes(
 ) -> tuple[Floats, PolynomialShapes]:
     """Return the natural frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4.
 
-    `held` says for x and y where value and slope are 0: at "both" ends, the "start", or "none".
+    `held` says for x and y where value and slope are 0: at "both" ends, the "start", or "none". BLAS takes one thread:
+    its last digits depend on their number, and several are slower.
     """
+    with threadpool_limits(1, "blas"):
+        return _ritz_modes(rigidities, length, width, held, highest)
+
+
+def _ritz_modes(
+    rigidities: Rigidities, length: float, width: float, held: tuple[str, str], highest: float
+) -> tuple[Floats, PolynomialShapes]:
     wave_number = [math.sqrt(highest * math.sqrt(rigidities.mass / d)) for d in (rigidities.along, rigidities.across)]
     numbers = [
         math.ceil(_PER_HALF_WAVE * k * extent / math.pi) + _FOR_EDGES
@@ -318,28 +324,6 @@ def ritz_modes(
     frequencies = np.concatenate(fine)
     order = np.argsort(frequencies, kind="stable")
     return frequencies[order], PolynomialShapes.of([shapes for _, shapes in found], order)
-
-
-def eigenvalues(matrix: Floats, lowest: float = -np.inf) -> Floats:
-    """Return the eigenvalues above `lowest` of a symmetric matrix (n, n), descending; overwrites the matrix."""
-    return _tridiagonal(matrix, lowest)[2]
-
-
-def eigenpairs(matrix: Floats, lowest: float = -np.inf) -> tuple[Floats, Floats]:
-    """Return the eigenvalues, as `eigenvalues` does, and their unit vectors (n, n_values)."""
-    diagonal, off_diagonal, values, factors = _tridiagonal(matrix, lowest)
-    rows = np.empty((values.size, len(matrix)))
-    _modes.vectors(diagonal, off_diagonal, values, rows)
-    columns = np.ascontiguousarray(rows.T)
-    _modes.turned_back(matrix, factors, columns)
-    return values, columns
-
-
-def _tridiagonal(matrix: Floats, lowest: float) -> tuple[Floats, Floats, Floats, Floats]:
-    n = len(matrix)
-    diagonal, off_diagonal, factors, values = np.empty(n), np.empty(n - 1), np.empty(n), np.empty(n)
-    _modes.tridiagonalise(matrix, diagonal, off_diagonal, factors)
-    return diagonal, off_diagonal, values[: _modes.largest(diagonal, off_diagonal, lowest, values)], factors
 
 
 def _settled(coarse: Floats, fine: Floats) -> bool:

@@ -17,11 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
-from cgid.elementary import Complex, complex_exp, complex_of, complex_product, matrix_product, modulus, sincos
 from cgid.errors import InvalidValue
 from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
-from cgid.validation import Floats
+from cgid.validation import Complex, Floats
 
 #: Quantities that a sensor on a beam measures: the number of time derivatives of the displacement.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -83,15 +82,15 @@ class LowPass:
     def poles(self) -> Complex:
         """The poles in the upper half-plane and on the real axis [rad/s]."""
         angles = np.pi * (2 * np.arange((self.order + 1) // 2) + self.order + 1) / (2 * self.order)
-        sine, cosine = sincos(angles)
+        sine, cosine = np.sin(angles), np.cos(angles)
         radius = 2 * np.pi * self.frequency
-        return complex_of(radius * cosine, radius * np.where(np.abs(sine) < 1e-9, 0.0, sine))
+        return np.asarray(radius * (cosine + 1j * np.where(np.abs(sine) < 1e-9, 0.0, sine)))
 
 
 def resonator_poles(frequency: Floats, damping_ratio: Floats) -> Complex:
     """Return `-zeta w + i w sqrt(1 - zeta^2)` [rad/s]."""
     angular, ratio = 2 * np.pi * np.asarray(frequency), np.asarray(damping_ratio)
-    return complex_of(-angular * ratio, angular * np.sqrt((1 - ratio) * (1 + ratio)))
+    return np.asarray(angular * (-ratio + 1j * np.sqrt((1 - ratio) * (1 + ratio))))
 
 
 class Resonators(Protocol):
@@ -158,7 +157,7 @@ class Response:
         for own in (part.poles for part in self.filters):
             taken = np.concatenate(found)
             for number, pole in enumerate(own):
-                while taken.size and modulus(taken - own[number]).min() < _APART * modulus(pole):
+                while taken.size and np.abs(taken - own[number]).min() < _APART * np.abs(pole):
                     own[number] *= 1 + 1.01 * _APART
             found.append(own)
         return np.concatenate(found)
@@ -198,10 +197,10 @@ class Response:
         k = DERIVATIVES[self.quantity]
         w, zeta = 2 * np.pi * self.modes.frequency, self.modes.damping_ratio
         own = self._mode_poles
-        at_modes = complex_product(_power(own, k) / (2j * own.imag), self._filtered(own))
+        at_modes = _power(own, k) / (2j * own.imag) * self._filtered(own)
         s = self._filter_poles[None, :]
         beam = _power(s, 2) + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
-        at_filters = complex_product(after[None], _power(s, k)) / beam
+        at_filters = after[None] * _power(s, k) / beam
         return fold[: self.n_modes] * at_modes, fold[None, self.n_modes :] * at_filters
 
     @cached_property
@@ -212,8 +211,8 @@ class Response:
         close.
         """
         assert self.modes is not None
-        size, k = modulus(self._mode_poles), DERIVATIVES[self.quantity]
-        gain = modulus(self._filtered(complex_of(np.zeros(()), size)))
+        size, k = np.abs(self._mode_poles), DERIVATIVES[self.quantity]
+        gain = np.abs(self._filtered(1j * size))
         return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
 
     def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
@@ -224,7 +223,8 @@ class Response:
         own, filters = self._residues
         if participation is None:
             return filters, np.zeros(1)
-        mixed = complex_of(*(matrix_product(participation, part) for part in (filters.real, filters.imag)))
+        # Not by BLAS, whose last digits depend on the number of its threads.
+        mixed = np.einsum("nm,mf->nf", participation, filters)
         passes = self.quantity == "acceleration" and not self.filters
         direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
         return np.concatenate([participation * own, mixed], axis=1), direct
@@ -353,12 +353,12 @@ class Response:
     @cached_property
     def _rung(self) -> Floats:
         """Ringing of every pole over the table's samples and one more, (2, n_poles, `_TABLE` + 1)."""
-        grown = complex_exp((self.poles / self.sampling_rate)[:, None] * np.arange(_TABLE + 1))
+        grown = np.exp((self.poles / self.sampling_rate)[:, None] * np.arange(_TABLE + 1))
         return np.stack([grown.real, grown.imag])
 
     @cached_property
     def _n_polynomials(self) -> int:
-        return polynomials_for(float(modulus(self.poles).max()) / self.sampling_rate, self.tolerance)
+        return polynomials_for(float(np.abs(self.poles).max()) / self.sampling_rate, self.tolerance)
 
     @cached_property
     def _kept(self) -> dict[int, DrivenSample]:
@@ -373,4 +373,4 @@ class Response:
 
 def _power(x: Complex, k: int) -> Complex:
     """Return x^k for k = 0, 1 or 2."""
-    return np.ones_like(x) if k == 0 else x if k == 1 else complex_product(x, x)
+    return np.ones_like(x) if k == 0 else x if k == 1 else x * x

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.counting import count
-from cgid.elementary import cos, sin, sincos
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
@@ -29,7 +28,7 @@ def shares_of_contact(n_points: int) -> Floats:
     """
     if validation.count("n_points", n_points) < FEWEST_POINTS:
         raise InvalidValue(f"n_points must be {FEWEST_POINTS} or more, got {n_points}")
-    return np.asarray((1 - cos(np.linspace(0, np.pi, n_points))) / 2)
+    return np.asarray((1 - np.cos(np.linspace(0, np.pi, n_points))) / 2)
 
 
 def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
@@ -70,7 +69,7 @@ def _angle(share: Floats) -> Floats:
     square = sine * sine
     half = sine * (1 + square * (1 / 6 + square * (3 / 40 + square * 15 / 336)))
     for _ in range(3):
-        found, slope = sincos(half)
+        found, slope = np.sin(half), np.cos(half)
         half = half - (found - sine) / slope
     return np.where(late, np.pi - 2 * half, 2 * half)
 
@@ -158,7 +157,7 @@ class SampledPulses:
         middle, half = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / 2
         angles = (middle[:, None] + half[:, None] * nodes).ravel()
         # With the share (1 - cos) / 2 of the contact, dt is half the sine of the angle.
-        weight = (half[:, None] * weights).ravel() * sin(angles) / 2
+        weight = (half[:, None] * weights).ravel() * np.sin(angles) / 2
         each = [float(self._curve(row, angles) @ weight) for row in range(len(self))]
         return np.array(each, np.float64) * self.contact_duration
 

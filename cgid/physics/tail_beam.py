@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
-from cgid.elementary import expm1
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import ThinPlate
 from cgid.physics.materials import Material
@@ -61,7 +60,7 @@ class Ribs:
         """
         long, short = max(self.depth, self.thickness), min(self.depth, self.thickness)
         odd = np.arange(1, 25, 2)
-        falling = expm1(-odd * np.pi * long / short)
+        falling = np.expm1(-odd * np.pi * long / short)
         tanh = -falling / (2 + falling)
         series = float(np.sum(tanh / (odd * odd * odd * odd * odd)))
         return long * (short * short * short) * (1 / 3 - 64 / _PI_TO_THE_FIFTH * short / long * series)

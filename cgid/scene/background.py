@@ -15,7 +15,6 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from cgid.elementary import exp, expm1, log
 from cgid.errors import BadData
 from cgid.files import read_cells, require_regular
 from cgid.recordings.recording import told
@@ -97,20 +96,21 @@ class ColouredNoise(Section):
 
     def at(self, frequency: Floats, quantity: str) -> Floats:
         """Return the one-sided power spectral density at frequencies [Hz], in SI units."""
-        knots = log(self.frequencies)
-        place = log(frequency)
-        level = exp(np.interp(place, knots, log(self.densities(quantity))))
+        knots = np.log(self.frequencies)
+        with np.errstate(divide="ignore"):  # -inf at 0 Hz
+            place = np.log(frequency)
+        level = np.exp(np.interp(place, knots, np.log(self.densities(quantity))))
         # Compare logarithms, so that the band includes its ends.
         return np.asarray(np.where((place >= knots[0]) & (place <= knots[-1]), level, 0.0))
 
     def power(self, quantity: str) -> float:
         """Return the mean square of the noise: the integral of the density, which is a power law between points."""
         f, s = np.array(self.frequencies), self.densities(quantity)
-        ratio = log(f[1:] / f[:-1])
-        exponent = log(s[1:] / s[:-1]) / ratio + 1
+        ratio = np.log(f[1:] / f[:-1])
+        exponent = np.log(s[1:] / s[:-1]) / ratio + 1
         # s0 f0 (r^p - 1) / p with r = f1 / f0, and s0 f0 ln r where p is 0.
         growth = exponent * ratio
-        mean = np.where(np.abs(growth) < 1e-12, 1.0, expm1(growth) / np.where(growth == 0, 1.0, growth))
+        mean = np.where(np.abs(growth) < 1e-12, 1.0, np.expm1(growth) / np.where(growth == 0, 1.0, growth))
         return float(np.sum(s[:-1] * f[:-1] * ratio * mean))
 
 

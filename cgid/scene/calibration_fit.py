@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from cgid.physics.response import Quantity, Resonators, Response
 from cgid.scene.calibration_blow import PreparedBlow
 from cgid.scene.schema import Scene
-from cgid.validation import Floats
-
-Complex = NDArray[np.complex128]
+from cgid.validation import Complex, Floats
 
 #: Decimation factors: the whole band, a quarter and a sixteenth of it.
 _DECIMATIONS = (1, 4, 16)

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, model_validator
+from scipy.special import ndtr, ndtri
 
-from cgid.elementary import exp, expm1, log, log1p, normal_quantile, normal_share, power
 from cgid.units import DIMENSIONS, parse
 from cgid.validation import Floats
 
@@ -211,7 +211,9 @@ class LogUniform(_Bounded):
 
     def quantile(self, uniform: Floats) -> Floats:
         """Return `lowest (highest / lowest)^u`."""
-        return np.asarray(np.clip(self.lowest * power(self.highest / self.lowest, uniform), self.lowest, self.highest))
+        return np.asarray(
+            np.clip(self.lowest * np.power(self.highest / self.lowest, uniform), self.lowest, self.highest)
+        )
 
 
 class _Truncatable(_Distribution):
@@ -277,10 +279,10 @@ class Normal(_Truncatable):
         return self
 
     def _cumulative(self, value: float) -> float:
-        return normal_share((value - self.mean) / self.deviation)
+        return float(ndtr((value - self.mean) / self.deviation))
 
     def _inverse(self, probability: Floats) -> Floats:
-        return np.asarray(self.mean + self.deviation * normal_quantile(probability))
+        return np.asarray(self.mean + self.deviation * ndtri(probability))
 
 
 class Lognormal(_Truncatable):
@@ -303,10 +305,10 @@ class Lognormal(_Truncatable):
     sigma: Number = Field(gt=0)
 
     def _cumulative(self, value: float) -> float:
-        return normal_share(float(log(value / self.median)) / self.sigma) if value > 0 else 0.0
+        return float(ndtr(np.log(value / self.median) / self.sigma)) if value > 0 else 0.0
 
     def _inverse(self, probability: Floats) -> Floats:
-        return np.asarray(self.median * exp(self.sigma * normal_quantile(probability)))
+        return np.asarray(self.median * np.exp(self.sigma * ndtri(probability)))
 
 
 class RosinRammler(_Truncatable):
@@ -331,10 +333,10 @@ class RosinRammler(_Truncatable):
     uniformity: Number = Field(gt=0)
 
     def _cumulative(self, value: float) -> float:
-        return float(-expm1(-power(max(value, 0.0) / self.characteristic, self.uniformity)))
+        return float(-np.expm1(-np.power(max(value, 0.0) / self.characteristic, self.uniformity)))
 
     def _inverse(self, probability: Floats) -> Floats:
-        return self.characteristic * power(-log1p(-probability), 1 / self.uniformity)
+        return self.characteristic * np.power(-np.log1p(-probability), 1 / self.uniformity)
 
 
 Single = Annotated[

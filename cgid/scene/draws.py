@@ -323,11 +323,13 @@ def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) ->
 def specimen_of(particle: list[Floats]) -> NDArray[np.uint64]:
     """Mix the numbers of a particle or a tap into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
 
-    Equal particles have the same number in every population, scene and dataset.
+    Equal particles have the same number in every population, scene and dataset. The numbers are rounded to float32
+    first, so that the last digits of a processor's functions do not count.
     """
     mixed = np.zeros(particle[0].shape, np.uint64)
     for values in particle:
-        mixed = mixed + values.view(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
+        bits = np.asarray(values, np.float32).view(np.uint32).astype(np.uint64)
+        mixed = mixed + bits + np.uint64(0x9E3779B97F4A7C15)
         for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
             mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
         mixed ^= mixed >> np.uint64(31)

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from cgid.counting import count
-from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.physics import (
     Elastic,
@@ -142,7 +141,7 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
     # lambda = m / (Z T0) with T0 = (m / K)^(2/5) v^(-1/5) grows with all of these.
     mass = float(sphere.mass_in_blow)
     stiffness = contact_stiffness(reduced_radius(sphere, target), reduced_modulus(sphere, target), theory)
-    inelasticity = float(power(mass, 0.6) * power(stiffness, 0.4) * power(velocity, 0.2) / target.impedance)
+    inelasticity = float(np.power(mass, 0.6) * np.power(stiffness, 0.4) * np.power(velocity, 0.2) / target.impedance)
     if inelasticity <= HIGHEST_INELASTICITY:
         return None
     return (

@@ -16,7 +16,6 @@ import scipy  # loads its submodules on first use
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.elementary import cos, power, sin
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings import read_recording
 from cgid.scene._noise import LANES, TILE, add_normal
@@ -111,13 +110,11 @@ class Coloured:
         Each spans two chunks, so two overlap in every chunk. They are faded by a sine, whose squares add up to 1, which
         keeps the power constant.
         """
-        fade = sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
+        fade = np.sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
         return np.asarray(fade * self._rows(self.density(2 * CHUNK, CHUNK), seed, recording, number, 1)[0])
 
     def _rows(self, density: Floats, seed: int, block: int, number: int, rows: int) -> Floats:
         """Return periodic Gaussian noise of the density at its lines, (rows, length); the length is a power of 2."""
-        from cgid.scene._fourier import from_spectrum
-
         length = 2 * (density.size - 1)
         parts = np.zeros((rows, 2 * density.size))
         add_noise(parts, np.ones(rows), seed, block, first_sample=number * parts.shape[1], purpose=self.purpose)
@@ -126,7 +123,8 @@ class Coloured:
         height = np.sqrt(density * self.sampling_rate * length / 4)
         height[0] *= np.sqrt(2.0)
         height[-1] *= 2.0
-        return np.asarray(from_spectrum(parts[:, : height.size] * height, parts[:, height.size :] * height, length))
+        spectrum = (parts[:, : height.size] + 1j * parts[:, height.size :]) * height
+        return np.asarray(np.fft.irfft(spectrum, length))
 
 
 @lru_cache(maxsize=4)
@@ -138,7 +136,7 @@ def _density(of: ColouredNoise | Sensor, quantity: str, sampling_rate: float, le
     frequency = np.maximum(frequency, lowest)
     if of.noise_spectrum is None:
         assert of.noise_exponent is not None
-        density = power(frequency / lowest, -of.noise_exponent)
+        density = np.power(frequency / lowest, -of.noise_exponent)
     else:
         known = of.noise_spectrum.frequencies
         density = of.noise_spectrum.at(np.clip(frequency, known[0], known[-1]), quantity)
@@ -230,7 +228,7 @@ class Background:
 
 def _wave(turns: Floats) -> Floats:
     """Return the sine of an angle in turns."""
-    return sin(2 * np.pi * (turns - np.rint(turns)))
+    return np.sin(2 * np.pi * (turns - np.rint(turns)))
 
 
 @lru_cache(maxsize=16)
@@ -243,7 +241,7 @@ def reference_peak(scene: Scene) -> float:
     peaks = [_peaks(blows_of(asked, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
     # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact scales with v^(6/5).
-    return float(np.median(peaks) * power(cos(slope), 1.2))
+    return float(np.median(peaks) * np.power(np.cos(slope), 1.2))
 
 
 def _peaks(blows: Blows) -> Floats:
@@ -268,7 +266,7 @@ def background_of(scene: Scene) -> Background | None:
         asked = section.recorded
         path = asked.file(scene.folder)
         recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
-        level = float(reference_peak(scene) * power(10.0, -asked.signal_to_noise / 20))
+        level = float(reference_peak(scene) * np.power(10.0, -asked.signal_to_noise / 20))
     return Background(section, scene.sensor.quantity, sampling_rate, recorded, level)
 
 
@@ -284,7 +282,7 @@ def _resampling_filter(factor: int) -> Floats:
     half = _HALF_PERIODS * factor
     place = np.arange(-half, half + 1.0)
     angle = np.pi * place / factor
-    taps = np.where(place == 0, 1.0, sin(angle) / np.where(place == 0, 1.0, angle))
+    taps = np.where(place == 0, 1.0, np.sin(angle) / np.where(place == 0, 1.0, angle))
     taps *= _bessel_i0(_KAISER * np.sqrt(1 - (place / half) * (place / half)))
     return np.asarray(taps / taps.sum())
 

@@ -16,7 +16,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cgid import validation
-from cgid.elementary import power
 from cgid.errors import InvalidValue
 from cgid.family import LOWEST_RESTITUTION
 from cgid.measure.features import FEATURES, allow_truncation, choose, kind_for, kind_of, require_supported, supported
@@ -295,7 +294,7 @@ def highest_frequency(scene: Scene) -> float:
         return BEYOND_BAND * scene.sampling.sampling_rate / 2
     # A Butterworth filter passes 1 / sqrt(1 + (f / edge)^(2 order)).
     return float(
-        BEYOND_BAND * anti_alias.frequency * power(1 / (_STILL_HEARD * _STILL_HEARD) - 1, 0.5 / anti_alias.order)
+        BEYOND_BAND * anti_alias.frequency * np.power(1 / (_STILL_HEARD * _STILL_HEARD) - 1, 0.5 / anti_alias.order)
     )
 
 

@@ -21,7 +21,6 @@ import numpy as np
 
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import locked, whole_file, write_whole
-from cgid.scene._fourier import LARGEST_FACTOR, transformable
 from cgid.scene.generation import attributes_of, in_order, next_signals, shard_plan
 from cgid.scene.recordings import recording_plan, write_recording
 from cgid.scene.schema import Scene, samples_of, stored_scene
@@ -380,7 +379,7 @@ def _versions(recipe: _Recipe) -> str:
 
 def _why_other(recipe: _Recipe) -> str:
     """Explain why the numbers differ here from those of the file, and what helps."""
-    versions, here, scene = recipe.attributes.get("versions"), _versions(recipe), recipe.scene
+    versions, here = recipe.attributes.get("versions"), _versions(recipe)
     if str(versions).startswith(_DEPENDENT):
         return (
             f"{versions} made it, and cgid 0.1 took the last digits of its numbers from the processor; repair it by "
@@ -388,12 +387,6 @@ def _why_other(recipe: _Recipe) -> str:
         )
     if versions != here:
         return f"repair it by the versions that made it, {versions}; here {here}; or generate it again"
-    samples = scene.sampling.samples
-    if scene.stream is None and scene.sensor.bandwidth is not None and not transformable(samples):
-        return (
-            f"the bandwidth of frames of {samples} samples, which have a prime factor above {LARGEST_FACTOR}, is left "
-            "to numpy's transform, whose last digits may be the processor's; repair it on the machine that made it"
-        )
     return f"the versions are the same, {here}, so its numbers have been changed, or others than its scene's"
 
 

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.elementary import cos, exp, sin
 from cgid.scene.draws import (
     ARRIVALS,
     BLOCK,
@@ -108,7 +107,7 @@ class PoissonTimes:
 
 def _poisson_shares(expected: float) -> Floats:
     """Return the cumulative Poisson distribution at each number below `BLOCK`."""
-    terms = np.cumprod(np.append(exp(-expected), expected / np.arange(1.0, BLOCK)))
+    terms = np.cumprod(np.append(np.exp(-expected), expected / np.arange(1.0, BLOCK)))
     return np.asarray(np.minimum(np.cumsum(terms), 1.0))
 
 
@@ -263,8 +262,8 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
         "bounce": np.zeros(n, np.int64),
         "population": which,
         "specimen": specimen_of([values[name] for name in PARTICLE]),
-        "slip": values["velocity"] * sin(slope),
-        "velocity": values["velocity"] * cos(slope),
+        "slip": values["velocity"] * np.sin(slope),
+        "velocity": values["velocity"] * np.cos(slope),
     }
     return Rocks({name: known[name].astype(kind, copy=False) for name, kind in COLUMNS.items()})
 
@@ -286,8 +285,8 @@ def thrown_back(
     count("rebounds", len(rocks))
     aside = (1 - rocks["effective_mass"]) * (1 + delivered)
     velocity = (delivered - aside) * rocks["velocity"]
-    between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * cos(slope))
-    pull = STANDARD_GRAVITY * sin(slope)
+    between = contact_duration + 2 * velocity / (STANDARD_GRAVITY * np.cos(slope))
+    pull = STANDARD_GRAVITY * np.sin(slope)
     after = Rocks(
         {
             **rocks.columns,

@@ -19,7 +19,6 @@ from pydantic import (
 )
 
 from cgid import validation
-from cgid.elementary import sin
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.materials import Material
@@ -52,10 +51,10 @@ from cgid.validation import Floats
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. The order defines their indices.
 SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
-    "half-sine": lambda u: sin(np.pi * u),
+    "half-sine": lambda u: np.sin(np.pi * u),
     "square": np.ones_like,
     "triangle": lambda u: np.asarray(1 - np.abs(2 * u - 1)),
-    "haversine": lambda u: sin(np.pi * u) ** 2,
+    "haversine": lambda u: np.sin(np.pi * u) ** 2,
 }
 
 #: How a rock may lose energy, and the key of a population that says how much. The order defines their indices.

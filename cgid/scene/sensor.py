@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from cgid.counting import count
-from cgid.measure.filters import SENSOR_TAPER, fft_filter, filter_gain
+from cgid.measure.filters import SENSOR_TAPER, fft_filter
 from cgid.physics.response import LowPass, Resonance
 from cgid.scene.background import QUANTITIES, ColouredNoise
 from cgid.scene.distributions import Frequency, Level, Number, Ratio, Whole
@@ -217,16 +216,8 @@ class Sensor(Section):
         """Return the frames after the sensor's zero-phase low-pass."""
         if self.bandwidth is None:
             return frames
-        # Compiled on import, and most scenes do not need it.
-        from cgid.scene import _fourier
-
-        length = frames.shape[-1]
-        if not _fourier.transformable(length):
-            return fft_filter(frames, sampling_rate, high=self.bandwidth, taper=SENSOR_TAPER)
-        count("filtered_frames", frames.size // length)
-        frequency = np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)
-        gain = filter_gain(frequency, sampling_rate, None, self.bandwidth, SENSOR_TAPER)
-        return np.asarray(_fourier.filtered(frames.reshape(-1, length), gain)).reshape(frames.shape)
+        rows = np.asarray(frames, np.float64)
+        return fft_filter(rows, sampling_rate, high=self.bandwidth, taper=SENSOR_TAPER).astype(frames.dtype)
 
     def full_scale(self, peak: Floats) -> float | Floats | None:
         """Return the full scale for signals with these peaks, if there is one."""

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.counting import count
-from cgid.elementary import log
 from cgid.errors import InvalidValue
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
-from cgid.scene._fourier import transformable
 from cgid.scene.draws import LUMP, PARAMETER_UNITS, POINT_UNITS, require_seed
 from cgid.scene.extremes import unwarned
 from cgid.scene.impacts import Recorder, impacts_by_coupling, impacts_of, recorder_of
@@ -57,6 +55,8 @@ class TimeAxis:
         return part
 
 
+#: Windows that are low-passed have no larger prime factor: transforms of such lengths are slow.
+_LARGEST_FACTOR = 509
 #: Columns in stored order, and their units.
 _UNITS = {"time": "s", "rock": "1", "bounce": "1"} | {
     name: unit for name, unit in PARAMETER_UNITS.items() if name != "onset"
@@ -139,12 +139,21 @@ def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | 
     return delivered
 
 
+def _is_quick(length: int) -> bool:
+    """Return whether a transform of this length is quick: it has no prime factor above `_LARGEST_FACTOR`."""
+    rest = length
+    for factor in (2, *range(3, _LARGEST_FACTOR + 1, 2)):
+        while rest % factor == 0:
+            rest //= factor
+    return rest == 1
+
+
 def _add_forces(asked: Plan, axis: TimeAxis, pulses: Impact | ModalImpact, times: Floats) -> None:
     scene, rate, guard = asked.scene, asked.scene.sampling.sampling_rate, lead(asked)
     filtered = asked.runs("bandwidth")
     first = np.floor(times * rate).astype(np.int64) - guard
     width = int(np.ceil(pulses.end_of_contact.max() * rate)) + 2 + 2 * guard
-    while filtered and not transformable(width):
+    while filtered and not _is_quick(width):
         width += 1
     windows: NDArray[np.floating] = np.zeros((times.size, width))
     pulses.add_to_frames(windows, rate, (times * rate - first) / rate)
@@ -169,7 +178,7 @@ def _add_response(
         return
     # The slowest pole decays to its share of the response's tolerance in this time.
     poles = recorder.response.poles
-    ringing = float(log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
+    ringing = float(np.log(poles.size / RESPONSE_TOLERANCE) / -poles.real.max())
     end = columns["time"].max() + pulses.end_of_contact.max() + ringing
     stop = int(min(np.ceil(end * rate), last))
     frames = axis.until(stop)[None, first - axis.first :]
