@@ -39,7 +39,7 @@ def test_damping_number_is_exact_to_the_last_digits(e):
         expected = 3 * (1 - mpmath.mpf(e)) / 2
         assert float(damping_number(e) / expected) == pytest.approx(1, abs=1e-11)
         return
-    assert float(damping_number(e) / exact_damping(e)) == pytest.approx(1, abs=4e-16)
+    assert float(damping_number(e) / exact_damping(e)) == pytest.approx(1, abs=1e-15)
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)

@@ -1,6 +1,6 @@
 """Numba kernels of the tabulated pulses and of those made of branches; `cgid.family` describes how a pulse is stored.
 
-No `fastmath`: the same table gives the same bits on every machine,
+No `fastmath`: compiled and interpreted they give the same bits,
 whether or not it fuses multiplication and addition.
 """
 

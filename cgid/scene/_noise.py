@@ -3,7 +3,7 @@
 Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) turns a counter of four words and a key of two into four random
 words; Box and Muller's (1958) transform turns two words into two normal numbers. There is no state, so any samples can
 be had without those before them. Only correctly rounded operations (+, -, *, /, square root) are used and no
-`fastmath`: every machine gives the same bits.
+`fastmath`: every machine gives the same bits up to those of its sine, logarithm and root.
 
 The loops run over short arrays that stay in the cache, from their start and of a fixed length, which is what lets the
 compiler take several at once.
