@@ -34,7 +34,7 @@ from cgid.scene.impacts import draws
 from cgid.signals import Batch
 from cgid.validation import Floats
 
-__all__ = ["Ceiling", "Learner", "ceiling", "learner", "uncovered", "untrusted"]
+__all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 
 #: Most signals to judge or train on: they take hours, and give the accuracy to 1e-4.
 MOST_SIGNALS = 10_000_000
