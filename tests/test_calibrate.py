@@ -259,6 +259,7 @@ def test_pull_is_that_of_the_projected_misfit(known, monkeypatch):
         assert pulls[0, number] == pytest.approx(quotient, rel=0.25)
 
 
+@pytest.mark.long
 def test_slopes_of_all_modes_are_those_of_other_beams(known):
     """All frequencies raised together, from two beams; and the sum of the slopes of single modes."""
     scene, _, _, blows = known
