@@ -631,6 +631,7 @@ def test_beams_without_filters_and_of_slow_recorders() -> None:
 # -- datasets ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_dataset_trains_as_its_scene_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The same signals, read from shards or made on the fly, look through the same beam."""
     made = ["-n", "150", "--seed", "77"]

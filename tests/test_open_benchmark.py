@@ -329,6 +329,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_signals_are_those_of_cgid_generate(made: Path, tmp_path: Path) -> None:
     seed = sets.PUBLIC_SEED + ALL["reference"].number
     generate(ALL["reference"].scene, tmp_path / "r.h5", 3, seed)

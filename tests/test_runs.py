@@ -392,6 +392,7 @@ def test_a_reader_never_sees_a_mixture(path):
     assert len(list(Dataset(path))) == 4
 
 
+@pytest.mark.long
 def test_a_reader_of_one_file_sees_the_old_or_the_new(tmp_path):
     path = dataset(tmp_path / "data.h5", seed=1)
     old = Dataset(path).signal(399).samples
