@@ -156,7 +156,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("port too high", ("monitor", "half.raw", *_RAW, "--prometheus", ":70000"), 65, ("--prometheus", "1 to 65535")),
     ("page of another kind", ("monitor", "half.raw", *_RAW, "--live", "page.pdf"), 65, ("--live", "a file .html")),
     ("page over a file", ("monitor", "half.raw", *_RAW, "--live", "old.html"), 73, ("old.html", "no live page")),
-    ("page in no folder", ("monitor", "half.raw", *_RAW, "--live", "no/p.html"), 73, ("no/p.html", "another place")),
+    ("page in no folder", ("monitor", "half.raw", *_RAW, "--live", "no/p.html"), 73, ("no/p.html",)),
     ("broker of no topic", ("monitor", "half.raw", *_RAW, "--mqtt", "mqtt://here"), 65, ("--mqtt", "'mqtt://here'")),
     ("broker of the web", ("monitor", "half.raw", *_RAW, "--mqtt", "http://a/b"), 65, ("--mqtt", "mqtt://HOST")),
     (
