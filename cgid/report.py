@@ -267,10 +267,10 @@ def _next_steps(report: Report) -> Iterator[str]:
     where = f" (channel {', '.join(hint.channels)})" if hint.channels else ""
     yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
     yield f"<p>To go on, {_text(hint.advice)}.</p>"
-    if hint.commands:
+    for number, way in enumerate(filter(None, (hint.commands, hint.instead))):
         # A step in words, such as filling in a table, is no code.
-        steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in hint.commands)
-        yield "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
+        steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in way)
+        yield "<p>Or:</p>" * number + "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
     yield "</div>"
 
 

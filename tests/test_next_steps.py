@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shlex
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import wavfile
 from scipy.signal import resample_poly
 from scipy.stats import binom
 
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
 from cgid.identification.model import Model
-from cgid.identification.next_steps import ChannelAnswers, Diagnosis, Hint
+from cgid.identification.next_steps import CALIBRATED, SCENE, SCENE_RATE, ChannelAnswers, Diagnosis, Hint
 from cgid.identification.question import Question
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
 from cgid.measure.features import supported
-from cgid.scene import load_scene, parse_scene, synthesise, varied
+from cgid.scene import Scene, load_scene, parse_scene, synthesise, varied
 from cgid.scene.recordings import parts_of_recording
+from cgid.site import SiteCalibration
+from cgid.site.calibration import FEWEST, uncertain
 from tests import few
 from tests.ringing import ringing_batch
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -169,7 +175,7 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     hint = diagnosis.hint()
     assert hint is not None
     assert hint.cause == "sampling_rate"
-    assert "at 25600 Hz they would be inside" in hint.text
+    assert "at 25600 Hz they would be inside" in hint.lines[0]
     assert hint.commands == ("cgid predict x.csv --unit g --mass 2 --rate 25600",)
 
 
@@ -276,7 +282,7 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
     hint = change_of(answers)
     assert hint is not None
     assert hint.cause == "beam"
-    assert hint.text.startswith("the beam has changed, or it is another: the modes of the model's leave ")
+    assert hint.lines[0].startswith("the beam has changed, or it is another: the modes of the model's leave ")
     assert hint.commands == (
         "cgid calibrate 'my file.csv' --unit g --scene tail_beam -o site.toml",
         "cgid train site.toml -o site.npz",
@@ -333,56 +339,189 @@ def test_a_changed_beam_in_a_stream(tmp_path: Path, capsys: pytest.CaptureFixtur
 # -- the line -----------------------------------------------------------------------------------------
 
 
-def test_predict_closes_with_the_next_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "other beam.csv"
-    samples = of_another_beam()
-    np.savetxt(path, samples, fmt="%.6g", header=f"# sampling_rate: {BEAM_RATE:g} Hz\nacceleration", comments="")
-    assert run(["predict", str(path), "--unit", "m/s^2"]) == 0
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith(f"cgid: hint: {path}: 12 of 12 impacts unknown: they are clear, but unlike those of the ")
-    name = shlex.quote(str(path))
-    for command in (
-        f"cgid calibrate {name} --unit 'm/s^2' --scene tail_beam -o site.toml",
-        f"cgid predict {name} --unit 'm/s^2' --model site.npz",
-        f"cgid events {name} --unit 'm/s^2' -o events.csv",
-        "fill in its label column",
+def printed(path: Path, options: list[str], capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """Return the lines of the hint that `predict` prints for a recording."""
+    assert run(["predict", str(path), *options]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    return lines[next(k for k, line in enumerate(lines) if line.startswith("cgid: hint: ")) :]
+
+
+def hint_line(path: Path, options: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """Return the hint in JSON."""
+    assert run(["predict", str(path), *options, "--json"]) == 0
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def test_predict_closes_with_numbered_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, name = tmp_path / "other beam.csv", shlex.quote(str(tmp_path / "other beam.csv"))
+    header = f"# sampling_rate: {BEAM_RATE:g} Hz\nacceleration"
+    np.savetxt(path, of_another_beam(24), fmt="%.6g", header=header, comments="")
+    said = shlex.join(["--unit", "m/s^2"])
+    first, *steps = printed(path, shlex.split(said), capsys)
+    assert first.startswith(f"cgid: hint: {path}: 24 of 24 impacts unknown: they are clear, but unlike those of the ")
+    calibration = (
+        f"cgid calibrate {name} {said} --scene tail_beam -o site.toml",
+        "cgid train site.toml -o site.npz",
+        f"cgid predict {name} {said} --model site.npz",
+    )
+    labels = (
+        f"cgid events {name} {said} -o events.csv",
+        "fill in the label column of events.csv",
         "cgid train events.csv -o mine.npz",
-        f"cgid predict {name} --unit 'm/s^2' --model mine.npz",
-    ):
-        assert command in last
-    assert run(["predict", str(path), "--unit", "m/s^2", "--json"]) == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert lines[-1]["kind"] == "hint"
-    assert lines[-1]["cause"] == "shape"
-    assert "cgid train events.csv -o mine.npz" in lines[-1]["commands"]
-    # Numbers as a user writes them, and no mass for a model that is trained without it.
-    assert run(["predict", str(path), "--unit", "m/s^2", "--rate", "25600", "--mass", "2.5"]) == 0
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert "--rate 25600 --unit 'm/s^2' -o events.csv" in last
-    assert last.endswith("--rate 25600 --unit 'm/s^2' --model mine.npz")
-    # Volts are read alike by all of them.
-    chain = ["--unit", "mV", "--sensitivity", "1=2 mV/(m/s^2)", "--gain", "2"]
-    assert run(["predict", str(path), *chain]) == 0
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert f"cgid events {name} {shlex.join(chain)} -o events.csv" in last
-    assert last.endswith(f"{shlex.join(chain)} --model mine.npz")
+        f"cgid predict {name} {said} --model mine.npz",
+    )
+    numbered = [[f"  {number}. {step}" for number, step in enumerate(way, 1)] for way in (calibration, labels)]
+    assert steps == [*numbered[0], "  or:", *numbered[1]]
+    line = hint_line(path, shlex.split(said), capsys)
+    assert (line["kind"], line["cause"]) == ("hint", "shape")
+    assert (line["commands"], line["instead"]) == (list(calibration), list(labels))
+    # Numbers as a user writes them, and none of the former model's options.
+    steps = printed(path, ["--unit", "m/s^2", "--rate", "25600", "--evidence", "0.9"], capsys)
+    assert steps[-1].endswith(f"--rate 25600 {said} --model mine.npz")
+    # Too few to calibrate by, or to train on.
+    np.savetxt(path, of_another_beam(12), fmt="%.6g", header=header, comments="")
+    assert len(printed(path, shlex.split(said), capsys)) == 1
     assert run(["predict", "--sample", "--json"]) == 0
     assert '"kind": "hint"' not in capsys.readouterr().out
 
 
-def test_the_next_commands_know_the_measuring_chain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "volts.npy"
-    np.save(path, of_another_beam() / 100)
-    chain = ["--rate", f"{BEAM_RATE:g}", "--unit", "V", "--sensitivity", "10 mV/(m/s^2)"]
-    assert run(["predict", str(path), *chain]) == 0
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert shlex.join(["cgid", "events", str(path), *chain, "-o", "events.csv"]) in last
-    assert run(["events", str(path), *chain, "-o", str(tmp_path / "events.csv")]) == 0
+def test_a_unit_that_a_sensitivity_converts_is_not_corrected_by_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "volts.npy", of_another_beam() / 100)
+    chain = ["--rate", f"{BEAM_RATE:g}", "--unit", "V", "--sensitivity", "1 V/N"]
+    first, *steps = printed(tmp_path / "volts.npy", chain, capsys)
+    assert "--sensitivity" in first and "--unit 'm/s^2'" not in "".join(steps)
+
+
+def test_the_next_commands_do_not_ask_for_a_file_that_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("site-modes.csv", "events.csv", "mine.npz", "mine_2.npz"):
+        Path(name).touch()
+    np.save("other.npy", of_another_beam(24))
+    line = hint_line(Path("other.npy"), ["--rate", "25600", "--unit", "m/s^2"], capsys)
+    assert line["commands"][1] == "cgid train site_2.toml -o site_2.npz"
+    assert line["instead"][2] == "cgid train events_2.csv -o mine_3.npz"
+
+
+def test_a_scene_of_another_rate_is_not_asked_for() -> None:
+    assert load_scene(SCENE).sampling.sampling_rate == SCENE_RATE
+    assert CALIBRATED == FEWEST
+    hint = hint_of(resample_poly(of_another_beam(24), 2, 1), 2 * BEAM_RATE, BEAM)
+    assert hint is not None and hint.cause == "shape"
+    assert [command.split()[1] for command in hint.commands] == ["events", "in", "train", "predict"]
+
+
+def test_the_unit_that_explains_the_size_is_named() -> None:
+    force = stream(LABELS, 0.05)
+    for options, wanted in (
+        (("--unit", "kN"), ("cgid predict 'my file.csv' --unit N",)),
+        ((), ()),
+    ):
+        hint = hint_of(1e3 * force, RATE, PULSES, options)
+        assert hint is not None and (hint.cause, hint.commands) == ("amplitude", wanted)
+
+
+# -- every command that is printed --------------------------------------------------------------------
+
+
+def recordings_with_hints(folder: Path) -> dict[str, tuple[str, list[str]]]:
+    """Write recordings of one and of two channels that get hints; return cause and options of each file."""
+    force, motion = stream(["coal", "gangue"] * 12, 0.05), of_another_beam(24)
+    noise = np.random.default_rng(5).normal(0, 0.05, motion.size)
+    times = np.arange(400) / RATE
+    ringing = np.convolve(force, np.exp(-times * 1500) * np.sin(2 * np.pi * 1500 * times))[: force.size]
+    late = np.arange(round(0.03 * RATE)) / RATE
+    rebounding = -force + np.convolve(force, np.exp(-late / 5e-3) / (5e-3 * RATE))[: force.size]
+
+    def text(name: str, rate: float, head: str, *columns: np.ndarray) -> str:
+        header = f"# sampling_rate: {rate:g} Hz\n{head}"
+        np.savetxt(folder / name, np.stack(columns, 1), fmt="%.6g", header=header, comments="", delimiter=",")
+        return name
+
+    def array(name: str, *channels: np.ndarray) -> str:
+        np.save(folder / name, np.stack(channels).astype(np.float32))
+        return name
+
+    two, unstated = (motion, 0.7 * np.roll(motion, 9) + noise), ["--rate", f"{BEAM_RATE:g}"]
+    counts = np.round(motion / np.abs(motion).max() * 2**14).astype(np.int16)
+    wavfile.write(folder / "two channels.wav", round(BEAM_RATE), np.stack([counts, -counts], 1))
+    pulses = ["--rate", f"{RATE:g}"]
+    return {
+        text("one.csv", BEAM_RATE, "motion (m/s^2)", motion): ("shape", []),
+        text("two.csv", BEAM_RATE, "left (m/s^2),right (m/s^2)", *two): ("shape", []),
+        text("units.csv", BEAM_RATE, "left (g),right (m/s^2),tap (N)", motion / 9.8, *two): ("shape", []),
+        array("volts.npy", *(one / 100 for one in two)): (
+            "shape",
+            [*unstated, "--unit", "V", "--sensitivity", "1=10 mV/(m/s^2)", "--sensitivity", "2=9 mV/(m/s^2)"],
+        ),
+        array("picked.npy", *two, motion): (
+            "shape",
+            [*unstated, "--unit", "g", "--channel", "3+1", "--coverage", ".9"],
+        ),
+        "two channels.wav": ("shape", ["--full-scale", "5 g", "--dead-time", "6"]),
+        array("faster.npy", resample_poly(motion, 2, 1)): ("shape", ["--rate", "51200", "--unit", "m/s^2"]),
+        array("down.npy", force, rebounding): ("upside_down", [*pulses, "--unit", "N"]),
+        array("kilo.npy", force, force): ("amplitude", [*pulses, "--unit", "kN"]),
+        array("ringing.npy", ringing, ringing): ("vibration", [*pulses, "--unit", "N"]),
+    }
+
+
+OTHER_RECORDINGS = ("two channels.wav", "faster.npy", "kilo.npy", "ringing.npy")
+
+
+def follow(way: list[str], run_one: Callable[[list[str]], int]) -> list[str]:
+    """Run the steps of a hint as they are printed; fill in what they ask for. Return the commands."""
+    done = []
+    for step in way:
+        if step.startswith("cgid "):
+            done.append(shlex.split(step)[1])
+            assert run_one(shlex.split(step)[1:]) == 0, step
+            continue
+        (name,) = (word for word in step.split() if word.endswith(".csv"))
+        rows = list(csv.DictReader(Path(name).read_text(encoding="utf-8-sig").splitlines()))
+        for number, row in enumerate(rows):
+            row["label"] = LABELS[number % 2]
+        with Path(name).open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+    return done
+
+
+@pytest.mark.parametrize(
+    "name",
+    few(("two.csv", "down.npy", "one.csv", "volts.npy", "units.csv", "picked.npy", *OTHER_RECORDINGS), 2),
+)
+def test_every_command_of_a_hint_works(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As printed, on the very file. Modes are not learned, and few signals train: all else is done."""
+
+    def unlearned(scene: Scene, blows: np.ndarray, *_: object, **__: object) -> SiteCalibration:
+        assert len(blows) >= FEWEST
+        site = uncertain(scene, 0.01)
+        assert site.tail_beam is not None and site.tail_beam.learned_modes is not None
+        modes = site.tail_beam.learned_modes
+        return SiteCalibration(
+            scene=site, start=modes, learned=modes, n_blows=20, before=0, after=0, expected=0, crossings=0, at_rest=True
+        )
+
+    def run_one(arguments: list[str]) -> int:
+        return run([*arguments, *["-n", "600"] * (arguments[:2] == ["train", "site.toml"])])
+
+    monkeypatch.setattr("cgid.site.calibration.calibrate", unlearned)
+    monkeypatch.chdir(tmp_path)
+    cause, options = recordings_with_hints(tmp_path)[name]
+    assert run(["predict", name, *options, "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    hints = [line for line in lines if line["kind"] == "hint"]
+    assert [hint["cause"] for hint in hints][:1] == [cause]
+    commands = [follow(way, run_one) for hint in hints for way in (hint["commands"], hint["instead"])]
     capsys.readouterr()
-    # A unit that a sensitivity has converted is not corrected by another unit.
-    assert run(["predict", str(path), *chain[:4], "--sensitivity", "1 V/N"]) == 0
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert "--sensitivity" in last and "--unit 'm/s^2'" not in last
+    assert any(commands)
 
 
 def test_a_live_stream_has_its_hint_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

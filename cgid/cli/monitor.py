@@ -253,7 +253,7 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, o
         blocks = outlets.watched(blocks, live.sampling_rate)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     # The stream is over when the next command runs: it is for a recording of it.
-    diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0])
+    diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names)
     rows = RecordingRows(live.source, model, names, question, lines, always=True, diagnosis=diagnosis)
     if outlets is not None:
         outlets.begin(

@@ -139,7 +139,11 @@ class _Prediction:
         gaps = recording.gaps(numbers, question.give_up, joint=model.together > 1)
         blocks = model_blocks(recording, model, numbers, question, gaps=gaps, seen=passing.see)
         steps = identify_blocks(blocks, rate, model, names, question, source)
-        diagnosis = Diagnosis(model, rate, source, *given_options())
+        # The next command cannot read what came through a pipe.
+        file = "RECORDING" if source == "stdin" else source
+        diagnosis = Diagnosis(
+            model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels]
+        )
         rows = RecordingRows(source, model, names, question, self.lines, keep=keep, diagnosis=diagnosis)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:

@@ -15,7 +15,9 @@ import shlex
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from itertools import chain, count, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +60,12 @@ _CLIPPED, _UPPER = 2.0, 0.85
 _SPREAD = {False: ((7.0, 0.10), (10.0, 0.12)), True: ((3.5, 0.05), (15.0, 0.34))}
 #: Between these factors g and m/s^2 may have been confused.
 _LIKE_G = (5.0, 20.0)
+#: The shipped scene with a beam, and its sampling rate [Hz], which a recording to calibrate it by must have.
+SCENE, SCENE_RATE = "tail_beam", 25_600.0
+#: Fewest impacts that calibrate a scene, and that one recording trains on (in blocks of its time, with two labels).
+CALIBRATED, _TRAINED = 20, 16
+#: Decades by which an amplitude may miss a unit that would explain it: it is known to a quarter of a decade.
+_SAME_UNIT = 0.2
 #: Share of answers without any mark from which these, and not the marks, decide on the cause.
 _UNMARKED = 0.25
 
@@ -201,7 +209,8 @@ class Hint:
         are known
     reason : in words
     advice : what to do
-    commands : the next commands, in order
+    commands : the next steps, in order: commands, or words
+    instead : other steps that may be taken in their place
     channels : where most answers are unknown; empty if in all
     n_unknown, n_answers : in these channels
     """
@@ -210,15 +219,18 @@ class Hint:
     reason: str
     advice: str
     commands: tuple[str, ...]
+    instead: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
     n_unknown: int = 0
     n_answers: int = 0
 
     @property
-    def text(self) -> str:
-        """The hint in one line."""
-        steps = f": {', then '.join(self.commands)}" if self.commands else ""
-        return f"{self.reason}; {self.advice}{steps}"
+    def lines(self) -> list[str]:
+        """The hint as text: why and what helps in one line, then a line for each step."""
+        ways = [[f"  {number}. {step}" for number, step in enumerate(way, 1)] for way in (self.commands, self.instead)]
+        between = ["  or:"] * (ways[0] != [] and ways[1] != [])
+        steps = [*ways[0], *between, *ways[1]]
+        return [f"{self.reason}; {self.advice}{':' * bool(steps)}", *steps]
 
 
 @dataclass
@@ -228,6 +240,7 @@ class ChannelAnswers:
     n_answers: int = 0
     n_unmarked: int = 0
     n_unknown: int = 0
+    n_usable: int = 0
     marks: Counter[str] = field(default_factory=Counter)
     unmarked: Counter[str] = field(default_factory=Counter)
     examples: dict[str, list[Answer]] = field(default_factory=dict)
@@ -268,6 +281,8 @@ class Diagnosis:
         Options that all commands need to read the file, such as `--rate 25600`.
     answering : sequence of str
         Options of `cgid predict` alone, such as `--model mine.npz`.
+    channels : sequence of str
+        All channels that these options read, as `--channel` takes them.
     labelled : bool
         Whether the file is a dataset, which holds signals and the labels to train on.
     """
@@ -280,11 +295,12 @@ class Diagnosis:
         options: Sequence[str] = (),
         answering: Sequence[str] = (),
         *,
+        channels: Sequence[str] = (),
         labelled: bool = False,
     ) -> None:
         self._model, self._rate, self._source = model, sampling_rate, source
         self._options, self._answering = tuple(options), tuple(answering)
-        self._labelled = labelled
+        self._labelled, self._all_channels = labelled, tuple(channels)
         self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
         self._channels: dict[str, ChannelAnswers] = {}
         self.upside_down: set[str] = set()
@@ -299,6 +315,10 @@ class Diagnosis:
             crowded = self._model.kind == "vibration" and 0 < after < EVENT_TIME
             name, marked = _cause_of(answer, crowded)
             channel.n_unmarked += not marked
+            # Training leaves out impacts that begin within the event before.
+            is_apart = not 0 < after < EVENT_TIME
+            is_whole = not (answer.overlapping or answer.clipped or answer.cut)
+            channel.n_usable += bool(answer.probabilities) and is_apart and is_whole
             if np.isfinite(answer.unexplained) and not (crowded or answer.overlapping or answer.clipped or answer.cut):
                 channel.unexplained.append(answer.unexplained)
             if np.isfinite(answer.level):
@@ -348,12 +368,14 @@ class Diagnosis:
         problem = sum((channel.problems for channel in own.values()), Counter[str]()).most_common(1)
         n_unknown, n_answers = (sum(getattr(c, name) for c in own.values()) for name in ("n_unknown", "n_answers"))
         where = f"{n_unknown} of {n_answers} {self._kind}{'' if n_answers == 1 else 's'} unknown"
-        reason, advice, commands = self._told(cause, examples, problem[0][0] if problem else "")
+        told = self._told(cause, examples, problem[0][0] if problem else "")
+        reason, advice, commands, instead = (*told, *[()] * 2)[:4]
         return Hint(
             cause=cause,
             reason=f"{where}: {reason}",
             advice=advice,
             commands=commands,
+            instead=instead,
             channels=() if len(own) == len(self._channels) else tuple(own),
             n_unknown=n_unknown,
             n_answers=n_answers,
@@ -366,13 +388,14 @@ class Diagnosis:
             return None
         latest = np.concatenate(list(own.values()))
         usual = f", {self._model.unexplained:.2g} % in the training" if self._model.unexplained else ""
+        steps = self._calibration()
         return Hint(
             cause="beam",
             reason="the beam has changed, or it is another: the modes of the model's leave "
             f"{np.median(latest):.2g} % of the energy of the last {len(latest)} {self._kind}s unexplained (median"
             f"{usual}), and answers are less often right",
-            advice="learn its modes anew and train on them",
-            commands=self._calibration(),
+            advice="learn its modes anew and train on them" + self._lacking(steps),
+            commands=steps,
             channels=() if len(own) == len(self._channels) else tuple(own),
             n_unknown=sum(self._channels[name].n_unknown for name in own),
             n_answers=sum(self._channels[name].n_answers for name in own),
@@ -400,8 +423,8 @@ class Diagnosis:
 
     # -- words ----------------------------------------------------------------------------------------
 
-    def _told(self, cause: str, examples: Sequence[Answer], problem: str) -> tuple[str, str, tuple[str, ...]]:
-        """Return reason, advice and next commands."""
+    def _told(self, cause: str, examples: Sequence[Answer], problem: str) -> tuple[Any, ...]:
+        """Return reason, advice and next steps, or the steps of two ways."""
         model, trained = self._model, _rates(self._model)
         causes = [answer.cause for answer in examples if answer.cause is not None]
         middle = float(np.median([one.value for one in causes])) if causes else float("nan")
@@ -425,7 +448,7 @@ class Diagnosis:
                 (),
             )
         if cause == "upside_down":
-            return "the signal falls far deeper than it rises", "turn it over", (self._predict("--invert"),)
+            return "the signal falls far deeper than it rises", "turn it over", (self._turned(),)
         if cause == "coverage":
             return f"they are like those of the training, but {problem}", "ask for a lower coverage", ()
         if cause == "sampling_rate":
@@ -440,31 +463,35 @@ class Diagnosis:
             return (
                 f"they are {size} those of the training, otherwise like them",
                 f"check gain, sensitivity and unit ({units}), and {self._cure('--unit')}",
-                self._corrected("--unit", "UNIT"),
+                self._in_other_unit(middle),
             )
         if cause == "duration":
             size = f"about {_times(middle)} times as {'long' if middle > 1 else 'short'} as"
             return (
                 f"they are {size} those of the training, otherwise like them",
                 f"check the sampling rate, {self._rate:g} Hz, and {self._cure('--rate')}",
-                self._corrected("--rate", "HERTZ"),
+                (),
             )
         if cause == "unmeasured":
             return f"they cannot be measured ({problem})" if problem else "they cannot be measured", "record anew", ()
+        training = self._training()
         if cause == "vibration":
             return (
                 f"they swing below their baseline by {middle:.0%} of their peak, which no contact force does",
-                f"if it is an acceleration, {self._cure('--unit')}, else label impacts and train on them",
-                (*self._corrected("--unit", "m/s^2"), *self._training()),
+                f"if it is an acceleration, {self._cure('--unit')}, else label impacts and train on them"
+                + self._lacking(training),
+                *filter(None, (self._as_acceleration(), training)),
             )
+        what = "parts of recordings" if self._kind == "window" else "impacts"
         reason = "they are clear, but unlike those of the training, as on another beam, mount or sensor"
         if cause == "shape" and model.beam is not None and not self._labelled:
             return (
                 "they are clear, but unlike those of the training: the modes of the model's beam do not explain them, "
                 "it is another beam, or it has changed"
                 + (", or the channels are in another order" if model.together > 1 else ""),
-                "learn the modes of this beam with a scene of its size and train on them, or label impacts",
-                (*self._calibration(), *self._training()),
+                f"learn the modes of this beam, with a scene of its size at {self._rate:g} Hz, and train on them, or "
+                f"label impacts{self._lacking(training)}",
+                *filter(None, (self._calibration(), training)),
             )
         if cause == "shape":
             reason = "they are no single pulses like those of the training, as where the sensor rings or filters"
@@ -476,11 +503,43 @@ class Diagnosis:
                 reason += f" (foremost {name}: {value:.3g}, in the training {low:.3g} to {high:.3g})"
         if not model.covers(self._rate):
             reason += f"; and sampled at {self._rate:g} Hz, not {trained} Hz"
-        return reason, "label impacts and train on them", self._training()
+        return reason, f"label {what} and train on them{self._lacking(training)}", training
 
-    def _predict(self, *more: str, dropped: Sequence[str] = ()) -> str:
-        options = _without([*self._options, *self._answering], (*more, *dropped))
+    def _predict(self, *more: str) -> str:
+        options = _without([*self._options, *self._answering], more)
         return shlex.join(["cgid", "predict", self._source, *options, *more])
+
+    def _predict_with(self, model: str) -> str:
+        """Return the command for a model made here; what only the former one asks for is left out."""
+        is_for_all = self._model.together > 1 or self._channels.keys() >= set(self._all_channels)
+        options = self._options if is_for_all else self._for_one()  # others may be of another quantity
+        return shlex.join(["cgid", "predict", self._source, *options, "--model", model])
+
+    def _turned(self) -> str:
+        """Return the command that turns the signal over, without the channels that need it not."""
+        options = [*self._options, *self._answering]
+        others = self._channels.keys() - self.upside_down
+        if others and self._model.together == 1:
+            names = [name for name in self._channels if name in self.upside_down]
+            options = _without(options, ("--channel",)) + [word for name in names for word in ("--channel", name)]
+        turn = [] if "--invert" in options else ["--invert"]
+        return shlex.join(["cgid", "predict", self._source, *_without(options, ("--invert",)), *turn])
+
+    def _as_acceleration(self) -> tuple[str, ...]:
+        if "--unit" not in self._options or self._is_converted("--unit"):
+            return ()
+        options = [*_without(self._options, ("--unit",)), "--unit", "m/s^2"]
+        return (shlex.join(["cgid", "predict", self._source, *options]),)
+
+    def _in_other_unit(self, factor: float) -> tuple[str, ...]:
+        """Return the command with the unit that makes the signal so many times as small; none if no unit does."""
+        given = dict(pairwise(self._options)).get("--unit", "")
+        units = UNITS[self._model.quantity]
+        if given not in units or self._is_converted("--unit"):
+            return ()
+        away = {unit: abs(np.log10(units[given] / units[unit] / factor)) for unit in _spellings(self._model.quantity)}
+        nearest = min(away, key=lambda unit: away[unit])
+        return (self._predict("--unit", nearest),) if away[nearest] < _SAME_UNIT else ()
 
     def _cure(self, flag: str) -> str:
         """Return how to correct what an option says: the option, or the file, which no option may contradict."""
@@ -496,26 +555,67 @@ class Diagnosis:
         """Return whether a flag is the unit of volts, which a sensitivity converts."""
         return flag == "--unit" and "--sensitivity" in self._options
 
+    def _for_one(self) -> tuple[str, ...]:
+        """Return the options that read one channel alone: that with the most impacts to learn from."""
+        if len(self._all_channels) < 2:
+            return self._options
+        best = self._best()
+        # Channels that are looked at together have one name.
+        name = next((one for one in self._all_channels if best == one or best.startswith(f"{one}+")), best)
+        return (*_without(self._options, ("--channel",)), "--channel", name)
+
+    def _best(self) -> str:
+        return max(self._channels, key=lambda name: self._channels[name].n_usable)
+
+    def _is_enough(self, n_impacts: int) -> bool:
+        return self._labelled or self._channels[self._best()].n_usable >= n_impacts
+
+    def _lacking(self, steps: Sequence[str]) -> str:
+        """Return the end of an advice whose steps the recording is too short for."""
+        is_enough = self._kind == "window" or self._is_enough(CALIBRATED)
+        return "" if steps or is_enough else f"; record {CALIBRATED} clear impacts or more for that"
+
     def _training(self) -> tuple[str, ...]:
-        """Return the commands that make a model of this recording's own."""
-        train: tuple[str, ...]
+        """Return the steps that make a model of this recording's own; none if it is too short for that."""
+        if self._kind == "window":
+            return self._training_on_windows()
+        if not self._is_enough(_TRAINED):
+            return ()
+        model = _unused("mine", ".npz")
         if self._labelled:
-            train = (shlex.join(["cgid", "train", self._source, "-o", "mine.npz"]),)
-        else:
-            train = (
-                shlex.join(["cgid", "events", self._source, *self._options, "-o", "events.csv"]),
-                "fill in its label column",
-                "cgid train events.csv -o mine.npz",
-            )
-        # What only the former model asks for: the new one sees the samples as they are.
-        return (*train, self._predict("--model", "mine.npz", dropped=("--mass", "--drop-height", "--sensor")))
+            return (shlex.join(["cgid", "train", self._source, "-o", model]), self._predict_with(model))
+        options, table = list(self._for_one()), _unused("events", ".csv")
+        if self._model.quantity == "level" and "--unit" not in options:
+            options += ["--unit", "FS"]
+        rings = [word for pair in pairwise(options) if pair[0] == "--dead-time" for word in pair]
+        return (
+            shlex.join(["cgid", "events", self._source, *options, "-o", table]),
+            f"fill in the label column of {table}",
+            shlex.join(["cgid", "train", table, *rings, "-o", model]),
+            self._predict_with(model),
+        )
+
+    def _training_on_windows(self) -> tuple[str, ...]:
+        """Return the steps that make a model of parts of this recording; none if train cannot read it alike."""
+        if {"--variable", "--invert"} & set(self._options):
+            return ()
+        table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
+        return (
+            shlex.join(["cgid", "train", self._source, *self._options, "--template", table]),
+            f"fill in {table}: a row for each part, with its start, end and label",
+            shlex.join(["cgid", "train", table, *self._options, "--by", "window", "-o", model]),
+            self._predict_with(model),
+        )
 
     def _calibration(self) -> tuple[str, ...]:
-        """Return the commands that make a model of this recording's beam."""
+        """Return the steps that make a model of this recording's beam; none if the shipped scene cannot start them."""
+        if not self._is_enough(CALIBRATED) or abs(self._rate / SCENE_RATE - 1) > 1e-3:
+            return ()
+        name = _unused("site", ".toml", "-modes.csv", ".npz")
         return (
-            shlex.join(["cgid", "calibrate", self._source, *self._options, "--scene", "tail_beam", "-o", "site.toml"]),
-            "cgid train site.toml -o site.npz",
-            self._predict("--model", "site.npz"),
+            shlex.join(["cgid", "calibrate", self._source, *self._for_one(), "--scene", SCENE, "-o", f"{name}.toml"]),
+            f"cgid train {name}.toml -o {name}.npz",
+            self._predict_with(f"{name}.npz"),
         )
 
 
@@ -544,6 +644,13 @@ def _level_text(factor: float, model: Model) -> str:
         f"the forces are about {size:.2g} times as {side} as in the training: the scale of the samples is wrong{as_g}, "
         "or the rocks are of other sizes, drop heights or mixture; check unit, sensitivity, gain and full scale"
     )
+
+
+def _unused(stem: str, *endings: str) -> str:
+    """Return the name of a file that is not there yet, or of several without their endings."""
+    names = chain([stem], (f"{stem}_{number}" for number in count(2)))
+    name = next(one for one in names if not any(Path(one + ending).exists() for ending in endings))
+    return name + endings[0] if len(endings) == 1 else name
 
 
 def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:
