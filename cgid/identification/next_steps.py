@@ -64,8 +64,8 @@ _LIKE_G = (5.0, 20.0)
 SCENE, SCENE_RATE = "tail_beam", 25_600.0
 #: Fewest impacts that calibrate a scene, and that one recording trains on (in blocks of its time, with two labels).
 CALIBRATED, _TRAINED = 20, 16
-#: Decades by which an amplitude may miss a unit that would explain it: it is known to a quarter of a decade.
-_SAME_UNIT = 0.2
+#: Decades by which an amplitude may miss the unit that explains it: it is known to a quarter of a decade.
+_SAME_UNIT = 0.3
 #: Share of answers without any mark from which these, and not the marks, decide on the cause.
 _UNMARKED = 0.25
 
