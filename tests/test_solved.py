@@ -79,7 +79,7 @@ def test_the_file_holds_the_rocks_that_the_scene_draws(solved, reference_scene):
     for name in (*PARAMETERS[:-1], "restitution"):
         there = np.concatenate([of.parameters[name] for of in drawn])[:n]
         asked = "restitution_asked" if name == "restitution" else name
-        np.testing.assert_array_equal(solved.columns[asked], there, err_msg=name)
+        np.testing.assert_allclose(solved.columns[asked], there, rtol=1e-13, err_msg=name)
 
 
 def test_restitutions_are_those_asked_for_and_impulses_fit_them(solved):
@@ -112,7 +112,16 @@ def test_the_maker_makes_the_rows_of_the_file(solved):
         assert made[name] == pytest.approx(solved.columns[name][0], rel=1e-3), name
     rows = maker.kept(PATH, maker.drawn_impacts(len(solved)))
     assert rows[0].keys() == made.keys()
-    assert maker.gathered(rows).to_bytes() == solved.to_bytes()
+    require_alike(maker.gathered(rows), solved)
+
+
+def require_alike(found, expected):
+    """Rocks are drawn anew, and a processor may change their last digits; what was solved is kept as it is."""
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    np.testing.assert_array_equal(found.pulses.forces, expected.pulses.forces)
+    assert found.columns.keys() == expected.columns.keys()
+    for name, values in expected.columns.items():
+        np.testing.assert_allclose(found.columns[name], values, rtol=1e-13, err_msg=name)
 
 
 def module_of(path):
@@ -172,7 +181,7 @@ def test_the_maker_goes_on_where_the_file_ends(solved, tmp_path, monkeypatch):
     monkeypatch.setattr(maker, "solved", lambda rocks, jobs: asked.extend(rocks) or iter(rows[2:3]))
     maker.main()
     assert asked == maker.drawn_impacts(3)[2:]
-    assert path.read_bytes() == of_first(solved, 3).to_bytes()
+    require_alike(SolvedImpacts.load(path), of_first(solved, 3))
 
 
 def test_no_shipped_model_was_trained_with_the_seed(solved):
