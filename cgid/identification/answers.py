@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,9 @@ from cgid.recordings.chain import require_measured
 from cgid.signals import Signal
 from cgid.units import ELECTRICAL, UNITS
 from cgid.validation import UNKNOWN, Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.contact import BeamStream
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,11 +198,17 @@ def identify(signal: Signal, model: Model, question: Question | None = None, **f
 
 
 def identify_events(
-    events: Sequence[Event], model: Model, question: Question, *, channels: Sequence[str] = ("1",)
+    events: Sequence[Event],
+    model: Model,
+    question: Question,
+    *,
+    channels: Sequence[str] = ("1",),
+    beam: BeamStream | None = None,
 ) -> list[Answer]:
     """Return one answer for each detected impact, in order; frames of one shape form one batch.
 
-    `channels` holds the names of the channels of the recording. Raises as `identify`.
+    `channels` holds the names of the channels of the recording, and `beam` knows the earlier impacts of a stream.
+    Raises as `identify`.
     """
     if model.kind != "window" and any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
         raise BadData(
@@ -221,6 +230,8 @@ def identify_events(
                 drop_height=question.drop_height,
                 detection_limit=event.detection_limit,
                 equalisation=None if sensor is None else model.equalisation(sensor)[0],
+                beam=beam,
+                channel=np.array([events[own[number]].channel for number in numbers]),
             )
             answers |= zip((own[number] for number in numbers), found, strict=True)
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
@@ -248,6 +259,8 @@ def identify_frames(
     drop_height: ArrayLike | None = None,
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
+    beam: BeamStream | None = None,
+    channel: NDArray[np.intp] | None = None,
 ) -> list[Answer]:
     """Return one answer for each frame of a single impact.
 
@@ -267,6 +280,10 @@ def identify_frames(
         Least height of a pulse over the standard deviation of the noise.
     equalisation : Equalisation, optional
         Corrects the sensor's response.
+    beam : BeamStream, optional
+        The model's beam, with what earlier impacts of the stream have shown.
+    channel : ndarray of int, (n_signals,), optional
+        The channel that each frame is from.
 
     Returns
     -------
@@ -290,7 +307,8 @@ def identify_frames(
         invalid="nan",
         detection_limit=detection_limit,
         equalisation=equalisation,
-        beam=model.beam,
+        beam=beam or model.beam,
+        channel=channel,
     )
     sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate

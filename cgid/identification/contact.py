@@ -7,7 +7,7 @@ onto the shapes is linear. So a pulse is fitted in 16 numbers, whatever the leng
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, cached_property
@@ -30,11 +30,10 @@ _POINTS, _LENGTH = 96, 1 << 14
 #: Least and largest width [s] (impulse over peak), and how far touch may lie outside of its slack [samples].
 _WIDTHS, _BEYOND = (25e-6, 1.6e-3), 2.0
 #: Pulses of the table by ln width, shape and touch; every so many are tried first.
-_NODES, _EVERY = (48, _SHAPES.size, 45), (2, 5, 2)
-#: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table.
-_KEPT, _FEW, _MORE = 6, 3, 7
-#: Steps with exact pulses.
-_STEPS = 1
+_NODES, _FIRST = (48, _SHAPES.size, 45), (2, 5, 2)
+#: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table; a
+#: step that gains less of the logarithm of the likelihood is the last.
+_KEPT, _FEW, _MORE, _LEAST_GAIN = 6, 3, 7, 1e-3
 #: Prior mean and deviation of the shape, and of the touch [samples].
 _SHAPE_PRIOR, _TOUCH_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows at a time.
@@ -49,6 +48,11 @@ _EDGE, _BESIDE = 0.35, 4
 #: Where more than this share of the energy is unexplained, and the misfit is above this, touch is sought so much
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
+#: In a stream: the share of energy that a foreign beam leaves unexplained, of so many impacts in the median; by so many
+#: the filter is settled; so many test again what is settled, and a noise that is so many times as loud asks for that.
+_FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
+#: Decisions fall after these numbers of impacts, then every so many.
+_DECISIONS, _EVERY = (8, 16, 32), 64
 #: Noise alone leaves a misfit of less than this: five deviations of chi-square of the coefficients of a frame.
 _BY_NOISE = 1.28
 #: Samples before touch that show ringing: fewest and most.
@@ -214,10 +218,10 @@ class ContactFit:
         products of two of these, (n, n_products).
         """
         sides = [
-            np.linspace(low, high, n)[::every] for low, high, n, every in zip(*_LIMITS, _NODES, _EVERY, strict=True)
+            np.linspace(low, high, n)[::every] for low, high, n, every in zip(*_LIMITS, _NODES, _FIRST, strict=True)
         ]
         likely = (sides[2] >= 0) & (sides[2] <= TOUCH)
-        bank = self._bank[:: _EVERY[0], :: _EVERY[1], :: _EVERY[2]][:, :, likely].transpose(1, 0, 2, 3)
+        bank = self._bank[:: _FIRST[0], :: _FIRST[1], :: _FIRST[2]][:, :, likely].transpose(1, 0, 2, 3)
         mesh = np.meshgrid(sides[1], sides[0], sides[2][likely], indexing="ij")
         at = np.stack([mesh[1], mesh[0], mesh[2]], axis=-1).reshape(len(sides[1]), -1, 3)
         flat = np.ascontiguousarray(bank.reshape(-1, bank.shape[-1]))
@@ -242,17 +246,14 @@ class ContactFit:
         n = len(vector)
         starts = self._starts(information, vector)
         refined, cost = self._descended(
-            starts.reshape(-1, 3),
-            np.repeat(information, _KEPT, 0),
-            np.repeat(vector, _KEPT, 0),
-            self.table_coefficients,
-            _FEW,
+            starts.reshape(-1, 3), np.repeat(information, _KEPT, 0), np.repeat(vector, _KEPT, 0), _FEW
         )[:2]
         best = np.argmin(cost.reshape(n, _KEPT), axis=1)
         at = refined.reshape(n, _KEPT, 3)[np.arange(n), best]
-        at = self._descended(at, information, vector, self.table_coefficients, _MORE)[0]
-        at, _, peak, ways, own = self._descended(at, information, vector, self.exact_coefficients, _STEPS)
+        at, _, peak, ways, own = self._descended(at, information, vector, _MORE)
         covariance = np.linalg.inv(_curvature(ways, information))[:, :3, :3]
+        # Rounding may leave a variance below 0 where a force is far too large.
+        covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], 0.0)
         return at, peak, own, np.asarray(covariance, np.float64)
 
     def _starts(self, information: Floats, vector: Floats) -> Floats:
@@ -290,41 +291,35 @@ class ContactFit:
         found = weights.transpose(1, 0, 2) @ flat[index]
         return found[:, 0].astype(np.float64), found[:, 1:].astype(np.float64)
 
-    @staticmethod
-    def _descended(
-        at: Floats,
-        information: Floats,
-        vector: Floats,
-        coefficients: Callable[[Floats], tuple[Floats, Floats]],
-        n_steps: int,
-    ) -> tuple[Floats, ...]:
+    def _descended(self, at: Floats, information: Floats, vector: Floats, n_steps: int) -> tuple[Floats, ...]:
         """Return parameters, cost, peak, slopes (of ln peak, too) and coefficients after Levenberg-Marquardt steps."""
 
-        def look(at: Floats) -> tuple[Floats, ...]:
-            own, slopes = coefficients(at)
+        def look(at: Floats, information: Floats, vector: Floats) -> tuple[Floats, ...]:
+            own, slopes = self.table_coefficients(at)
             size = np.sum(own * (information @ own[:, :, None])[:, :, 0], axis=1)
             told = np.sum(own * vector, axis=1)
             peak = np.maximum(told, 1e-12) / np.maximum(size, 1e-30)
             cost = -0.5 * peak * np.maximum(told, 0.0) + _cost_of_prior(at)
             ways = np.concatenate([own[:, None], slopes], axis=1) * peak[:, None, None]
-            return at, cost, peak, ways, ways[:, 0]
+            return at, cost, peak, ways, ways[:, 0].copy()
 
-        found, damping = look(at), np.full(len(at), 1e-3)
+        found, damping, rows = look(at, information, vector), np.full(len(at), 1e-3), np.arange(len(at))
         for _ in range(n_steps):
-            at, cost, _, ways, own = found
-            left = vector - (information @ own[:, :, None])[:, :, 0]
+            at, cost, _, ways, own = (part[rows] for part in found)
+            left = vector[rows] - (information[rows] @ own[:, :, None])[:, :, 0]
             pull = (ways @ left[:, :, None])[:, :, 0]
             pull[:, 1:] -= (at - _MIDDLE) * _PRIOR
-            raised = _curvature(ways, information)
-            raised[:, range(4), range(4)] *= 1 + damping[:, None]
+            raised = _curvature(ways, information[rows])
+            raised[:, range(4), range(4)] *= 1 + damping[rows, None]
             move = np.linalg.solve(raised, pull[:, :, None])[:, 1:, 0]
-            other = look(np.clip(at + move, *_LIMITS))
-            better = other[1] <= cost
-            found = tuple(
-                np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
-                for new, old in zip(other, found, strict=True)
-            )
-            damping = np.where(better, 0.2 * damping, 8 * damping)
+            new = look(np.clip(at + move, *_LIMITS), information[rows], vector[rows])
+            better = new[1] <= cost
+            for part, other in zip(found, new, strict=True):
+                part[rows[better]] = other[better]
+            damping[rows] *= np.where(better, 0.2, 8.0)
+            rows = rows[~better | (cost - new[1] > _LEAST_GAIN)]
+            if not rows.size:
+                break
         return found
 
 
@@ -407,9 +402,16 @@ class ThroughBeam:
         """Number of sensors, and of vibrations of one blow."""
         return self.beam.n_sensors
 
+    def stream(self) -> BeamStream:
+        """Return the same for impacts that follow each other in a stream."""
+        return BeamStream(self)
+
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
         """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
-        inverted, contact = self.look(vibrations)
+        return self.features(vibrations, *self.look(vibrations))
+
+    def features(self, vibrations: VibrationBatch, inverted: Inverted, contact: Contact) -> dict[str, Floats]:
+        """Return the features of vibrations by name, from what was found for them."""
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = contact.covariance / (deviation[:, :, None] * deviation[:, None])
         # Noise leaves no more than chance; what was there before touch, such as ringing, may go on beside its model.
@@ -442,37 +444,57 @@ class ThroughBeam:
 
     def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
         """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
-        rate, own = vibrations.sampling_rate, self.beam.sampling_rate
-        inverted, contact = self._looked(vibrations, rate / own)
-        if rate > own * (1 + _SAME_RATE):
-            other, of_other = self._looked(vibrations, 1.0)
-            # A wrong filter distorts the force rather than leaving a rest: the pulse fits it worse.
-            better = np.flatnonzero(of_other.misfit < contact.misfit)
-            if better.size:
-                inverted = inverted.replaced(better, other.rows(better))
-                contact = contact.replaced(better, of_other.rows(better))
-        return inverted, contact
+        n = len(vibrations.samples) // self.n_sensors
+        return self.look_as(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
 
-    def _looked(self, vibrations: VibrationBatch, filters: float) -> tuple[Inverted, Contact]:
-        """Return the same for a recorder whose anti-alias filter is this many times as high as the beam's."""
-        sought, start = self._prepared(vibrations, filters)
+    def look_as(
+        self, vibrations: VibrationBatch, filters: NDArray[np.bool_], again: NDArray[np.bool_]
+    ) -> tuple[Inverted, Contact, Floats]:
+        """Return the same, and the misfits of the pulses for each filter (n, 2), infinite for one that is not tried.
+
+        `filters` (n, 2) says for each impact whether a filter is tried that is higher by the ratio of the rates, and
+        whether that of the beam is, at a recorder that is faster; `again` (n,), whether other samples of touch are.
+        """
+        rate, own = vibrations.sampling_rate, self.beam.sampling_rate
+        if not rate > own * (1 + _SAME_RATE):
+            filters = np.broadcast_to([True, False], filters.shape)
+        rows = [np.flatnonzero(column) for column in filters.T]
+        parts = [
+            self._looked(vibrations, ratio, part, again[part])
+            for ratio, part in zip((rate / own, 1.0), rows, strict=True)
+            if part.size or not filters.size
+        ]
+        inverted, contact = Inverted.joined([part[0] for part in parts]), Contact.joined([part[1] for part in parts])
+        # A wrong filter distorts the force rather than leaving a rest: the pulse fits it worse.
+        misfit = np.full(filters.shape, np.inf)
+        misfit.T[filters.T] = contact.misfit
+        place = np.cumsum(filters.T).reshape(filters.T.shape).T - 1
+        best = place[np.arange(len(filters)), misfit.argmin(axis=1)]
+        return inverted.rows(best), contact.rows(best), misfit
+
+    def _looked(
+        self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp], again: NDArray[np.bool_]
+    ) -> tuple[Inverted, Contact]:
+        """Return the same of some rows, for a recorder whose anti-alias filter is so many times that of the beam."""
+        sought, start = self._prepared(vibrations, filters, rows)
         inverted = self.inversion.invert(sought, start)
         contact = self.fit.fit(inverted)
-        # Where touch lies at the edge of the table of forces, look there.
+        # Where touch lies at the edge of the table of forces, look there. Where it is sought too early, the force is
+        # not found, and much stays unexplained.
         edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
-        begun = inverted.start + edge + TOUCH // 2
-        rows = np.flatnonzero(edge)
-        for step in (0, *_LATER):
-            if step:  # A force that is sought too early is not found, and much stays unexplained.
-                rows = np.flatnonzero((inverted.unexplained > _MUCH[0]) & (inverted.misfit > _MUCH[1]))
-            if rows.size:
-                later = begun[rows] + step
-                other = self.inversion.invert(sought.rows(rows), np.stack([later, later], axis=1))
-                lost = self._between(sought.rows(rows), inverted.start[rows], other.start)
-                better = np.flatnonzero(other.misfit + lost < inverted.misfit[rows])
-                if better.size:
-                    inverted = inverted.replaced(rows[better], other.rows(better))
-                    contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+        lost = (inverted.unexplained > _MUCH[0]) & (inverted.misfit > _MUCH[1])
+        touch = inverted.start + edge + TOUCH // 2
+        chosen = np.flatnonzero(again & lost)
+        if chosen.size:
+            touch[chosen] = self.inversion.likeliest(sought.rows(chosen), np.add.outer(touch[chosen], (0, *_LATER)))
+        chosen = np.flatnonzero(again & (touch != inverted.start + TOUCH // 2))
+        if chosen.size:
+            other = self.inversion.invert(sought.rows(chosen), np.stack([touch[chosen]] * 2, axis=1))
+            between = self._between(sought.rows(chosen), inverted.start[chosen], other.start)
+            better = np.flatnonzero(other.misfit + between < inverted.misfit[chosen])
+            if better.size:
+                inverted = inverted.replaced(chosen[better], other.rows(better))
+                contact = contact.replaced(chosen[better], self.fit.fit(other.rows(better)))
         return inverted, contact
 
     def _between(self, sought: Sought, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
@@ -482,8 +504,12 @@ class ThroughBeam:
         power = np.square(sought.frames / sought.noise[:, :, None])
         return np.asarray(np.sum(power, axis=(1, 2), where=out[:, None]) / (self.n_sensors * self.beam.n_samples))
 
-    def _prepared(self, vibrations: VibrationBatch, filters: float) -> tuple[Sought, NDArray[np.intp]]:
-        """Return what the inversion needs of vibrations, and where touch may lie."""
+    def _prepared(
+        self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp]
+    ) -> tuple[Sought, NDArray[np.intp]]:
+        """Return what the inversion needs of some blows, and where touch may lie."""
+        if rows.size < len(vibrations.samples) // self.n_sensors:
+            vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
         frames = vibrations.samples - vibrations.offset[:, None]
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
         quiet = vibrations.n_quiet.astype(np.float64)
@@ -580,3 +606,104 @@ class ThroughBeam:
         kept = min(out.shape[1], spectrum.shape[1])
         out[:, :kept] = (spectrum * change)[:, :kept]
         return np.asarray(np.fft.irfft(out, n_out, axis=1) * (n_out / n))[:, : int(frames.shape[1] * own / rate)]
+
+
+class _Channel:
+    """What the impacts of a channel have shown, and how the next ones are looked at.
+
+    Decisions fall after certain numbers of impacts, so they do not depend on how many arrive together.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what the impacts have shown."""
+        self.n, self.n_tests, self.lost, self.level = 0, 0, 0, 0.0
+        self.unexplained: deque[float] = deque(maxlen=_RECENT)
+        self.ratios: list[float] = []
+        self.levels: list[float] = []
+        self.filters, self.again = np.ones(2, bool), True
+
+    @property
+    def n_next(self) -> int:
+        """Number of impacts up to the next decision."""
+        return next((n for n in _DECISIONS if n > self.n), (self.n // _EVERY + 1) * _EVERY) - self.n
+
+    def plan(self, n: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the filters to try (n, 2) for the next impacts, and whether to try other samples of touch, (n,)."""
+        tests = np.arange(n) < self.n_tests
+        self.n_tests = max(self.n_tests - n, 0)
+        return tests[:, None] | self.filters, tests | self.again
+
+    def learn(self, unexplained: Floats, misfit: Floats, level: Floats) -> None:
+        """Take what the next impacts leave unexplained, their misfits for both filters (n, 2), and their noise."""
+        decides = self.n_next == len(level)
+        self.n += len(level)
+        self.unexplained.extend(unexplained.tolist())
+        self.levels.extend(level.tolist())
+        for one in (unexplained > _FOREIGN).tolist():
+            self.lost = max(self.lost + (1 if one else -1), 0)
+        both = misfit[np.isfinite(misfit).all(axis=1)]
+        self.ratios.extend(np.log(np.maximum(both, 1e-300)) @ (1.0, -1.0))
+        if not decides:
+            return
+        before, self.level, self.levels = self.level, float(np.median(self.levels)), []
+        if before and not 1 / _LOUDER < self.level / before < _LOUDER:
+            self.reset()
+            return
+        self.again = bool(np.median(self.unexplained) <= _FOREIGN)
+        if self.n >= _SETTLED and self.ratios:
+            beams = bool(np.median(self.ratios) > 0)
+            self.filters = np.array([not beams, beams])
+        if self.lost >= _SETTLED:
+            self.lost, self.n_tests, self.ratios = 0, _TESTS, []
+
+
+class BeamStream:
+    """A beam behind the channels of a stream: what their impacts have shown need not be tried with each of the next.
+
+    On a foreign beam another touch is no better, and a recorder keeps its filter. Both are tried again after a gap, a
+    change of level, or as many impacts that stay unexplained as it took to settle them.
+
+    Parameters
+    ----------
+    through : ThroughBeam
+    """
+
+    def __init__(self, through: ThroughBeam) -> None:
+        self.through = through
+        self._channels: dict[int, _Channel] = {}
+
+    @property
+    def n_sensors(self) -> int:
+        """Number of sensors, and of vibrations of one blow."""
+        return self.through.n_sensors
+
+    def restart(self, channel: int) -> None:
+        """Forget what a channel has shown, as after a gap."""
+        self._channels.pop(channel, None)
+
+    def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
+        """Return the features of the next vibrations of a stream, as `ThroughBeam.measured`."""
+        n_sensors = self.n_sensors
+        rest = np.arange(len(vibrations.samples) // n_sensors)
+        channel = np.zeros(rest.size, np.intp) if vibrations.channel is None else vibrations.channel
+        parts, found = [], []
+        while rest.size:
+            numbers = np.unique(channel[rest]).tolist()
+            states = [self._channels.setdefault(number, _Channel()) for number in numbers]
+            rows = [rest[channel[rest] == k][: state.n_next] for k, state in zip(numbers, states, strict=True)]
+            plans = [state.plan(own.size) for state, own in zip(states, rows, strict=True)]
+            parts.append(np.concatenate(rows))
+            part = vibrations.rows(np.add.outer(parts[-1] * n_sensors, np.arange(n_sensors)).ravel())
+            filters, again = (np.concatenate(one) for one in zip(*plans, strict=True))
+            inverted, contact, misfit = self.through.look_as(part, filters, again)
+            found.append(self.through.features(part, inverted, contact))
+            stops = np.cumsum([own.size for own in rows])
+            for state, stop, own in zip(states, stops.tolist(), rows, strict=True):
+                one = slice(stop - own.size, stop)
+                state.learn(inverted.unexplained[one], misfit[one], inverted.noise[one])
+            rest = np.setdiff1d(rest, parts[-1])
+        order = np.argsort(np.concatenate(parts))
+        return {name: np.concatenate([one[name] for one in found])[order] for name in found[0]}

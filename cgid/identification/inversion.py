@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.measure.beam import GRID, TOUCH, Beam, Singles, filtered, gain, respond_on_average
+from cgid.measure.beam import GRID, TOUCH, Beam, Singles, filtered, gain, respond_on_average, sides_of
 from cgid.measure.colour import ORDER
 from cgid.validation import Floats
 
 #: Expected strengths of a blow over the noise, by what the samples of a typical place would hold.
 _LEVELS = np.geomspace(2.0, 2e4, 12)
-#: Gauss-Newton steps from the grid to the place, and the longest [m].
-_STEPS, _LONGEST_STEP = 3, 0.012
+#: Longest Gauss-Newton step from the grid to the place, and the second step from which on a third follows [m].
+_LONGEST_STEP, _FAR = 0.012, 0.006
 #: Singular values of the clipped samples, of the largest, below which they reach beyond the band alone.
 _IN_BAND = 1e-3
 #: Fewest frequencies that tell, and limits of the response to a force of 1 N: squares keep to single precision.
@@ -41,9 +41,12 @@ _ROWS, _PLACES = 64, 16
 #: The start is sought below this frequency [Hz], with so many shapes and places of a wider grid [m], at every second
 #: sample; the place below this frequency, with so many shapes: in the ringing of an earlier blow fewer lose it.
 _LOW, _LOW_SHAPES, _LOW_GRID, _STRIDE = 3.2e3, 6, 0.05, 2
-_TOP, _GRID_SHAPES = 1e5, 18
+_TOP, _GRID_SHAPES = 1e5, 14
 #: Shapes in the first step from the grid, and in slopes.
 _LEADING = 14
+#: The place is first sought below this frequency [Hz], with so many shapes, at every second place of the grid in either
+#: direction; then beside so many of the best.
+_WIDE, _WIDE_SHAPES, _BEST = 5e3, 12, (32, 6)
 #: Share of the amplitude by which mixtures of modes may differ from the modes, on the way to the force and to a place.
 _SAME, _NEARLY = 3e-4, 3e-3
 #: Powers of the noise of sensors over that of the quietest for which there is a grid of its own: 1, one ratio, two.
@@ -258,17 +261,17 @@ class _Few:
     y: Floats
     at: Singles
 
-    def powers(self, root: Singles) -> tuple[Floats, Singles]:
-        """Return what coefficients times `root` tell of a force at each place: powers and the directions they are of.
+    def powers(self, root: Singles, places: NDArray[np.intp] | None = None) -> tuple[Floats, Singles]:
+        """Return what coefficients times `root` tell of a force at places: powers and the directions they are of.
 
         Shapes (n_places, n_shapes) and (n_places, n_shapes, n_shapes).
         """
-        n_shapes = self.table.shape[1]
-        table = (self.table * root).reshape(len(self.table), -1)
-        gram = np.empty((len(self.at), n_shapes, n_shapes), np.float32)
-        for first in range(0, len(self.at), _ROWS):
+        n_shapes, at = self.table.shape[1], self.at if places is None else self.at[places]
+        table = self.table.reshape(len(self.table), -1)
+        gram = np.empty((len(at), n_shapes, n_shapes), np.float32)
+        for first in range(0, len(at), _ROWS):
             part = slice(first, first + _ROWS)
-            response = (self.at[part] @ table).reshape(-1, n_shapes, self.kept.size)
+            response = (at[part] @ table).reshape(-1, n_shapes, self.kept.size) * root
             gram[part] = response @ response.transpose(0, 2, 1)
         power, rotation = np.linalg.eigh(gram.astype(np.float64))
         return np.maximum(power, 0.0), np.ascontiguousarray(rotation.transpose(0, 2, 1), dtype=np.float32)
@@ -278,6 +281,51 @@ class _Few:
         n_modes, n_shapes, n_kept = self.table.shape
         by_mode = self.table.reshape(-1, n_kept) @ samples.T
         return (self.at @ by_mode.reshape(n_modes, -1)).reshape(len(self.at), n_shapes, -1)
+
+    def by_mode(self, samples: Singles) -> Singles:
+        """Return the products of the table and samples (n, n_kept), (n, n_modes, n_shapes)."""
+        n_modes, n_shapes, n_kept = self.table.shape
+        return (samples @ self.table.reshape(-1, n_kept).T).reshape(-1, n_modes, n_shapes)
+
+
+class _Law:
+    """What the samples tell of the coefficients at the places of a grid, in noise of one law.
+
+    Parameters
+    ----------
+    few : _Few
+    weight : ndarray, (n_kept,)
+        Of each coefficient.
+    levels : ndarray, optional
+        Of the force; by default they follow from all places. With them, a place is computed when it is first needed.
+    """
+
+    def __init__(self, few: _Few, weight: Singles, levels: Floats | None = None) -> None:
+        self.few, self.weight = few, weight
+        n_places, n_shapes = len(few.at), few.table.shape[1]
+        if levels is None:
+            power, self._rotation = few.powers(np.sqrt(weight))
+            self.levels = _LEVELS / np.sqrt(np.median(power.sum(axis=1)))
+            self._share, self._cost = _shares(power, self.levels)
+            return
+        self.levels, self._known = levels, np.zeros(n_places, bool)
+        self._rotation = np.empty((n_places, n_shapes, n_shapes), np.float32)
+        self._share = np.empty((n_places, levels.size, n_shapes), np.float32)
+        self._cost = np.empty((n_places, levels.size, 1), np.float32)
+
+    def evidence(self, heard: Singles) -> Singles:
+        """Return the evidence of what is heard at all places, (n_places, n_levels, n), from `_Few.heard`."""
+        return np.asarray(self._share @ np.square(self._rotation @ heard) - self._cost)
+
+    def evidence_at(self, places: NDArray[np.intp], by_mode: Singles) -> Singles:
+        """Return the same at places (n, n_places) of their own, (n, n_places, n_levels), from `_Few.by_mode`."""
+        new = np.unique(places[~self._known[places]])
+        if new.size:
+            power, self._rotation[new] = self.few.powers(np.sqrt(self.weight), new)
+            self._share[new], self._cost[new] = _shares(power, self.levels)
+            self._known[new] = True
+        told = np.square(self._rotation[places] @ (self.few.at[places] @ by_mode)[:, :, :, None])
+        return (self._share[places] @ told - self._cost[places])[:, :, :, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,6 +461,12 @@ class Inversion:
         """Return coefficients whose noise is independent, from Fourier coefficients, each (n, n_coefficients)."""
         return coefficients if self._errors is None else self._errors.turned(coefficients)
 
+    def _untold(self, weight: Singles, strength: Floats) -> Singles:
+        """Return the weights of Fourier coefficients with the errors of the modes as noise of each by itself."""
+        if self._errors is None:
+            return weight
+        return np.asarray(weight / (1 + weight * (strength[:, None] * self._errors.untold)), np.float32)
+
     def _weighed(self, weight: Singles, strength: Floats) -> Singles:
         """Return the weights of turned coefficients from those of Fourier coefficients."""
         return weight if self._errors is None else self._errors.weight(weight, strength)
@@ -424,7 +478,7 @@ class Inversion:
         return self._turned(found.reshape(found.shape[0] * len(self.beam.deviations), -1)).reshape(found.shape)
 
     @cached_property
-    def _colour_tables(self) -> dict[tuple[Any, ...], tuple[Singles, Floats, Singles, Singles, Singles]]:
+    def _laws(self) -> dict[tuple[Any, ...], tuple[_Law, _Law]]:
         return {}
 
     @cached_property
@@ -434,20 +488,21 @@ class Inversion:
 
     @cached_property
     def _leading(self) -> Singles:
-        """The table of the first shapes, which lead to the place."""
+        """The same of the first shapes, which lead to the place, (n_weights, n_shapes, n_coefficients)."""
         _, table = self._all
-        few = table.reshape(len(table), len(self.beam.deviations), -1)[:, :_LEADING]
-        return np.ascontiguousarray(few).reshape(len(table), -1)
+        return np.ascontiguousarray(table.reshape(len(table), len(self.beam.deviations), -1)[:, :_LEADING])
 
-    def _few(self, responses: Singles, top: float, most: int, apart: float) -> _Few:
-        """Return the part of a table below a frequency [Hz], of the first shapes and a grid of places."""
+    def _few(self, responses: Singles, top: float, most: int, apart: float, every: int = 1) -> _Few:
+        """Return the part of a table below a frequency [Hz], of the first shapes and every so many places of a grid."""
         n_bins = self.bins.stop - self.bins.start
         n_low = min(max(int(top * self.n_samples / self.beam.sampling_rate), 16), n_bins)
         kept = np.add.outer(np.arange(2 * self.beam.n_sensors) * n_bins, np.arange(n_low)).ravel()
         n_shapes = min(most, len(self.beam.deviations))
         table = responses.reshape(len(responses), len(self.beam.deviations), -1)[:, :n_shapes][:, :, kept]
         beam, table = _compressed(self.beam, table.reshape(len(table), -1), _NEARLY)
-        return _Few(kept, table.reshape(len(table), n_shapes, -1), *beam.grid(apart))
+        number = np.arange(np.prod(sides_of(beam.region, apart))).reshape(sides_of(beam.region, apart))
+        (x, y, at), own = beam.grid(apart), number[::every, ::every].ravel()
+        return _Few(kept, table.reshape(len(table), n_shapes, -1), x[own], y[own], at[own])
 
     @cached_property
     def _grid(self) -> _Few:
@@ -456,24 +511,38 @@ class Inversion:
         top = _TOP if self._errors is None else self.beam.sampling_rate
         return self._few(self._table, top, _GRID_SHAPES, GRID)
 
+    @cached_property
+    def _wide(self) -> _Few:
+        """The tables of every second place of the grid in either direction, where the place is sought first."""
+        return self._few(self._responses[0], _WIDE, _WIDE_SHAPES, GRID, 2)
+
+    @cached_property
+    def _beside(self) -> NDArray[np.intp]:
+        """Numbers of the places of `_grid` at each of `_wide`, and beside it, (n_places, 9)."""
+        number = np.arange(len(self._grid.x)).reshape(sides_of(self.beam.region, GRID))
+        around = np.pad(number, 1, mode="edge")
+        near = [(1, 1), *((i, k) for i in range(3) for k in range(3) if (i, k) != (1, 1))]
+        columns = [around[i : i + len(number) : 2, k : k + number.shape[1] : 2].ravel() for i, k in near]
+        return np.stack(columns, axis=1)
+
     def _coarse(
         self, exponent: float, limit: float | None = None, strong: int = 0, fainter: tuple[int, ...] = ()
-    ) -> tuple[Singles, Floats, Singles, Singles, Singles]:
-        """Return the rotation of the shapes at each place of the grid, `_shares`, and the weight of each coefficient.
+    ) -> tuple[_Law, _Law]:
+        """Return what `_wide` and `_grid` tell in noise of power f^-exponent.
 
-        The rotation diagonalises what the samples tell of the coefficients in noise of power f^-exponent, (n_places,
-        n_shapes, n_shapes). The power of the noise of each sensor is that of the quietest times `_RATIO` to the power
-        of `fainter`, and the square of the force that errors of the modes follow is `_STRONGER` to that of `strong`.
+        The power of the noise of each sensor is that of the quietest times `_RATIO` to the power of `fainter`, and the
+        square of the force that errors of the modes follow is `_STRONGER` to that of `strong`.
         """
         key = exponent, limit, strong, fainter
-        if key not in self._colour_tables:
+        if key not in self._laws:
             weight = self._each(self._law(exponent) * self._heard(limit))
             for sensor, part in enumerate(np.split(weight, self.beam.n_sensors) if any(fainter) else ()):
                 part *= _RATIO ** -fainter[sensor]
-            weight = self._weighed(weight[None], np.array([_STRONGER**strong]))[0, self._grid.kept]
-            power, rotation = self._grid.powers(np.sqrt(weight))
-            self._colour_tables[key] = rotation, *_shares(power), weight
-        return self._colour_tables[key]
+            strength = np.array([_STRONGER**strong])
+            wide = _Law(self._wide, self._untold(weight[None], strength)[0, self._wide.kept])
+            own = self._weighed(weight[None], strength)[0, self._grid.kept]
+            self._laws[key] = wide, _Law(self._grid, own, wide.levels)
+        return self._laws[key]
 
     def _heard(self, limit: float | None) -> Singles:
         frequency = np.arange(self.bins.start, self.bins.stop) * self.beam.sampling_rate / self.n_samples
@@ -506,6 +575,31 @@ class Inversion:
         parts = [slice(first, first + n_rows) for first in range(0, max(len(start), 1), n_rows)]
         return Inverted.joined([self._inverted(sought.rows(part), start[part]) for part in parts])
 
+    def likeliest(self, sought: Sought, touch: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return which sample of the frame, of several each (n, n_samples), is most probably the one of touch, (n,)."""
+        if sought.limit is not None and self.beam.errors is not None:
+            return self._up_to(sought.limit).likeliest(replace(sought, limit=None), touch)
+        sought = sought.by_sensor()
+        n_rows = max(_ROWS // (self.beam.n_sensors * touch.shape[1]), 1)
+        best = [
+            self._evidence(sought.rows(slice(first, first + n_rows)), touch[first : first + n_rows]).argmax(axis=1)
+            for first in range(0, len(touch), n_rows)
+        ]
+        return np.take_along_axis(touch, np.concatenate(best)[:, None], axis=1)[:, 0]
+
+    def _evidence(self, sought: Sought, touch: NDArray[np.intp]) -> Floats:
+        """Return the evidence of the best place of the grid for each sample of touch, (n, n_samples)."""
+        weight, exponent = self._weights(sought)
+        frames, level = sought.frames, sought.level
+        samples = [self._stacked(_cut(frames, own - TOUCH // 2, self.n_samples), level) for own in touch.T]
+        strength = np.ones((len(samples), len(touch)))
+        if self._errors is not None:
+            strength = np.stack([self._errors.strength(own, weight) for own in samples])
+        n = len(samples)
+        weight, exponent = np.tile(weight, (n, 1)), np.tile(exponent, n)
+        found = self._search(np.concatenate(samples), weight, exponent, sought.limit, strength.ravel())[0]
+        return found.reshape(n, -1).T
+
     @cached_property
     def _narrower(self) -> dict[float, Inversion]:
         return {}
@@ -521,8 +615,9 @@ class Inversion:
             early = _cut(sought.frames, start[:, 0] - TOUCH // 2, self.n_samples)
             strength = self._errors.strength(self._stacked(early, sought.level), weight)
         begun = self._start(sought, start, weight, strength)
-        samples = self._turned(self._stacked(_cut(sought.frames, begun, self.n_samples), sought.level))
+        samples = self._stacked(_cut(sought.frames, begun, self.n_samples), sought.level)
         _, place, level = self._search(samples, weight, exponent, sought.limit, strength)
+        samples = self._turned(samples)
         weight, told = self._weighed(weight, strength), weight
         found = self._refined(samples, weight, self._grid.x[place], self._grid.y[place], level)
         if self._errors is not None:
@@ -603,7 +698,7 @@ class Inversion:
             n_each = self._low.kept.size // self.beam.n_sensors
             weight = np.repeat(_RATIO ** -np.array(fainter, np.float64), n_each)
             power, rotation = self._low.powers(np.sqrt(weight).astype(np.float32))
-            share, cost = (np.ascontiguousarray(part[:, ::2]) for part in _shares(power)[1:])
+            share, cost = _shares(power, (_LEVELS / np.sqrt(np.median(power.sum(axis=1))))[::2])
             self._low_tables[fainter] = rotation, share, cost, weight
         return self._low_tables[fainter]
 
@@ -614,8 +709,7 @@ class Inversion:
         if steps.size == 1:
             return first
         kinds, kind = np.unique(self._fainter(weight), axis=0, return_inverse=True)
-        if self._errors is not None:
-            weight = weight / (1 + weight * np.float32(strength[:, None] * self._errors.untold))
+        weight = self._untold(weight, strength)
         for number, of_sensors in enumerate(kinds.tolist()):
             rows = np.flatnonzero(kind.ravel() == number)
             own = weight[rows][:, self._low.kept]
@@ -660,29 +754,46 @@ class Inversion:
         self, samples: Singles, weight: Singles, exponent: Floats, limit: float | None, strength: Floats
     ) -> tuple[Floats, NDArray[np.intp], Floats]:
         """Return the evidence of the best place of the grid, its number, and the best level of the force, each (n,)."""
-        n, few = len(samples), self._grid
-        fainter, strong = self._fainter(weight), np.round(np.log(strength) / np.log(_STRONGER)).astype(np.intp)
-        samples, weight = samples[:, few.kept], self._weighed(weight, strength)[:, few.kept]
+        n, fainter = len(samples), self._fainter(weight)
+        strong = np.round(np.log(strength) / np.log(_STRONGER)).astype(np.intp)
         nearest = np.argmin(np.abs(np.subtract.outer(exponent, _COLOURS)), axis=1)
-        out = np.full(n, -np.inf), np.zeros(n, np.intp), np.ones(n)
         kinds, kind = np.unique(np.column_stack([nearest, strong, fainter]), axis=0, return_inverse=True)
-        for number, (colour, force, *of_sensors) in enumerate(kinds.tolist()):
-            rows = np.flatnonzero(kind.ravel() == number)
-            turned, levels, share, cost, law = self._coarse(_COLOURS[colour], limit, force, tuple(of_sensors))
-            # The law has a mean weight of 1; the level of the noise is that of its middle, at the quietest sensors.
-            heard_at = (law > 0) & np.repeat(np.equal(of_sensors, 0), law.size // len(of_sensors))
-            scale = np.exp(np.mean(np.log(weight[rows][:, heard_at] / law[heard_at]), axis=1))
-            own = weight[rows]
-            if self.beam.n_sensors > 1 or self._errors is not None:
-                own = self._lawful(own, law * scale[:, None], np.equal(of_sensors, _FAINTEST))
-            told = np.square(turned @ few.heard(samples[rows] * own / np.sqrt(scale)[:, None]))
-            evidence = share @ told
-            evidence -= cost
-            of_levels = evidence.max(axis=0)
-            own = np.argmax(of_levels, axis=0)
-            out[0][rows], out[2][rows] = of_levels[own, np.arange(rows.size)], levels[own]
-            out[1][rows] = np.argmax(evidence[:, own, np.arange(rows.size)], axis=0)
+        parts = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
+        laws = [self._coarse(_COLOURS[c], limit, force, tuple(each)) for c, force, *each in kinds.tolist()]
+        heard = []
+        for which, (few, given, own) in enumerate(
+            (
+                (self._wide, samples, self._untold(weight, strength)),
+                (self._grid, self._turned(samples), self._weighed(weight, strength)),
+            )
+        ):
+            given, own = given[:, few.kept], own[:, few.kept]
+            for (_, _, *of_sensors), rows, law in zip(kinds.tolist(), parts, laws, strict=True):
+                given[rows] = self._scaled(given[rows], own[rows], law[which].weight, of_sensors)
+            heard.append(given)
+        at_all, by_mode = self._wide.heard(heard[0]), self._grid.by_mode(heard[1])
+        out = np.full(n, -np.inf), np.zeros(n, np.intp), np.ones(n)
+        for rows, (wide, fine) in zip(parts, laws, strict=True):
+            # The best of the wide grid by themselves, and what is beside the best of these.
+            places = _highest(wide.evidence(at_all[:, :, rows]).max(axis=1).T, _BEST[0])
+            evidence = fine.evidence_at(self._beside[places, 0], by_mode[rows]).max(axis=2)
+            places = np.take_along_axis(places, _highest(evidence, _BEST[1]), axis=1)
+            places = self._beside[places].reshape(rows.size, -1)
+            evidence = fine.evidence_at(places, by_mode[rows])
+            place, level = np.unravel_index(evidence.reshape(rows.size, -1).argmax(axis=1), evidence.shape[1:])
+            each = np.arange(rows.size)
+            out[0][rows], out[1][rows] = evidence[each, place, level], places[each, place]
+            out[2][rows] = fine.levels[level]
         return out
+
+    def _scaled(self, samples: Singles, weight: Singles, law: Singles, of_sensors: list[int]) -> Singles:
+        """Return weighted samples (n, n_kept) over the root of the level of their noise."""
+        # The law has a mean weight of 1; the level of the noise is that of its middle, at the quietest sensors.
+        heard_at = (law > 0) & np.repeat(np.equal(of_sensors, 0), law.size // len(of_sensors))
+        scale = np.exp(np.mean(np.log(weight[:, heard_at] / law[heard_at]), axis=1))
+        if self.beam.n_sensors > 1 or self._errors is not None:
+            weight = self._lawful(weight, law * scale[:, None], np.equal(of_sensors, _FAINTEST))
+        return np.asarray(samples * weight / np.sqrt(scale)[:, None], np.float32)
 
     def _lawful(self, weight: Singles, law: Floats, faint: NDArray[np.bool_]) -> Singles:
         """Return the weights of the law in place of others, (n, n_kept), at the level of those for faint sensors.
@@ -710,60 +821,94 @@ class Inversion:
 
         Directions `without` (n, n_directions, n_coefficients) tell nothing.
         """
-        n, n_shapes = len(samples), len(self.beam.deviations)
-        x_low, x_high, y_low, y_high = self.beam.region
-        root = np.sqrt(weight)
-        heard = _beside(samples * root, without)
-        coloured = bool((weight != 1).any())
-        prior_place = np.eye(2) / _PLACE_DEVIATION**2
-        beam, table = self._all
-        for step in range(_STEPS):
-            # The first shapes are enough for slopes, and for the first step.
-            at = beam.weights(x, y)
-            own = (at[0] @ (table if step else self._leading)).reshape(n, -1, samples.shape[1])
-            ways = (np.concatenate(at[1:]) @ self._leading).reshape(2, n, -1, samples.shape[1])
-            if coloured:
-                own *= root[:, None]
-            own = _beside(own, without)
-            prior = np.eye(own.shape[1]) / level[:, None, None] ** 2
-            gram = (own @ own.transpose(0, 2, 1)).astype(np.float64)
-            vector = (own @ heard[:, :, None])[:, :, 0].astype(np.float64)
-            force = np.linalg.solve(gram + prior, vector[:, :, None])[:, :, 0]
-            single = force.astype(np.float32)
-            slopes = (single[:, None, : ways.shape[2]] @ ways)[:, :, 0].transpose(1, 0, 2)
-            if coloured:
-                slopes *= root[:, None]
-            slopes = _beside(slopes, without)
-            cross = (own @ slopes.transpose(0, 2, 1)).astype(np.float64)
-            inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + prior_place
-            left = heard - (single[:, None] @ own)[:, 0]
-            # The place after the coefficients are projected out, with their prior.
-            through = np.linalg.solve(gram + prior, cross)
-            curvature = inner - cross.transpose(0, 2, 1) @ through
-            if step < _STEPS - 1:
-                pull = (slopes @ left[:, :, None])[:, :, 0].astype(np.float64)
-                move = np.linalg.solve(curvature, pull[:, :, None])[:, :, 0].clip(-_LONGEST_STEP, _LONGEST_STEP)
-                x, y = (x + move[:, 0]).clip(x_low, x_high), (y + move[:, 1]).clip(y_low, y_high)
-        # The coefficients after the place is projected out, without their prior.
-        back = cross @ np.linalg.inv(inner)
-        push = (slopes @ heard[:, :, None])[:, :, 0].astype(np.float64)
-        _, cost = np.linalg.slogdet(np.eye(n_shapes) + level[:, None, None] ** 2 * gram)
-        gained = 0.5 * np.einsum("nk,nk->n", vector, force) - 0.5 * cost
+        root = None if (weight == 1).all() else np.sqrt(weight)
+        heard = _beside(samples if root is None else samples * root, without)
+        x, y, _ = self._stepped(heard, root, x, y, level, without, leads=True)
+        x, y, found = self._stepped(heard, root, x, y, level, without)
+        far = np.flatnonzero(found.pop("step") > _FAR)
+        if far.size:
+            few_root, few_without = (None if part is None else part[far] for part in (root, without))
+            x[far], y[far], again = self._stepped(heard[far], few_root, x[far], y[far], level[far], few_without)
+            for name, array in found.items():
+                array[far] = again[name]
         told = (weight > 0).sum(axis=1) - (0 if without is None else without.any(axis=2).sum(axis=1))
-        rest, told = np.square(left, dtype=np.float64).sum(axis=1), np.maximum(told, 1)
-        deviation = np.sqrt(np.maximum(np.linalg.inv(curvature)[:, [0, 1], [0, 1]], 0.0))
+        rest, told = found.pop("rest"), np.maximum(told, 1)
+        energy = np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300)
         return {
             "x": x,
             "y": y,
-            "place_deviation": deviation,
-            "coefficients": force,
-            "information": gram - back @ cross.transpose(0, 2, 1),
-            "vector": vector - np.einsum("nki,ni->nk", back, push),
-            "evidence": gained / (self.beam.n_sensors * self.n_samples),
+            **found,
             "misfit": rest / told,
-            "unexplained": np.maximum(rest - told, 0)
-            / np.maximum(np.square(heard, dtype=np.float64).sum(axis=1), 1e-300),
+            "unexplained": np.maximum(rest - told, 0) / energy,
         }
+
+    def _stepped(
+        self,
+        heard: Singles,
+        root: Singles | None,
+        x: Floats,
+        y: Floats,
+        level: Floats,
+        without: Singles | None,
+        leads: bool = False,
+    ) -> tuple[Floats, Floats, dict[str, Floats]]:
+        """Return the places after a Gauss-Newton step and, unless it only `leads` to these, what the samples tell.
+
+        `heard` are samples times the roots of their weights. The force follows the step to first order.
+        """
+
+        def weighted(curves: Singles) -> Singles:
+            if root is not None:
+                curves *= root[:, None]
+            return _beside(curves, without)
+
+        n, (beam, table), leading = len(heard), self._all, self._leading
+        at, *ways = beam.weights(x, y)
+        # The first shapes are enough for the first step, and for slopes.
+        if leads:
+            table = leading.reshape(len(leading), -1)
+        own = weighted((at @ table).reshape(n, -1, heard.shape[1]))
+        gram = (own @ own.transpose(0, 2, 1)).astype(np.float64)
+        with_prior = gram + np.eye(own.shape[1]) / level[:, None, None] ** 2
+        vector = (own @ heard[:, :, None])[:, :, 0].astype(np.float64)
+        force = np.linalg.solve(with_prior, vector[:, :, None])[:, :, 0]
+        single = force.astype(np.float32)
+        moves = (np.stack(ways, axis=1)[:, :, :, None] * single[:, None, None, : leading.shape[1]]).reshape(2 * n, -1)
+        curves = np.asarray(moves @ leading.reshape(-1, heard.shape[1]), np.float32)
+        slopes = weighted(curves.reshape(n, 2, -1))
+        cross = (own @ slopes.transpose(0, 2, 1)).astype(np.float64)
+        inner = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + np.eye(2) / _PLACE_DEVIATION**2
+        left = heard - (single[:, None] @ own)[:, 0]
+        # The place after the coefficients are projected out, with their prior.
+        through = np.linalg.solve(with_prior, cross)
+        curvature = inner - cross.transpose(0, 2, 1) @ through
+        pull = (slopes @ left[:, :, None])[:, :, 0].astype(np.float64)
+        move = np.linalg.solve(curvature, pull[:, :, None])[:, :, 0].clip(-_LONGEST_STEP, _LONGEST_STEP)
+        x_low, x_high, y_low, y_high = self.beam.region
+        new_x, new_y = (x + move[:, 0]).clip(x_low, x_high), (y + move[:, 1]).clip(y_low, y_high)
+        if leads:
+            return new_x, new_y, {}
+        move = np.stack([new_x - x, new_y - y], axis=1)
+        change = (through @ move[:, :, None])[:, :, 0]
+        moved = (change.astype(np.float32)[:, None] @ own)[:, 0] - (move.astype(np.float32)[:, None] @ slopes)[:, 0]
+        # The coefficients after the place is projected out, without their prior.
+        back = cross @ np.linalg.inv(inner)
+        push = (slopes @ heard[:, :, None])[:, :, 0].astype(np.float64)
+        _, cost = np.linalg.slogdet(np.eye(own.shape[1]) + level[:, None, None] ** 2 * gram)
+        gained = 0.5 * np.einsum("nk,nk->n", vector, force) - 0.5 * cost
+        return (
+            new_x,
+            new_y,
+            {
+                "step": np.hypot(*move.T),
+                "rest": np.square(left + moved, dtype=np.float64).sum(axis=1),
+                "place_deviation": np.sqrt(np.maximum(np.linalg.inv(curvature)[:, [0, 1], [0, 1]], 0.0)),
+                "coefficients": force - change,
+                "information": gram - back @ cross.transpose(0, 2, 1),
+                "vector": vector - np.einsum("nki,ni->nk", back, push),
+                "evidence": gained / (self.beam.n_sensors * self.n_samples),
+            },
+        )
 
 
 def _beside(coefficients: Singles, directions: Singles | None) -> Singles:
@@ -789,15 +934,20 @@ def _compressed(beam: Beam, table: Singles, share: float) -> tuple[Beam, Singles
     return replace(beam, participation=participation), np.ascontiguousarray(mixes.T.astype(np.float32) @ own)
 
 
-def _shares(power: Floats) -> tuple[Floats, Singles, Singles]:
-    """Return levels of the force, what squares of rotated vectors add to the evidence for each, and what it costs.
+def _shares(power: Floats, levels: Floats) -> tuple[Singles, Singles]:
+    """Return what squares of rotated vectors add to the evidence for each level of the force, and what it costs.
 
-    Power is (n_places, n_shapes); shapes (n_levels,), (n_places, n_levels, n_shapes) and (n_places, n_levels, 1).
+    Power is (n_places, n_shapes); shapes (n_places, n_levels, n_shapes) and (n_places, n_levels, 1).
     """
-    levels = _LEVELS / np.sqrt(np.median(power.sum(axis=1)))
     share = 0.5 / (power[:, None] + levels[:, None] ** -2)
     cost = 0.5 * np.log1p(levels[:, None] ** 2 * power[:, None]).sum(axis=2, keepdims=True)
-    return levels, share.astype(np.float32), cost.astype(np.float32)
+    return share.astype(np.float32), cost.astype(np.float32)
+
+
+def _highest(values: Singles, count: int) -> NDArray[np.intp]:
+    """Return the columns of the highest values (n, n_columns), (n, at most count)."""
+    count = min(count, values.shape[1])
+    return np.argpartition(values, -count, axis=1)[:, -count:]
 
 
 def _complex(coefficients: Singles, n_sensors: int) -> NDArray[np.complexfloating]:

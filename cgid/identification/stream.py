@@ -194,12 +194,13 @@ def _impacts(
     everything = set(range(len(channels)))
     silent = everything
     quiet = _Quiet(sampling_rate, len(channels)) if kind == "vibration" else None
+    beam = None if model.beam is None else model.beam.stream()
 
     def named(row: int) -> str:
         return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
 
     def answered(reasons: tuple[str, ...] = ()) -> Step:
-        answers = identify_events(waiting, model, question, channels=names)
+        answers = identify_events(waiting, model, question, channels=names, beam=beam)
         waiting.clear()
         return Step(answers, detector.known_until / sampling_rate, reasons)
 

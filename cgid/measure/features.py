@@ -216,13 +216,15 @@ def extract_array(
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
     beam: Beam | None = None,
+    channel: NDArray[np.intp] | None = None,
 ) -> Floats:
     """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`.
 
     A peak must exceed `detection_limit` standard deviations of the noise before touch; lower it for impacts found in a
     recording by other means. `equalisation` corrects the sensor's response first; it does not apply to pulses.
     `beam` is the one that vibrates, for features that look through it (such as `beam_peak_force`). Of a beam with
-    several sensors, samples are (n_signals, n_sensors, n_samples), and there are no other features.
+    several sensors, samples are (n_signals, n_sensors, n_samples), and there are no other features. `channel` says
+    which channel of a recording each signal is from, for a `beam` that learns from these.
     """
     names = choose(features)
     each = 1 if beam is None else beam.n_sensors
@@ -250,6 +252,9 @@ def extract_array(
         if equalisation is not None:
             part = equalisation.apply(part, rate)
         found, sound, batches = _sound(part, names, make, each)
+        vibrations = batches.get("vibration")
+        if channel is not None and isinstance(vibrations, VibrationBatch):
+            vibrations.channel = channel[first + sound]
         if found and invalid == "raise":
             _raise_first(found, first, len(part) // each, len(out))
         out[first + sound] = _measured(batches, names, sound.size)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,6 +63,16 @@ class Frames:
     pre_trigger: int | None = None
     remove_baseline: bool = True
     detection_limit: float = DETECTION_LIMIT
+
+    def rows(self, rows: NDArray[np.intp]) -> Self:
+        """Return some of the rows; what is known of these stays known."""
+        part = replace(self, samples=self.samples[rows])
+        for name, known in vars(self).items():
+            arrays = known if isinstance(known, tuple) else (known,)
+            if all(isinstance(array, np.ndarray) and len(array) == len(self.samples) for array in arrays):
+                chosen = tuple(array[rows] for array in arrays)
+                part.__dict__[name] = chosen if isinstance(known, tuple) else chosen[0]
+        return part
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:

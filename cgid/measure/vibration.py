@@ -80,6 +80,8 @@ class VibrationBatch(Frames):
 
     #: The beam that vibrates, for the features that look through it.
     beam: Beam | None = None
+    #: Which channel of a recording each blow is from, in order of time within each; None if they are from none.
+    channel: NDArray[np.intp] | None = None
 
     @cached_property
     def through_beam(self) -> Mapping[str, Floats]:
