@@ -263,8 +263,8 @@ def struck(kind, seconds=4.0, seed=0):
 
 
 def after(events, sample):
-    """What is known of the impacts after a sample."""
-    return all_of(event for event in events if event.onset > sample)
+    """What is known of the impacts after a sample, but for the last gap before them."""
+    return all_of(replace(event, since=0) for event in events if event.onset > sample)
 
 
 @pytest.mark.parametrize("kind", ["vibration", "pulse"])
@@ -293,6 +293,7 @@ def test_a_gap_is_in_no_frame_and_hides_nothing_a_second_later(kind, length):
     assert [e.onset for e in events if e.onset < place - 200] == [e.onset for e in whole if e.onset < place - 200]
     assert all(np.isfinite(event.samples).all() for event in events)
     assert not [event for event in events if place <= event.onset < place + length]
+    assert all(event.since == (place + length if event.onset > place else 0) for event in events)
     late = place + length + RATE
     assert len(after(whole, late)) >= 10
     if kind == "vibration" or length == 1:  # The noise of pulses looks back for two seconds.

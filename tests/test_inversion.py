@@ -9,6 +9,8 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +22,7 @@ from cgid import ImpactFeatures, family
 from cgid.cli.main import run
 from cgid.errors import InvalidValue
 from cgid.identification.answers import identify_frames
-from cgid.identification.contact import Contact, ThroughBeam
+from cgid.identification.contact import BeamStream, Contact, ThroughBeam
 from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES
@@ -673,3 +675,72 @@ def test_features_of_a_dataset_are_those_through_its_beam(tmp_path: Path) -> Non
     assert np.median(np.abs(np.log(expected[known, 0] / batch.parameters["peak_force"][known]))) < 0.1
     with pytest.raises(InvalidValue, match="reference"):
         ImpactFeatures(scene="reference").fit(batch.signals)
+
+
+# -- what a stream settles -----------------------------------------------------------------------------------------
+
+
+class Watched:
+    """A beam that leaves what it is told unexplained, and notes how it is looked at."""
+
+    n_sensors = 1
+
+    def __init__(self, unexplained: float, ratio: float = 2.0) -> None:
+        self.unexplained, self.ratio = unexplained, ratio
+        self.looks: list[tuple[int, bool, bool, bool]] = []
+
+    def look_as(self, vibrations: VibrationBatch, filters: np.ndarray, again: np.ndarray) -> tuple[Any, Any, Any]:
+        number = vibrations.samples[:, 0].astype(int)
+        self.looks += zip(number.tolist(), *filters.T.tolist(), again.tolist(), strict=True)
+        misfit = np.where(filters, np.array([self.ratio, 1.0]), np.inf)
+        level = np.abs(vibrations.samples[:, 1])
+        return SimpleNamespace(unexplained=np.full(number.size, self.unexplained), noise=level), None, misfit
+
+    def features(self, vibrations: VibrationBatch, inverted: Any, contact: Any) -> dict[str, np.ndarray]:
+        return {"number": vibrations.samples[:, 0]}
+
+    def hear(self, stream: BeamStream, first: int, n: int, block: int, channels: int = 1, level: float = 1.0) -> None:
+        for start in range(first, first + n, block):
+            number = np.arange(start, min(start + block, first + n))
+            batch = VibrationBatch(np.column_stack([number, np.full(number.size, level)]).astype(float), 51_200, 1)
+            batch.channel = number % channels
+            np.testing.assert_array_equal(stream.measured(batch)["number"], number)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("unexplained", [0.001, 0.5])
+def test_a_stream_settles_the_same_whatever_the_blocks(unexplained: float, channels: int) -> None:
+    looks = []
+    for block in (1, 7, 256, 1000):
+        watched = Watched(unexplained)
+        watched.hear(BeamStream(watched), 0, 600, block, channels)
+        looks.append(sorted(watched.looks))
+    assert all(own == looks[0] for own in looks[1:])
+
+
+def test_a_foreign_beam_is_looked_at_once_and_tested_now_and_then() -> None:
+    known, foreign = Watched(0.001, ratio=0.5), Watched(0.5)
+    for watched in (known, foreign):
+        watched.hear(BeamStream(watched), 0, 1000, 50)
+    filters = np.array(known.looks)[:, 1:3].astype(bool)
+    assert filters[:64].all() and (filters[64:] == [True, False]).all()  # the filter that fits better
+    assert all(again for *_, again in known.looks)
+    looks = np.array(foreign.looks)[:, 1:].astype(bool)
+    assert looks[:8].all() and not looks[8:64, 2].any()
+    later = looks[64:]
+    assert 0.05 < later[:, 0].mean() < 0.15 and (later[:, 0] == later[:, 2]).all() and later[:, 1].all()
+
+
+def test_a_change_of_level_tests_again_and_a_gap_is_another_channel() -> None:
+    watched = Watched(0.5)
+    stream = BeamStream(watched)
+    watched.hear(stream, 0, 128, 128)
+    watched.hear(stream, 128, 200, 200, level=30.0)
+    looks = np.array(watched.looks)[:, 1:].astype(bool)
+    assert not looks[100:128, 0].any()
+    assert looks[192:200].all()  # after the decision that heard the new level
+    watched.looks.clear()
+    batch = VibrationBatch(np.ones((3, 2)), 51_200, 1)
+    batch.channel = np.full(3, 5)
+    stream.measured(batch)
+    assert np.array(watched.looks)[:, 1:].all()

@@ -216,6 +216,8 @@ def identify_events(
             "the order of its training; give a whole recording of them, or take a model of one sensor"
         )
     sensors = question.heard_by(model, channels)
+    # After a gap, a channel counts as another one.
+    stretches = [event.since * len(channels) + event.channel for event in events]
     answers: dict[int, Answer] = {}
     for sensor in dict.fromkeys(sensors):
         own = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
@@ -231,7 +233,7 @@ def identify_events(
                 detection_limit=event.detection_limit,
                 equalisation=None if sensor is None else model.equalisation(sensor)[0],
                 beam=beam,
-                channel=np.array([events[own[number]].channel for number in numbers]),
+                channel=np.array([stretches[own[number]] for number in numbers]),
             )
             answers |= zip((own[number] for number in numbers), found, strict=True)
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)]

@@ -34,6 +34,8 @@ _NODES, _FIRST = (48, _SHAPES.size, 45), (2, 5, 2)
 #: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table; a
 #: step that gains less of the logarithm of the likelihood is the last.
 _KEPT, _FEW, _MORE, _LEAST_GAIN = 6, 3, 7, 1e-3
+#: Least variance of ln peak, ln width and shape.
+_LEAST_VARIANCE = 1e-20
 #: Prior mean and deviation of the shape, and of the touch [samples].
 _SHAPE_PRIOR, _TOUCH_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows at a time.
@@ -53,6 +55,8 @@ _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
 _FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
 #: Decisions fall after these numbers of impacts, then every so many.
 _DECISIONS, _EVERY = (8, 16, 32), 64
+#: Most channels, before and after gaps, of which this is known.
+_REMEMBERED = 4096
 #: Noise alone leaves a misfit of less than this: five deviations of chi-square of the coefficients of a frame.
 _BY_NOISE = 1.28
 #: Samples before touch that show ringing: fewest and most.
@@ -253,7 +257,7 @@ class ContactFit:
         at, _, peak, ways, own = self._descended(at, information, vector, _MORE)
         covariance = np.linalg.inv(_curvature(ways, information))[:, :3, :3]
         # Rounding may leave a variance below 0 where a force is far too large.
-        covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], 0.0)
+        covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], _LEAST_VARIANCE)
         return at, peak, own, np.asarray(covariance, np.float64)
 
     def _starts(self, information: Floats, vector: Floats) -> Floats:
@@ -413,7 +417,7 @@ class ThroughBeam:
     def features(self, vibrations: VibrationBatch, inverted: Inverted, contact: Contact) -> dict[str, Floats]:
         """Return the features of vibrations by name, from what was found for them."""
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
-        correlation = contact.covariance / (deviation[:, :, None] * deviation[:, None])
+        correlation = np.clip(contact.covariance / (deviation[:, :, None] * deviation[:, None]), -1.0, 1.0)
         # Noise leaves no more than chance; what was there before touch, such as ringing, may go on beside its model.
         surely = np.maximum(inverted.misfit - _BY_NOISE, 0.0) / np.maximum(inverted.misfit - 1, 1e-9)
         event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
@@ -499,9 +503,9 @@ class ThroughBeam:
 
     def _between(self, sought: Sought, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
         """Return what a window that begins at the last sample leaves out, in units of the misfit of the whole, (n,)."""
-        columns = np.arange(sought.frames.shape[2])
+        columns = np.arange(min(sought.frames.shape[2], int(last.max(initial=0))))
         out = (columns >= first[:, None]) & (columns < last[:, None])
-        power = np.square(sought.frames / sought.noise[:, :, None])
+        power = np.square(sought.frames[:, :, : columns.size] / sought.noise[:, :, None])
         return np.asarray(np.sum(power, axis=(1, 2), where=out[:, None]) / (self.n_sensors * self.beam.n_samples))
 
     def _prepared(
@@ -680,30 +684,30 @@ class BeamStream:
         """Number of sensors, and of vibrations of one blow."""
         return self.through.n_sensors
 
-    def restart(self, channel: int) -> None:
-        """Forget what a channel has shown, as after a gap."""
-        self._channels.pop(channel, None)
-
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:
         """Return the features of the next vibrations of a stream, as `ThroughBeam.measured`."""
         n_sensors = self.n_sensors
         rest = np.arange(len(vibrations.samples) // n_sensors)
         channel = np.zeros(rest.size, np.intp) if vibrations.channel is None else vibrations.channel
         parts, found = [], []
+        for old in list(self._channels)[:-_REMEMBERED]:  # before gaps
+            del self._channels[old]
         while rest.size:
             numbers = np.unique(channel[rest]).tolist()
-            states = [self._channels.setdefault(number, _Channel()) for number in numbers]
+            states = [self._channels.pop(number, _Channel()) for number in numbers]
+            self._channels |= zip(numbers, states, strict=True)
             rows = [rest[channel[rest] == k][: state.n_next] for k, state in zip(numbers, states, strict=True)]
             plans = [state.plan(own.size) for state, own in zip(states, rows, strict=True)]
-            parts.append(np.concatenate(rows))
+            of_all = np.concatenate(rows)
+            order = np.argsort(of_all)
+            parts.append(of_all[order])
             part = vibrations.rows(np.add.outer(parts[-1] * n_sensors, np.arange(n_sensors)).ravel())
-            filters, again = (np.concatenate(one) for one in zip(*plans, strict=True))
+            filters, again = (np.concatenate(one)[order] for one in zip(*plans, strict=True))
             inverted, contact, misfit = self.through.look_as(part, filters, again)
             found.append(self.through.features(part, inverted, contact))
-            stops = np.cumsum([own.size for own in rows])
-            for state, stop, own in zip(states, stops.tolist(), rows, strict=True):
-                one = slice(stop - own.size, stop)
-                state.learn(inverted.unexplained[one], misfit[one], inverted.noise[one])
+            for state, own in zip(states, rows, strict=True):
+                own = np.searchsorted(parts[-1], own)
+                state.learn(inverted.unexplained[own], misfit[own], inverted.noise[own])
             rest = np.setdiff1d(rest, parts[-1])
         order = np.argsort(np.concatenate(parts))
         return {name: np.concatenate([one[name] for one in found])[order] for name in found[0]}

@@ -117,6 +117,8 @@ class ImpactDetector:
         self._taken, self._fed = 0, 0
         # Samples before this one may be missing.
         self._gap_until = 0
+        # Where the samples of each channel go on after gaps.
+        self._resumed: list[list[int]] = [[0] for _ in range(n_channels)]
         self._needed = start * self._onsets.chunk
         self._pending: list[Onset] = []
         self._cutter = FrameCutter(self._framing, self._onsets.end_of, joint)
@@ -238,6 +240,8 @@ class ImpactDetector:
             least, most = float(lowest.min()), float(highest.max())
             if self._gaps and np.isnan(least):
                 self._gap_until = self._fed + samples.shape[1]
+                for resumed, missing in zip(self._resumed, np.isnan(samples), strict=True):
+                    resumed += (self._fed + 1 + np.flatnonzero(missing & ~np.append(missing[1:], False))).tolist()
                 lowest, highest = (
                     extreme.reduce(samples, axis=1, initial=start)
                     for extreme, start in ((np.fmin, np.inf), (np.fmax, -np.inf))
@@ -298,8 +302,18 @@ class ImpactDetector:
             following = next((other for other in self._pending if other.row == onset.row), None)
             if following is not None and end is not None and following.sample >= end:
                 following = None
-            events.append(self._cutter.cut(onset, following, self._samples, self._first, begin, end, by))
+            event = self._cutter.cut(onset, following, self._samples, self._first, begin, end, by)
+            events.append(replace(event, since=self._since(onset)) if self._gap_until else event)
         return events
+
+    def _since(self, onset: Onset) -> int:
+        """Return the sample after the last gap before an onset."""
+        found = 0
+        for channel in range(self.n_channels) if self.joint else [onset.channel]:
+            before = [sample for sample in self._resumed[channel] if sample <= onset.sample]
+            self._resumed[channel] = [before[-1], *(s for s in self._resumed[channel] if s > onset.sample)]
+            found = max(found, before[-1])
+        return found
 
     def _between_gaps(self, onset: Onset, reach: int) -> tuple[int, int | None] | None:
         """Return where the samples around an onset begin and end, up to the next gaps; None without an end.

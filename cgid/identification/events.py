@@ -95,6 +95,8 @@ class Event:
         Whether three samples in a row hold the highest or lowest value.
     cut : bool
         Whether the recording begins or ends within the impact.
+    since : int
+        Index from which on no sample of its channel is missing before it.
     problem : str
         Why the impact cannot be measured, if the frame does not show it; else empty.
     detection_limit : float
@@ -114,6 +116,7 @@ class Event:
     overlapping: bool = False
     clipped: bool = False
     cut: bool = False
+    since: int = 0
     problem: str = ""
     detection_limit: float = FOUND_LIMIT
     unit: str | None = None
