@@ -22,7 +22,7 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.model import Model
-from cgid.identification.next_steps import CHANGED, _Channel
+from cgid.identification.next_steps import CHANGED, ChannelAnswers
 from cgid.identification.prediction import load_model
 from cgid.measure.beam import Beam, corrected, nodes
 from cgid.measure.features import extract_array
@@ -172,7 +172,7 @@ def changes(model: Model, n: int) -> Iterator[str]:
 
 def is_noticed(unexplained: Any) -> bool:
     """Return whether the hint comes for impacts that leave these shares of their energy unexplained [%]."""
-    channel = _Channel()
+    channel = ChannelAnswers()
     channel.unexplained.extend(unexplained.tolist())
     return channel.left()[0] > CHANGED
 
