@@ -36,7 +36,7 @@ def run():
 KERNELS = {
     "checksum": """
 import numpy as np
-from cgid.store._fletcher import fletcher32
+from cgid.store._packing import fletcher32
 def run():
     yield np.asarray(fletcher32(np.arange(20_000, dtype="<u2")))
 """,

@@ -8,9 +8,10 @@ name changes: the process kills itself, by a hook of the interpreter (sys.addaud
 before they run. With two workers only their parent is killed, as soon as a name has changed in the folder; the workers
 outlive it for a while, and the run is resumed in parallel to them.
 
-After each kill, every file under its final name, and every file in the journal, must equal that of an uninterrupted
-run. Data to be overwritten must be complete, old or new, though possibly under another name between two renames. After
-the last resume nothing may differ from an uninterrupted run, and nothing may be left over.
+After each kill, every file under its final name must equal that of an uninterrupted run, or of the older data to be
+overwritten, and what can be read must be one of the two. After the last resume nothing may differ from an uninterrupted
+run, and nothing may be left over. With `--overwrite` at once, a run with two workers is killed, and one of another seed
+replaces it while the workers are still writing.
 """
 
 import argparse
@@ -29,8 +30,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cgid.errors import BadData
 from cgid.scene import generate, generate_recordings, parse_scene
-from cgid.store.description import JOURNAL, read_journal
+from cgid.store.folder import LOCK, SUMS
+from cgid.store.reading import Dataset
+from cgid.store.verification import verify
 
 #: Audit events that change names.
 RENAMES = ("os.rename", "os.link", "os.remove", "os.mkdir", "os.rmdir")
@@ -68,10 +72,11 @@ class Kind:
     make: Callable[[Path, bool], object]
     older: Callable[[Path], object] | None = None
     workers: bool = False
+    last: Callable[[Path, bool], object] | None = None
 
 
 def kinds() -> tuple[Kind, ...]:
-    """Return all kinds; the one with workers comes last."""
+    """Return all kinds; those with workers come last."""
     scene, stream = parse_scene(SIGNALS), parse_scene(STREAM)
 
     def dataset(path: Path, resume: bool, **options: Any) -> object:
@@ -93,12 +98,18 @@ def kinds() -> tuple[Kind, ...]:
             lambda path: recordings(path, False, 2),
         ),
         Kind("two workers", lambda path, resume: dataset(path, resume, jobs=2), workers=True),
+        Kind(
+            "two workers, then another seed",
+            lambda path, resume: dataset(path, resume, jobs=2),
+            workers=True,
+            last=lambda path, _: generate(scene, path, 600, 2, shard_signals=50, overwrite=True),
+        ),
     )
 
 
 def content(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file in a folder that has its final name, by name."""
-    files = [path for path in folder.iterdir() if path.suffix != ".part" and path.name != JOURNAL]
+    files = [path for path in folder.iterdir() if path.suffix != ".part" and path.name != LOCK]
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
@@ -155,12 +166,15 @@ class Trials:
         names = events.read_text().split("\n")
         near = [number for number, name in enumerate(names) if name in RENAMES]
         self.near = sorted({*near, *(number + 1 for number in near)})
-        self.older = {}
+        self.older, self.final = {}, self.whole
         if content(self.output) != self.whole:
             raise SystemExit(f"{kind.name}: two uninterrupted runs differ")
         if kind.older is not None:
             kind.older(folder / "older")
             self.older = content(folder / "older")
+        if kind.last is not None:
+            kind.last(folder / "final", False)
+            self.final = content(folder / "final")
 
     def _whole_run(self, work: Callable[[], object], events: Path | None = None) -> None:
         process = started(work, events=events)
@@ -170,8 +184,7 @@ class Trials:
             raise SystemExit(f"{self.kind.name}: an uninterrupted run ended with {code}")
 
     def _prepare(self) -> None:
-        for path in (self.output, *self.output.parent.glob(".data.*")):
-            shutil.rmtree(path, ignore_errors=True)
+        shutil.rmtree(self.output, ignore_errors=True)
         if self.kind.older is not None:
             self.kind.older(self.output)
 
@@ -180,20 +193,21 @@ class Trials:
         self._prepare()
         wrong, process = [], self._killed(False)
         wrong += self._faults()
-        while not wrong and self.draws.random() < 0.5:
+        while not wrong and self.kind.last is None and self.draws.random() < 0.5:
             self._reap(process)
             process = self._killed(True)
             wrong += self._faults()
-        last = started(lambda: self.kind.make(self.output, True))
+        last = started(lambda: (self.kind.last or self.kind.make)(self.output, True))
         resumed = ended(last)
+        time.sleep(1.0 if self.kind.last is not None else 0.0)  # what the workers still write
         for group in (process, last):
             self._reap(group)
         if resumed:
             wrong.append(f"resume ended with {resumed}")
-        elif content(self.output) != self.whole:
+        elif content(self.output) != self.final or verify(self.output).damage:
             wrong.append("what was resumed differs from an uninterrupted run")
-        left = [path.name for path in (*self.folder.glob(".data.*"), *self.output.glob(".*"))]
-        if left or (self.output / JOURNAL).exists():
+        left = [path.name for path in (*self.folder.glob(".data*"), *self.output.glob(".*")) if path.name != LOCK]
+        if left and not self.kind.workers:
             wrong.append(f"left over: {left}")
         return wrong
 
@@ -228,23 +242,24 @@ class Trials:
 
     def _faults(self) -> list[str]:
         """Return the faults after a kill."""
-        wrong = []
-        hidden, replaced = (self.output.with_name(f".data.{ending}") for ending in ("unfinished", "replaced"))
-        named = content(self.output if self.output.exists() else replaced) if self.kind.older is not None else {}
-        if self.kind.older is not None and named not in (self.older, self.whole):
-            wrong.append("what was to be overwritten is neither old nor new")
-        for folder in (self.output, hidden):
-            if not folder.exists():
-                continue
-            there = content(folder)
-            sound = (self.whole, self.older)
-            if not any(all(kind.get(name) == digest for name, digest in there.items()) for kind in sound):
-                wrong.append(f"{folder.name}: a file bears its name and is not whole")
-            self.counts["finished files"] += len(there)
-            found = read_journal(folder)
-            for entry in () if found is None else found.entries:
-                if there.get(entry["file"]) != entry["sha256"]:
-                    wrong.append(f"{folder.name}: {entry['file']} is in the journal and is not whole")
+        if not self.output.exists():
+            return []
+        there, sound = content(self.output), (self.whole, self.older)
+        self.counts["finished files"] += len(there)
+        wrong = [
+            f"{name} bears its name and is not whole"
+            for name, digest in there.items()
+            if name != SUMS and digest not in {kind.get(name) for kind in sound}
+        ]
+        seeds = set()
+        with contextlib.suppress(BadData):
+            if self.kind.name.endswith("dataset") or "shard-00000.h5" in there:
+                dataset = Dataset(self.output)
+                seeds = {dataset.header.attributes["seed"]}
+                n_read = sum(map(len, dataset))
+                shards = {name: digest for name, digest in content(self.output).items() if name.startswith("shard")}
+                if not any(shards.items() <= kind.items() for kind in sound) or n_read != len(dataset):
+                    wrong.append(f"a mixture was read, of seed {seeds}")
         return wrong
 
 
@@ -257,8 +272,9 @@ def main() -> None:
     parser.add_argument("--folder", help="where the datasets go (by default a temporary folder)")
     arguments = parser.parse_args()
     draws, all_kinds = random.Random(arguments.seed), kinds()
-    alone = len(all_kinds) - 1
-    wanted = [-(-(arguments.kills - arguments.with_workers) // alone)] * alone + [arguments.with_workers]
+    alone = sum(not kind.workers for kind in all_kinds)
+    with_workers = [-(-arguments.with_workers // 2)] * (len(all_kinds) - alone)
+    wanted = [-(-(arguments.kills - arguments.with_workers) // alone)] * alone + with_workers
     failed = 0
     print("| run | kills near a rename | anywhere | too late | finished files, all whole | wrong |")
     print("|---|---|---|---|---|---|")

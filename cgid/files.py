@@ -1,8 +1,6 @@
-"""Atomic file writes, folder locks, and bounded reads of untrusted files.
+"""Atomic file writes and bounded reads of untrusted files.
 
-A file is written under a temporary name, flushed to the disk and renamed. Locks are kernel locks, which end with the
-process. Windows cannot lock folders; there `filelock` locks a file next to the folder. Windows is supported but not
-tested.
+A file is written under a temporary name, flushed to the disk and renamed. Windows is supported but not tested.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import secrets
 import shutil
 import stat
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,92 +22,37 @@ from cgid.errors import BadData, CannotCreate, CgidError, NoInput, WriteFailed
 
 #: Errors of a full disk.
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-#: Errors of file systems without locks, and without hard links.
-_NO_LOCKS = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EBADF, errno.EINVAL, errno.ENOSYS}
+#: Errors of file systems without hard links.
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL}
-#: Pause between two attempts at a lock, and longest wait of `write_together` for the folder [s].
-_PAUSE, _PATIENCE = 0.02, 5.0
+#: A temporary file that nobody has written to for this long was left by a killed process [s].
+STALE = 3600.0
 #: Limit of parts in a dotted TOML key: time and memory of Python's parser grow with their square.
 _MOST_PARTS = 16
 _PART = r"""\.[ \t]*+(?:[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
 
 
-# ---- locks -----------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def locked(path: Path, *, shared: bool = False, patience: float = 0.0) -> Iterator[bool]:
-    """Hold an exclusive or shared lock on a file or folder, waiting up to `patience` [s]; yield whether it is held.
-
-    File systems without locks hold nothing. Windows locks only folders, and never shared.
-    Raises `BlockingIOError` if another process holds the lock, `OSError` if the path cannot be opened.
-    """
-    try:
-        import fcntl
-    except ImportError:
-        with _locked_by_file(path, shared, patience) as held:
-            yield held
-        return
-    descriptor, held = os.open(path, os.O_RDONLY), True
-    try:
-        end = time.monotonic() + patience
-        while True:
-            try:
-                fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() >= end:
-                    raise
-                time.sleep(_PAUSE)
-            except OSError as error:
-                if error.errno not in _NO_LOCKS:
-                    raise
-                held = False
-                break
-        if not os.path.samestat(os.fstat(descriptor), path.stat()):
-            raise BlockingIOError(errno.EWOULDBLOCK, "another file has its name by now")
-        yield held
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def _locked_by_file(path: Path, shared: bool, patience: float) -> Iterator[bool]:
-    """Lock a folder through a file next to it."""
-    if shared or not path.is_dir():
-        yield False
-        return
-    from filelock import FileLock, Timeout
-
-    file = path.absolute().with_name(f".{path.absolute().name}.lock")
-    lock = FileLock(file)
-    try:
-        lock.acquire(timeout=patience)
-    except Timeout:
-        raise BlockingIOError(errno.EWOULDBLOCK, "another process holds it") from None
-    except NotImplementedError:  # a file system without locks
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        lock.release()
-        _remove(file)
-
-
 # ---- one file --------------------------------------------------------------------------------------------------------
 
 
-def write_whole(path: str | Path, content: bytes | memoryview, *, overwrite: bool = True) -> None:
+def write_whole(
+    path: str | Path,
+    content: bytes | memoryview,
+    *,
+    overwrite: bool = True,
+    check: Callable[[], object] | None = None,
+) -> None:
     """Write a file atomically: its name has the old content or all of the new. Raises as `whole_file`."""
-    with whole_file(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
+    with whole_file(path, overwrite=overwrite, check=check) as temporary, temporary.open("wb") as stream:
         stream.write(content)
 
 
 @contextmanager
-def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
+def whole_file(
+    path: str | Path, *, overwrite: bool = True, check: Callable[[], object] | None = None
+) -> Iterator[Path]:
     """Yield the name of an empty temporary file, which gets the final name if the context ends without an error.
 
+    `check` is called just before that; an error of it keeps the old file.
     Raises `CannotCreate` if the folder is missing or not writable, or if the name is taken and `overwrite` is false;
     `WriteFailed` if the disk is full or broken. An existing file then stays untouched.
     """
@@ -121,15 +64,15 @@ def whole_file(path: str | Path, *, overwrite: bool = True) -> Iterator[Path]:
         except OSError as error:
             cure = "free some space" if error.errno in FULL else "choose an existing folder you may write to"
             raise CannotCreate(f"{path}: cannot be created ({error.strerror}); {cure}") from None
-        # Tells `clear_half_written` that the file is in use. Shared, so that readers are not blocked after the rename.
-        with locked(temporary, shared=True):
-            yield temporary
-            with temporary.open("rb+") as stream:
-                os.fsync(stream.fileno())
-            if overwrite:
-                temporary.replace(path)
-            else:
-                _publish_new(temporary, path)
+        yield temporary
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        if check is not None:
+            check()
+        if overwrite:
+            temporary.replace(path)
+        else:
+            _publish_new(temporary, path)
     except BaseException as error:
         _remove(temporary)
         if isinstance(error, CgidError):
@@ -189,14 +132,12 @@ def half_written(name: str) -> str:
 
 
 def clear_half_written(path: Path) -> None:
-    """Remove the temporary files of killed processes for this name; those still being written are locked and stay."""
+    """Remove the temporary files of killed processes for this name: those that nobody has written to for an hour."""
     pattern = re.compile(half_written(re.escape(path.name)))
     with contextlib.suppress(OSError):
-        for found in path.parent.iterdir():
-            if pattern.fullmatch(found.name) and stat.S_ISREG(found.lstat().st_mode):
-                with contextlib.suppress(OSError), locked(found) as held:
-                    if held:
-                        found.unlink()
+        for left in path.parent.iterdir():
+            if pattern.fullmatch(left.name) and time.time() - left.lstat().st_mtime > STALE:
+                _remove(left)
 
 
 def _remove(path: Path) -> None:
@@ -224,9 +165,6 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
     """
     made: dict[Path, int] = {}
     with contextlib.ExitStack() as stack:
-        # Continue without the lock if the file system has none or others hold it for too long.
-        with contextlib.suppress(OSError):
-            stack.enter_context(locked(next(iter(contents)).parent, patience=_PATIENCE))
         for path in contents:
             stack.enter_context(_restored(path, made))
         for path in reversed(list(contents)):  # so that the first is renamed first

@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks import cold_start
 from cgid import compiled
-from cgid.store._fletcher import fletcher32
+from cgid.store._packing import fletcher32
 from tests import few
 
 PACKAGE = Path(compiled.__file__).parent

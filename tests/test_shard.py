@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import zlib
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -16,10 +17,9 @@ from hypothesis import strategies as st
 from benchmarks.store import write_ready
 from cgid.errors import BadData, MissingExtra
 from cgid.signals import Batch
-from cgid.store._fletcher import fletcher32
+from cgid.store._packing import deflated, fletcher32
 from cgid.store.description import COMPRESSIONS
-from cgid.store.disk import MemoryFile
-from cgid.store.hdf5 import ShardBuilder, ShardPlan, deflated, keywords, require
+from cgid.store.hdf5 import ShardBuilder, ShardPlan, keywords, require
 
 # ---- the checksum ----------------------------------------------------------------------------------------------------
 
@@ -44,37 +44,6 @@ def test_checksum_is_that_of_hdf5(size, kind):
     else:
         words[:] = {"zero": 0, "highest": 65535, "one": 1}[kind]
     assert int(fletcher32(words)) == checksum_of_hdf5(words)
-
-
-# ---- the file in memory ----------------------------------------------------------------------------------------------
-
-STEPS = st.one_of(
-    st.tuples(st.just("seek"), st.integers(0, 300), st.just(io.SEEK_SET)),
-    st.tuples(st.just("seek"), st.integers(0, 20), st.sampled_from([io.SEEK_CUR, io.SEEK_END])),
-    st.tuples(st.just("write"), st.binary(max_size=100)),
-    st.tuples(st.just("truncate"), st.integers(0, 300)),
-    st.tuples(st.just("read"), st.integers(0, 100)),
-)
-
-
-@given(steps=st.lists(STEPS, max_size=30))
-def test_a_file_in_memory_is_a_file(steps):
-    ours, theirs = MemoryFile(), io.BytesIO()
-    for name, *arguments in steps:
-        if name == "read":
-            buffers = bytearray(arguments[0]), bytearray(arguments[0])
-            assert ours.readinto(memoryview(buffers[0])) == theirs.readinto(buffers[1])
-            assert buffers[0] == buffers[1]
-        elif name == "truncate" and arguments[0] > len(theirs.getvalue()):
-            # BytesIO alone does not grow, a file does.
-            ours.truncate(*arguments)
-            place = theirs.tell()
-            theirs.seek(0, io.SEEK_END)
-            theirs.write(bytes(arguments[0] - theirs.tell()))
-            theirs.seek(place)
-        else:
-            assert getattr(ours, name)(*arguments) == getattr(theirs, name)(*arguments)
-        assert ours.getvalue() == theirs.getvalue()
 
 
 # ---- the shard -------------------------------------------------------------------------------------------------------
@@ -270,16 +239,35 @@ def test_an_unfinished_shard_is_closed_before_the_interpreter_ends():
     assert (done.stdout, done.returncode) == ("closed\n", -signal.SIGINT), done.stderr
 
 
-class _Interrupted(MemoryFile):
-    """A file whose third chunk meets Ctrl-C."""
+class _Interrupted(io.BytesIO):
+    """A file whose first large piece meets Ctrl-C."""
 
     def write(self, content):
-        if len(content) > 1 << 18 and self.seek(0, io.SEEK_END) > 1 << 20:
-            raise KeyboardInterrupt
+        if len(content) > 1 << 18 and not self.pressed:
+            self.pressed = True
+            signal.raise_signal(signal.SIGINT)
         return super().write(content)
 
+    pressed = False
 
-def test_an_interruption_in_the_middle_of_a_write_comes_through(monkeypatch):
-    monkeypatch.setattr("cgid.store.hdf5.MemoryFile", _Interrupted)
+
+def test_ctrl_c_in_the_middle_of_a_write_waits_for_hdf5(monkeypatch):
+    monkeypatch.setattr("cgid.store.hdf5.io", SimpleNamespace(BytesIO=_Interrupted))
     with pytest.raises(KeyboardInterrupt):
         build(())
+
+
+@pytest.mark.parametrize("samples", [1, 7, 130, 4099])
+@pytest.mark.parametrize("n_signals", [1, 2, 63, 4097])
+def test_a_shard_of_any_shape_is_as_long_as_hdf5_says(tmp_path, samples, n_signals):
+    """A file on a disk is filled up to its declared length, a BytesIO is not."""
+    signals = np.arange(n_signals * samples, dtype=np.float32).reshape(n_signals, samples)
+    about = ShardPlan(n_samples=samples, dtype="float32", label_width=2, parameter_units={"radius": "m"}, attributes={})
+    builder = ShardBuilder(about, 0, n_signals)
+    columns = {"labels": np.full(n_signals, "a"), "specimen": np.arange(n_signals, dtype=np.uint64)}
+    columns["parameters"] = {"radius": np.ones(n_signals)}
+    builder.add(Batch(signals=signals, sampling_rate=1e5, unit="N", pre_trigger=0, **columns))
+    (tmp_path / "shard.h5").write_bytes(builder.image())
+    with h5py.File(tmp_path / "shard.h5") as file:
+        np.testing.assert_array_equal(file["signals"][:], signals)
+        assert file["parameters/radius"][:].sum() == n_signals

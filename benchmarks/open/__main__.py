@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks.open.sets import HERE, draw_seed, make
 from cgid.errors import BadData, CannotCreate, CgidError
 from cgid.files import read_regular, write_whole
-from cgid.store.description import SUMS
+from cgid.store.folder import SUMS
 
 #: Results of the public sets; the table goes between these lines of a page.
 RESULTS, BEGIN, END = HERE / "results.csv", "<!-- table -->\n", "<!-- end of table -->\n"

@@ -26,7 +26,7 @@ from cgid.files import read_regular, whole_file, write_whole
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.draws import generator
 from cgid.scene.stream import record
-from cgid.store.description import SUMS, file_facts, sums_text
+from cgid.store.folder import SUMS, sha256_of, sums_text
 
 HERE = Path(__file__).parent
 #: Seeds of the training parts, which are always public, and of the public test parts; set k adds k.
@@ -222,7 +222,7 @@ def write_rows(path: Path, columns: Sequence[str], rows: Rows) -> None:
 
 def sums_of(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of each file of a folder but of the sums."""
-    return {path.name: file_facts(path)["sha256"] for path in sorted(folder.iterdir()) if path.name != SUMS}
+    return {path.name: sha256_of(path) for path in sorted(folder.iterdir()) if path.name != SUMS}
 
 
 def _compare(output: Path, public: bool) -> None:

@@ -64,14 +64,12 @@ def _dataset(file: str) -> dict[str, Any]:
     from collections import Counter
 
     from cgid.store import Dataset
-    from cgid.store.verification import damaged_shards
 
     dataset = Dataset(file)
     labels: Counter[str] = Counter()
     for batch in dataset.batches():
         labels.update(batch.labels.tolist())
     about = dataset.header.attributes
-    damaged = damaged_shards(file)
     return {
         "kind": "dataset",
         "file": file,
@@ -84,7 +82,6 @@ def _dataset(file: str) -> dict[str, Any]:
         "labels": dict(sorted(labels.items())),
         "parameters": dict(dataset.header.parameter_units),
         "dtype": dataset.header.dtype,
-        "damaged_shards": ", ".join(damaged) or "none",
         **_origin(about),
     }
 

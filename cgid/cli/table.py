@@ -215,12 +215,13 @@ def _parquet_table(file: Path) -> tuple[list[str], int]:
 
 
 def _hdf5_table(file: Path) -> tuple[list[str], int]:
-    from cgid.store import sandbox
+    from cgid.store.description import hdf5_format
 
-    if sandbox.format_said(file) != "":
+    if hdf5_format(file) != "":
         return [], 0
-    found = sandbox.call("foreign_columns", file, [name.partition(" [")[0] for name in _HEAD])
-    return found["names"], found["n_rows"]
+    from cgid.store.foreign import foreign_columns
+
+    return foreign_columns(file, [name.partition(" [")[0] for name in _HEAD])
 
 
 def _damaged(file: Path, fault: str) -> BadData:

@@ -229,7 +229,7 @@ def _recorded(item: str) -> bool:
     """Return whether an argument names recordings: a manifest, a folder of recordings, or one without labels."""
     from cgid.identification.manifest import ENDINGS, is_manifest
     from cgid.recordings import is_dataset
-    from cgid.store.description import is_dataset_folder
+    from cgid.store.folder import is_dataset_folder
 
     path = Path(item)
     try:
@@ -515,7 +515,7 @@ def _batches(sources: list[Scene | Dataset], options: dict[str, Any]) -> Iterato
     n, seed = options["n_signals"], options["seed"]
     for source in sources:
         if not isinstance(source, Scene):
-            yield from source.batches(check_sums=True)
+            yield from source.batches()
             continue
         validation.whole("signals", n, 1, MOST_SIGNALS)
         if options["sensors"]:

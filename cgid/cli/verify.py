@@ -15,8 +15,6 @@ from cgid.terminal import counted
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
 
-#: Problems that are only reported.
-_KEPT = ("pending", "foreign")
 _NO_SUM = "no checksum, "
 
 
@@ -33,10 +31,11 @@ _NO_SUM = "no checksum, "
 def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str | None, as_json: bool) -> int:
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
-    The files of a folder are compared with its manifest and SHA256SUMS, single files with their own checksums. A
-    recording of another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With
-    --repair what is damaged or missing is made again from the scene and the seed in the files, to the same bytes, and
-    nothing else is touched. Files that do not belong to a dataset are reported, and are no damage.
+    The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
+    another program (TDMS, WAV, CSV, ...) has none: it is read to its end, as are all in a folder. With --repair what is
+    damaged or missing in a folder is made again from its description, to the same bytes, and nothing else is touched;
+    of a single file it says how to make it again. Files that do not belong to a dataset are reported, and are no
+    damage.
     """
     if scene is not None and not repair:
         raise click.UsageError("--scene needs --repair: it says what to make files again from; give both or neither")
@@ -67,7 +66,7 @@ def _recordings_of(path: str) -> list[str]:
     """Return the recordings in a folder that cgid has not made, sorted; none for anything else."""
     from cgid.errors import CgidError
     from cgid.identification.manifest import recordings_in
-    from cgid.store.description import is_dataset_folder
+    from cgid.store.folder import is_dataset_folder
 
     folder = Path(path)
     try:
@@ -121,9 +120,9 @@ def _is_foreign(path: str) -> bool:
     """Return whether this is a file that cgid has not written, and so a recording of another program."""
     from cgid.recordings import is_dataset
     from cgid.store import is_table
+    from cgid.store.description import is_hdf5
     from cgid.store.reading import is_recording
     from cgid.store.run import is_single_file
-    from cgid.store.sandbox import is_hdf5
 
     file = Path(path)
     if is_table(path) or is_dataset(path) or is_recording(path):
@@ -175,17 +174,17 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     found = find(path)
     left = found.damage
     lines = [_line(finding.file, finding.problem, finding.what) for finding in found.findings]
-    if repair and any(finding.problem not in _KEPT for finding in found.findings):
+    if repair and any(finding.problem != "foreign" for finding in found.findings):
         repairs = _repaired(found, scene)
         lines = [
             _line(one.finding.file, one.finding.problem, one.finding.what) | {"repaired": one.done, "told": one.told}
             for one in repairs
-        ] + [line for line in lines if line["problem"] in _KEPT]
+        ] + [line for line in lines if line["problem"] == "foreign"]
         left = tuple(one.finding for one in repairs if one.finding.harmful and not one.done)
     _tell(path, found.kind, found.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
-        cure = "see above why --repair does not help" if repair else "cgid verify --repair makes again what can be"
+        cure = "see above how to make them again" if repair else "cgid verify --repair makes again what can be"
         if all(finding.problem == "unfinished" for finding in left):
             cure = "go on with cgid generate ... --resume"
         raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {cure}")

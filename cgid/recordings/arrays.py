@@ -1,6 +1,6 @@
 """Read NPY, NPZ and HDF5 files by blocks, without pickle and without allocating memory for declared sizes.
 
-HDF5 files, including MATLAB v7.3, are read by `cgid.store` in a separate process.
+HDF5 files, including MATLAB v7.3, are read by `cgid.store`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from cgid.recordings.variables import (
 )
 
 if TYPE_CHECKING:
-    from cgid.store.reading import ForeignArray
+    from cgid.store.foreign import ForeignArray
 
 #: Longest header [bytes]; a longer one is damaged.
 HEADER_SIZE = 1 << 16
@@ -339,11 +339,10 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
     and ``add_offset`` (CF conventions). Raises `BadData` if the file is damaged, is a dataset of cgid, or holds no
     array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
     """
-    from cgid.store.description import RECORDING_FORMAT
-    from cgid.store.reading import array_blocks, survey
-    from cgid.store.sandbox import format_said
+    from cgid.store.description import RECORDING_FORMAT, hdf5_format
+    from cgid.store.foreign import array_blocks, survey
 
-    said = format_said(path)
+    said = hdf5_format(path)
     if said == RECORDING_FORMAT:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")

@@ -143,10 +143,9 @@ def is_dataset(path: str | Path) -> bool:
                 return False
     except (OSError, ValueError):
         return False
-    from cgid.store.description import RECORDING_FORMAT
-    from cgid.store.sandbox import format_said
+    from cgid.store.description import RECORDING_FORMAT, hdf5_format
 
-    said = format_said(Path(path))
+    said = hdf5_format(Path(path))
     return said is None or (said.startswith("cgid") and said != RECORDING_FORMAT)
 
 

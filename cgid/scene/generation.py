@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from contextvars import copy_context
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -31,16 +32,17 @@ from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene, load_scene
 from cgid.scene.synthesis import columns_of, synthesise
 from cgid.signals import Batch
-from cgid.store import TableHeader, check_output, check_table_output, table_writer
-from cgid.store.dataset import dataset_goal, part_of, shard_content
-from cgid.store.description import COMPRESSIONS, DATASET_FILES, FORMAT, JOURNAL, SCHEMA_VERSION, ShardEntry
+from cgid.store import TableHeader, check_table_output, table_writer
+from cgid.store.dataset import describe_dataset, shard_content
+from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION
+from cgid.store.folder import Description
 from cgid.store.hdf5 import ShardPlan, library, require
-from cgid.store.run import begun, is_single_file, taking_part
+from cgid.store.run import begun, check_output, is_single_file, require_description
 from cgid.workers import Workers, workers
 
 #: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
-#: The manifest of more signals would not fit into memory.
+#: Most signals of a dataset or table.
 MOST_SIGNALS = 10**9
 #: Longest delay until a shard of another machine appears here [s]: network file systems cache missing names.
 PATIENCE = 30.0
@@ -88,7 +90,7 @@ def generate(
         and every HDF5 reader supports it. zstd and blosc2 (lz4) need the extra `compression` to write and to read. The
         bytes depend on the version of the compression library, which the attribute `versions` records.
     overwrite : bool
-        Whether to replace an old dataset; it stays until the new one is complete.
+        Whether to replace an old dataset. A folder is no dataset until all of its shards are replaced.
     resume : bool
         Whether to complete an unfinished run, with the same bytes as an unbroken one; a complete dataset is kept.
     scheduler : str, optional
@@ -113,7 +115,7 @@ def generate(
     MissingExtra
         dask.distributed or the compression library is not installed.
     WriteFailed
-        The disk is full. Finished shards stay, without a manifest; the run can be resumed.
+        The disk is full. Finished shards stay; the run can be resumed.
     InvalidValue
         A number is out of range, or the scene randomises its sampling rate.
     """
@@ -127,7 +129,7 @@ def generate(
             f"got {low:g} to {high:g} Hz; train on the scene itself (cgid train SCENE -o MODEL)"
         )
     require(validation.choice("compression", compression, COMPRESSIONS))
-    path = check_output(output, DATASET_FILES, overwrite or resume)
+    path = check_output(output, FORMAT, overwrite or resume)
     next(synthesise(scene, 1, seed))  # raises errors of the scene or the seed before anything is written
     plan = shard_plan(
         scene,
@@ -137,26 +139,40 @@ def generate(
     )
     if n_signals > MOST_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
-    goal = dataset_goal(path, plan, n_signals, shard_signals)
-    if is_single_file(path):
-        shard_signals = n_signals
+    description = describe_dataset(path, plan, n_signals, shard_signals)
+    single = is_single_file(path)
     # More workers than shards or processors would only cost memory.
-    jobs = min(jobs, len(goal.names), os.cpu_count() or 1)
+    jobs = min(jobs, description.n_files, os.cpu_count() or 1)
     # The workers come first, so that a missing cluster is reported before anything is written.
-    with workers(jobs, scheduler) as crew, begun(goal, overwrite=overwrite, resume=resume) as run:
-        missing = [_Shard(goal.names[number], *part_of(number, n_signals, shard_signals)) for number in run.missing]
+    with workers(jobs, scheduler) as crew, begun(path, description, overwrite=overwrite, resume=resume) as run:
+        names = [path.name] if single else description.names
+        missing = [_Shard(names[number], **description.part(number)) for number in run.missing]
         n_missing = sum(shard.n_signals for shard in missing)
-        if run.token is not None and compression == "none":
-            require_room(path, path.parent, plan.size(n_missing), "signals", "make room, or fewer signals")
+        if not single and compression == "none":
+            replaced = sum((path / shard.file).stat().st_size for shard in missing if (path / shard.file).exists())
+            size = plan.size(n_missing) - replaced
+            require_room(path, path.parent, size, "signals", "make room, or fewer signals")
         if progress is not None and n_missing < n_signals:
             progress(n_signals - n_missing)
-        work = _Work(scene=scene, seed=seed, plan=plan, place=run.folder, run=run.token, overwrite=overwrite)
-        with closing(_write_shards(work, missing, crew, progress)) as entries:
-            for entry in entries:
-                run.add(vars(entry))
+        work = _Work(
+            scene=scene,
+            seed=seed,
+            plan=described(plan, description),
+            place=path.parent if single else path,
+            digest=None if single else description.sha256,
+            overwrite=overwrite or not single,
+        )
+        with closing(_write_shards(work, missing, crew, progress)) as written:
+            for shard in written:
+                run.add(shard.file, shard.sha256)
                 if progress is not None and not crew.alone:
-                    progress(entry.n_signals)
+                    progress(shard.n_signals)
     return path
+
+
+def described(plan: ShardPlan, description: Description) -> ShardPlan:
+    """Return the plan of shards that carry the digest of their description."""
+    return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256})
 
 
 def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
@@ -200,38 +216,44 @@ def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 class _Shard(NamedTuple):
     file: str
-    first: int
+    first_signal: int
     n_signals: int
+
+
+class _Written(NamedTuple):
+    file: str
+    n_signals: int
+    n_bytes: int
+    sha256: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Work:
-    """The data common to all shards: `place` is their folder, `run` the run that fills it, None for a single file."""
+    """The data common to all shards: `place` is their folder, `digest` that of its description, if it has one."""
 
     scene: Scene
     seed: int
     plan: ShardPlan
     place: Path
-    run: str | None
+    digest: str | None
     overwrite: bool
 
 
 def _write_shards(
     work: _Work, shards: list[_Shard], crew: Workers, progress: Callable[[int], object] | None
-) -> Generator[ShardEntry, None, None]:
-    """Make and write these shards; yield the manifest entry of each when it is done.
+) -> Generator[_Written, None, None]:
+    """Make and write these shards; yield what is to be known of each when it is done.
 
     Cluster workers write into the same folder under the same name; when cancelled, they finish their current shard.
     """
     if crew.alone:
         yield from _write_in_turn(work, shards, progress)
         return
-    write = _write_shared if crew.elsewhere else _write_one
-    with closing(crew.each(write, _anywhere(work), shards, ordered=False)) as entries:
-        for entry in entries:
+    with closing(crew.each(_write_one, _anywhere(work), shards, ordered=False)) as written:
+        for shard in written:
             if crew.elsewhere:
-                _require_shared(work.place / entry.file, entry.bytes)
-            yield entry
+                _require_shared(work.place / shard.file, shard.n_bytes)
+            yield shard
 
 
 def _anywhere(work: _Work) -> _Work:
@@ -243,13 +265,13 @@ def _anywhere(work: _Work) -> _Work:
 
 def _write_in_turn(
     work: _Work, shards: Sequence[_Shard], progress: Callable[[int], object] | None = None
-) -> Generator[ShardEntry, None, None]:
+) -> Generator[_Written, None, None]:
     """Make shards one after another in this process."""
     dtype: Any = work.plan.dtype
     made = (
         batch
         for shard in shards
-        for batch in synthesise(work.scene, shard.n_signals, work.seed, first=shard.first, dtype=dtype)
+        for batch in synthesise(work.scene, shard.n_signals, work.seed, first=shard.first_signal, dtype=dtype)
     )
     block = work.plan.size(BLOCK)
     with closing(ahead(made, min(max(1, _AHEAD_BYTES // block), _AHEAD_BLOCKS))) as batches:
@@ -257,28 +279,19 @@ def _write_in_turn(
             yield _write(work, shard, next_signals(batches, shard.n_signals, progress))
 
 
-def _write(work: _Work, shard: _Shard, batches: Iterator[Batch]) -> ShardEntry:
-    """Build a shard in memory, write it atomically, and return its entry in the manifest."""
-    content, labels = shard_content(work.plan, shard.first, shard.n_signals, batches)
-    with taking_part(work.place, work.run):
-        write_whole(work.place / shard.file, content, overwrite=work.overwrite or work.run is not None)
-    digest = hashlib.sha256(content).hexdigest()
-    return ShardEntry(shard.file, shard.first, shard.n_signals, len(content), digest, labels)
+def _write(work: _Work, shard: _Shard, batches: Iterator[Batch]) -> _Written:
+    """Build a shard in memory and write it atomically, if the folder still has the description."""
+    content = shard_content(work.plan, shard.first_signal, shard.n_signals, batches)
+    check = None if work.digest is None else partial(require_description, work.place, work.digest)
+    write_whole(work.place / shard.file, content, overwrite=work.overwrite, check=check)
+    return _Written(shard.file, shard.n_signals, len(content), hashlib.sha256(content).hexdigest())
 
 
-def _write_one(work: _Work, shard: _Shard) -> ShardEntry:
-    (entry,) = _write_in_turn(work, [shard])
-    return entry
-
-
-def _write_shared(work: _Work, shard: _Shard) -> ShardEntry:
-    folder = work.place
-    if not folder.is_dir() or not (work.run is None or (folder / JOURNAL).exists()):
-        raise CannotCreate(
-            f"{folder}: must be a folder that all workers share, {platform.node()} has none; choose one they share, or "
-            "mount it there by the same name"
-        )
-    return _write_one(work, shard)
+def _write_one(work: _Work, shard: _Shard) -> _Written:
+    if work.digest is not None:
+        require_description(work.place, work.digest)  # a worker of a cluster may not share the folder
+    (written,) = _write_in_turn(work, [shard])
+    return written
 
 
 def _require_shared(path: Path, n_bytes: int) -> None:

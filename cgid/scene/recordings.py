@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,17 +19,10 @@ from cgid.scene.noise import background_of
 from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.stream import impact_units, joined, parts_of_recording
-from cgid.store.description import (
-    JOURNAL,
-    LARGEST_RECORDING,
-    RECORDING_FILES,
-    RECORDING_FORMAT,
-    file_facts,
-)
+from cgid.store.description import DIGEST, LARGEST_RECORDING, RECORDING_FORMAT
+from cgid.store.folder import Description, describe, sha256_of
 from cgid.store.hdf5 import RecordingPlan, writing
-from cgid.store.reading import Recording, is_recording
-from cgid.store.run import Goal, begun, check_output, is_single_file
-from cgid.store.verification import examine_whole
+from cgid.store.run import begun, check_output, is_single_file
 from cgid.terminal import counted
 
 #: Memory for the truth of an impact, including sorting and writing [bytes],
@@ -107,7 +100,7 @@ def generate_recordings(
     dtype : {"float32", "float64"}
         Of the samples.
     overwrite : bool
-        Replace existing recordings, once all new ones are complete.
+        Replace existing recordings.
     resume : bool
         Continue an unfinished run; a finished one is left as it is.
     progress : callable, optional
@@ -142,26 +135,33 @@ def generate_recordings(
     seed = require_seed(seed)
     require_capacity(scene, dtype)
     background_of(scene)
-    path = check_output(path, RECORDING_FILES, overwrite or resume)
+    path = check_output(path, RECORDING_FORMAT, overwrite or resume)
     plan = recording_plan(scene, attributes_of(scene, seed), dtype)
-    goal = Goal(
-        output=path,
-        description=_description(plan, n_recordings),
-        names=(path.name,) if is_single_file(path) else tuple(f"recording-{k:05d}.h5" for k in range(n_recordings)),
-        noun="recordings",
-        ours=RECORDING_FILES,
-        description_of=_description_of,
-    )
-    with begun(goal, overwrite=overwrite, resume=resume) as run:
+    description = describe_recordings(plan, n_recordings)
+    single = is_single_file(path)
+    with begun(path, description, overwrite=overwrite, resume=resume) as run:
         if progress is not None and len(run.missing) < n_recordings:
             progress((n_recordings - len(run.missing)) * plan.n_samples)
-        size = len(run.missing) * plan.size
-        require_room(run.folder, run.folder, size, "samples", "make room, or a shorter recording")
-        for number in run.missing:
-            file = run.folder / goal.names[number]
-            write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite or file != path)
-            run.add(file_facts(file))
+        files = {number: path if single else path / description.names[number] for number in run.missing}
+        replaced = 0 if single else sum(file.stat().st_size for file in files.values() if file.exists())
+        size = len(files) * plan.size - replaced
+        require_room(path, path.parent, size, "samples", "make room, or a shorter recording")
+        plan = described(plan, description)
+        for number, file in files.items():
+            write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite or not single)
+            if not single:
+                run.add(file.name, sha256_of(file))
     return path
+
+
+def describe_recordings(plan: RecordingPlan, n_recordings: int) -> Description:
+    """Return the description of recordings."""
+    return describe(RECORDING_FORMAT, n_recordings=n_recordings, **vars(plan))
+
+
+def described(plan: RecordingPlan, description: Description) -> RecordingPlan:
+    """Return the plan of recordings that carry the digest of their description."""
+    return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256})
 
 
 def recording_plan(scene: Scene, attributes: Mapping[str, Any], dtype: str) -> RecordingPlan:
@@ -196,25 +196,3 @@ def write_recording(
             if progress is not None:
                 progress(samples.size)
         writer.add_impacts(joined(scene, truth), impact_units(scene))
-
-
-def _description(plan: RecordingPlan, n_recordings: int) -> dict[str, Any]:
-    """Return everything that determines the recordings of a folder."""
-    return {"format": RECORDING_FORMAT, "n_recordings": n_recordings, **vars(plan)}
-
-
-def _description_of(path: Path) -> dict[str, Any] | None:
-    """Return the description of existing recordings; None for an unfinished folder."""
-    if not path.is_dir():
-        examine_whole(path, RECORDING_FORMAT)
-        return _description(_plan_of(path), 1)
-    files = sorted(file for file in path.iterdir() if is_recording(file))
-    if not files or (path / JOURNAL).exists():
-        return None
-    return _description(_plan_of(files[0]), len(files))
-
-
-def _plan_of(path: Path) -> RecordingPlan:
-    """Return the plan of an existing recording."""
-    made = vars(Recording(path))
-    return RecordingPlan(**{field.name: made[field.name] for field in fields(RecordingPlan)})

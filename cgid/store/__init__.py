@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cgid.store.description import FORMAT, SCHEMA_VERSION
     from cgid.store.reading import Dataset
-    from cgid.store.run import check_output
     from cgid.store.table import Rows, Table, TableHeader, check_table_output, is_table, read_table, table_writer
 
 __all__ = [
@@ -18,7 +17,6 @@ __all__ = [
     "Rows",
     "Table",
     "TableHeader",
-    "check_output",
     "check_table_output",
     "is_table",
     "read_table",
@@ -30,7 +28,6 @@ _HOMES = dict.fromkeys(__all__, "table") | {
     "FORMAT": "description",
     "SCHEMA_VERSION": "description",
     "Dataset": "reading",
-    "check_output": "run",
 }
 
 

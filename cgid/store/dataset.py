@@ -2,39 +2,25 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.files import check_new, clear_half_written, require_room, whole_file
 from cgid.signals import Batch
-from cgid.store.description import (
-    DATASET_FILES,
-    FORMAT,
-    LARGEST_SHARD,
-    MANIFEST,
-    Manifest,
-    ShardEntry,
-    is_entry,
-    read_manifest,
-)
+from cgid.store.description import DIGEST, FORMAT, LARGEST_SHARD
 from cgid.store.disk import hdf5_on_disk
+from cgid.store.folder import MAX_FILES, Description, describe
 from cgid.store.hdf5 import ShardBuilder, ShardPlan, lay_out, say_kind
 from cgid.store.reading import Dataset
-from cgid.store.run import SUFFIXES, Goal, is_single_file
-from cgid.store.verification import compression_of, examine_whole
-
-#: The manifest of this many shards takes some 100 MB, which readers hold in memory.
-MOST_SHARDS = 300_000
+from cgid.store.run import SUFFIXES, is_single_file
 
 
-def dataset_goal(output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> Goal:
-    """Return the goal of a run that writes a dataset: one file, or a folder with `shard_signals` in each shard.
+def describe_dataset(output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> Description:
+    """Return the description of a dataset: one file, or a folder with `shard_signals` in each shard.
 
     Raises `InvalidValue` if a shard would be too large to be built in memory, or there would be too many shards.
     """
@@ -47,62 +33,28 @@ def dataset_goal(output: Path, plan: ShardPlan, n_signals: int, shard_signals: i
             f"a shard must be at most {LARGEST_SHARD >> 30} GiB, {shard_signals} signals make "
             f"{size / 2**30:.3g} GiB: {cure}"
         )
-    if n_shards > MOST_SHARDS:
+    if n_shards > MAX_FILES:
         raise InvalidValue(
-            f"shard_signals must be at least {-(-n_signals // MOST_SHARDS)} for {n_signals} signals, got "
-            f"{shard_signals}: a manifest lists {MOST_SHARDS} shards at most"
+            f"shard_signals must be at least {-(-n_signals // MAX_FILES)} for {n_signals} signals, got "
+            f"{shard_signals}: a folder has at most {MAX_FILES} shards"
         )
-    whole = Manifest(
+    return describe(
+        FORMAT,
+        plan.attributes,
         n_signals=n_signals,
         shard_signals=shard_signals,
         n_samples=plan.n_samples,
         dtype=plan.dtype,
         compression=plan.compression,
-        attributes=plan.attributes,
-        shards=(),
-    )
-
-    return Goal(
-        output=output,
-        description=whole.description,
-        names=(output.name,) if single else tuple(f"shard-{number:05d}.h5" for number in range(n_shards)),
-        noun="shards",
-        ours=DATASET_FILES,
-        description_of=_description_of,
-        closing=lambda entries: {
-            MANIFEST: replace(whole, shards=tuple(ShardEntry(**entry) for entry in entries)).to_bytes()
-        },
-        fits=lambda number, entry: (
-            is_entry(entry) and (entry["first_signal"], entry["n_signals"]) == part_of(number, n_signals, shard_signals)
-        ),
     )
 
 
-def part_of(number: int, n_signals: int, shard_signals: int) -> tuple[int, int]:
-    """Return the first signal and the number of signals of a shard."""
-    first = number * shard_signals
-    return first, min(shard_signals, n_signals - first)
-
-
-def shard_content(
-    plan: ShardPlan, first: int, n_signals: int, batches: Iterable[Batch]
-) -> tuple[memoryview, dict[str, int]]:
-    """Return the content of the file of a shard, and its number of signals per label."""
+def shard_content(plan: ShardPlan, first: int, n_signals: int, batches: Iterable[Batch]) -> memoryview:
+    """Return the content of the file of a shard."""
     builder = ShardBuilder(plan, first, n_signals)
-    labels: Counter[str] = Counter()
     for batch in batches:
         builder.add(batch)
-        labels.update(batch.labels.tolist())
-    return builder.image(), dict(sorted(labels.items()))
-
-
-def _description_of(path: Path) -> Mapping[str, Any] | None:
-    """Return the description of an existing dataset; None for a folder without a manifest."""
-    if path.is_dir():
-        return read_manifest(path).description if (path / MANIFEST).exists() else None
-    compression = compression_of(examine_whole(path, FORMAT))
-    there = Dataset(path)
-    return {**vars(there.header), "n_signals": len(there), "compression": compression}
+    return builder.image()
 
 
 # ---- export ----------------------------------------------------------------------------------------------------------
@@ -153,12 +105,14 @@ def export(
         dtype=dataset.header.dtype,
         label_width=dataset.header.label_width,
         parameter_units=dataset.header.parameter_units,
-        attributes={name: value for name, value in dataset.header.attributes.items() if name != "first_signal"},
+        attributes={
+            name: value for name, value in dataset.header.attributes.items() if name not in ("first_signal", DIGEST)
+        },
     )
     first = dataset.header.attributes.get("first_signal", 0)
     require_room(path, path.parent, plan.size(len(dataset)), "signals", "make room")
     with whole_file(path, overwrite=overwrite) as temporary:
-        write_dataset(temporary, plan, first, len(dataset), dataset.batches(check_sums=True), progress)
+        write_dataset(temporary, plan, first, len(dataset), dataset.batches(), progress)
     return path
 
 

@@ -1,4 +1,4 @@
-"""Python files that HDF5 writes to: in memory, or on a disk that may be full or broken."""
+"""HDF5 files written to a disk that may be full or broken."""
 
 from __future__ import annotations
 
@@ -17,21 +17,6 @@ import h5py
 
 #: Oldest and newest version of the HDF5 file format that is written.
 VERSIONS = ("v110", "v110")
-
-
-class MemoryFile(io.BytesIO):
-    """A file in memory that grows like one on a disk when it is truncated to a larger size.
-
-    HDF5's own file in memory (driver `core`) copies its content to return it and to grow.
-    """
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the size; new bytes are zero."""
-        place, end = self.tell(), self.seek(0, io.SEEK_END)
-        size = place if size is None else size
-        super().write(bytes(max(size - end, 0)))
-        self.seek(place)
-        return super().truncate(size)
 
 
 class DiskFile(io.RawIOBase):

@@ -15,6 +15,7 @@ LabVIEW read; `zstd` and `blosc2` (filters 32015 and 32026 of HDF5's registry) n
 
 from __future__ import annotations
 
+import io
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping
@@ -32,12 +33,13 @@ from cgid.errors import BadData, InvalidValue, optional
 from cgid.files import whole_file
 from cgid.signals import Batch
 from cgid.store.description import LARGEST_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
-from cgid.store.disk import VERSIONS, Hdf5OnDisk, MemoryFile, hdf5_on_disk
+from cgid.store.disk import VERSIONS, Hdf5OnDisk, hdf5_on_disk, undisturbed
 from cgid.units import quantity_of
 
 #: Approximate size of a chunk of signals [bytes]; rows in a chunk of other columns; samples in a chunk of a recording.
 _CHUNK_BYTES, CHUNK_ROWS, _CHUNK_SAMPLES = 1 << 19, 4096, 1 << 16
-_CHECKSUM = np.dtype("<u4")
+#: Size of the checksum of a chunk [bytes].
+_CHECKSUM = 4
 
 
 # ---- what all files have in common -----------------------------------------------------------------------------------
@@ -102,54 +104,6 @@ def library(compression: str) -> str:
 def _plugin(compression: str) -> Any:
     """Return hdf5plugin, which registers its filters with HDF5 on import."""
     return optional("hdf5plugin", f"compression {compression!r} needs", "compression", cure=", or choose gzip")
-
-
-# Our deflate exploits the structure of signals, and every zlib unpacks it. HDF5's byte shuffle groups the exponents of
-# a chunk, and each byte of the mantissas. In noise the lower mantissa bytes are incompressible and are stored. The
-# other bytes hold no repeated words, only frequent bytes and runs of zeros: Huffman coding and run lengths (zlib's
-# strategy Z_RLE) pack them as well as the search for words, which takes most of gzip's time.
-
-#: zlib's window of 32 KiB, without a header, so that the parts form one stream.
-_RAW = -15
-_HEADER = b"\x78\x01"
-#: zlib's default.
-_MEMORY = 8
-#: Number of samples of a plane, and their size [bytes].
-_PLACES, _LOOK = 8, 256
-#: A plane is packed if its samples shrink to at most this fraction.
-_WORTH = 0.97
-
-
-def deflated(planes: NDArray[np.uint8]) -> bytes:
-    """Return the zlib stream (RFC 1950) of shuffled numbers, (itemsize, n) in C order; bytes depend on zlib's version.
-
-    Row k holds byte k of every number, as after HDF5's byte shuffle.
-
-    Examples
-    --------
-    >>> planes = np.zeros((4, 1000), np.uint8)
-    >>> stream = deflated(planes)
-    >>> len(stream) < 100, zlib.decompress(stream) == planes.tobytes()
-    (True, True)
-    """
-    parts, last = [_HEADER], len(planes) - 1
-    for number, plane in enumerate(planes):
-        packer = zlib.compressobj(int(_is_worth_packing(plane)), zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)
-        parts.append(packer.compress(plane.data))
-        # A full flush ends on a byte boundary, where the next part starts.
-        parts.append(packer.flush(zlib.Z_FINISH if number == last else zlib.Z_FULL_FLUSH))
-    parts.append(zlib.adler32(planes.data).to_bytes(4, "big"))
-    return b"".join(parts)
-
-
-def _is_worth_packing(plane: NDArray[np.uint8]) -> bool:
-    if plane.size <= _PLACES * _LOOK:
-        return True
-    # The even spread takes them from different places of the signals.
-    starts = np.linspace(0, plane.size - _LOOK, _PLACES).astype(int)
-    seen = b"".join([plane[start : start + _LOOK].tobytes() for start in starts])
-    packer = zlib.compressobj(1, zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)
-    return len(packer.compress(seen)) + len(packer.flush()) <= _WORTH * len(seen)
 
 
 # ---- shards ----------------------------------------------------------------------------------------------------------
@@ -221,13 +175,14 @@ class ShardBuilder:
         self._columns: list[Batch] = []
         row = plan.size(1)
         rows = _chunk_rows(plan, n_signals)
-        self._memory = MemoryFile()
-        self._file = h5py.File(self._memory, "w", libver=VERSIONS)
-        # HDF5 writes to the memory on closing, which must not wait until the interpreter exits.
-        self._close = weakref.finalize(self, self._file.close)
-        self._signals = lay_out(self._file, plan, first, n_signals)
+        self._memory = io.BytesIO()
+        with undisturbed():
+            self._file = h5py.File(self._memory, "w", libver=VERSIONS)
+            # HDF5 writes to the memory on closing, which must not wait until the interpreter exits.
+            self._close = weakref.finalize(self, self._file.close)
+            self._signals = lay_out(self._file, plan, first, n_signals)
         # Room for a stored chunk: the signals and their checksum.
-        self._chunk = np.zeros(rows * row + _CHECKSUM.itemsize, np.uint8)
+        self._chunk = np.zeros(rows * row + _CHECKSUM, np.uint8)
         self._chunk_signals = self._chunk[: rows * row].view(plan.dtype).reshape(rows, plan.n_samples)
 
     def add(self, batch: Batch) -> None:
@@ -236,7 +191,8 @@ class ShardBuilder:
         if self._filled + len(batch) > self._n_signals:
             raise BadData(f"a shard of {self._n_signals} signals was given {self._filled + len(batch)}")
         if not self._filled:
-            say_kind(self._signals, batch)
+            with undisturbed():
+                say_kind(self._signals, batch)
         done, rows = 0, len(self._chunk_signals)
         while done < len(batch):
             place = self._filled % rows
@@ -254,25 +210,20 @@ class ShardBuilder:
         first = (self._filled - 1) // rows * rows
         filled = self._filled - first
         if self._plan.compression in BY_PLUGIN:
-            self._signals[first : self._filled] = self._chunk_signals[:filled]  # HDF5 calls its plugin
-            self._signals.flush()  # so that chunks are stored in the order of the signals, despite HDF5's cache
+            with undisturbed():
+                self._signals[first : self._filled] = self._chunk_signals[:filled]  # HDF5 calls its plugin
+                self._signals.flush()  # so that chunks are stored in the order of the signals, despite HDF5's cache
             return
-        self._chunk_signals[filled:] = 0
-        packed = self._chunk if self._plan.compression == "none" else self._deflated()
         # Reading datasets does not need numba.
-        from cgid.store._fletcher import fletcher32
+        from cgid.store._packing import close_chunk, deflated_chunk
 
-        # The same bytes as from HDF5, but without its four copies and four times faster. A last odd byte is a high one.
-        size = packed.size - _CHECKSUM.itemsize
-        words = packed[:size] if size % 2 == 0 else np.append(packed[:size], np.uint8(0))
-        packed[size:] = np.frombuffer(np.array(fletcher32(words.view("<u2")), _CHECKSUM), np.uint8)
-        self._signals.id.write_direct_chunk((first, 0), packed)
-
-    def _deflated(self) -> NDArray[np.uint8]:
-        """Return the packed chunk, with room for the checksum."""
-        samples = self._chunk_signals.reshape(-1)
-        planes = samples.view(np.uint8).reshape(samples.size, samples.itemsize).T
-        return np.frombuffer(bytearray(deflated(np.ascontiguousarray(planes)) + bytes(_CHECKSUM.itemsize)), np.uint8)
+        self._chunk_signals[filled:] = 0
+        packed = self._chunk
+        if self._plan.compression != "none":
+            packed = deflated_chunk(self._chunk_signals.reshape(-1))
+        close_chunk(packed)
+        with undisturbed():
+            self._signals.id.write_direct_chunk((first, 0), packed)
 
     def image(self) -> memoryview:
         """Return the content of the finished file, without a copy."""
@@ -284,13 +235,14 @@ class ShardBuilder:
         }
         for name in self._plan.parameter_units:
             columns[f"parameters/{name}"] = [part.parameters[name] for part in self._columns]
-        for name, parts in columns.items():
-            dataset = self._file[name]
-            dataset[:] = np.concatenate(parts)
-            # Flush now to fix the dataset's place in the file. Otherwise HDF5 assigns it when the last reference to the
-            # dataset is dropped, and another thread that inspects frames, such as a profiler, may delay that.
-            dataset.flush()
-        self._close()
+        with undisturbed():
+            for name, parts in columns.items():
+                dataset = self._file[name]
+                dataset[:] = np.concatenate(parts)
+                # Flush now to fix the dataset's place in the file. Otherwise HDF5 assigns it when the last reference to
+                # the dataset is dropped, and another thread that inspects frames, such as a profiler, may delay that.
+                dataset.flush()
+            self._close()
         return self._memory.getbuffer()
 
 

@@ -1,15 +1,12 @@
-"""Reading datasets, recordings, and HDF5 files of other programs; everything is checked before use.
-
-A separate process reads the HDF5 files; see `cgid.store.sandbox`.
-"""
+"""Reading datasets and recordings."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from bisect import bisect_right
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -19,18 +16,10 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.signals import Batch, Signal
-from cgid.store import sandbox
-from cgid.store.description import (
-    LINKED,
-    MANIFEST,
-    RECORDING_FORMAT,
-    Manifest,
-    ShardEntry,
-    ShardHeader,
-    has_sum,
-    read_manifest,
-    text_of,
-)
+from cgid.store.description import DIGEST, FORMAT, RECORDING_FORMAT, ShardHeader, hdf5_format, text_of
+from cgid.store.folder import LINKED, Folder, read_folder
+from cgid.store.gates import Identity, identity_of, opened
+from cgid.store.headers import recording_header, rows, shard_header
 from cgid.terminal import counted
 from cgid.units import quantity_of
 
@@ -38,49 +27,54 @@ from cgid.units import quantity_of
 _ROWS, _LARGEST_BATCH = 1024, 32 << 20
 #: Samples and impacts of a recording read at once.
 _BLOCK, _IMPACTS = 1 << 20, 1 << 16
+#: What all shards of a dataset have in common.
+_COMMON = ("n_samples", "dtype", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width")
 
 
-class Identity:
-    """Identity of a file or folder that may be replaced during reading; raises `BadData` if it cannot be examined."""
+def state_of(path: Path, sha256: str | None = None, listing: str = "") -> Identity:
+    """Return the state of a file; with `sha256`, its sum in the file `listing`, only if the content has it.
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._found = self._look()
-
-    def require(self) -> None:
-        """Raise `BadData` if the name now belongs to another file or folder, as after an overwriting run."""
-        if self._look() != self._found:
-            raise BadData(f"{self._path}: has been replaced by another while it was read; read it again")
-
-    def _look(self) -> tuple[int, int]:
-        found = _stat(self._path)
-        return found.st_dev, found.st_ino
-
-
-def _stat(path: Path) -> os.stat_result:
-    try:
-        return path.stat()
-    except OSError as error:
-        raise BadData(f"{path}: cannot be looked at ({error.strerror}); read it again") from None
-
-
-def stored_rows(
-    path: Path, names: Sequence[str], first: int, stop: int, length: int, row_bytes: int, identity: Identity
-) -> Generator[dict[str, NDArray[Any]], None, None]:
-    """Yield the rows [first, stop) of several datasets of a file, at most `length` of `row_bytes` [bytes] at once.
-
-    Raises `BadData` if a checksum is wrong, or `identity` is now that of another file.
+    Raises `BadData` if it has another sum, or is no regular file.
     """
-    largest = max(sandbox.LARGEST_ANSWER, length * row_bytes)
-    with closing(sandbox.stream("rows", path, names, first, stop, length, largest=largest)) as parts:
-        for number, part in enumerate(parts):
-            if not number:  # the file is open now, and cannot be replaced any more
-                identity.require()
-            yield part
+    try:
+        if not path.is_file():
+            raise BadData(f"{path}: must be a regular file; copy it to one first")
+        with path.open("rb") as stream:
+            state = identity_of(os.fstat(stream.fileno()))
+            if sha256 is not None and hashlib.file_digest(stream, "sha256").hexdigest() != sha256:
+                raise BadData(
+                    f"{path}: must have the SHA-256 that {listing} says, it has not: it is damaged or another file; "
+                    "see cgid verify"
+                )
+            return state
+    except PermissionError as error:
+        raise NoInput(f"{path}: cannot be read ({error.strerror}); see to its permissions") from None
+    except OSError as error:
+        raise BadData(f"{path}: cannot be accessed ({error.strerror}); read it again") from None
+
+
+def require_own(path: Path, folder: Folder, number: int, about: dict[str, Any]) -> None:
+    """Raise `BadData` unless a file with these attributes, and `n_signals`, is that of this number in a folder."""
+    if folder.digest is not None and about.get(DIGEST) != folder.digest:
+        attributes = folder.description.content["attributes"]
+        name = next((name for name in attributes if attributes[name] != about.get(name)), "description")
+        values = [f"{found.get(name, 'another')!s:.80}" for found in (attributes, about)]
+        raise BadData(
+            f"{path}: {name} must be that of its folder, {values[0]}, got {values[1]}: the file belongs to another "
+            "description, or a run that replaces it is not finished; go on with cgid generate ... --resume, or put the "
+            "right file in its place"
+        )
+    for name, value in folder.description.part(number).items():
+        if about.get(name) != value:
+            raise BadData(
+                f"{path}: {name} must be {value}, got {about.get(name)!s:.80}: it is another file of the folder"
+            )
 
 
 class Dataset:
     """A dataset on disk: a file or a folder of shards.
+
+    The SHA-256 of a shard is compared when it is read first.
 
     Parameters
     ----------
@@ -91,7 +85,7 @@ class Dataset:
     NoInput
         The path does not exist.
     BadData
-        It is no dataset, unfinished (no manifest) or damaged, or its shards do not fit each other or the manifest.
+        It is no dataset, unfinished or damaged, or its shards do not fit the description.
     """
 
     #: The header of the first shard; the others differ from it only in the number of signals.
@@ -102,36 +96,44 @@ class Dataset:
         try:
             is_there = self.path.exists()
         except OSError as error:
-            raise NoInput(f"{path}: cannot be looked at ({error.strerror}); check the name") from None
+            raise NoInput(f"{path}: cannot be accessed ({error.strerror}); check the name") from None
         if not is_there:
             raise NoInput(f"{path}: no such file or folder; give a dataset made by cgid generate")
-        self._identity = Identity(self.path)
-        manifest = read_manifest(self.path) if self.path.is_dir() else None
-        # A single file has no manifest.
-        self._entries: tuple[ShardEntry | None, ...] = (None,) if manifest is None else manifest.shards
-        self._shards = [self.path if entry is None else self.path / entry.file for entry in self._entries]
-        self._counts: list[int] = []
-        try:
-            for shard, entry in zip(self._shards, self._entries, strict=True):
-                if entry is not None and shard.is_symlink():
-                    raise BadData(f"{shard}: {LINKED}")
-                header = ShardHeader(**sandbox.call("shard_header", shard))
-                if not self._counts:
-                    self.header = header
-                self._require_fit(shard, header)
-                if manifest is not None and entry is not None:
-                    _require_listed(shard, header, manifest, entry)
-                self._counts.append(header.n_signals)
-        except BadData:
-            self._identity.require()
-            raise
-        self._identity.require()  # shards of an overwriting run have the same names
+        self._folder: Folder | None = None
+        self._shards, self._states = [self.path], dict[int, Identity]()
+        if not self.path.is_dir():
+            self._state(0)
+            self._counts = [self.header.n_signals]
+            return
+        folder = self._folder = read_folder(self.path)
+        if folder.description.kind != FORMAT:
+            raise BadData(f"{path}: must be a dataset, it is a folder of {folder.description.noun}; give one of them")
+        self._shards = [self.path / name for name in _complete(folder)]
+        self._counts = [folder.description.part(number)["n_signals"] for number in range(len(self._shards))]
+        # Without a sum only the header says that a shard belongs here.
+        for number in [0, *(number for number, shard in enumerate(self._shards) if shard.name not in folder.sums)]:
+            self._state(number)
 
-    def _require_fit(self, shard: Path, header: ShardHeader) -> None:
-        for name in ("n_samples", "sampling_rate", "pre_trigger", "unit", "parameter_units", "label_width"):
+    def _state(self, number: int) -> Identity:
+        """Return the state of a shard, whose sum and header are checked when it is asked for first."""
+        if number in self._states:
+            return self._states[number]
+        shard, folder = self._shards[number], self._folder
+        if folder is not None and shard.is_symlink():
+            raise BadData(f"{shard}: {LINKED}")
+        state = state_of(shard) if folder is None else state_of(shard, folder.sums.get(shard.name), folder.listing)
+        with opened(shard, str(shard), state) as file:
+            header = shard_header(file, str(shard))
+        if not self._states:
+            self.header = header
+        if folder is not None:
+            require_own(shard, folder, number, {"first_signal": 0, **header.attributes, "n_signals": header.n_signals})
+        for name in _COMMON:
             here, there = getattr(header, name), getattr(self.header, name)
             if here != there:
                 raise BadData(f"{shard}: {name} must be that of the other shards, {there}, got {here}")
+        self._states[number] = state
+        return state
 
     def __len__(self) -> int:
         return sum(self._counts)
@@ -170,36 +172,29 @@ class Dataset:
     def __iter__(self) -> Iterator[Batch]:
         return self.batches()
 
-    def batches(self, n_rows: int | None = None, *, check_sums: bool = False) -> Iterator[Batch]:
+    def batches(self, n_rows: int | None = None) -> Iterator[Batch]:
         """Yield the signals in order.
 
         Parameters
         ----------
         n_rows : int, optional
             Maximal number of signals in a batch; by default 1024, fewer for long signals.
-        check_sums : bool
-            Whether to compare each shard of a folder with the SHA-256 in the manifest. The comparison follows its last
-            batch: reading reports damaged rows first, and the file is then still in the system's cache.
 
         Raises
         ------
         BadData
-            A checksum is wrong, another file has the name, or a label breaks the rule of `cgid.validation.label`.
+            A shard has another SHA-256 or a wrong checksum, another file has its name, or a label breaks the rule of
+            `cgid.validation.label`.
         """
-        for shard, entry, count in zip(self._shards, self._entries, self._counts, strict=True):
-            yield from self._read(shard, 0, count, n_rows)
-            if check_sums and entry is not None and not has_sum(shard, entry.sha256):
-                self._identity.require()
-                raise BadData(
-                    f"{shard}: must have the SHA-256 that {MANIFEST} says, it has not: it is damaged or another file; "
-                    "see cgid verify"
-                )
+        for number, count in enumerate(self._counts):
+            yield from self._read(number, 0, count, n_rows)
 
-    def _read(self, shard: Path, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
+    def _read(self, number: int, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
+        state = self._state(number)
         row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
         length = n_rows or max(1, min(_ROWS, _LARGEST_BATCH // row))
         names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
-        with closing(stored_rows(shard, names, first, stop, length, 2 * row, self._identity)) as parts:
+        with closing(rows(self._shards[number], names, first, stop, length, state)) as parts:
             for part in parts:
                 yield self._batch(part)
 
@@ -240,7 +235,7 @@ class Dataset:
             raise InvalidValue(f"{self.path}: index must lie between 0 and {len(self) - 1}, got {index}")
         number = bisect_right(list(accumulate(self._counts)), index)
         place = index - sum(self._counts[:number])
-        (batch,) = self._read(self._shards[number], place, place + 1, 1)
+        (batch,) = self._read(number, place, place + 1, 1)
         return batch
 
     def signal(self, index: int) -> Signal:
@@ -269,26 +264,21 @@ class Dataset:
         )
 
 
-def _require_listed(shard: Path, header: ShardHeader, manifest: Manifest, entry: ShardEntry) -> None:
-    """Raise `BadData` unless the header of a shard fits its entry in the manifest."""
-    if header.n_signals != entry.n_signals:
+def _complete(folder: Folder) -> list[str]:
+    """Return the names of the files of a folder; raises `BadData` unless all are there."""
+    names, there = folder.description.names, {entry.name for entry in folder.path.iterdir()}
+    missing = [name for name in names if name not in there]
+    if missing:
         raise BadData(
-            f"{shard}: must hold as many signals as {MANIFEST} says, {entry.n_signals}, got {header.n_signals}; see "
-            "cgid verify"
+            f"{folder.path}: {len(names) - len(missing)} of {len(names)} {folder.description.noun} are there, "
+            f"{missing[0]} is missing; go on with cgid generate ... --resume"
         )
-    manifest.require_own(shard, header.attributes)
-    size, first = _stat(shard).st_size, header.attributes.get("first_signal", 0)
-    for name, wanted, got in (("first_signal", entry.first_signal, first), ("bytes", entry.bytes, size)):
-        if got != wanted:
-            raise BadData(
-                f"{shard}: {name} must be {wanted} as {MANIFEST} says, got {got!s:.80}: the shard has been exchanged "
-                "for another or changed; see cgid verify"
-            )
+    return names
 
 
 def is_recording(path: str | Path) -> bool:
     """Return whether this is an HDF5 file with the format of a recording; False if it cannot be read."""
-    return sandbox.format_said(Path(path)) == RECORDING_FORMAT
+    return hdf5_format(Path(path)) == RECORDING_FORMAT
 
 
 class Recording:
@@ -305,8 +295,9 @@ class Recording:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file; give a recording made by cgid generate")
-        self._identity = Identity(self.path)
-        about = sandbox.call("recording_header", self.path)
+        self._identity = state_of(self.path)
+        with opened(self.path, str(self.path), self._identity) as file:
+            about = recording_header(file, str(self.path))
         self.attributes: dict[str, Any] = about["attributes"]
         self.n_samples: int = about["n_samples"]
         self.dtype: str = about["dtype"]
@@ -339,8 +330,7 @@ class Recording:
     def blocks(self, length: int, first: int = 0, stop: int | None = None) -> Generator[NDArray[Any], None, None]:
         """Yield samples in order, at most `length` at once; `first`, `stop` and errors as those of `samples`."""
         last = self._checked_stop(first, stop)
-        size = np.dtype(self.dtype).itemsize
-        with closing(stored_rows(self.path, ["samples"], first, last, length, size, self._identity)) as parts:
+        with closing(rows(self.path, ["samples"], first, last, length, self._identity)) as parts:
             for part in parts:
                 yield part["samples"]
 
@@ -355,77 +345,10 @@ class Recording:
     def impacts(self) -> dict[str, NDArray[Any]]:
         """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` if damaged."""
         names = {name: f"impacts/{name}" for name in self.impact_units}
-        found = list(stored_rows(self.path, list(names.values()), 0, self.n_impacts, _IMPACTS, 0, self._identity))
+        found = list(rows(self.path, list(names.values()), 0, self.n_impacts, _IMPACTS, self._identity))
         columns = {name: np.concatenate([part[stored] for part in found]) for name, stored in names.items()}
         return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in columns.items()}
 
     def signal(self) -> Signal:
         """Return the whole recording as a signal."""
         return Signal(samples=self.samples(), sampling_rate=self.sampling_rate, unit=self.unit, source=str(self.path))
-
-
-# ---- HDF5 files of other programs ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class ForeignArray:
-    """A numeric array of at least two values in an HDF5 file of another program, such as MATLAB v7.3.
-
-    name : its path, separated by slashes
-    attributes : numbers, texts, and lists of texts
-    is_integer : whether it holds integers
-    fault : why the samples cannot be read, "" if they can
-    warning : the missing parts, "" if there are none
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    attributes: dict[str, Any]
-    is_integer: bool
-    fault: str
-    warning: str
-
-
-def survey(
-    path: Path, source: str, wanted: Callable[[str], bool]
-) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str]]:
-    """Return the arrays, the values beside them and the warnings of a foreign HDF5 file.
-
-    The values are those whose names satisfy `wanted`: path of a group ("" for the root) -> its attributes and the
-    single values in it. `source` is the file's name in messages. Raises `BadData` if the file is not HDF5, truncated,
-    damaged, or has more objects than a recording.
-    """
-    names = [name for name in sandbox.call("foreign_names", path, source=source) if wanted(name)]
-    about = sandbox.call("foreign_survey", path, names, source=source)
-    arrays = [ForeignArray(**{**one, "shape": tuple(one["shape"])}) for one in about["arrays"]]
-    said, asked = about["said"], about["texts"]
-    # One flipped bit in a value of variable length can make HDF5 loop for ever. Such values are read last and
-    # separately, so that their loss does not affect the samples.
-    try:
-        texts = sandbox.call("foreign_texts", path, asked, source=source) if asked else []
-    except BadData:
-        lost = ", ".join(sorted({name or place for place, name in asked})[:5])
-        return arrays, said, [f"texts of variable length ({lost}) could not be read; the file may be damaged"]
-    attributes = {array.name: array.attributes for array in arrays}
-    for (place, attribute), value in zip(asked, texts, strict=True):
-        # Without an attribute name it is a value in a group.
-        owner, _, name = (place, "", attribute) if attribute else place.rpartition("/")
-        if value is not None:
-            (attributes[owner] if owner in attributes else said.setdefault(owner, {}))[name] = value
-    return arrays, said, []
-
-
-def array_blocks(
-    path: Path, source: str, array: ForeignArray, axes: tuple[int | None, int], length: int, channels: Sequence[int]
-) -> Iterator[NDArray[Any]]:
-    """Yield the samples of these channels in order, (len(channels), at most length), float32 or float64.
-
-    `axes` are the axis of the channels, None if there is only one channel, and the axis of the samples. `source` is the
-    file's name in messages. Raises `BadData` if a checksum or a compressed chunk is wrong.
-    """
-    # The declared size was checked against the stored bytes; a sample takes at most eight bytes.
-    largest = max(sandbox.LARGEST_ANSWER, 8 * length * len(channels))
-    arguments = (array.name, array.shape, axes, length, list(channels))
-    with closing(sandbox.stream("foreign_blocks", path, *arguments, source=source, largest=largest)) as blocks:
-        for block in blocks:
-            yield block[""]

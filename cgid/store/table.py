@@ -22,9 +22,17 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput, optional
 from cgid.files import check_new, clear_half_written, whole_file
-from cgid.store import sandbox
-from cgid.store.description import TABLE_FORMAT, TABLE_VERSION, is_sound, require_scene, require_schema, sealed, text_of
-from cgid.store.reading import Identity, stored_rows
+from cgid.store.description import (
+    DAMAGE,
+    TABLE_FORMAT,
+    TABLE_VERSION,
+    hdf5_format,
+    is_sound,
+    require_scene,
+    require_schema,
+    sealed,
+    text_of,
+)
 
 #: Rows written and read at once: whole chunks of HDF5, a row group of Parquet.
 _ROWS = 16384
@@ -380,7 +388,7 @@ def read_table(path: str | Path) -> Table:
         return _read_hdf5(path)
     except (BadData, MissingExtra):
         raise
-    except sandbox.DAMAGE as error:
+    except DAMAGE as error:
         raise _damaged(path, error) from None
 
 
@@ -409,21 +417,26 @@ def is_table(path: str | Path) -> bool:
         if suffix == ".csv":
             with Path(path).open("rb") as stream:
                 return _SAYS_SO in stream.read(200)
-        return sandbox.format_said(Path(path)) == TABLE_FORMAT
-    except sandbox.DAMAGE:
+        return hdf5_format(Path(path)) == TABLE_FORMAT
+    except DAMAGE:
         return False
 
 
 def _read_hdf5(path: str | Path) -> Table:
-    identity = Identity(Path(path))
-    about = sandbox.call("table_header", Path(path))
+    from cgid.store.gates import opened  # these load h5py
+    from cgid.store.headers import rows, table_header
+    from cgid.store.reading import state_of
+
+    file = Path(path)
+    state = state_of(file)
+    with opened(file, str(path), state) as stored:
+        about = table_header(stored, str(path))
     header = TableHeader(kind=about["kind"], units=about["units"], attributes=about["attributes"])
     names = ["labels", "specimen", *(f"columns/{name}" for name in header.units)]
-    length = max(1, min(_ROWS, sandbox.LARGEST_ANSWER // about["row_bytes"]))
-    parts = list(stored_rows(Path(path), names, 0, about["n_rows"], length, about["row_bytes"], identity))
-    stored = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    columns = {name: stored[f"columns/{name}"] for name in header.units}
-    return _checked(path, header, text_of(stored["labels"]), stored["specimen"], columns)
+    parts = list(rows(file, names, 0, about["n_rows"], _ROWS, state))
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    columns = {name: joined[f"columns/{name}"] for name in header.units}
+    return _checked(path, header, text_of(joined["labels"]), joined["specimen"], columns)
 
 
 def _is_own_parquet(path: str | Path) -> bool:

@@ -3,128 +3,146 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cgid.errors import BadData, CgidError, NoInput
 from cgid.files import half_written
-from cgid.store import sandbox
-from cgid.store.description import (
-    FORMAT,
+from cgid.store.description import DIGEST, FORMAT, RECORDING_FORMAT, TABLE_FORMAT
+from cgid.store.folder import (
+    DESCRIPTION,
     JOURNAL,
     LINKED,
+    LOCK,
     MANIFEST,
-    RECORDING_FORMAT,
-    RECORDING_NAME,
-    SHARD_NAME,
     SUMS,
-    TABLE_FORMAT,
-    Manifest,
-    ShardEntry,
-    Unfinished,
+    Description,
+    Folder,
+    describe,
     has_sum,
-    is_entry,
-    read_journal,
-    read_manifest,
+    read_folder,
     read_sums,
-    sums_of,
+    read_text,
 )
-from cgid.store.run import hidden
+from cgid.store.gates import attributes_of, filters_of, opened
+from cgid.store.headers import KINDS, damaged_rows, recording_header, shard_header, table_header
+from cgid.store.reading import require_own
 from cgid.store.table import TABLE_SUFFIXES, read_table
 
 #: By HDF5's numbers of filters; see `cgid.store.hdf5`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}
 #: Problems without damage.
-_HARMLESS = ("leftover", "pending", "foreign")
-_KINDS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
-#: Most missing recordings in a numbered series, and additional ones for each that exists.
-_MOST_MISSING, _MISSING_FOR_EACH = 100, 10
+_HARMLESS = ("leftover", "foreign")
+_NOUNS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
 #: Most runs of damaged rows that are named for one dataset.
-_MOST_TOLD = 4
+_MAX_RUNS = 4
+#: Root attributes of a file that are not those of all files of its folder.
+_OWN = {
+    FORMAT: ("first_signal", DIGEST),
+    RECORDING_FORMAT: ("format", "schema_version", "recording", "n_impacts", DIGEST),
+}
 
 
-def examine_file(path: str | Path, steps: Mapping[str, int] | None = None) -> dict[str, Any]:
-    """Return the readable content of a shard, a recording or a table in HDF5, which may be damaged.
+@dataclass(frozen=True, kw_only=True)
+class Examined:
+    """The content of a shard, a recording or a table in HDF5, which may be damaged.
 
-    fault : why the file cannot be read, "" if its headers are sound
-    attributes : root attributes
-    filters, dtype, n_samples : of the signals or samples; filters by their HDF5 numbers
-    chunks : dataset name -> list of (first row, row after the last, SHA-256 of the values, "" if the checksum fails)
-
-    `steps` sets the number of rows hashed together in each dataset, to compare with another file; by default its
-    chunks.
+    kind : its format, "" if that cannot be read
+    fault : why it cannot be read, and which rows, "" if all can
+    about : root attributes, and `n_signals` of a shard
+    description : what it would follow from if it were a single file; None if its headers cannot be read
     """
-    found: dict[str, Any] = {"fault": "", "attributes": {}, "filters": [], "dtype": "", "n_samples": 0, "chunks": {}}
+
+    kind: str = ""
+    fault: str = ""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    description: Description | None = None
+
+
+def examine_file(path: str | Path) -> Examined:
+    """Return the content of a file, which is read to its end."""
+    source, kind, about, description = str(path), "", {}, None
     try:
-        for piece in sandbox.stream("examine", Path(path), dict(steps or {})):
-            if "name" in piece:
-                found["chunks"].setdefault(piece["name"], []).extend(map(tuple, piece["chunks"]))
+        with opened(Path(path), source) as file:
+            about = attributes_of(file, source)
+            kind = str(about.get("format"))
+            if kind not in KINDS:
+                return Examined(
+                    fault=f"{source}: this HDF5 file must be a dataset, a recording or a table of cgid; it is none"
+                )
+            if kind == FORMAT:
+                header = shard_header(file, source)
+                about["n_signals"] = n = header.n_signals
+                codes = [_COMPRESSIONS.get(code) for code, *_ in filters_of(file["signals"])]
+                description = describe(
+                    kind,
+                    {name: value for name, value in header.attributes.items() if name not in _OWN[kind]},
+                    n_signals=n,
+                    shard_signals=n,
+                    n_samples=header.n_samples,
+                    dtype=header.dtype,
+                    compression=next((code for code in codes if code), "none"),
+                )
+            elif kind == RECORDING_FORMAT:
+                found = recording_header(file, source)
+                attributes = {name: value for name, value in about.items() if name not in _OWN[kind]}
+                fields = {name: found[name] for name in ("n_samples", "dtype", "sampling_rate", "unit")}
+                description = describe(kind, attributes, n_recordings=1, **fields)
             else:
-                found.update(piece)
+                table_header(file, source)
+            fault = _in_words(damaged_rows(file, kind, source))
     except BadData as error:
-        found["fault"] = str(error)
-    return found
+        fault = str(error)
+    return Examined(kind=kind, fault=fault, about=about, description=description)
 
 
-def damaged_rows(chunks: Iterable[Sequence[Any]]) -> list[tuple[int, int]]:
-    """Return the unreadable rows in `chunks` of `examine_file`, as (first, after the last) of each run.
+def _in_words(damaged: Mapping[str, list[tuple[int, int]]]) -> str:
+    """Describe the unreadable rows of each dataset, "" if there are none.
 
     Examples
     --------
-    >>> damaged_rows([(0, 4, ""), (4, 8, ""), (8, 12, "5e1f"), (12, 14, "")])
-    [(0, 8), (12, 14)]
+    >>> _in_words({"signals": [(0, 4)]})
+    'signals 0 to 3 do not fit their checksum'
     """
-    runs: list[tuple[int, int]] = []
-    for first, behind, digest in chunks:
-        if digest:
-            continue
-        if runs and runs[-1][1] == first:
-            runs[-1] = (runs[-1][0], behind)
-        else:
-            runs.append((first, behind))
-    return runs
+    parts = []
+    for name, runs in damaged.items():
+        rows = [f"{first} to {stop - 1}" for first, stop in runs[:_MAX_RUNS]]
+        more = [f"{len(runs) - _MAX_RUNS} more runs"] if len(runs) > _MAX_RUNS else []
+        parts.append(f"{name} {', '.join(rows + more)}")
+    return f"{'; '.join(parts)} do not fit their checksum" if parts else ""
 
 
-def compression_of(examined: Mapping[str, Any]) -> str:
-    """Return the compression of the signals from the result of `examine_file`."""
-    return next((_COMPRESSIONS[code] for code in examined["filters"] if code in _COMPRESSIONS), "none")
+def why_not_whole(folder: Folder, number: int) -> str:
+    """Return why a file without a sum is not whole, "" if it is: by its digest, its number and its checksums."""
+    path = folder.path / folder.description.names[number]
+    found = examine_file(path)
+    return found.fault or _why_not_own(path, folder, number, found)
 
 
-def examine_whole(path: Path, kind: str) -> dict[str, Any]:
-    """Return the result of `examine_file` for an existing file that a run may keep.
-
-    Raises `BadData` if it is damaged or not of the format `kind`, `NoInput` if it cannot be read.
-    """
-    examined = examine_file(path)
-    if examined["fault"] and not sandbox.is_hdf5(path):
-        raise BadData(f"{path}: is there and is no {kind}; choose another name")
-    if damage_in_words(examined):
-        raise BadData(f"{path}: is there and is not whole; make it again with --overwrite, without --resume")
-    if examined["attributes"].get("format") != kind:
-        raise BadData(f"{path}: is there and is no {kind}; choose another name, or replace it with --overwrite")
-    return examined
+def _why_not_own(path: Path, folder: Folder, number: int, found: Examined) -> str:
+    try:
+        require_own(path, folder, number, {"first_signal": 0, **found.about})
+    except BadData as error:
+        return str(error).removeprefix(f"{path}: ")
+    return ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
     """A problem with a file.
 
-    problem : "damaged", "missing" or "unfinished"; harmless are "leftover" (of a stopped run), "pending" (an unfinished
-        run will replace the whole folder) and "foreign" (the file does not belong to it)
+    problem : "damaged", "missing" or "unfinished"; harmless are "leftover" (of a stopped run) and "foreign" (the file
+        does not belong to the folder)
     what : description of the problem, in one line
-    examined : result of `examine_file`; empty if that was not needed
-    entry : the manifest entry of the file
-    sha256 : expected sum, from the manifest or `SHA256SUMS`
+    number : of the file in its folder, None for the others
     """
 
     file: Path
     problem: str
     what: str
-    examined: Mapping[str, Any] = field(default_factory=dict)
-    entry: ShardEntry | None = None
-    sha256: str | None = None
+    number: int | None = None
 
     @property
     def harmful(self) -> bool:
@@ -146,15 +164,15 @@ class Verified:
         Number of examined files.
     findings : tuple of Finding
         Each damaged, missing or surplus file.
-    manifest : Manifest or None
-        Manifest of a folder of shards, if it is sound.
+    folder : Folder or None
+        What a folder says of itself, if that is sound.
     """
 
     path: Path
     kind: str
     n_files: int
     findings: tuple[Finding, ...]
-    manifest: Manifest | None = None
+    folder: Folder | None = None
 
     @property
     def damage(self) -> tuple[Finding, ...]:
@@ -165,8 +183,9 @@ class Verified:
 def verify(path: str | Path) -> Verified:
     """Return the damage of a dataset, a recording, a folder of recordings, or a table.
 
-    Files in a folder are compared with their SHA-256, which finds every change. Where it differs or is unknown, every
-    chunk is compared with its checksum. A CSV table has no checksums: only damage that makes it unreadable is found.
+    Files in a folder are compared with their SHA-256, which finds every change; where it differs or is unknown, with
+    the checksum of every chunk, and with the description. A CSV table has no checksums: only damage that makes it
+    unreadable is found. Nothing is locked or written.
 
     Parameters
     ----------
@@ -188,192 +207,137 @@ def verify(path: str | Path) -> Verified:
             raise NoInput(f"{path}: no such file or folder; give a dataset, recording, table or model of cgid")
         if not path.is_dir():
             return _verify_file(path)
-        if any(re.fullmatch(RECORDING_NAME, name) for name in _names(path)):
-            return _verify_recordings(path)
-        return _verify_dataset(path)
+        names = sorted(entry.name for entry in path.iterdir())
+        if not (path / DESCRIPTION).exists() and any(re.fullmatch(r"recording-\d{5,}\.h5", name) for name in names):
+            return _verify_undescribed(path, names)
+        return _verify_folder(path, names)
     except CgidError:
         raise
     except OSError as error:
         raise NoInput(f"{path}: cannot be looked into ({error.strerror}); see to the permissions") from None
 
 
-def damaged_shards(path: str | Path) -> list[str]:
-    """Return the shards of a dataset folder that differ from the SHA-256 in the manifest; none for a single file.
-
-    Raises `BadData` for a folder without a sound manifest.
-    """
-    folder = Path(path)
-    if not folder.is_dir():
-        return []
-    shards = read_manifest(folder).shards
-    return [str(folder / entry.file) for entry in shards if not has_sum(folder / entry.file, entry.sha256)]
-
-
-# ---- a file ----------------------------------------------------------------------------------------------------------
-
-
 def _verify_file(path: Path) -> Verified:
     if path.suffix.lower() in TABLE_SUFFIXES[2:]:
-        kind, found = "table", _unreadable_table(path)
+        kind, what = "table", _unreadable_table(path)
     else:
-        examined = examine_file(path)
-        kind = _KINDS.get(examined["attributes"].get("format"), "file")
-        found = _damage(path, examined) or (_unreadable_table(path) if kind == "table" else [])
+        found = examine_file(path)
+        kind, what = _NOUNS.get(found.kind, "file"), found.fault
+        what = what or (_unreadable_table(path) if kind == "table" else "")
+    findings = [Finding(file=path, problem="damaged", what=what)] if what else []
     part = re.compile(half_written(re.escape(path.name)))
-    found += [_left(path.parent / name) for name in _names(path.parent) if part.fullmatch(name)]
-    return Verified(path=path, kind=kind, n_files=1, findings=tuple(found))
+    findings += [_left(left) for left in sorted(path.parent.iterdir()) if part.fullmatch(left.name)]
+    return Verified(path=path, kind=kind, n_files=1, findings=tuple(findings))
 
 
-def _unreadable_table(path: Path) -> list[Finding]:
+def _unreadable_table(path: Path) -> str:
     try:
         read_table(path)
     except BadData as error:
-        return [Finding(file=path, problem="damaged", what=str(error))]
-    return []
+        return str(error)
+    return ""
 
 
-def _damage(path: Path, examined: Mapping[str, Any]) -> list[Finding]:
-    what = damage_in_words(examined)
-    return [Finding(file=path, problem="damaged", what=what, examined=examined)] if what else []
+def _verify_undescribed(path: Path, names: list[str]) -> Verified:
+    """Verify recordings of an earlier version, whose folder has sums but no description."""
+    recordings = [name for name in names if re.fullmatch(r"recording-\d{5,}\.h5", name)]
+    sums = {name: sha256 for name, sha256 in read_sums(path, None).items() if name != DESCRIPTION}
+    findings = []
+    for name in dict.fromkeys([*sums, *recordings]):
+        problem, what = _problem(path / name, sums.get(name), SUMS)
+        findings += [Finding(file=path / name, problem=problem, what=what)] if what else []
+    if (path / JOURNAL).exists():
+        what = "an earlier cgid has not finished it; generate it again with --overwrite"
+        findings.append(Finding(file=path / JOURNAL, problem="unfinished", what=what))
+    findings += _others(path, names, {*sums, *recordings, JOURNAL}, "recording")
+    return Verified(path=path, kind="recording", n_files=len(recordings), findings=tuple(findings))
 
 
-def damage_in_words(examined: Mapping[str, Any]) -> str:
-    """Describe the unreadable rows of each dataset, "" if there are none.
-
-    Examples
-    --------
-    >>> damage_in_words({"fault": "", "chunks": {"signals": [(0, 4, ""), (4, 8, "5e1f")], "labels": [(0, 8, "a0")]}})
-    'signals 0 to 3 do not fit their checksum'
-    """
-    if examined["fault"]:
-        return str(examined["fault"])
-    told = []
-    for name, chunks in examined["chunks"].items():
-        runs = damaged_rows(chunks)
-        rows = [f"{first} to {behind - 1}" for first, behind in runs[:_MOST_TOLD]]
-        more = [f"{len(runs) - _MOST_TOLD} more runs"] if len(runs) > _MOST_TOLD else []
-        if runs:
-            told.append(f"{name} {', '.join(rows + more)}")
-    return f"{'; '.join(told)} do not fit their checksum" if told else ""
-
-
-# ---- folders ---------------------------------------------------------------------------------------------------------
-
-
-def _verify_dataset(folder: Path) -> Verified:
-    found: list[Finding] = []
-    journal, unfinished = _journal(folder)
-    manifest, entries = None, tuple[ShardEntry, ...]()
-    if journal is not None:
-        entries = tuple(ShardEntry(**entry) for entry in journal.entries if is_entry(entry))
+def _verify_folder(path: Path, names: list[str]) -> Verified:
+    findings: list[Finding] = []
     try:
-        manifest = read_manifest(folder)
-        entries = manifest.shards
+        folder = read_folder(path)
     except BadData as error:
-        if not unfinished:
-            problem = "damaged" if (folder / MANIFEST).exists() else "missing"
-            found.append(Finding(file=folder / MANIFEST, problem=problem, what=str(error)))
-    for entry in entries:
-        found += _verify_one(folder / entry.file, entry.sha256, "the manifest", entry)
-    known = {entry.file for entry in entries}
-    if manifest is None:  # an unfinished run may have made files that its journal does not list yet
-        known |= {name for name in _names(folder) if re.fullmatch(SHARD_NAME, name)}
-        for name in sorted(known) if not unfinished else ():
-            found += _verify_one(folder / name)
-        found += unfinished
+        file = next((file for file in (DESCRIPTION, MANIFEST, JOURNAL) if file in names), DESCRIPTION)
+        problem = "unfinished" if file == JOURNAL else "damaged" if file in names else "missing"
+        findings.append(Finding(file=path / file, problem=problem, what=str(error)))
+        shards = [name for name in names if re.fullmatch(r"(shard|recording)-\d{5,}\.h5", name)]
+        for name in shards:
+            problem, what = _problem(path / name)
+            findings += [Finding(file=path / name, problem=problem, what=what)] if what else []
+        findings += _others(path, names, {*shards, JOURNAL}, "shard|recording")
+        return Verified(path=path, kind="dataset", n_files=len(shards) + 1, findings=tuple(findings))
+    unlisted, n_absent, listed = 0, 0, folder.description.names
+    for number, name in enumerate(listed):
+        sha256 = folder.sums.get(name)
+        if sha256 is None and name not in names:
+            n_absent += 1
+            continue
+        problem, what = _problem(path / name, sha256, folder.listing, folder, number)
+        if what:
+            findings.append(Finding(file=path / name, problem=problem, what=what, number=number))
+        elif sha256 is None:
+            unlisted += 1
+    if n_absent:
+        there = f"{len(listed) - n_absent} of {len(listed)} {folder.description.noun} are there"
+        what = f"{there}; go on with cgid generate ... --resume"
+        findings.append(Finding(file=path, problem="unfinished", what=what))
     else:
-        found += [_left(finding.file) for finding in unfinished] or _verify_sums(folder, manifest)
-    found += _others(folder, {*known, MANIFEST, SUMS, JOURNAL}, SHARD_NAME)
-    return Verified(path=folder, kind="dataset", n_files=len(known) + 1, findings=tuple(found), manifest=manifest)
+        findings += _why_unlisted(folder, unlisted)
+    stem = folder.description.noun[:-1]
+    findings += _others(path, names, {*listed, JOURNAL} if folder.digest is None else set(listed), stem)
+    return Verified(
+        path=path,
+        kind=_NOUNS[folder.description.kind],
+        n_files=len(listed) + 1,
+        findings=tuple(findings),
+        folder=folder,
+    )
 
 
-def _verify_sums(folder: Path, manifest: Manifest) -> list[Finding]:
-    """Return `SHA256SUMS` as a finding unless it agrees with the manifest; older folders have none."""
-    what = "does not list the SHA-256 of the shards and of the manifest"
-    try:
-        if read_sums(folder) in (None, sums_of(manifest.shards, (folder / MANIFEST).read_bytes())):
-            return []
-    except BadData as error:
-        what = str(error)
-    return [Finding(file=folder / SUMS, problem="damaged", what=what)]
-
-
-def _verify_recordings(folder: Path) -> Verified:
-    names, found = _recordings(folder), []
-    try:
-        sums = read_sums(folder) or {}
-        if not all(re.fullmatch(RECORDING_NAME, name) for name in sums):
-            raise BadData(f"{folder / SUMS}: must list recordings, it lists other names: it is damaged")
-    except BadData as error:
-        sums = {}
-        found = [Finding(file=folder / SUMS, problem="damaged", what=str(error))]
-    for name in dict.fromkeys([*sums, *names]):
-        found += _verify_one(folder / name, sums.get(name), SUMS)
-    found += _journal(folder)[1]
-    if not sums:  # without sums only gaps are seen
-        gaps = sorted({f"recording-{k:05d}.h5" for k in range(_number(names[-1]))} - set(names)) if names else []
-        found += [Finding(file=folder / name, problem="missing", what="is not there") for name in gaps]
-    found += _others(folder, {*names, SUMS, JOURNAL}, RECORDING_NAME)
-    return Verified(path=folder, kind="recording", n_files=len(names), findings=tuple(found))
-
-
-def _recordings(folder: Path) -> list[str]:
-    """Return the names of the recordings in a folder by number, without numbers far beyond the others."""
-    names = sorted((name for name in _names(folder) if re.fullmatch(RECORDING_NAME, name)), key=_number)
-    last = _MOST_MISSING + (1 + _MISSING_FOR_EACH) * len(names)
-    return [name for name in names if _number(name) < last]
-
-
-def _number(name: str) -> int:
-    return int(name.removeprefix("recording-").removesuffix(".h5"))
-
-
-def _verify_one(
-    path: Path, sha256: str | None = None, listed_in: str = "", entry: ShardEntry | None = None
-) -> list[Finding]:
-    """Return the problem of a file in a folder; `sha256` is None if its sum is unknown."""
-    examined: dict[str, Any] = {}
-    problem, what = "damaged", ""
-    if path.is_symlink():
-        what = LINKED
-    elif sha256 and not path.is_file():
-        problem, what = "missing", "is not there"
-    elif not (sha256 and has_sum(path, sha256)):
-        examined = examine_file(path)
-        what = damage_in_words(examined)
-        if sha256 and not what:
-            what = f"does not fit the SHA-256 of {listed_in}, though all of it can be read"
-    if not what:
+def _why_unlisted(folder: Folder, n_whole: int) -> list[Finding]:
+    """Return the description or the sums as a finding, if one of them is not that of the files."""
+    if folder.digest is None:
         return []
-    return [Finding(file=path, problem=problem, what=what, examined=examined, entry=entry, sha256=sha256)]
+    if folder.sums or not (folder.path / SUMS).exists():
+        what = f"lacks the SHA-256 of {n_whole} files that are whole"
+        problem = "damaged" if folder.sums else "missing"
+        return [Finding(file=folder.path / SUMS, problem=problem, what=what)] if n_whole else []
+    head = (read_text(folder.path / SUMS) or b"")[:64].decode("latin-1")
+    if head == folder.digest or n_whole:
+        what = "must begin with the SHA-256 of the description and list that of each file"
+        return [Finding(file=folder.path / SUMS, problem="damaged", what=what)] if n_whole else []
+    what = f"must have the SHA-256 that {SUMS} begins with, it has not: it is damaged or of another folder"
+    return [Finding(file=folder.path / DESCRIPTION, problem="damaged", what=what)]
 
 
-def _journal(folder: Path) -> tuple[Unfinished | None, list[Finding]]:
-    """Return the journal of a folder, if it is sound, and the finding that it is there."""
-    try:
-        journal = read_journal(folder)
-    except BadData as error:
-        return None, [Finding(file=folder / JOURNAL, problem="damaged", what=str(error))]
-    if journal is None:
-        return None, []
-    return journal, [Finding(file=folder / JOURNAL, problem="unfinished", what=journal.progress)]
+def _problem(
+    path: Path, sha256: str | None = None, listing: str = "", folder: Folder | None = None, number: int = 0
+) -> tuple[str, str]:
+    """Return the problem of a file in a folder and its description, "" if it is whole."""
+    if path.is_symlink():
+        return "damaged", LINKED
+    if sha256 and not path.is_file():
+        return "missing", "is not there"
+    if sha256 and has_sum(path, sha256):
+        return "", ""
+    found = examine_file(path)
+    what = found.fault or ("" if folder is None else _why_not_own(path, folder, number, found))
+    if sha256 and not what:
+        what = f"does not fit the SHA-256 of {listing}, though all of it can be read"
+    return "damaged", what
 
 
 def _left(file: Path) -> Finding:
     return Finding(file=file, problem="leftover", what="was left behind by a run that was stopped")
 
 
-def _others(folder: Path, known: set[str], own: str) -> Iterator[Finding]:
-    """Yield the run that will replace a folder, and the half-written and foreign files in it; `own` matches its own."""
-    for finding in _journal(hidden(folder))[1]:
-        yield Finding(file=finding.file.parent, problem="pending", what=f"is to replace it; {finding.what}")
-    part = re.compile(half_written(rf"{own}|{SUMS}|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}"))
-    for name in _names(folder):
+def _others(folder: Path, names: list[str], known: set[str], stem: str) -> Iterator[Finding]:
+    """Yield the half-written and foreign files in a folder."""
+    texts = "|".join(map(re.escape, (SUMS, DESCRIPTION, MANIFEST, JOURNAL)))
+    part = re.compile(half_written(rf"(?:{stem})-\d{{5,}}\.h5|{texts}"))
+    for name in names:
         if part.fullmatch(name):
             yield _left(folder / name)
-        elif name not in known:
+        elif name not in known and name not in (SUMS, DESCRIPTION, MANIFEST, LOCK):
             yield Finding(file=folder / name, problem="foreign", what="does not belong to it")
-
-
-def _names(folder: Path) -> list[str]:
-    return sorted(entry.name for entry in folder.iterdir())

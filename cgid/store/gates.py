@@ -1,13 +1,14 @@
-"""Checks of HDF5 datasets before reading: plain arrays in the same file, no larger than its bytes can hold.
+"""Checks of HDF5 files before reading: plain arrays in the same file, no larger than its bytes can hold.
 
-HDF5 trusts the chunk index: an empty chunk crashes its checksum (2.0.0, `H5Zfletcher32`), and a short chunk leaves the
-numbers of another. So every index entry is checked against the file first. Only the reading process imports this
-module.
+HDF5 trusts files: in the index of chunks, an empty chunk crashes its checksum (2.0.0, `H5Zfletcher32`), and a short
+chunk leaves the numbers of another. So declared sizes and every index entry are checked against the file first. These
+checks cannot rule out that a crafted or damaged file ends or hangs the process.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 import h5py
 
 from cgid.errors import BadData, CgidError, NoInput, optional
-from cgid.store.sandbox import DAMAGE
+from cgid.store.description import DAMAGE
 
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
 _LARGEST_CHUNK = 64 << 20
@@ -26,6 +27,8 @@ BEST_RATIO = 1100
 _BEST_RATIO_OF_SILENCE = 1 << 15
 #: Limits of the chunk cache [bytes], which avoids unpacking a chunk again for every block.
 _LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
+#: Longest name of a format [bytes].
+_LONGEST_NAME = 4096
 _DEFLATE, _CHECKSUM = 1, 3
 #: Allowed filters: deflate, shuffle, checksum, LZF; with hdf5plugin Zstandard and Blosc2. Others, such as n-bit and
 #: scale-offset, trust parameters in the file.
@@ -137,24 +140,36 @@ _MOST_MEMBERS, MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
 _found_sound: set[tuple[Any, ...]] = set()
 
 
+#: State of a file: device, inode, size, and time of the last change [ns].
+Identity = tuple[int, int, int, int]
+
+
+def identity_of(about: os.stat_result) -> Identity:
+    """Return the state of a file."""
+    return about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns
+
+
 @contextmanager
-def opened(path: str, source: str) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for reading; h5py's errors on a damaged file become `BadData`."""
-    if not Path(path).exists():
-        raise BadData(f"{source}: this shard of the dataset is missing; generate the dataset again")
-    if not Path(path).is_file():
-        raise BadData(f"{source}: must be a regular file; copy it to one first")
+def opened(path: Path, source: str, identity: Identity | None = None) -> Iterator[h5py.File]:
+    """Yield an HDF5 file open for reading; h5py's errors on a damaged file become `BadData`.
+
+    Raises `BadData` also if the file is not in the state `identity`, because another has its name now.
+    """
     try:
+        if not path.is_file():
+            raise BadData(f"{source}: must be a regular file; copy it to one first")
         # A lock would keep writers out, and fails on some network file systems; files are replaced, never changed.
         file = h5py.File(path, "r", locking=False)
-    except PermissionError:
-        raise NoInput(f"{source}: cannot be read (Permission denied); see to its permissions") from None
+    except PermissionError as error:
+        raise NoInput(f"{source}: cannot be read ({error.strerror}); see to its permissions") from None
     except DAMAGE:
         raise BadData(
             f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
             "generate it anew"
         ) from None
     with file, damage_told(source):
+        if identity not in (None, identity_of(os.fstat(file.id.get_vfd_handle()))):
+            raise BadData(f"{source}: has been replaced by another while it was read; read it again")
         yield file
 
 
@@ -241,6 +256,10 @@ def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
     return found
 
 
-def bytes_of(dataset: h5py.Dataset) -> int:
-    """Return the size of a row [bytes]."""
-    return int(math.prod(dataset.shape[1:])) * int(dataset.dtype.itemsize)
+def format_of(path: Path) -> str:
+    """Return the attribute `format` of the root, "" if there is none; raises `BadData` if the file cannot be opened."""
+    with opened(path, str(path)) as file:
+        stored = file.attrs.get_id("format") if "format" in file.attrs else None
+        if stored is None or stored.shape != () or stored.dtype.kind != "S" or stored.dtype.itemsize > _LONGEST_NAME:
+            return ""
+        return bytes(file.attrs["format"]).decode(errors="replace")

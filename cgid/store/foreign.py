@@ -1,13 +1,15 @@
-"""Functions of the reading process for HDF5 files of other programs; see `cgid.store.reading`.
+"""HDF5 files of other programs.
 
 Only hard links are followed; external storage and virtual datasets are skipped, so no other file is read. Declared
-sizes are checked against the stored bytes.
+sizes are checked against the stored bytes, and chunks are small. All the same, HDF5 trusts files: a crafted or damaged
+one may end or hang the process.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.store import sandbox
-from cgid.store._checks import MOST_ATTRIBUTES, cache_size, chunk_bytes, damage_told, missing_chunks, storage_fault
-from cgid.store.sandbox import DAMAGE
+from cgid.store.description import DAMAGE
+from cgid.store.gates import MOST_ATTRIBUTES, cache_size, damage_told, missing_chunks, storage_fault
 
 #: A recording has fewer objects and levels.
 _MOST_OBJECTS, _DEEPEST = 10_000, 32
-#: Objects visited within the time limit of one reply.
-_OBJECTS_IN_TIME = 500
 #: Longer attributes are neither rates nor units.
 _LONGEST_ATTRIBUTE = 4096
 #: Longer lists and texts are neither units nor names.
@@ -42,140 +41,164 @@ _CUT_OFF = (
 )
 
 
-def foreign_names(path: str, source: str) -> list[str]:
-    """Return the names of all attributes and values, each once.
+@dataclass(frozen=True, kw_only=True)
+class ForeignArray:
+    """A numeric array of at least two values in an HDF5 file of another program, such as MATLAB v7.3.
 
-    Raises `BadData` if the file is not HDF5, truncated, damaged, or has more objects than a recording.
+    name : its path, separated by slashes
+    attributes : numbers, texts, and lists of texts
+    is_integer : whether it holds integers
+    fault : why the samples cannot be read, "" if they can
+    warning : the missing parts, "" if there are none
     """
-    names: dict[str, None] = {}
-    with _opened(path, source) as file:
-        for place, item in _walk(file, source):
-            names |= dict.fromkeys(list(item.attrs)[:MOST_ATTRIBUTES])
-            if isinstance(item, h5py.Dataset):
-                names[place.rpartition("/")[2]] = None
-    return list(names)
+
+    name: str
+    shape: tuple[int, ...]
+    attributes: dict[str, Any]
+    is_integer: bool
+    fault: str
+    warning: str
 
 
-def foreign_survey(path: str, source: str, wanted: Sequence[str]) -> dict[str, Any]:
-    """Return the content of a foreign HDF5 file: `arrays`, `said`, and the locations of `texts` of variable length.
+def survey(
+    path: Path, source: str, wanted: Callable[[str], bool]
+) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str]]:
+    """Return the arrays, the values beside them and the warnings of a foreign HDF5 file.
 
-    For `arrays` and `said` see `cgid.store.reading.survey`. Only values with `wanted` names are read. Raises as
-    `foreign_names`.
+    The values are those whose names satisfy `wanted`: path of a group ("" for the root) -> its attributes and the
+    single values in it. `source` is the file's name in messages. Raises `BadData` if the file is not HDF5, truncated,
+    damaged, or has more objects than a recording.
     """
-    arrays: list[dict[str, Any]] = []
-    said: dict[str, dict[str, Any]] = {}
+    arrays: list[ForeignArray] = []
+    values: dict[str, dict[str, Any]] = {}
     texts: list[tuple[str, str]] = []
-    names, size = frozenset(wanted), Path(path).stat().st_size
+    size = path.stat().st_size
     with _opened(path, source) as file:
         for name, item in _walk(file, source):
-            values = _attributes(item, name, names, texts)
+            attributes = _attributes(item, name, wanted, texts)
             if isinstance(item, h5py.Group):
-                said.setdefault(name, {}).update(values)
+                values.setdefault(name, {}).update(attributes)
                 continue
-            if item.shape is None or item.external or item.is_virtual or values.get("MATLAB_empty"):
+            if item.shape is None or item.external or item.is_virtual or attributes.get("MATLAB_empty"):
                 continue
             group, _, last = name.rpartition("/")
-            matlab = values.get("MATLAB_class", "")
+            matlab = attributes.get("MATLAB_class", "")
             if _is_text_of_any_length(item.dtype):
-                texts += [(name, "")] if item.size == 1 and last in names else []
+                texts += [(name, "")] if item.size == 1 and wanted(last) else []
             elif item.dtype.kind == "S" or (item.dtype.kind in "biuf" and (matlab == "char" or item.size == 1)):
-                value = _value(item, matlab, size) if last in names else None
+                value = _value(item, matlab, size) if wanted(last) else None
                 if value is not None:
-                    said.setdefault(group, {})[last] = value
+                    values.setdefault(group, {})[last] = value
             elif item.dtype.kind in "iuf" and matlab != "logical" and item.size:  # logical arrays are not samples
                 fault, warning = storage_fault(item, size), missing_chunks(item)
-                about = {"name": name, "shape": item.shape, "attributes": values, "is_integer": item.dtype.kind != "f"}
-                arrays.append({**about, "fault": fault, "warning": warning})
-    return {"arrays": arrays, "said": said, "texts": texts}
+                arrays.append(
+                    ForeignArray(
+                        name=name,
+                        shape=item.shape,
+                        attributes=attributes,
+                        is_integer=item.dtype.kind != "f",
+                        fault=fault,
+                        warning=warning,
+                    )
+                )
+        lost = _add_texts(file, texts, {array.name: array.attributes for array in arrays}, values)
+    warning = f"texts of variable length ({', '.join(lost[:5])}) could not be read; the file may be damaged"
+    return arrays, values, [warning] if lost else []
 
 
-def foreign_columns(path: str, source: str, needed: Sequence[str]) -> dict[str, Any]:
-    """Return the `names` of the columns in the group /columns, read to their end, and their `n_rows`.
+def _add_texts(
+    file: h5py.File,
+    texts: Sequence[tuple[str, str]],
+    attributes: dict[str, dict[str, Any]],
+    values: dict[str, dict[str, Any]],
+) -> list[str]:
+    """Add texts of variable length to the attributes of arrays and to the other values; return those that are lost.
+
+    `texts` holds the path of a group or dataset ("" is the root) and the name of the attribute, "" for the dataset's
+    value. A text that is too long for a unit or name is left out.
+    """
+    lost = []
+    for place, attribute in texts:
+        owner, _, name = (place, "", attribute) if attribute else place.rpartition("/")
+        try:
+            item = file[place or "/"]
+            stored = item.attrs[attribute] if attribute else item[()]
+            found = np.atleast_1d(np.asarray(stored, dtype=object)).ravel().tolist()
+        except DAMAGE:
+            lost.append(name)
+            continue
+        words = [value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in found]
+        if 0 < len(words) <= _LONGEST_LIST and all(isinstance(t, str) and len(t) <= _LONGEST_TEXT for t in words):
+            own = attributes[owner] if owner in attributes else values.setdefault(owner, {})
+            own[name] = words[0] if len(words) == 1 else words
+    return lost
+
+
+def foreign_columns(path: Path, needed: Sequence[str]) -> tuple[list[str], int]:
+    """Return the names of the columns in the group /columns, read to their end, and their number of rows.
 
     There are none if the `needed` ones are not all there, or some have several axes or another length. Raises as
-    `foreign_names`.
+    `survey`.
     """
+    source = str(path)
     with _opened(path, source) as file:
-        found = {
+        columns = {
             place.partition("/")[2]: item
             for place, item in _walk(file, source)
             if place.startswith("columns/") and isinstance(item, h5py.Dataset)
         }
-        is_table = len({item.shape for item in found.values()}) == 1 and found.keys() >= set(needed)
-        plain = (item.ndim == 1 and item.dtype.kind in "biufS" and not item.external for item in found.values())
+        is_table = len({item.shape for item in columns.values()}) == 1 and columns.keys() >= set(needed)
+        plain = (item.ndim == 1 and item.dtype.kind in "biufS" and not item.external for item in columns.values())
         if not (is_table and all(plain)):
-            return {"names": [], "n_rows": 0}
-        for name, item in found.items():
-            if fault := storage_fault(item, Path(path).stat().st_size):
+            return [], 0
+        for name, item in columns.items():
+            if fault := storage_fault(item, path.stat().st_size):
                 raise BadData(f"{source}: {name} {fault}; the file is damaged, write it again")
             step = max(_LONGEST_PART // item.dtype.itemsize, 1)
-            sandbox.allow(2 * step * item.dtype.itemsize + 3 * chunk_bytes(item))
             for first in range(0, len(item), step):
                 with damage_told(source, f"{name} cannot be read", "the file is damaged, write it again"):
                     item[first : first + step]
-        return {"names": list(found), "n_rows": len(next(iter(found.values())))}
+        return list(columns), len(next(iter(columns.values())))
 
 
-def foreign_texts(path: str, source: str, asked: Sequence[tuple[str, str]]) -> list[Any]:
-    """Return texts of variable length, each as text or list of texts; None for one that is too long for a unit or name.
+def array_blocks(
+    path: Path, source: str, array: ForeignArray, axes: tuple[int | None, int], length: int, channels: Sequence[int]
+) -> Iterator[NDArray[Any]]:
+    """Yield the samples of these channels in order, (len(channels), at most length), float32 or float64.
 
-    `asked` holds the path of a group or dataset ("" is the root) and the name of the attribute, "" for the dataset's
-    value.
+    `axes` are the axis of the channels, None if there is only one channel, and the axis of the samples. `source` is the
+    file's name in messages. Raises `BadData` if a checksum or a compressed chunk is wrong.
     """
-    found: list[Any] = []
-    with _opened(path, source) as file:
-        for place, name in asked:
-            item = file[place or "/"]
-            values = np.atleast_1d(np.asarray(item.attrs[name] if name else item[()], dtype=object)).ravel().tolist()
-            texts = [value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in values]
-            sound = len(texts) <= _LONGEST_LIST and all(isinstance(t, str) and len(t) <= _LONGEST_TEXT for t in texts)
-            found.append((texts[0] if len(texts) == 1 else texts) if sound and texts else None)
-    return found
-
-
-def foreign_blocks(
-    path: str,
-    source: str,
-    name: str,
-    shape: Sequence[int],
-    axes: tuple[int | None, int],
-    length: int,
-    channels: Sequence[int],
-) -> Iterator[dict[str, NDArray[Any]]]:
-    """Yield the samples of channels in order; parameters and errors as those of `cgid.store.reading.array_blocks`."""
-    across, along = axes
+    (across, along), name = axes, array.name
     lowest, n_read = (0, 1) if across is None else (min(channels), max(channels) + 1 - min(channels))
     with _opened(path, source) as file:
         cache = cache_size(file[name], across)
     with _opened(path, source, rdcc_nbytes=cache, rdcc_nslots=_SLOTS) as file:
         dataset = file[name]
-        if dataset.shape != tuple(shape):
+        if dataset.shape != array.shape:
             raise BadData(f"{source}: {name} has changed while it was read; read it again")
-        if fault := storage_fault(dataset, Path(path).stat().st_size):
+        if fault := storage_fault(dataset, path.stat().st_size):
             raise BadData(f"{source}: {name} {fault}; the file is damaged, copy it again")
         kept = np.float32 if dataset.dtype.kind == "f" and dataset.dtype.itemsize == 4 else np.float64
-        for first in range(0, shape[along], length):
-            index: list[Any] = [0] * len(shape)
+        for first in range(0, array.shape[along], length):
+            index: list[Any] = [0] * len(array.shape)
             index[along] = slice(first, first + length)
             if across is not None:
                 index[across] = slice(lowest, lowest + n_read)
-            # Copies: as stored, transposed, as eight-byte numbers, and the next block, read while the last one exists.
-            size = 8 * min(length, shape[along]) * max(n_read, len(channels))
-            sandbox.allow(4 * size + 3 * chunk_bytes(dataset) + 2 * cache)
             what = f"{name} cannot be read from sample {first} on"
             with damage_told(source, what, "the file is damaged, copy it again"):
                 block = np.asarray(dataset[tuple(index)])
             if across is None:
-                rows = np.broadcast_to(block, (len(channels), len(block)))
+                selected = np.broadcast_to(block, (len(channels), len(block)))
             else:
-                rows = (block if across < along else block.T)[[channel - lowest for channel in channels]]
+                selected = (block if across < along else block.T)[[channel - lowest for channel in channels]]
             with np.errstate(all="ignore"):
-                samples = rows.astype(kept)
-            yield {"": samples}
+                samples = selected.astype(kept)
+            yield samples
 
 
 @contextmanager
-def _opened(path: str, source: str, **options: int) -> Iterator[h5py.File]:
+def _opened(path: Path, source: str, **options: int) -> Iterator[h5py.File]:
     # A lock would keep writers out, and fails on some network file systems.
     with damage_told(source, *_CUT_OFF), h5py.File(path, "r", locking=False, **options) as file:
         yield file
@@ -191,9 +214,6 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
             continue
         seen.add(place)
         _require_few(len(seen), depth, source)
-        # Progress shows that HDF5 is not caught in a loop, so restart the time limits.
-        if len(seen) % _OBJECTS_IN_TIME == 0:
-            sandbox.begin(file.filename)
         yield name, item
         if not isinstance(item, h5py.Group):
             continue
@@ -215,11 +235,11 @@ def _require_few(n_objects: int, depth: int, source: str) -> None:
         )
 
 
-def _attributes(item: Any, path: str, wanted: frozenset[str], texts: list[tuple[str, str]]) -> dict[str, Any]:
+def _attributes(item: Any, path: str, wanted: Callable[[str], bool], texts: list[tuple[str, str]]) -> dict[str, Any]:
     """Return the wanted attributes of fixed size; add those of variable length to `texts`."""
     found: dict[str, Any] = {}
     for name in list(item.attrs)[:MOST_ATTRIBUTES]:
-        if name not in _MATLAB_NAMES and name not in wanted:
+        if name not in _MATLAB_NAMES and not wanted(name):
             continue
         with suppress(*DAMAGE):
             stored = item.attrs.get_id(name)

@@ -1,0 +1,366 @@
+"""A folder is a description, files that follow from it and carry its digest, and `SHA256SUMS`.
+
+    description.json    everything that the files depend on
+    shard-00000.h5 ...  the signals of a dataset; or recording-00000.h5 ..., the recordings of a stream
+    SHA256SUMS          the sum of the description, then a line for each file, appended when that is whole
+    .lock               held by the run that writes into the folder
+
+If the first sum is not that of the description, all are void. A file is whole if its sum fits, or, where it has none,
+if its digest, its number and its checksums do. All of these are untrusted: they are checked before use.
+`python benchmarks/kills.py` kills runs at any moment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import stat
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from cgid.errors import BadData, CannotCreate, NoInput
+from cgid.files import half_written
+from cgid.store.description import COMPRESSIONS, FORMAT, RECORDING_FORMAT, is_sound
+from cgid.validation import RATES
+
+DESCRIPTION, SUMS, LOCK = "description.json", "SHA256SUMS", ".lock"
+FOLDER_VERSION = 3
+#: Files of earlier versions: the sums of a finished dataset, and the journal of an unfinished run.
+MANIFEST, JOURNAL, MANIFEST_VERSION = "manifest.json", "unfinished.jsonl", 2
+#: Links in folders are not followed, because folders are untrusted.
+LINKED = "must lie in the folder itself, it is a link; copy the file there"
+#: Most files that one description may ask for.
+MAX_FILES = 300_000
+#: The beginning of the names of the files, and the field that counts them.
+_STEMS = {FORMAT: "shard", RECORDING_FORMAT: "recording"}
+#: HDF5's counts are smaller.
+_LARGEST_COUNT = 1 << 63
+#: Largest text file [bytes], mostly for the scene, and additional bytes per file in its folder.
+_ROOM, _ROOM_OF_FILE = 16 << 20, 4096
+#: The same for JSON values.
+_VALUES, _VALUES_OF_FILE = 100_000, 100
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 < value < _LARGEST_COUNT
+
+
+#: The fields of each kind, besides the attributes of all files, and their rules.
+_FIELDS: Mapping[str, Mapping[str, Callable[[Any], bool]]] = {
+    FORMAT: {
+        "n_signals": _is_count,
+        "shard_signals": _is_count,
+        "n_samples": _is_count,
+        "dtype": ("float32", "float64").__contains__,
+        "compression": COMPRESSIONS.__contains__,
+    },
+    RECORDING_FORMAT: {
+        "n_recordings": _is_count,
+        "n_samples": _is_count,
+        "dtype": ("float32", "float64").__contains__,
+        "sampling_rate": lambda rate: isinstance(rate, float) and RATES[0] <= rate <= RATES[1],
+        "unit": lambda unit: isinstance(unit, str) and len(unit) < 80,
+    },
+}
+
+
+# ---- the description -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Description:
+    """Everything that the files of a folder, or a single file, depend on; made by `describe`.
+
+    content : `format`, `schema_version`, the fields of its kind, and `attributes`, the root attributes of every file
+    text : the content of its file
+    """
+
+    content: Mapping[str, Any]
+    text: bytes
+
+    @cached_property
+    def sha256(self) -> str:
+        """The digest that the files carry."""
+        return hashlib.sha256(self.text).hexdigest()
+
+    @property
+    def kind(self) -> str:
+        """The format of its files."""
+        return str(self.content["format"])
+
+    @property
+    def noun(self) -> str:
+        """Plural noun for its files."""
+        return f"{_STEMS[self.kind]}s"
+
+    @property
+    def n_files(self) -> int:
+        """Number of files."""
+        if self.kind == RECORDING_FORMAT:
+            return int(self.content["n_recordings"])
+        return -int(-self.content["n_signals"] // self.content["shard_signals"])
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the files in a folder, by number."""
+        return [f"{_STEMS[self.kind]}-{number:05d}.h5" for number in range(self.n_files)]
+
+    def part(self, number: int) -> dict[str, int]:
+        """Return what a file says of its place: `first_signal` and `n_signals`, or `recording`."""
+        if self.kind == RECORDING_FORMAT:
+            return {"recording": number}
+        first = number * self.content["shard_signals"]
+        return {
+            "first_signal": first,
+            "n_signals": min(self.content["shard_signals"], self.content["n_signals"] - first),
+        }
+
+
+def describe(kind: str, attributes: Mapping[str, Any], **fields: Any) -> Description:
+    """Return the description of files of a kind (their format); `fields` as in `_FIELDS`."""
+    content = {
+        "format": kind,
+        "schema_version": FOLDER_VERSION,
+        **{name: fields[name] for name in _FIELDS[kind]},
+        "attributes": dict(sorted(attributes.items())),
+    }
+    return Description(content, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def parse_description(text: bytes, file: Path) -> Description:
+    """Return the checked description with this content; `file` is for messages. Raises `BadData`."""
+    content = _json(text, file)
+    if content.get("format") not in _FIELDS:
+        raise BadData(f"{file}: must have format {' or '.join(map(repr, _FIELDS))}; it belongs to another program")
+    _require_version(content, FOLDER_VERSION, FOLDER_VERSION, file)
+    _require_fields(content, file)
+    return Description(content, text)
+
+
+def _json(text: bytes, file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise BadData(f"{file}: must be an object of JSON, it is not: it is damaged; copy it again")
+    return content
+
+
+def _require_version(content: Mapping[str, Any], lowest: int, highest: int, file: Path) -> None:
+    version = content.get("schema_version")
+    if type(version) is int and version > highest:
+        raise BadData(f"{file}: schema_version {str(version)[:20]} is newer than this cgid ({highest}): upgrade cgid")
+    if type(version) is not int or version < lowest:
+        raise BadData(
+            f"{file}: schema_version must be {lowest}, got {version!r:.40}: an early cgid wrote it; generate it again"
+        )
+
+
+def _require_fields(content: Mapping[str, Any], file: Path) -> None:
+    for name, is_valid in _FIELDS[content["format"]].items():
+        if not is_valid(content.get(name)):
+            raise BadData(f"{file}: {name} must be that of the files, got {content.get(name)!r:.40}; generate it again")
+    attributes = content.get("attributes")
+    if not isinstance(attributes, dict) or not all(map(_is_attribute, attributes, attributes.values())):
+        raise BadData(f"{file}: attributes must say how the files were made; generate them again")
+    if Description(content, b"").n_files > MAX_FILES:
+        raise BadData(f"{file}: must ask for at most {MAX_FILES} files; it is not what cgid wrote")
+
+
+def _is_attribute(name: str, value: Any) -> bool:
+    """Return whether HDF5 can store an attribute: a number or Unicode text."""
+    try:
+        name.encode()
+        return (
+            isinstance(value, float) or (isinstance(value, int) and abs(value) < _LARGEST_COUNT) or bool(value.encode())
+        )
+    except (AttributeError, UnicodeEncodeError):
+        return False
+
+
+def require_same(output: Path, there: Mapping[str, Any], required: Mapping[str, Any]) -> None:
+    """Raise `CannotCreate` with the first option that differs, unless two descriptions agree."""
+    name = first_difference(there, required)
+    if name is not None:
+        values = [flat.get(name, "nothing") for flat in (_flat(there), _flat(required))]
+        raise CannotCreate(
+            f"{output}: {name} must be that of the run to be resumed, {values[0]!s:.80}, got {values[1]!s:.80}; give "
+            "the options of the first run, or start again with --overwrite"
+        )
+
+
+def first_difference(there: Mapping[str, Any], required: Mapping[str, Any]) -> str | None:
+    """Return the first option in which two descriptions differ, None if they are equal.
+
+    Examples
+    --------
+    >>> first_difference({"n_signals": 9, "attributes": {"seed": 1}}, {"n_signals": 9, "attributes": {"seed": 2}})
+    'seed'
+    """
+    one, two = _flat(there), _flat(required)
+    # Report the scene's text last: its name and its SHA-256 are shorter.
+    names = sorted({**two, **one}, key=lambda name: name == "scene")
+    return next((name for name in names if one.get(name) != two.get(name)), None)
+
+
+def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in description.items() if name != "attributes"} | dict(
+        description["attributes"]
+    )
+
+
+# ---- a folder --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Folder:
+    """A folder as it says of itself.
+
+    sums : name -> SHA-256 of the files whose sum is known
+    digest : what its files must carry; None for those of earlier versions, which carry none
+    """
+
+    path: Path
+    description: Description
+    sums: Mapping[str, str]
+    digest: str | None
+
+    @property
+    def listing(self) -> str:
+        """Name of the file with the sums."""
+        return MANIFEST if self.digest is None else SUMS
+
+
+def read_folder(path: Path) -> Folder:
+    """Return what a folder says of itself.
+
+    Raises `BadData` if it has no sound description, or an earlier cgid left it unfinished; `NoInput` if the description
+    cannot be read.
+    """
+    file = path / DESCRIPTION
+    text = read_text(file)
+    if text is not None:
+        description = parse_description(text, file)
+        return Folder(
+            path=path, description=description, sums=read_sums(path, description.sha256), digest=description.sha256
+        )
+    text = read_text(path / MANIFEST)
+    if text is not None:
+        return _of_manifest(path, _json(text, path / MANIFEST))
+    if (path / JOURNAL).exists():
+        raise BadData(f"{path}: an earlier cgid has not finished it ({JOURNAL}); generate it again with --overwrite")
+    raise BadData(f"{path}: must have a {DESCRIPTION}, it has none; see cgid verify, or generate it again")
+
+
+def _of_manifest(path: Path, content: dict[str, Any]) -> Folder:
+    """Return the folder of a manifest, which an earlier version wrote when the dataset was whole."""
+    file = path / MANIFEST
+    if content.get("format") != FORMAT:
+        raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
+    _require_version(content, MANIFEST_VERSION, MANIFEST_VERSION, file)
+    if not is_sound(content):
+        raise BadData(f"{file}: must fit the SHA-256 that it says of itself, it does not: it is damaged; copy it again")
+    _require_fields(content, file)
+    description, shards = Description(content, b""), content.get("shards")
+    try:
+        sums = {shard["file"]: shard["sha256"] for shard in shards or ()}
+        sound = all(re.fullmatch("[0-9a-f]{64}", sha256) for sha256 in sums.values())
+    except (TypeError, KeyError):
+        sums, sound = {}, False
+    if not sound or [*sums] != description.names:
+        raise BadData(f"{file}: shards must list file and sha256 of every shard, and once; generate the dataset again")
+    return Folder(path=path, description=description, sums=sums, digest=None)
+
+
+def is_dataset_folder(folder: Path) -> bool:
+    """Return whether a folder is a dataset, even an unfinished or damaged one: by its description or its shards."""
+    if any(mark.exists() for mark in (folder / MANIFEST, folder / JOURNAL, *folder.glob("shard-*.h5"))):
+        return True
+    return (folder / DESCRIPTION).exists() and not any(folder.glob("recording-*.h5"))
+
+
+def names_of(kind: str) -> re.Pattern[str]:
+    """Return the names of the files that a run of this kind may replace, including half-written ones."""
+    names = rf"{_STEMS[kind]}-[0-9]{{5,}}\.h5|{re.escape(DESCRIPTION)}|{SUMS}|{re.escape(LOCK)}"
+    names += rf"|{re.escape(MANIFEST)}|{re.escape(JOURNAL)}" if kind == FORMAT else rf"|{re.escape(JOURNAL)}"
+    return re.compile(f"{names}|{half_written(names)}")
+
+
+def read_text(file: Path) -> bytes | None:
+    """Return the content of a text file in a folder, None if it does not exist.
+
+    The size limit grows with the number of files in the folder: 100 MB of JSON would take gigabytes of memory. Raises
+    `BadData` for a link, a pipe or the like, or a file that is too large; `NoInput` if it cannot be read but may be
+    sound.
+    """
+    try:
+        about = file.lstat()
+        if not stat.S_ISREG(about.st_mode):
+            raise BadData(
+                f"{file}: must be a regular file of its folder, it is a link, a pipe or the like; generate it again"
+            )
+        n_files = sum(1 for _ in file.parent.iterdir())
+        limit = _ROOM + n_files * _ROOM_OF_FILE
+        content = b""
+        if about.st_size <= limit:
+            with file.open("rb") as stream:
+                content = stream.read(about.st_size + 1)  # no more: `read` allocates the requested size
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise NoInput(f"{file}: cannot be read ({error.strerror}); see to its permissions, or to the disk") from None
+    if max(about.st_size, len(content)) > limit:
+        raise BadData(f"{file}: must be at most {limit >> 20} MiB beside {n_files} files; it is not what cgid wrote")
+    if sum(content.count(sign) for sign in (b",", b"[", b"{", b"\n")) > _VALUES + n_files * _VALUES_OF_FILE:
+        raise BadData(f"{file}: says more than {n_files} files beside it bear out; it is not what cgid wrote")
+    return content
+
+
+# ---- sums ------------------------------------------------------------------------------------------------------------
+
+
+def sums_text(sums: Mapping[str, str]) -> bytes:
+    r"""Return the content of `SHA256SUMS` for names and their SHA-256.
+
+    Examples
+    --------
+    >>> sums_text({"shard-00000.h5": "5e1f"})
+    b'5e1f  shard-00000.h5\n'
+    """
+    return "".join(f"{digest}  {name}\n" for name, digest in sums.items()).encode()
+
+
+def read_sums(folder: Path, description_sha256: str | None) -> dict[str, str]:
+    """Return the sums in `SHA256SUMS`; none unless it begins with that of the description.
+
+    A damaged line is left out, and so is the last one if it is torn. Folders of recordings of earlier versions have no
+    description (None).
+    """
+    content = read_text(folder / SUMS) or b""
+    lines = [re.fullmatch(r"([0-9a-f]{64})  ([\w.-]+)", line) for line in content.decode("latin-1").split("\n")[:-1]]
+    if description_sha256 is not None:
+        head = lines.pop(0) if lines else None
+        if head is None or head.groups() != (description_sha256, DESCRIPTION):
+            return {}
+    return {line[2]: line[1] for line in lines if line}
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, read block by block."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def has_sum(path: Path, sha256: str) -> bool:
+    """Return whether a file has this SHA-256; raises `NoInput` without permission to read it, since it may be sound."""
+    try:
+        return sha256_of(path) == sha256
+    except PermissionError as error:
+        raise NoInput(f"{path}: cannot be read ({error.strerror}); see to its permissions") from None
+    except OSError:
+        return False
