@@ -3,15 +3,15 @@
     python benchmarks/bit_flips.py            # every bit and every length of a small shard, and more: some minutes
     python benchmarks/bit_flips.py --bits 300 --lengths 100 --large-bits 100
 
-Every damaged file is read to its end: a single shard, a shard of 1 MB, and the shard, the manifest and the journal (of
-an unfinished run) in a folder. The outcomes are
+Every damaged file is read to its end: a single shard, a shard of 1 MB, and a shard, the description and the sums in a
+folder. The outcomes are
 
     refused   with a one-line error message
     same      all numbers, labels and attributes are unchanged: the flipped bit has no meaning
     CHANGED   other content without a message          ERROR, CRASH, HANG   no answer
 
-Only the first two are allowed. `cgid verify` must also find all damage in a folder, whose manifest has the SHA-256 of
-its shards. A separate process reads the files, so that crashes and hangs are counted.
+Only the first two are allowed. `cgid verify` must also find all damage in a folder, which has the SHA-256 of its files.
+A separate process reads the files, so that crashes and hangs are counted.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,8 +35,6 @@ import numpy as np
 from cgid.errors import BadData, NoInput
 from cgid.scene import generate, parse_scene
 from cgid.store import Dataset
-from cgid.store.description import DATASET_FILES, read_manifest
-from cgid.store.run import JOURNAL, Goal, Run, read_journal
 from cgid.store.verification import verify
 
 #: Time limit of an answer [s].
@@ -184,24 +181,6 @@ def _outcome(read: Callable[[], dict[str, Any]], expected: dict[str, Any]) -> st
         return "ERROR"
 
 
-def journal_reader(folder: Path) -> Callable[[], dict[str, Any]]:
-    """Return a function that reads the journal of an unfinished run, as a resumption does.
-
-    A finished file that the journal has lost is made again; this is reported, so it is no silent change.
-    """
-    known = [entry for journal in [read_journal(folder)] if journal is not None for entry in journal.entries]
-
-    def read() -> dict[str, Any]:
-        journal = read_journal(folder)
-        if journal is None:
-            raise NoInput(f"{folder}: there is no journal")
-        if all(entry in known for entry in journal.entries) and len(journal.entries) < len(known):
-            raise BadData(f"{folder}: {len(journal.entries)} of {len(known)} files are there")
-        return {"plan": journal.description, "files": [journal.n_files, journal.noun], "entries": list(journal.entries)}
-
-    return read
-
-
 def verified(path: Path) -> dict[str, Any]:
     """Verify a dataset and return nothing."""
     damage = verify(path).damage
@@ -240,26 +219,13 @@ def subjects(
     large = generate(small_scene(2048), folder / "large.h5", 128)
     yield Subject(name="shard of 1 MB", file=large, read=lambda: everything_in(large), damages=flips(large, large_bits))
     whole = generate(small_scene(), folder / "folder", 16, shard_signals=8)
-    shard, manifest = whole / "shard-00001.h5", whole / "manifest.json"
+    shard = whole / "shard-00001.h5"
     found = frozenset(("refused",))
     damages = [*flips(shard, verified_bits), *cuts(shard, verified_bits)]
     yield Subject(name="shard, by verify", file=shard, read=lambda: verified(whole), damages=damages, sound=found)
-    damages = [*flips(manifest, bits), *cuts(manifest, lengths)]
-    yield Subject(name="manifest", file=manifest, read=lambda: everything_in(whole), damages=damages)
-    goal = Goal(
-        output=folder,
-        description={"seed": 7, "n_signals": 16},
-        names=("shard-00000.h5", "shard-00001.h5"),
-        noun="shards",
-        ours=DATASET_FILES,
-        description_of=lambda _: None,
-    )
-    with closing(Run(goal, folder, {}, journalled=True)) as run:
-        for entry in read_manifest(whole).shards:
-            run.add(vars(entry))
-    file = folder / JOURNAL
-    damages = [*flips(file, bits), *cuts(file, lengths)]
-    yield Subject(name="journal", file=file, read=journal_reader(folder), damages=damages)
+    for name in ("description.json", "SHA256SUMS"):
+        damages = [*flips(whole / name, bits), *cuts(whole / name, lengths)]
+        yield Subject(name=name, file=whole / name, read=lambda: everything_in(whole), damages=damages)
 
 
 def main() -> int:

@@ -496,7 +496,7 @@ CASES = (
     Case("truncated WAV", ("predict", "truncated.wav"), 65, ("truncated.wav",)),
     Case("truncated NPY", ("predict", "truncated.npy", "--rate", "2e5", "--unit", "N"), 65, ("truncated.npy",)),
     Case("truncated dataset", ("predict", "truncated.h5"), 65, ("truncated.h5",)),
-    Case("unfinished dataset", ("train", "unfinished", "-o", "new.npz"), 65, ("manifest.json", "not finished")),
+    Case("unfinished dataset", ("train", "unfinished", "-o", "new.npz"), 65, ("description.json",)),
     Case("nan sample", ("predict", "nan.csv"), 65, ("17", "nan")),
     Case("infinite sample", ("features", "inf.csv"), 65, ("17", "inf")),
     Case("no impact", ("predict", "noise.csv"), 65, ("no impact", "6 times the noise")),
@@ -1211,10 +1211,10 @@ CASES = (
         ("two.h5", "no cgid-recording", "another name"),
     ),
     Case(
-        "resume what no journal speaks of",
-        ("generate", "reference.toml", "-o", "unfinished", "--resume"),
+        "dataset where another is",
+        ("generate", "reference.toml", "-o", "unfinished"),
         73,
-        ("unfinished", "exists already", "--overwrite"),
+        ("unfinished", "--overwrite"),
     ),
     Case(
         "dataset in a folder of other things",

@@ -6,6 +6,7 @@ But for answers.json they are never made again; `tests/golden/make.py` says what
 import gzip
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from tests.golden.make import ANSWERS
 
 GOLDEN = Path(__file__).parent / "golden"
 DATA = json.loads((GOLDEN / "data.json").read_text())
-DATASETS = sorted({key.partition("/")[0] for key, said in DATA.items() if "signals" in said})
+DATASETS = sorted({key.partition("/")[0] for key, said in DATA.items() if "signals" in said} - {"manifest-1"})
 MODELS = {
     name: said
     for file in GOLDEN.glob("models-*.json")
@@ -72,7 +73,7 @@ def test_datasets_hold_what_h5py_found_in_them(name):
     shards = [said for key, said in DATA.items() if key.partition("/")[0] == name]
     dataset, first = Dataset(GOLDEN / name), 0
     assert len(dataset) == sum(said["signals"]["shape"][0] for said in shards)
-    assert run(["verify", str(GOLDEN / name)]) == 0
+    assert run(["verify", str(GOLDEN / name)]) == run(["info", str(GOLDEN / name)]) == 0
     batches = list(dataset.batches())
     signals = np.concatenate([batch.signals for batch in batches])
     labels = np.concatenate([batch.labels for batch in batches])
@@ -86,6 +87,40 @@ def test_datasets_hold_what_h5py_found_in_them(name):
             column = np.concatenate([batch.parameters[parameter] for batch in batches])[rows]
             assert sha256_of(column) == said[f"parameters/{parameter}"]["sha256"]
         first = rows.stop
+
+
+@pytest.mark.parametrize("command", ["info", "verify", "export", "predict"])
+def test_version_1_and_unfinished_folders_are_refused_by_name(command, tmp_path, capsys):
+    first, unfinished = GOLDEN / "manifest-1", tmp_path / "unfinished"
+    shutil.copytree(GOLDEN / "manifest-2", unfinished)
+    (unfinished / "manifest.json").rename(unfinished / "unfinished.jsonl")
+    for path in (first, unfinished):
+        output = ["-o", str(tmp_path / "all.h5")] if command == "export" else []
+        assert run([command, str(path), *output]) == 65
+        assert str(path) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["manifest-2", "single.h5", "gzip.h5"])
+def test_datasets_of_an_earlier_version_are_exported_and_predicted(name, tmp_path, capsys):
+    path = tmp_path / "all.h5"
+    assert run(["export", str(GOLDEN / name), "-o", str(path)]) == 0
+    assert len(Dataset(path)) == len(Dataset(GOLDEN / name))
+    for batch, other in zip(Dataset(path), Dataset(GOLDEN / name), strict=False):
+        np.testing.assert_array_equal(batch.signals[: len(other)], other.signals[: len(batch)])
+    assert run(["predict", str(GOLDEN / name), "--json"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(Dataset(path))
+
+
+def test_a_folder_of_recordings_of_an_earlier_version(tmp_path):
+    """Recordings and their sums, without a description."""
+    shutil.copy(GOLDEN / "recording.h5", tmp_path / "recording-00000.h5")
+    digest = hashlib.sha256((GOLDEN / "recording.h5").read_bytes()).hexdigest()
+    (tmp_path / "SHA256SUMS").write_text(f"{digest}  recording-00000.h5\n")
+    assert run(["verify", str(tmp_path)]) == 0
+    with (tmp_path / "recording-00000.h5").open("r+b") as file:
+        file.seek(5000)
+        file.write(b"\1")
+    assert run(["verify", str(tmp_path)]) == 65
 
 
 def test_the_recording_holds_what_h5py_found_in_it():

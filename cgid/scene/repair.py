@@ -38,7 +38,7 @@ from cgid.store.folder import (
     sums_text,
 )
 from cgid.store.run import locked
-from cgid.store.verification import Finding, Verified, examine_file, why_not_whole
+from cgid.store.verification import Finding, Verified, examine_file, verify, why_not_whole
 
 #: A leftover that was modified within this time may still be in use [s].
 _STILL_WRITTEN = 60.0
@@ -92,14 +92,17 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
         A run writes into the folder, or another dataset has replaced it since it was verified.
     """
     path, room, left = verified.path, _Room(verified.path), False
-    # The sums come last because they list the other files.
-    findings = sorted(verified.findings, key=lambda finding: finding.file.name == SUMS)
     with ExitStack() as held:
-        if path.is_dir() and findings:
+        if path.is_dir() and verified.findings:
             held.enter_context(locked(path))
         _require_unchanged(verified)
-        for finding in findings:
-            if finding.problem == "foreign":
+        for finding in verified.findings:
+            if finding.file.name == DESCRIPTION and finding.harmful:
+                yield (described := _described_again(finding))
+                verified = verify(path) if described.done else verified
+        # The sums come last because they list the other files.
+        for finding in sorted(verified.findings, key=lambda finding: finding.file.name == SUMS):
+            if finding.problem == "foreign" or finding.file.name == DESCRIPTION:
                 continue
             try:
                 if left and finding.file.name == SUMS:
@@ -136,8 +139,6 @@ def _repaired(
         return "removed"
     if finding.problem == "unfinished":
         raise BadData(f"{file}: is not finished; cgid generate ... --resume goes on with it")
-    if file.name == DESCRIPTION:
-        return _described_again(file)
     if folder is None or folder.digest is None:
         raise BadData(_how_to_make(file))
     if file.name == SUMS:
@@ -171,8 +172,9 @@ class _Room:
 # ---- descriptions and sums -------------------------------------------------------------------------------------------
 
 
-def _described_again(file: Path) -> str:
+def _described_again(finding: Finding) -> Repair:
     """Write a lost or damaged description again from the files that follow from it, which carry its digest."""
+    file = finding.file
     folder, found = file.parent, []
     for path in sorted(folder.iterdir()):
         if re.fullmatch(r"(shard|recording)-[0-9]{5,}\.h5", path.name) and not path.is_symlink():
@@ -183,11 +185,13 @@ def _described_again(file: Path) -> str:
         description = _of_all(one, [about for _, about in found], len(read_sums(folder, None)) - 1)
         if description.sha256 == about.get(DIGEST):
             write_whole(file, description.text)
-            return f"written again from the {len(found)} files that follow from it"
-    raise BadData(
+            told = f"written again from the {len(found)} files that follow from it"
+            return Repair(finding=finding, done=True, told=told)
+    told = (
         f"{file}: cannot be made from the {len(found)} files that are there; go on with the command that made them, "
         "cgid generate ... --resume"
     )
+    return Repair(finding=finding, done=False, told=told)
 
 
 def _of_all(one: Description, abouts: list[Mapping[str, Any]], n_listed: int) -> Description:

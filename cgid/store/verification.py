@@ -208,7 +208,8 @@ def verify(path: str | Path) -> Verified:
         if not path.is_dir():
             return _verify_file(path)
         names = sorted(entry.name for entry in path.iterdir())
-        if not (path / DESCRIPTION).exists() and any(re.fullmatch(r"recording-\d{5,}\.h5", name) for name in names):
+        is_old = DESCRIPTION not in names and any(re.fullmatch(r"recording-\d{5,}\.h5", name) for name in names)
+        if is_old and DESCRIPTION not in read_sums(path, None):
             return _verify_undescribed(path, names)
         return _verify_folder(path, names)
     except CgidError:
@@ -241,7 +242,7 @@ def _unreadable_table(path: Path) -> str:
 def _verify_undescribed(path: Path, names: list[str]) -> Verified:
     """Verify recordings of an earlier version, whose folder has sums but no description."""
     recordings = [name for name in names if re.fullmatch(r"recording-\d{5,}\.h5", name)]
-    sums = {name: sha256 for name, sha256 in read_sums(path, None).items() if name != DESCRIPTION}
+    sums = read_sums(path, None)
     findings = []
     for name in dict.fromkeys([*sums, *recordings]):
         problem, what = _problem(path / name, sums.get(name), SUMS)

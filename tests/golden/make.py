@@ -49,7 +49,7 @@ def make_data(folder: Path) -> None:
 
     scene = load_scene(SCENE)
     whole = generate(scene, folder / "shards", N_SIGNALS, SEED, shard_signals=8)
-    version = json.loads((whole / "manifest.json").read_text()).get("schema_version", 1)
+    version = json.loads((whole / "description.json").read_text())["schema_version"]
     whole = whole.rename(folder / f"manifest-{version}")
     generate(scene, folder / "single.h5", N_SIGNALS, SEED)
     generate(scene, folder / "gzip.h5", N_SIGNALS, SEED, compression="gzip", dtype="float64")
