@@ -3,7 +3,8 @@
     python benchmarks/hostile.py [--mutants 3000] [--seed 0]
 
 Files made by hand (`tests/hostile_hdf5.py`), and mutants with valid checksums (`tests/hdf5_mutants.py`), of each kind
-that cgid reads. Each is read in a forked process. It must be read or refused in one line; no other file may be opened. A
+that cgid reads. Each is read in a forked process. It must be read or refused in one line; no other file may be opened.
+A
 crafted file may end the process or hang it: `SECURITY.md` says so, and this counts how often.
 """
 
