@@ -4,8 +4,7 @@
 
 Files made by hand (`tests/hostile_hdf5.py`), and mutants with valid checksums (`tests/hdf5_mutants.py`), of each kind
 that cgid reads. Each is read in a forked process. It must be read or refused in one line; no other file may be opened.
-A
-crafted file may end the process or hang it: `SECURITY.md` says so, and this counts how often.
+A crafted file may end the process or hang it: `SECURITY.md` says so, and this counts how often.
 """
 
 from __future__ import annotations

@@ -29,6 +29,8 @@ from cgid.terminal import printable
 JSON_VERSION = 1
 #: Up to this total a progress bar shows plain numbers, above it 1.2k, 3.4M.
 _COUNTED_EXACTLY = 100_000
+#: Files that a library reads in this process, and trusts.
+_TRUSTED_BY_LIBRARIES = (".h5", ".hdf5")
 _noted = threading.Event()
 #: Progress bars on the terminal, the last of which is drawn.
 _bars: list[Any] = []
@@ -84,12 +86,15 @@ def each_file(
 ) -> int:
     """Treat every file; report the error of one and go on, or stop if `strict`.
 
-    With one output for all files, an error of writing it ends the work: it would lack rows.
+    With one output for all files, an error of writing it ends the work: it would lack rows. Among several files, the
+    name of one that may end or hang this process comes first on stderr.
 
     Return the exit code of the first failed file.
     """
-    code = 0
+    code, files = 0, list(files)
     for file in files:
+        if len(files) > 1 and file.lower().endswith(_TRUSTED_BY_LIBRARIES):
+            say(f"cgid: reading {file}", err=True)
         try:
             treat(file)
         except CgidError as error:
