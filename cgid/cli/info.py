@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from itertools import compress
+from pathlib import Path
 from typing import Any
 
 import click
@@ -128,8 +129,6 @@ def _model(file: str) -> dict[str, Any]:
 
 def is_model(file: str) -> bool:
     """Return whether a file is named like an archive but does not hold plain arrays: an intact or damaged model."""
-    from pathlib import Path
-
     if not file.endswith(".npz"):
         return False
     try:
@@ -211,6 +210,10 @@ def _made(file: str) -> dict[str, Any]:
     """Return what a recording made by cgid says about itself; empty for any other."""
     from collections import Counter
 
+    from cgid.store.description import is_hdf5
+
+    if not is_hdf5(Path(file)):  # the rest loads h5py
+        return {}
     from cgid.store.reading import Recording, is_recording
 
     if not is_recording(file):
