@@ -418,46 +418,23 @@ def test_several_arrays_in_mat_are_listed_and_picked(tmp_path):
     assert "one length" in refused(path, variable="*")
 
 
-def nested_structs(depth):
-    """Return a struct in a struct in a struct ..., with the sizes of all of them declared as they are."""
-    head = mat_element(6, struct.pack("<II", 2, 0)) + mat_element(5, struct.pack("<2i", 1, 1)) + mat_element(1, b"s")
-    head += mat_element(5, struct.pack("<i", 8)) + mat_element(1, b"deeper\0\0")
-    return b"".join(struct.pack("<II", 14, len(head) + k * (8 + len(head))) + head for k in reversed(range(depth)))
-
-
-@pytest.mark.long
-def test_hostile_mat_is_refused(mat):
+def test_hostile_sizes_of_mat_are_refused(mat):
     huge = mat_array("x", (1, 2**31 - 1), 6, 9, b"")
-    assert "damaged" in refused(mat(mat_file(huge)))
     cube = mat_array("x", (10**4, 10**4, 10**4), 6, 9, SAMPLES.tobytes())
-    assert "damaged" in refused(mat(mat_file(cube)))
     lying = zlib.compress(struct.pack("<II", 14, 2**32 - 16) + bytes(1000))
-    assert "damaged" in refused(mat(mat_file(struct.pack("<II", 15, len(lying)) + lying)))
-    assert "there is none" in refused(mat(mat_file(mat_array("x", (0, 5), 6, 9, b""))), sampling_rate=1.0)
-    # scipy follows structs into structs until its stack ends.
-    assert "scipy crashed" in refused(mat(mat_file(nested_structs(100_000))))
+    for element in (huge, cube, struct.pack("<II", 15, len(lying)) + lying):
+        refused(mat(mat_file(element)))
+    refused(mat(mat_file(mat_array("x", (0, 5), 6, 9, b""))), sampling_rate=1.0)
 
 
-def test_mat_too_large_to_be_read_whole_is_refused(tmp_path, monkeypatch):
-    savemat(tmp_path / "x.mat", {"x": SAMPLES, "Fs": 8000.0})
-    monkeypatch.setattr("cgid.recordings.mat.LARGEST_FILE", 1000)
-    assert "-v7.3" in refused(tmp_path / "x.mat")
-
-
-@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="only Linux lists open files there")
-@pytest.mark.parametrize("packed", [False, True])
-def test_mat_is_closed_when_it_is_not_read(tmp_path, packed):
-    path = tmp_path / "x.mat"
-    savemat(path, {"x": SAMPLES, "Fs": 8000.0}, do_compression=packed)
-
-    def n_open():
-        return sum(path.samefile(one) for one in Path("/proc/self/fd").iterdir() if one.exists())
-
-    recording = open_recording(path)
-    assert n_open() == 0
-    for _ in range(2):
-        np.testing.assert_array_equal(np.concatenate(list(recording.blocks(1000)), axis=1), SAMPLES)
-        assert n_open() == 0
+@pytest.mark.parametrize("write", [lambda path: savemat(path, {"x": SAMPLES}), lambda path: np.savez(path, x=SAMPLES)])
+def test_arrays_too_large_to_be_read_whole_are_refused(tmp_path, monkeypatch, write):
+    path = tmp_path / "x.npz"
+    with path.open("wb") as file:
+        write(file)
+    assert np.array_equal(read(path, sampling_rate=1.0)[1], SAMPLES)
+    monkeypatch.setattr("cgid.recordings.arrays.LARGEST_ARRAYS", SAMPLES.nbytes - 1)
+    refused(path, sampling_rate=1.0)
 
 
 @pytest.mark.long
@@ -509,15 +486,15 @@ def whole(samples=SAMPLES, group="beam", parts=4):
 @pytest.mark.parametrize("dtype", ["f4", "f8", "i2", "u4"])
 def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
     nptdms = pytest.importorskip("nptdms")
-    # Chunks longer than this go through a temporary file.
-    monkeypatch.setattr(tdms_reader, "_LONGEST_CHUNK", longest)
+    # Channels of longer chunks are read whole.
+    monkeypatch.setattr(tdms_reader, "LONGEST_CHUNK", longest)
     values = (100 * np.abs(SAMPLES)).astype(dtype)
     path = write_tdms(tmp_path / "a.tdms", whole(values))
     recording, found = read(path)
     with nptdms.TdmsFile.open(path) as file:
         expected = np.stack([channel[:] for channel in file["beam"].channels()])
     assert np.array_equal(found, expected) and np.array_equal(found, values)
-    assert found.dtype == (np.float32 if dtype == "f4" and longest > N else np.float64)
+    assert found.dtype == (np.float32 if dtype == "f4" else np.float64)
     assert recording.sampling_rate == 25_600.0 and units(recording) == ["g"] * 3
     assert names(recording) == [f"cDAQ1Mod1/ai{k}" for k in range(3)]
     assert np.array_equal(read(path, variable="cDAQ1Mod1/ai2")[1][0], values[2])
@@ -902,15 +879,15 @@ def test_channels_that_come_in_pieces_of_different_length_stay_together():
         return blocks
 
     parts = [
-        Variable(name=f"c{k}", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[k], most), about={"fs": 5.0})
+        Variable(name=f"c{k}", n_channels=1, n_samples=N, read=pieces(SAMPLES[k], most), about={"fs": 5.0})
         for k, most in enumerate((100, 37, 1000))
     ]
     contents = contents_of(parts, {}, "made", "c*", [])
     for channels in ((0, 1, 2), (2,), (1, 0)):
-        assert np.array_equal(np.concatenate(list(contents.blocks(64, channels)), axis=1), SAMPLES[list(channels)])
-    short = Variable(name="short", n_channels=1, n_samples=N, blocks=pieces(SAMPLES[0, :9], 5))
+        assert np.array_equal(np.concatenate(list(contents.read(64, channels)), axis=1), SAMPLES[list(channels)])
+    short = Variable(name="short", n_channels=1, n_samples=N, read=pieces(SAMPLES[0, :9], 5))
     with pytest.raises(BadData, match="3001 samples are declared, 9 are there"):
-        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).blocks(64, (0, 1)))
+        list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).read(64, (0, 1)))
 
 
 @pytest.mark.parametrize(
@@ -952,15 +929,11 @@ def _write_long(kind, path, samples):
     about = {"wf_increment": 0.001}
     if kind == "tdms":
         write_tdms(path, whole(samples, "x", parts=max(samples.shape[1] // 5000, 1)), about)
-    elif kind == "one chunk":
-        write_tdms(path, whole(samples, "x", parts=1), about)
     elif kind == "hdf5":
         with h5py.File(path, "w") as file:
             file.create_dataset(
                 "x", data=samples.T, chunks=(5000, len(samples)), compression="gzip", compression_opts=1
             )
-    elif kind.startswith("mat"):
-        savemat(path, {"x": samples.T}, do_compression=kind == "mat packed")
     else:
         pyarrow, writer = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
         columns = {"time": np.arange(samples.shape[1]) / 1000} | {str(k): row for k, row in enumerate(samples)}
@@ -969,10 +942,9 @@ def _write_long(kind, path, samples):
 
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says the peak memory of a program")
-@pytest.mark.parametrize("kind", few(["hdf5", "mat", "mat packed", "tdms", "one chunk", "parquet"], 5))
+@pytest.mark.parametrize("kind", few(["hdf5", "tdms", "parquet"], 3))
 def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
-    # Whole they would take 16 MB more. A single chunk of TDMS is held for one channel, and pyarrow has buffers that
-    # fill up within the first million of rows.
+    # Whole they would take 16 MB more. pyarrow has buffers that fill up within the first million of rows.
     lengths = (1_000_000, 3_000_000) if kind == "parquet" else (15_000, 1_000_000)
     for name, n_samples in zip(("short", "long"), lengths, strict=True):
         _write_long(kind, tmp_path / f"{name}.{kind}", np.tile(SAMPLES[:2], n_samples // N + 1)[:, :n_samples].copy())
@@ -985,4 +957,4 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
     )
     assert not done.returncode, done.stderr
     growth, count = map(int, done.stdout.split())
-    assert count == n_samples and growth < (20_000 if kind == "one chunk" else 6_000), f"{growth} kB"
+    assert count == n_samples and growth < 6_000, f"{growth} kB"

@@ -1,20 +1,26 @@
 """Every format: a file written by its own library is read back; damaged ones are refused, warned of or read in part."""
 
+import re
 import warnings
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from benchmarks.fuzz_recordings import fuzz
-from cgid.errors import CgidError, MissingOption
-from cgid.recordings import open_recording, read_recording
+from cgid.cli import cli
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
+from cgid.recordings import Blocks, open_recording, read_recording
 from tests import few
 from tests.recording_files import NAMES, SPECIMENS, UNIT, blows
 
 RATE = 51_200.0
 #: Formats that have a length to tell by, so that nothing may be missing without a word; and checksums on everything.
 LENGTHS = {"WAV", "NPY", "NPZ", "HDF5", "MAT", "TDMS", "UFF-58", "FLAC", "OGG", "Parquet"}
-CHECKSUMS = ("NPZ", "HDF5 of cgid", "FLAC")
+CHECKSUMS = ("NPZ", "HDF5 of cgid")
 
 by_name = pytest.mark.parametrize("specimen", SPECIMENS, ids=lambda specimen: specimen.name)
 
@@ -97,3 +103,78 @@ def test_damaged_files_are_never_more_than_refused(tmp_path, monkeypatch, n):
             assert not outcome.failed, (name, mutation, outcome)
             if name in CHECKSUMS:
                 assert outcome.name != "changed", (name, mutation)
+
+
+# ---- readers of other packages ----
+
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "readers.md"
+
+
+@pytest.fixture
+def install(monkeypatch):
+    def installed(name, **functions):
+        entry = EntryPoint(name, "outside", "cgid.readers")
+        monkeypatch.setattr(EntryPoint, "load", lambda self: SimpleNamespace(**functions))
+        monkeypatch.setattr("importlib.metadata.entry_points", lambda **which: EntryPoints([entry]).select(**which))
+
+    return installed
+
+
+def test_the_reader_of_the_documentation_reads_its_format(install, tmp_path):
+    names = {}
+    exec(re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[1], names)
+    install("XYLOG", is_format=names["is_format"], read=names["read"])
+    samples = np.arange(-300, 300).reshape(300, 2)
+    path = tmp_path / "hit.xyl"
+    path.write_bytes(b"XYLOG001" + np.float64(51_200).tobytes() + samples.astype("<i2").tobytes())
+    for name in (None, "xylog"):
+        recording = open_recording(path, format=name, full_scale="10 V")
+        assert (recording.format, recording.sampling_rate, recording.n_samples) == ("XYLOG", 51_200.0, 300)
+        for _ in range(2):  # a training reads a recording several times
+            found = np.concatenate(list(recording.blocks(7)), axis=1)
+            np.testing.assert_allclose(found, samples.T * 10 / 32768, rtol=1e-12)
+    assert CliRunner().invoke(cli, ["info", str(path), "--format", "XYLOG"]).exit_code == 0
+    # A name for text is text, whatever readers would say.
+    (tmp_path / "hit.csv").write_text("t,F\n0,1\n1,2\n2,1\n")
+    install("XYLOG", is_format=lambda head: True, read=names["read"])
+    assert open_recording(tmp_path / "hit.csv").format == "text"
+
+
+def test_a_gap_moves_no_later_time(install, tmp_path):
+    pieces = [(0, np.ones((1, 3))), (5, np.full((1, 2), 2.0))]
+    blocks = Blocks(n_channels=1, read=lambda length, channels: iter(pieces), sampling_rate=10.0)
+    found = np.concatenate(list(blocks.joined(100, [0])), axis=1)
+    np.testing.assert_array_equal(found, [[1, 1, 1, np.nan, np.nan, 2, 2]])
+    install("gaps", is_format=lambda head: True, read=lambda path, variable: blocks)
+    path = tmp_path / "hit.bin"
+    path.write_bytes(b"anything")
+    with pytest.raises(BadData):
+        list(open_recording(path).blocks())
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda path, variable: np.ones(3),
+        lambda path, variable: 1 / 0,
+        lambda path, variable: Blocks(1, lambda length, channels: 1 / 0, sampling_rate=1.0),
+        lambda path, variable: Blocks.of_array(np.ones((1, 3)), sampling_rate=-1.0),
+    ],
+)
+def test_a_reader_that_fails_is_told(install, tmp_path, read):
+    install("broken", is_format=lambda head: True, read=read)
+    path = tmp_path / "hit.bin"
+    path.write_bytes(b"anything")
+    with pytest.raises(BadData, match=r"broken|sampling rate"):
+        list(open_recording(path).blocks())
+
+
+def test_a_format_is_chosen_by_name(tmp_path):
+    path = tmp_path / "hit.bin"
+    path.write_text("1\n2\n1\n")
+    assert open_recording(path, format="TEXT", sampling_rate=1.0).format == "text"
+    for name in ("WAV", "NPY", "NPZ", "HDF5", "MATLAB", "FLAC"):
+        with pytest.raises(BadData):
+            open_recording(path, format=name, sampling_rate=1.0)
+    with pytest.raises(InvalidValue, match="nothing"):
+        open_recording(path, format="nothing", sampling_rate=1.0)

@@ -339,8 +339,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, small_pieces):
     file = io.BytesIO()
     np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": (4, size // 16)})
     npy = sparse(tmp_path / "long.npy", file.getvalue(), size)
-    np.savez_compressed(tmp_path / "long.npz", x=np.zeros((4, size // 32)), fs=1000.0)
-    for path, n_samples in ((wav, size // 2), (npy, size // 16), (tmp_path / "long.npz", size // 32)):
+    for path, n_samples in ((wav, size // 2), (npy, size // 16)):
         counted, peak = peak_memory(open_recording(path, sampling_rate=1000))
         assert counted == n_samples and peak < 8e6, path
     small_pieces(20_000)

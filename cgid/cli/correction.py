@@ -36,7 +36,7 @@ def correct_model(
 
     model = Model.load(model_path(base))
     require_correctable(model)
-    given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
+    given = {name: options[name] for name in ("sampling_rate", "unit", "strict", "format")}
     reading = Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"])
     slicing = Slicing(by="impact", dead_time=dead_time_in_seconds(options["dead_time"]))
     if (manifest.n_intervals or 0) > _LOOK:

@@ -116,6 +116,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
         "rate": "" if reading.sampling_rate is None else f"{reading.sampling_rate:.12g}",
         "unit": reading.unit or "",
         "variable": reading.variable or "",
+        "format": reading.format or "",
     }
     rate, before = recording.sampling_rate, 0.0
     for event, following in zip(found, [*found[1:], None], strict=True):

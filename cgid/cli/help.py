@@ -16,7 +16,7 @@ _OPTIONS = {
     "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --repair --scene "
     "--finite-element --template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --sample-format "
-    "--variable --index --invert --keep-baseline --dead-time --give-up --from --to --events --kind",
+    "--variable --format --index --invert --keep-baseline --dead-time --give-up --from --to --events --kind",
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
     "Decision": "--cost --miss-cost --coverage --class-conditional --vote",
     "Gangue share": "--window --gangue --gangue-cost --dilution-cost --evidence --hold",

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, chain_options, warn_of_volts
+from cgid.cli.options import PATH, chain_options, format_option, warn_of_volts
 from cgid.cli.output import print_json, say, warn
 from cgid.cli.table import written_table
 
@@ -29,6 +29,7 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 )
 @click.option("--unit", help="Set the unit of the samples if a recording does not state it.")
 @click.option("--variable", help="Choose an array, table or group if a recording holds several.")
+@format_option
 @chain_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def info(file: str, as_json: bool, chain: dict[str, Any], **reading: Any) -> None:

@@ -181,6 +181,7 @@ class Reading:
     unit: str | None
     channel: tuple[str, ...]
     variable: str | None
+    format: str | None
     index: int | None
     invert: bool
     milliseconds: float | None
@@ -203,7 +204,7 @@ class Reading:
         given: dict[str, Any] = {f"--{name.replace('_', '-')}": value for name, value in self.chain.items()}
         if self.index is None:
             given |= {"--rate": self.sampling_rate, "--unit": self.unit, "--channel": self.channel or None}
-            given |= {"--variable": self.variable, "--mass": mass}
+            given |= {"--variable": self.variable, "--format": self.format, "--mass": mass}
         for flag, value in given.items():
             if value is not None:
                 raise InvalidValue(f"{path}: {flag} is for recordings, a dataset says it itself; leave {flag} out")
@@ -221,6 +222,7 @@ class Reading:
             unit=self.unit,
             channel=self.channel or None,
             variable=self.variable,
+            format=self.format,
             **self.chain,
         )
 
@@ -243,6 +245,12 @@ dead_time_option = click.option(
     type=float,
     help="Set how long a blow rings [ms], by default 2 for pulses and 5 for vibrations.",
 )
+format_option = click.option(
+    "--format",
+    metavar="NAME",
+    help="Read recordings as this format, such as WAV, text, or the reader of another package; by default the content "
+    "shows it.",
+)
 #: Options for reading a recording; the command receives them as `reading`.
 reading_options = _bundle(
     "reading",
@@ -258,6 +266,7 @@ reading_options = _bundle(
         help="Read only this channel: its name, or its number from 1; for several give 1+2, or the option again.",
     ),
     click.option("--variable", help="Choose an array, table or group if the file holds several."),
+    format_option,
     click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
     click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
     dead_time_option,

@@ -30,7 +30,7 @@ JSON_VERSION = 1
 #: Up to this total a progress bar shows plain numbers, above it 1.2k, 3.4M.
 _COUNTED_EXACTLY = 100_000
 #: Files that a library reads in this process, and trusts.
-_TRUSTED_BY_LIBRARIES = (".h5", ".hdf5")
+_TRUSTED_BY_LIBRARIES = (".h5", ".hdf5", ".mat")
 _noted = threading.Event()
 #: Progress bars on the terminal, the last of which is drawn.
 _bars: list[Any] = []

@@ -177,11 +177,11 @@ def _opened(file: str, reading: Reading) -> RecordingFile:
         return reading.recording(file)
     reading.wants_whole_dataset(file)  # refuses what is for recordings
     from cgid.recordings import RecordingFile
-    from cgid.recordings.recording import Contents
+    from cgid.recordings.recording import Blocks
     from cgid.store import Dataset
 
     signal = Dataset(file).signal(reading.index)
-    contents = Contents.of_array(signal.samples[None], units=[signal.unit], sampling_rate=signal.sampling_rate)
+    contents = Blocks.of_array(signal.samples[None], units=[signal.unit], sampling_rate=signal.sampling_rate)
     return RecordingFile(contents, source=signal.source, format="dataset", sampling_rate=None, unit=None, channel=None)
 
 

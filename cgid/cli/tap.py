@@ -152,6 +152,7 @@ def _read(path: str, hammer: str | None, reading: Reading) -> tuple[Floats, Floa
     if is_dataset(path):
         raise InvalidValue(f"{path}: taps must be a recording, this is a dataset of impacts; record taps on the beam")
     chain: dict[str, Any] = {"variable": reading.variable, "sampling_rate": reading.sampling_rate, **reading.chain}
+    chain["format"] = reading.format
     force, own = None, None
     if hammer is not None:
         own = open_recording(path, channel=hammer, **chain)

@@ -18,6 +18,7 @@ from cgid.cli.options import (
     chain_options,
     crew_options,
     dead_time_in_seconds,
+    format_option,
     given_flags,
     refuse,
     require_one_crew,
@@ -35,7 +36,8 @@ if TYPE_CHECKING:
 
 #: Options for recordings only, for datasets and scenes only, and for whatever trains instead of correcting a model.
 _OF_RECORDINGS = (
-    "--by --window --hop --level-free --rate --unit --channel --sensitivity --gain --full-scale --dead-time --strict"
+    "--by --window --hop --level-free --rate --unit --channel --format --sensitivity --gain --full-scale --dead-time "
+    "--strict"
 )
 _OF_DATASETS = "--test-share --calibration-share --drop-height --start-error --sensor"
 _OF_TRAINING = (
@@ -130,6 +132,7 @@ _OF_TRAINING = (
     multiple=True,
     help="Read only this channel of the recordings; for windows of several together give 1+2.",
 )
+@format_option
 @chain_options
 @click.option("--dead-time", type=float, help="Set how long a blow rings [ms], with --by impact.")
 @click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
@@ -166,12 +169,13 @@ def train(
     Recordings are named by a manifest, or by a folder that holds one, or whose subfolders are the labels:
     coal/a.wav, gangue/b.wav. A scene is a .toml file or the name of a shipped one; its signals never touch the disk.
 
-    A manifest is a .csv file with the columns path and label (and, as needed, start, end, group, channel, sensor,
-    reference, rate, unit, variable, sensitivity, gain, full_scale, invert), or a .toml file with a [[recording]] for
-    each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row for each impact,
-    --template one with a row for each recording; fill in the labels. A group (a recording, a day, a support) is never
-    on both sides of a split; each group in turn judges what was chosen and trained on the others. Scenes and datasets
-    beside recordings are used for training, too, with their level and spectrum moved to those of the recordings.
+    A manifest is a .csv file with the columns path and label (and as needed start, end, group, channel, sensor,
+    reference, rate, unit, variable, format, sensitivity, gain, full_scale, invert), or a .toml file with a
+    [[recording]] for each file, which may list intervals = [{ start, end, label }]. cgid events writes one with a row
+    for each impact, --template one with a row for each recording; fill in the labels. A group (a recording, a day, a
+    support) is never on both sides of a split; each group in turn judges what was chosen and trained on the others.
+    Scenes and datasets beside recordings are used for training, too, with their level and spectrum moved to those of
+    the recordings.
 
     With --from, ten to fifty labelled impacts correct a model that is there: its bias, its slope and the gain of the
     sensor, as far as they give evidence. It says how often the model is right on this site.
@@ -295,7 +299,7 @@ def _content(file: Path, options: dict[str, Any]) -> tuple[str, int]:
 
     try:
         recording = open_recording(
-            file, sampling_rate=options["sampling_rate"], unit=options["unit"], **options["chain"]
+            file, **{name: options[name] for name in ("sampling_rate", "unit", "format")}, **options["chain"]
         )
     except CgidError as error:
         say_error(error)
@@ -353,7 +357,7 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
         hop_time=window / 2 if hop is None else hop,
         dead_time=dead_time_in_seconds(options["dead_time"]),
     )
-    given = {name: options[name] for name in ("sampling_rate", "unit", "strict")}
+    given = {name: options[name] for name in ("sampling_rate", "unit", "strict", "format")}
     with progress_bar(manifest.n_intervals, "rows", "measuring") as progress:
         rows = record(
             manifest,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE
+from cgid.cli.options import PATH, SCENE, format_option
 from cgid.cli.output import each_file, print_json, progress_bar, say
 from cgid.terminal import counted
 
@@ -27,8 +27,9 @@ _NO_SUM = "no checksum, "
 @click.option("--repair", is_flag=True, help="Make again what is damaged, and remove what stopped runs have left.")
 @click.option("--scene", type=SCENE, help="Give the scene file of a dataset, if that names a recorded background.")
 @click.option("--variable", help="Choose an array, table or group if a recording holds several.")
+@format_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for each DATA.")
-def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str | None, as_json: bool) -> int:
+def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool, **reading: str | None) -> int:
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
@@ -55,7 +56,7 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, variable: str
         elif _is_foreign(path) and _verify_rows(path, as_json):
             pass
         elif _is_foreign(path):
-            _verify_foreign(path, variable, as_json)
+            _verify_foreign(path, reading, as_json)
         else:
             _verify_data(path, repair, given, as_json)
 
@@ -130,13 +131,13 @@ def _is_foreign(path: str) -> bool:
     return not is_single_file(file) or is_hdf5(file)
 
 
-def _verify_foreign(path: str, variable: str | None, as_json: bool) -> None:
+def _verify_foreign(path: str, reading: dict[str, Any], as_json: bool) -> None:
     """Report a recording without checksums that can be read to its end, or raise what is broken."""
     from cgid.errors import BadData
 
     source = Path(path)
     try:
-        recording, n_samples = _read(path, variable)
+        recording, n_samples = _read(path, reading)
     except BadData as error:
         _tell(path, "recording", 1, [_line(source, "unreadable", str(error))], False, as_json, f"{_NO_SUM}unreadable")
         raise
@@ -150,15 +151,15 @@ def _verify_foreign(path: str, variable: str | None, as_json: bool) -> None:
         raise BadData(f"{path}: must be whole, {damage[0]}; copy or export it again, this is no file of cgid")
 
 
-def _read(path: str, variable: str | None) -> tuple[RecordingFile, int]:
+def _read(path: str, reading: dict[str, Any]) -> tuple[RecordingFile, int]:
     """Read a recording to its end, whether or not its rate is known; return it and its samples per channel."""
     from cgid.errors import MissingOption
     from cgid.recordings import open_recording
 
     try:
-        recording = open_recording(path, variable=variable)
+        recording = open_recording(path, **reading)
     except MissingOption:
-        recording = open_recording(path, variable=variable, sampling_rate=1.0)
+        recording = open_recording(path, sampling_rate=1.0, **reading)
     n_samples = 0
     with progress_bar(recording.n_samples, "samples", "reading") as progress:
         for block in recording.blocks():

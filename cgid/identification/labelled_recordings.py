@@ -52,6 +52,7 @@ class Reading:
     sensitivity: Statement | None = None
     gain: Statement | None = None
     full_scale: Statement | None = None
+    format: str | None = None
     failed: Callable[[CgidError], object] = lambda error: None
 
     def note(self, error: CgidError, failures: list[CgidError]) -> None:
@@ -197,6 +198,7 @@ def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedF
         # A gain of one annotation is divided out of its interval alone.
         gain=first.recording_gain or (None if any(one.gain is not None for one in annotations) else reading.gain),
         full_scale=first.full_scale or reading.full_scale,
+        format=first.format or reading.format,
     )
     unit = unit_of(recording)
     try:

@@ -29,7 +29,7 @@ from cgid.validation import shown
 #: The columns of a row.
 COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
-    *("variable", "sensitivity", "full_scale", "invert"),
+    *("variable", "format", "sensitivity", "full_scale", "invert"),
 )
 #: Columns of a CSV file that only inform the person who labels the rows.
 INFORMATIVE = ("time [s]", "peak", "peak_unit", "flags", "content", "note")
@@ -48,10 +48,24 @@ LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = (*("group", "channel", "gain", "sensor", "rate", "unit", "variable", "sensitivity", "full_scale", "invert"),)
+_SHARED = (
+    *(
+        "group",
+        "channel",
+        "gain",
+        "sensor",
+        "rate",
+        "unit",
+        "variable",
+        "format",
+        "sensitivity",
+        "full_scale",
+        "invert",
+    ),
+)
 #: Columns that hold for a recording as a whole, and where annotations hold them.
 _OF_RECORDINGS = {
-    **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "invert")},
+    **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert")},
     "gain": "recording_gain",
     "rate": "sampling_rate",
 }
@@ -78,7 +92,7 @@ class Annotation:
     sensor : sensor whose reference run equalises the response; empty for none
     reference : whether this is the reference run of the sensor
     invert : whether the samples are turned over, because impacts must point upwards
-    sampling_rate, unit, variable, sensitivity, full_scale : for files without them, see
+    sampling_rate, unit, variable, format, sensitivity, full_scale : for files without them, see
         `cgid.recordings.open_recording`
     """
 
@@ -97,6 +111,7 @@ class Annotation:
     sampling_rate: float | None = None
     unit: str | None = None
     variable: str | None = None
+    format: str | None = None
     sensitivity: tuple[str, ...] | None = None
     full_scale: tuple[str, ...] | None = None
 
@@ -129,7 +144,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
     start, end = _number("start", row.get("start", 0.0), " in s"), _number("end", row.get("end", math.inf), " in s")
     if not 0 <= start < end:
         raise InvalidValue(f"start and end must rise from 0 s, got {start:g} and {end:g} s")
-    rate, unit, variable = row.get("rate"), row.get("unit"), row.get("variable")
+    rate, unit, variable, format_name = (row.get(name) for name in ("rate", "unit", "variable", "format"))
     if unit is not None:
         quantity_of(unit if isinstance(unit, str) else repr(unit))
     gain, sensitivity, full_scale = (_of_channels(row.get(name)) for name in ("gain", "sensitivity", "full_scale"))
@@ -152,6 +167,7 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
         sampling_rate=None if rate is None else _positive("rate", rate, "Hz"),
         unit=unit,
         variable=None if variable is None else _word("variable", variable),
+        format=None if format_name is None else _word("format", format_name),
         sensitivity=sensitivity,
         full_scale=full_scale,
     )

@@ -21,7 +21,7 @@ from cgid.identification.stream import factor_of, identify_blocks
 from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement, scaled
 from cgid.recordings.gaps import Gaps
-from cgid.recordings.recording import Channel, Contents, require_one_rate
+from cgid.recordings.recording import Blocks, Channel, require_one_rate
 from cgid.recordings.variables import full_scale_of
 from cgid.shipped import model_path
 from cgid.signals import Signal
@@ -185,9 +185,9 @@ def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain
     if not of_signals and unit is None and chain == Chain():
         raise MissingOption("samples: an array does not say its unit; give it, as in unit='N' or unit='m/s^2'")
     largest = None if of_signals else full_scale_of(validation.plain("samples", samples).dtype)
-    contents = Contents(
+    contents = Blocks(
         n_channels=len(signals),
-        blocks=lambda length, channels: iter(()),
+        read=lambda length, channels: iter(()),
         names=[signal.channel for signal in signals],
         units=[signal.unit for signal in signals],
         full_scales=[largest] * len(signals),

@@ -1,29 +1,29 @@
-"""Read NPY, NPZ and HDF5 files by blocks, without pickle and without allocating memory for declared sizes.
+"""Read the arrays of NPY, NPZ and HDF5 files, without pickle and within limits for declared sizes.
 
-HDF5 files, including MATLAB v7.3, are read by `cgid.store`.
+NPY and HDF5 (also MATLAB v7.3, by `cgid.store`) are read block by block, NPZ whole.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import os
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import DATASET_CURE, MAX_CHANNELS, Contents, understood
+from cgid.recordings.recording import DATASET_CURE, LARGEST_ARRAYS, MAX_CHANNELS, Blocks, understood
 from cgid.recordings.variables import (
     Value,
-    Values,
     Variable,
     contents_of,
     full_scale_of,
@@ -34,48 +34,13 @@ from cgid.recordings.variables import (
 if TYPE_CHECKING:
     from cgid.store.foreign import ForeignArray
 
-#: Longest header [bytes]; a longer one is damaged.
-HEADER_SIZE = 1 << 16
+#: Longest NPY header [bytes]; a longer one is damaged.
+_HEADER_SIZE = 1 << 16
+#: Largest member of an archive that may state something [bytes]; larger ones are samples.
+_SMALL = 1 << 16
 
 
-@dataclass(frozen=True, kw_only=True)
-class ArrayHead:
-    """An NPY header, with rows and columns as channels and samples.
-
-    shape, dtype : as written
-    offset : bytes before the first number
-    by_sample : whether the numbers of one sample are stored together, not those of one channel
-    """
-
-    shape: tuple[int, ...]
-    n_channels: int
-    n_samples: int
-    dtype: np.dtype[Any]
-    offset: int
-    by_sample: bool
-
-    @property
-    def size(self) -> int:
-        """Size of all numbers [bytes]."""
-        # Python integers: no declared shape overflows.
-        return self.n_channels * self.n_samples * self.dtype.itemsize
-
-    def starts(self, channels: Sequence[int]) -> list[int]:
-        """Return where the numbers of each channel begin [bytes]; all begin at 0 if stored sample by sample."""
-        size = self.n_samples * self.dtype.itemsize
-        return [0] if self.by_sample else [channel * size for channel in channels]
-
-    def decoded(self, raw: bytes, n_channels: int) -> NDArray[Any]:
-        """Return raw numbers, sample by sample or all of one channel, as (n_channels, n_samples)."""
-        whole = len(raw) - len(raw) % (n_channels * self.dtype.itemsize)
-        numbers = np.frombuffer(raw[:whole], self.dtype).reshape(-1, n_channels).T
-        as_is = self.dtype.kind == "f" and self.dtype.itemsize in (4, 8)
-        # Long doubles beyond float64 become infinite; such samples are rejected later.
-        with np.errstate(all="ignore"):
-            return np.array(numbers, dtype=self.dtype.newbyteorder("=") if as_is else np.float64, order="C")
-
-
-def read_npy(path: Path, source: str) -> Contents:
+def read_npy(path: Path, source: str) -> Blocks:
     """Return the channels of an NPY file, which holds one array.
 
     (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
@@ -87,72 +52,66 @@ def read_npy(path: Path, source: str) -> Contents:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     np.save(Path(folder) / "two.npy", np.zeros((1000, 2)))
-    ...     contents = read_npy(Path(folder) / "two.npy", "two.npy")
-    >>> contents.n_channels, contents.n_samples
+    ...     blocks = read_npy(Path(folder) / "two.npy", "two.npy")
+    >>> blocks.n_channels, blocks.n_samples
     (2, 1000)
     """
     with path.open("rb") as file:
-        head = array_head(file.read(HEADER_SIZE), source)
-        held = os.fstat(file.fileno()).st_size - head.offset
-    if not head.size:
-        raise BadData(f"{source}: a recording must hold at least one sample, got shape {head.shape}; record it again")
-    if head.size != held:
-        cure = "the file looks cut off, copy it again" if head.size > held else "save one array only"
-        raise BadData(
-            f"{source}: the header must match the file, it declares {head.size} bytes {head.shape} and {held} follow; "
-            f"{cure}"
-        )
-
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        with path.open("rb") as file:
-
-            def read(index: int, start: int, size: int) -> bytes:
-                file.seek(head.offset + start)
-                return file.read(size)
-
-            yield from _blocks(read, head, length, channels)
-
-    return Contents(
-        n_channels=head.n_channels,
-        blocks=blocks,
-        n_samples=head.n_samples,
-        full_scales=[full_scale_of(head.dtype)] * head.n_channels,
-        integers=[head.dtype.kind in "iu"] * head.n_channels,
-    )
-
-
-def array_head(start: bytes, source: str) -> ArrayHead:
-    """Parse the first `HEADER_SIZE` bytes of an NPY file; raises as `read_npy`."""
-    shape, fortran_order, dtype, offset = _header(start, source)
+        shape, fortran_order, dtype, offset = _header(file.read(_HEADER_SIZE), source)
+        stored = os.fstat(file.fileno()).st_size - offset
     if dtype.kind not in "fiu":
         raise BadData(f"{source}: samples must be real numbers, got type {dtype}; save them as float64")
     if len(shape) not in (1, 2) or min(shape) < 0:
         raise BadData(f"{source}: samples must have one or two axes, got shape {shape}; save them as such")
+    declared = math.prod(shape) * dtype.itemsize
+    if not declared:
+        raise BadData(f"{source}: a recording must hold at least one sample, got shape {shape}; record it again")
+    if declared != stored:
+        cure = "the file looks cut off, copy it again" if declared > stored else "save one array only"
+        raise BadData(
+            f"{source}: the header must match the file, it declares {declared} bytes {shape} and {stored} follow; "
+            f"{cure}"
+        )
     rows, columns = (1, *shape)[-2:]
-    upright = len(shape) == 2 and columns < rows
-    return ArrayHead(
-        shape=shape,
-        n_channels=columns if upright else rows,
-        n_samples=rows if upright else columns,
-        dtype=dtype,
-        offset=offset,
-        by_sample=upright != fortran_order or min(rows, columns) == 1,
+    is_upright = len(shape) == 2 and columns < rows
+    n_samples, n_channels = (rows, columns) if is_upright else (columns, rows)
+    by_sample = is_upright != fortran_order or n_channels == 1
+
+    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        # Numbers of one sample are stored together, or those of one channel.
+        together, picked = (n_channels, list(channels)) if by_sample else (1, [0])
+        starts = [0] if by_sample else [channel * n_samples for channel in channels]
+        with path.open("rb") as file:
+            for first in range(0, n_samples, length):
+                n = min(length, n_samples - first)
+                parts = []
+                for start in starts:
+                    file.seek(offset + (start + first * together) * dtype.itemsize)
+                    numbers = np.fromfile(file, dtype, n * together)
+                    parts.append(numbers[: numbers.size // together * together].reshape(-1, together).T[picked])
+                # Channels stay equally long if the file becomes shorter while it is read.
+                whole = min(part.shape[1] for part in parts)
+                yield _floats(np.concatenate([part[:, :whole] for part in parts]))
+
+    return Blocks(
+        n_channels=n_channels,
+        read=read,
+        n_samples=n_samples,
+        full_scales=[full_scale_of(dtype)] * n_channels,
+        integers=[dtype.kind in "iu"] * n_channels,
     )
 
 
 def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Return shape, order, type and size of the header at the start of an NPY file."""
     file = io.BytesIO(start)
     with warnings.catch_warnings():
         # The header is a Python literal: damaged ones may cause syntax warnings before they fail.
         warnings.simplefilter("ignore")
         try:
-            version = npy_format.read_magic(file)
             # Version 3 differs from 2 only in the encoding of field names, which real numbers do not have.
-            read = {
-                (1, 0): npy_format.read_array_header_1_0,
-                (2, 0): npy_format.read_array_header_2_0,
-                (3, 0): npy_format.read_array_header_2_0,
-            }[version]
+            is_first = npy_format.read_magic(file) == (1, 0)
+            read = npy_format.read_array_header_1_0 if is_first else npy_format.read_array_header_2_0
             shape, fortran_order, dtype = read(file)
         # Python's parser reads the literal and raises many kinds of errors on damaged text.
         except Exception:
@@ -160,142 +119,24 @@ def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[
     return shape, fortran_order, dtype, file.tell()
 
 
-def _blocks(
-    read: Callable[[int, int, int], bytes], head: ArrayHead, length: int, channels: Sequence[int]
-) -> Iterator[NDArray[Any]]:
-    """Yield channels; ``read(index, start, size)`` returns bytes of the array; `index` counts `ArrayHead.starts`."""
-    together = head.n_channels if head.by_sample else 1
-    frame_size = together * head.dtype.itemsize
-    for first in range(0, head.n_samples, length):
-        size = min(length, head.n_samples - first) * frame_size
-        parts = [
-            head.decoded(read(index, start + first * frame_size, size), together)
-            for index, start in enumerate(head.starts(channels))
-        ]
-        # Keep all channels equally long if the file is cut while it is read.
-        whole = min(part.shape[1] for part in parts)
-        rows = np.concatenate([part[:, :whole] for part in parts])
-        yield rows[list(channels)] if head.by_sample else rows
+def _floats(samples: NDArray[Any]) -> NDArray[Any]:
+    """Return samples as contiguous float32 or float64 of this machine."""
+    kept = samples.dtype.newbyteorder("=") if samples.dtype.kind == "f" and samples.itemsize in (4, 8) else np.float64
+    # Long doubles beyond float64 become infinite; such samples are rejected later.
+    with np.errstate(all="ignore"):
+        return np.ascontiguousarray(samples, kept)
 
 
-# ---- NPZ -------------------------------------------------------------------------------------------------------------
-
-#: Largest value [bytes] that may state something; larger ones are samples.
-_SMALL = 1 << 16
-
-#: Most arrays in an archive; one with more is hostile.
-_MOST_MEMBERS = 10_000
-
-#: Best compression ratio of deflate (zlib technical details); an array that declares more is damaged.
-_BEST_PACKING = 1032
-
-#: Most channels, stored one after the other, to unpack at the same time.
-_MOST_SIDE_BY_SIDE = 64
-
-#: Bytes to unpack at once while passing over others.
-_PIECE = 1 << 18
+def _rows(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array of at most two axes as (n_channels, n_samples)."""
+    axes = orientation(array.shape)
+    assert axes is not None
+    across, along = axes
+    return array.reshape(1, -1) if across is None else np.moveaxis(array, (across, along), (0, 1)).squeeze()
 
 
-_DAMAGED = ("the archive is damaged or cut off", "copy or save it again")
-
-
-def read_npz(path: Path, source: str, variable: str | None) -> Contents:
-    """Return the channels of an array in an NPZ archive, or of several of one length.
-
-    Values such as ``fs`` or ``unit`` give rate and unit; an array of times of the same length also gives the rate.
-    Raises `BadData` if the archive is damaged (checksums are compared at the end of reading), or holds no array, or
-    holds several and `variable` (a name or pattern) selects none.
-    """
-    variables: list[Variable] = []
-    statements: dict[str, Values] = {}
-    with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive:
-        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
-        if len(members) > _MOST_MEMBERS:
-            raise BadData(f"{source}: an archive must hold at most {_MOST_MEMBERS} arrays, it holds {len(members)}")
-        for member in members:
-            group, _, name = member.filename.removesuffix(".npy").rpartition("/")
-            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise BadData(f"{source}: {name} must be stored or deflated as NumPy does; save it again")
-            if member.file_size <= _SMALL and (value := _value(archive.read(member))) is not None:
-                statements[group] = {**statements.get(group, {}), name: value}
-            elif (found := _variable(archive, path, member, source)) is not None:
-                variables.append(found)
-    return contents_of(variables, statements, source, variable, [])
-
-
-def _variable(archive: zipfile.ZipFile, path: Path, member: zipfile.ZipInfo, source: str) -> Variable | None:
-    """Return an array of the archive that may be the recording; None if it does not hold real numbers."""
-    group, _, name = member.filename.removesuffix(".npy").rpartition("/")
-    with archive.open(member) as file:
-        start = file.read(HEADER_SIZE)
-    try:
-        head = array_head(start, f"{source}: {name}")
-    except BadData:
-        # Texts, objects and arrays of three axes may accompany the recording.
-        return None
-    held = member.file_size - head.offset
-    fault = ""
-    if head.size != held or held > _BEST_PACKING * member.compress_size + _SMALL:
-        fault = f"declares {head.size} bytes {head.shape} and holds {held} in {member.compress_size} packed ones"
-    elif not head.by_sample and head.n_channels > _MOST_SIDE_BY_SIDE:
-        fault = f"of {head.n_channels} channels must be saved as (n_samples, n_channels)"
-
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        with understood(source, *_DAMAGED), zipfile.ZipFile(path) as again:
-            yield from _unpacked(again, member.filename, head, length, channels)
-
-    if not head.n_samples or not head.n_channels:
-        return None
-    return Variable(
-        name=name,
-        group=group,
-        n_channels=head.n_channels,
-        n_samples=head.n_samples,
-        blocks=blocks,
-        full_scale=full_scale_of(head.dtype),
-        is_integer=head.dtype.kind in "iu",
-        fault=fault,
-    )
-
-
-def _unpacked(
-    archive: zipfile.ZipFile, name: str, head: ArrayHead, length: int, channels: Sequence[int]
-) -> Iterator[NDArray[Any]]:
-    with ExitStack() as stack:
-        starts = head.starts(channels)
-        files = [stack.enter_context(archive.open(name)) for _ in starts]
-        for file, start in zip(files, starts, strict=True):
-            # Read instead of seek: after seeking, zipfile does not compare checksums.
-            _pass_over(file, head.offset + start)
-        yield from _blocks(lambda index, start, size: _exactly(files[index], size), head, length, channels)
-        # zipfile compares the checksum at the end of the array, after the last channel.
-        last = files[int(np.argmax(starts))]
-        while last.read(_PIECE):
-            pass
-
-
-def _pass_over(file: IO[bytes], size: int) -> None:
-    while size > 0:
-        size -= len(_exactly(file, min(size, _PIECE)))
-
-
-def _exactly(file: IO[bytes], size: int) -> bytes:
-    raw = file.read(size)
-    if len(raw) < size:
-        raise EOFError("it ends too early")
-    return raw
-
-
-def _value(raw: bytes) -> Value | None:
+def value_of_array(array: NDArray[Any]) -> Value | None:
     """Return a single number, a text or a list of texts; None for any other array."""
-    try:
-        with warnings.catch_warnings():
-            # Damaged headers may cause syntax warnings before they fail.
-            warnings.simplefilter("ignore")
-            array = npy_format.read_array(io.BytesIO(raw), allow_pickle=False)
-    # Python's parser reads the header and raises many kinds of errors on damaged text.
-    except Exception:
-        return None
     if array.dtype.kind == "S":
         array = np.char.decode(array, "utf-8", "replace")
     if array.dtype.kind == "U" and array.size:
@@ -304,23 +145,119 @@ def _value(raw: bytes) -> Value | None:
     return float(array.ravel()[0]) if array.dtype.kind in "fiu" and array.size == 1 else None
 
 
+def variable_of_array(
+    name: str, group: str, shape: tuple[int, ...], dtype: np.dtype[Any], whole: Callable[[], NDArray[Any]]
+) -> Variable | None:
+    """Return an array that may be the recording, read by `whole`; None if it is no row or table of real numbers."""
+    axes = orientation(shape)
+    if dtype.kind not in "fiu" or axes is None or not all(shape):
+        return None
+    across, along = axes
+
+    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        rows, picked = _rows(whole()), list(channels)
+        for first in range(0, shape[along], length):
+            yield _floats(rows[picked, first : first + length])
+
+    return Variable(
+        name=name,
+        group=group,
+        n_channels=1 if across is None else shape[across],
+        n_samples=shape[along],
+        read=read,
+        full_scale=full_scale_of(dtype),
+        is_integer=dtype.kind in "iu",
+    )
+
+
+def require_room(size: int, source: str, cure: str) -> None:
+    """Raise `BadData` if arrays [bytes] are too large to be read whole."""
+    if size > LARGEST_ARRAYS:
+        raise BadData(
+            f"{source}: the arrays of a file that is read whole must be at most {LARGEST_ARRAYS >> 30} GiB, it "
+            f"declares {size} bytes; {cure}"
+        )
+
+
+def contents_of_arrays(arrays: Iterable[Variable | tuple[str, Value]], source: str, variable: str | None) -> Blocks:
+    """Return the recording among arrays and named values, each with its path."""
+    variables, statements = [], dict[str, dict[str, Value]]()
+    for one in arrays:
+        if isinstance(one, Variable):
+            variables.append(one)
+        else:
+            group, _, name = one[0].rpartition("/")
+            statements.setdefault(group, {})[name] = one[1]
+    return contents_of(variables, statements, source, variable, [])
+
+
+# ---- NPZ -------------------------------------------------------------------------------------------------------------
+
+_DAMAGED = ("the archive is damaged or cut off", "copy or save it again")
+
+
+def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
+    """Return the channels of an array in an NPZ archive, or of several of one length.
+
+    Values such as ``fs`` or ``unit`` give rate and unit; an array of times of the same length also gives the rate.
+    Raises `BadData` if the archive is damaged (checksums are compared), its arrays are larger than 2 GiB, or it holds
+    none, or several of which `variable` (a name or pattern) selects none.
+    """
+    with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive:
+        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+        require_room(sum(member.file_size for member in members), source, "save one array as NPY")
+        return contents_of_arrays(_members(archive, members, path, source), source, variable)
+
+
+def _members(
+    archive: zipfile.ZipFile, members: Sequence[zipfile.ZipInfo], path: Path, source: str
+) -> Iterator[Variable | tuple[str, Value]]:
+    for member in members:
+        whole = partial(_member, path, member.filename, source)
+        with archive.open(member) as file:
+            try:
+                shape, _, dtype, offset = _header(file.read(_HEADER_SIZE), source)
+            except BadData:  # texts and objects may accompany the recording
+                continue
+        declared, stored = math.prod(shape) * dtype.itemsize, member.file_size - offset
+        if declared != stored:
+            raise BadData(
+                f"{source}: {member.filename} declares {declared} bytes {shape} and holds {stored}; save it again"
+            )
+        place = member.filename.removesuffix(".npy")
+        if member.file_size <= _SMALL and (value := value_of_array(whole())) is not None:
+            yield place, value
+        else:
+            group, _, name = place.rpartition("/")
+            if (found := variable_of_array(name, group, shape, dtype, whole)) is not None:
+                yield found
+
+
+def _member(path: Path, name: str, source: str) -> NDArray[Any]:
+    """Return an array of an archive."""
+    with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive, archive.open(name) as file:
+        array: NDArray[Any] = npy_format.read_array(file, allow_pickle=False)
+        file.read()  # zipfile compares the checksum at the end
+    return array
+
+
 # ---- HDF5 ------------------------------------------------------------------------------------------------------------
 
 
-def read_own(path: Path) -> Contents:
+def read_own(path: Path) -> Blocks:
     """Return the single channel of a recording made by `cgid generate`."""
     from cgid.store.reading import Recording
 
     recording = Recording(path)
 
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         with closing(recording.blocks(length)) as rows:
             for row in rows:
                 yield row[None][list(channels)]
 
-    return Contents(
+    return Blocks(
         n_channels=1,
-        blocks=blocks,
+        read=read,
         n_samples=recording.n_samples,
         units=[recording.unit],
         sampling_rate=recording.sampling_rate,
@@ -331,7 +268,7 @@ def read_own(path: Path) -> Contents:
 _PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
 
 
-def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
+def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of one array of an HDF5 file, or of several arrays of one length.
 
     Rate, unit, start and channel names come from attributes and single values of the array, its groups and the root,
@@ -355,7 +292,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
         about = dict(array.attributes)
         factor, offset = (_number(about.pop(name, default)) for name, default in _PACKING.items())
 
-        def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
             stored = array_blocks(path, source, array, axes, length, channels)
             return stored if (factor, offset) == (1.0, 0.0) else (offset + factor * block for block in stored)
 
@@ -365,7 +302,7 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Contents:
             group=array.name.rpartition("/")[0],
             n_channels=1 if across is None else array.shape[across],
             n_samples=array.shape[along],
-            blocks=blocks,
+            read=read,
             about=about,
             is_integer=array.is_integer and (factor, offset) == (1.0, 0.0),
             fault=array.fault,

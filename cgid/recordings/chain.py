@@ -21,7 +21,7 @@ from cgid.units import ELECTRICAL, UNITS, known_unit, number_and_unit, quantity_
 from cgid.validation import shown
 
 if TYPE_CHECKING:
-    from cgid.recordings.recording import Contents
+    from cgid.recordings.recording import Blocks
 
 #: What may be stated of a chain: one value for all channels, a mapping of names or numbers (from 1) to values, or
 #: several texts, each a value or NAME=VALUE.
@@ -167,7 +167,7 @@ class _Stated(Generic[Part]):
     name: str
     values: tuple[tuple[int | str | None, Part], ...] = ()
 
-    def at(self, index: int, contents: Contents, source: str) -> tuple[Part | None, bool]:
+    def at(self, index: int, contents: Blocks, source: str) -> tuple[Part | None, bool]:
         """Return the value for a channel, and whether it is for this channel alone; two must not differ."""
         own = [value for key, value in self.values if key is not None and index in contents.selected(key, source)]
         values = own or [value for key, value in self.values if key is None]
@@ -234,7 +234,7 @@ class Chain:
             full_scale=_stated("full_scale", FullScale, full_scale),
         )
 
-    def links(self, contents: Contents, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
+    def links(self, contents: Blocks, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
         """Return the link of each channel, from the statements of user and file, which must agree.
 
         A sensitivity or charge gain for all channels is for those in volts or coulombs, of which there must be one.
@@ -255,7 +255,7 @@ class Chain:
             for index, link in zip(channels, scaled_links, strict=True)
         ]
 
-    def _scaled(self, contents: Contents, index: int, unit: str | None, source: str) -> Link:
+    def _scaled(self, contents: Blocks, index: int, unit: str | None, source: str) -> Link:
         """Return the link through full scale and amplification."""
         own, factor, origin = contents.unit(index, unit, source), 1.0, []
         scale, _ = self.full_scale.at(index, contents, source)
@@ -270,7 +270,7 @@ class Chain:
             origin.append(f"gain {gain.text}")
         return Link(unit=own, factor=factor, origin=", ".join(origin))
 
-    def _measured(self, link: Link, contents: Contents, index: int, source: str, *, is_some: bool) -> Link:
+    def _measured(self, link: Link, contents: Blocks, index: int, source: str, *, is_some: bool) -> Link:
         """Return the link through charge gain and sensitivity, too."""
         sensitivity, is_own = self.sensitivity.at(index, contents, source)
         gain, is_own_gain = self.gain.at(index, contents, source)
@@ -306,7 +306,7 @@ class Chain:
         )
 
 
-def _full_scale(scale: FullScale, stated: str | None, contents: Contents, index: int, source: str) -> tuple[str, float]:
+def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: int, source: str) -> tuple[str, float]:
     """Return unit and factor of the numbers of a channel whose full scale is known."""
     name = _name(contents, index, source)
     stated = None if stated == "FS" else stated
@@ -335,7 +335,7 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Contents, index:
     return unit, scale.value / largest
 
 
-def _require_full_scale(unit: str | None, contents: Contents, index: int, source: str) -> None:
+def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: str) -> None:
     """Raise `MissingOption` for integers whose unit the user states: it does not say how many of it one step is."""
     is_integer = index < len(contents.integers) and contents.integers[index]
     if not is_integer or unit is None or unit == "FS" or _of_file(contents.units, index) is not None:
@@ -348,7 +348,7 @@ def _require_full_scale(unit: str | None, contents: Contents, index: int, source
     )
 
 
-def _full_scale_number(contents: Contents, index: int) -> float | None:
+def _full_scale_number(contents: Blocks, index: int) -> float | None:
     """Return the number that stands for full scale, None if the file does not say it."""
     return contents.full_scales[index] if index < len(contents.full_scales) else None
 
@@ -442,7 +442,7 @@ def _of_file(stated: Sequence[str | None], index: int) -> str | None:
     return stated[index] if index < len(stated) else None
 
 
-def _name(contents: Contents, index: int, source: str) -> str:
+def _name(contents: Blocks, index: int, source: str) -> str:
     label = contents.label(index)
     return source if label == "1" else f"{source} channel {label}"
 

@@ -8,9 +8,9 @@ import sys
 import tempfile
 import warnings
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement
-from cgid.recordings.recording import DATASET_CURE, Contents, RecordingFile, told
+from cgid.recordings.recording import DATASET_CURE, Blocks, RecordingFile, told, understood
 from cgid.recordings.sound import WAV_MAGICS
 from cgid.signals import Signal
 from cgid.units import quantity_of
@@ -34,6 +34,10 @@ _MAT_MAGICS = (b"\x00\x01IM", b"\x01\x00MI")
 # Delimiter and type of a data set, in fixed columns. Data sets of units, coordinates or functions come first.
 _UFF = re.compile(rb"(?: {4}-1 *\r?\n)+(?: {3}(?:151|164)| {4}(?:15|18|55|58|82)| {2}(?:1858|24[0-9]{2}))[b \r\n]")
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf")
+_TEXT_SUFFIXES = ("", ".asc", ".csv", ".dat", ".log", ".prn", ".tsv", ".txt")
+
+#: Entry points of the readers of other packages.
+READERS = "cgid.readers"
 
 #: Largest stream on the standard input [bytes]; streams are saved to disk before they are read.
 LARGEST_STREAM = 32 << 30
@@ -46,18 +50,18 @@ WAITING_TIME = 5.0
 class Format:
     """One file format.
 
-    matches : whether a file has this format, from its first `HEAD_SIZE` bytes
+    is_format : whether a file has this format, from its first `HEAD_SIZE` bytes
     reader : ``module:function`` in `cgid.recordings`
     takes_variable : whether a file may hold several arrays to choose from
     """
 
     name: str
-    matches: Callable[[bytes], bool]
+    is_format: Callable[[bytes], bool]
     reader: str
     takes_variable: bool = False
 
-    def read(self, path: Path, source: str, variable: str | None) -> Contents:
-        """Return the contents of a file of this format; raises as `cgid.recordings.open_recording`."""
+    def read(self, path: Path, source: str, variable: str | None) -> Blocks:
+        """Return the blocks of a file of this format; raises as `cgid.recordings.open_recording`."""
         if variable is not None and not self.takes_variable:
             raise InvalidValue(
                 f"{source}: a {self.name} file holds one recording, there is no variable {variable!r}; leave out "
@@ -65,8 +69,37 @@ class Format:
             )
         module, _, function = self.reader.partition(":")
         read = getattr(import_module(f"cgid.recordings.{module}"), function)
-        contents: Contents = read(path, source, variable) if self.takes_variable else read(path, source)
-        return contents
+        blocks: Blocks = read(path, source, variable) if self.takes_variable else read(path, source)
+        return blocks
+
+
+@dataclass(frozen=True)
+class OutsideFormat:
+    """A format of another package: `reader` has the functions ``is_format(head)`` and ``read(path, variable)``."""
+
+    name: str
+    reader: Any
+
+    def is_format(self, head: bytes) -> bool:
+        """Return whether a file has this format, from its first `HEAD_SIZE` bytes."""
+        with self._told():
+            return bool(self.reader.is_format(head))
+
+    def read(self, path: Path, source: str, variable: str | None) -> Blocks:
+        """Return the blocks of a file of this format; any error of the reader becomes a one-line `BadData`."""
+        with self._told(source):
+            blocks = self.reader.read(path, variable)
+            if not isinstance(blocks, Blocks):
+                raise TypeError(f"its function read must return cgid.recordings.Blocks, got {type(blocks).__name__}")
+
+        def read(length: int, channels: Sequence[int]) -> Iterator[Any]:
+            with self._told(source):
+                yield from blocks.read(length, channels)
+
+        return replace(blocks, read=read)
+
+    def _told(self, source: str = "recording") -> AbstractContextManager[None]:
+        return understood(source, f"the reader {self.name} failed", "choose another by --format")
 
 
 def _starts(*magics: bytes) -> Callable[[bytes], bool]:
@@ -88,14 +121,38 @@ FORMATS: tuple[Format, ...] = (
     Format("TDMS", _starts(b"TDSm"), "tdms:read_tdms", takes_variable=True),
     Format("UFF", lambda head: _UFF.match(head) is not None, "uff:read_uff", takes_variable=True),
     Format("Parquet", _starts(b"PAR1"), "parquet:read_parquet"),
-    Format("FLAC or OGG", _starts(b"fLaC", b"OggS"), "sound:read_audio"),
+    Format("FLAC", _starts(b"fLaC"), "sound:read_audio"),
+    Format("OGG", _starts(b"OggS"), "sound:read_audio"),
     Format("LVM", lambda head: b"LabVIEW Measurement" in head[:32], "lvm:read_lvm", takes_variable=True),
     Format("text", lambda head: True, "text:read_text"),
 )
 
 
-def format_of(path: Path, source: str) -> Format:
-    """Return the format of a regular file.
+def outside_formats() -> list[OutsideFormat]:
+    """Return the formats of other packages, in the order of their names; a reader that cannot be loaded is left out."""
+    from importlib.metadata import entry_points
+
+    found = []
+    for entry in sorted(entry_points(group=READERS), key=lambda one: one.name):
+        try:
+            found.append(OutsideFormat(entry.name, entry.load()))
+        # Another package may fail in any way.
+        except Exception as error:
+            warnings.warn(f"the reader {entry.name} ({entry.value}) cannot be loaded: {error}", stacklevel=2)
+    return found
+
+
+def format_named(name: str) -> Format | OutsideFormat:
+    """Return the format of a name in upper or lower case; raise `InvalidValue` with the known ones."""
+    known: list[Format | OutsideFormat] = [*FORMATS, *outside_formats()]
+    found = next((one for one in known if one.name.lower() == name.lower()), None)
+    if found is None:
+        raise InvalidValue(f"format must be one of {', '.join(one.name for one in known)}, got {name!r}")
+    return found
+
+
+def format_of(path: Path, source: str) -> Format | OutsideFormat:
+    """Return the format of a regular file: that of its first bytes, else one of other packages, else text.
 
     Raises `BadData` if the file is empty, or is text with the name of an HDF5 dataset.
     """
@@ -103,8 +160,14 @@ def format_of(path: Path, source: str) -> Format:
         head = file.read(HEAD_SIZE)
     if not head:
         raise BadData(f"{source}: a recording must hold numbers, the file is empty; record or export it again")
-    found = next(one for one in FORMATS if one.matches(head))
-    if found.name == "text" and Path(source).suffix.lower() in _HDF5_SUFFIXES:
+    found = next(one for one in FORMATS if one.is_format(head))
+    suffix = Path(source).suffix.lower()
+    # Looking for other packages takes some 20 ms.
+    if found.name == "text" and suffix not in _TEXT_SUFFIXES:
+        outside = next((one for one in outside_formats() if one.is_format(head)), None)
+        if outside is not None:
+            return outside
+    if found.name == "text" and suffix in _HDF5_SUFFIXES:
         raise BadData(
             f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else {DATASET_CURE}"
         )
@@ -159,8 +222,9 @@ def open_recording(
     sensitivity: Statement | None = None,
     gain: Statement | None = None,
     full_scale: Statement | None = None,
+    format: str | None = None,
 ) -> RecordingFile:
-    r"""Open a recording; its content determines the format, not its name.
+    r"""Open a recording; its content determines the format, not its name, unless `format` does.
 
     Text (CSV, TXT, ...): columns divided by comma, semicolon, tab, bar or blanks; a decimal comma unless commas divide
     columns; comments above and below the numbers; header lines; UTF-8, UTF-16, GB 18030 or Latin-1. A header such as
@@ -215,6 +279,8 @@ def open_recording(
         What full scale stands for in a sound file or in signed integers of 16 bit, such as "10 V" or "50 g"; a plain
         number is in `unit`. "10 V at 24 bit" is for integers of a type that does not show the resolution of the
         converter, such as in a text or of 32 bit.
+    format : str, optional
+        Name of the format, such as "WAV" or that of a reader of another package; by default the content shows it.
 
     Returns
     -------
@@ -263,7 +329,7 @@ def open_recording(
     regular, spool = _regular(path, source)
     try:
         with told(source):
-            found = format_of(regular, source)
+            found = format_of(regular, source) if format is None else format_named(format)
             recording = RecordingFile(
                 found.read(regular, source, variable),
                 source=source,
@@ -290,12 +356,13 @@ def read_recording(
     sensitivity: Statement | None = None,
     gain: Statement | None = None,
     full_scale: Statement | None = None,
+    format: str | None = None,
 ) -> list[Signal]:
     r"""Read a whole recording into memory.
 
     Parameters
     ----------
-    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale
+    path, sampling_rate, unit, channel, variable, sensitivity, gain, full_scale, format
         As in `open_recording`.
 
     Returns
@@ -338,6 +405,7 @@ def read_recording(
         sensitivity=sensitivity,
         gain=gain,
         full_scale=full_scale,
+        format=format,
     ).signals()
 
 
@@ -386,7 +454,7 @@ def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tu
         with opened() as stream:
             piece = stream.read(PIECE_LENGTH)
             waiting.cancel()
-            path, file = temporary_file(spool, needs_name=is_hdf5(piece[:HEAD_SIZE]))
+            path, file = _temporary_file(spool, needs_name=is_hdf5(piece[:HEAD_SIZE]))
             while piece:
                 if file.tell() > LARGEST_STREAM:
                     raise BadData(
@@ -408,7 +476,7 @@ def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tu
     return path, spool
 
 
-def temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path, IO[bytes]]:
+def _temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path, IO[bytes]]:
     """Return path and handle of a temporary file, which is removed when the stack closes or this process ends.
 
     Windows is untested. Without /bin/sh the file remains if the process is killed.
@@ -416,7 +484,7 @@ def temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path,
     if not needs_name and Path("/proc/self/fd").is_dir():
         file = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
         return Path(f"/proc/self/fd/{file.fileno()}"), file
-    # HDF5 needs a file name, and outside Linux a file without a name cannot be opened twice.
+    # HDF5 needs a real file name, and outside Linux a file without a name cannot be opened twice.
     import subprocess
 
     kept = tempfile.NamedTemporaryFile(prefix="cgid-", suffix=".recording", delete=False)  # noqa: SIM115

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.chain import Chain, scaled
-from cgid.recordings.recording import MAX_CHANNELS, Channel, Contents, rates_agree
+from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel, rates_agree
 from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, WaveHead, read_wave_head
 from cgid.units import quantity_of
 from cgid.validation import require_rate
@@ -164,9 +164,9 @@ def _channels(
     n: int, coding: Coding, unit: str | None, fallback: str | None, chain: Chain | None, source: str
 ) -> dict[str, Any]:
     """Return the channels of a stream and the factors of their samples."""
-    contents = Contents(
+    contents = Blocks(
         n_channels=n,
-        blocks=lambda length, channels: iter(()),
+        read=lambda length, channels: iter(()),
         fallback_unit=fallback,
         full_scales=[1.0] * n,
         integers=[coding.kind != "f"] * n,

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Contents, Remark, require_one_rate
+from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Blocks, Remark, require_one_rate
 from cgid.recordings.text import PIECE, no_number, whole_lines
 from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of, stamped_moment
 from cgid.recordings.times import EvenTimes, Floats, is_resolved, rate_of
@@ -44,7 +44,7 @@ _FINE = 1e-3
 _GAP, _STAMP = 1.5, 2e-6
 
 
-def read_lvm(path: Path, source: str, variable: str | None) -> Contents:
+def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of a LabVIEW measurement file.
 
     `variable` is the number of a segment from 1, or a channel, which selects all channels of its length and rate. A cut
@@ -71,10 +71,10 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Contents:
         "warnings": lvm.warnings,
     }
     if path.stat().st_size > PIECE:
-        return Contents(n_channels=len(channels), blocks=blocks, **about)
+        return Blocks(n_channels=len(channels), read=blocks, **about)
     # Read a short file at once, so that its length is known.
     whole = list(blocks(PIECE, range(len(channels))))
-    return Contents.of_array(np.concatenate([np.empty((len(channels), 0)), *whole], axis=1), **about)
+    return Blocks.of_array(np.concatenate([np.empty((len(channels), 0)), *whole], axis=1), **about)
 
 
 # ---- heads -----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Contents, Remark, library, require_one_rate, understood
+from cgid.recordings.recording import Blocks, Remark, library, require_one_rate, understood
 from cgid.recordings.text_layout import Column, column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.recordings.variables import (
@@ -44,7 +44,7 @@ _MOST_ROWS_A_BYTE = 1000
 _INDEX = "__index_level_"
 
 
-def read_parquet(path: Path, source: str) -> Contents:
+def read_parquet(path: Path, source: str) -> Blocks:
     """Return the columns of a Parquet file as channels; it holds one table.
 
     Columns without numbers are left out with a warning. Names and units are as in a text header, or in field metadata
@@ -87,9 +87,9 @@ def read_parquet(path: Path, source: str) -> Contents:
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         return file.blocks([kept[channel][0] for channel in channels], length)
 
-    return Contents(
+    return Blocks(
         n_channels=len(kept),
-        blocks=blocks,
+        read=blocks,
         n_samples=n_samples,
         names=[column.name or column.unit for *_, column in kept],
         units=units,
@@ -131,7 +131,7 @@ def _rate_of(file: _Parquet, name: str, kind: str, values: dict[str, Value], sou
         name=name,
         n_channels=1,
         n_samples=file.n_rows,
-        blocks=lambda length, channels: file.blocks([name], length),
+        read=lambda length, channels: file.blocks([name], length),
     )
     unit = stated_time_unit(name, values) if kind == "number" else "s"
     return rate_of_vector(times, unit, f"{source}: column {name}")
@@ -197,8 +197,10 @@ class _Parquet:
 
         with (
             understood(self._source, "the Parquet file is cut off or damaged"),
+            # An open file, because pyarrow takes no name that is not UTF-8.
+            self._path.open("rb") as content,
             pq.ParquetFile(
-                self._path,
+                content,
                 buffer_size=_BUFFER,
                 pre_buffer=False,
                 thrift_string_size_limit=_LONGEST_TEXT,

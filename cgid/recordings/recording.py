@@ -1,4 +1,4 @@
-"""Recordings read block by block: the `Contents` of a file, combined with the user's statements."""
+"""Recordings read block by block: the `Blocks` of a file, and a `RecordingFile`, which adds what the user states."""
 
 from __future__ import annotations
 
@@ -33,8 +33,11 @@ MAX_CHANNELS = 4096
 #: Largest relative difference between two stated sampling rates: more than clock errors, less than typing errors.
 RATE_TOLERANCE = 1e-3
 
-#: (block length, channels) -> blocks, (len(channels), at most length), from the first sample on.
-Blocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
+#: Largest arrays that a format read whole may unpack to [bytes].
+LARGEST_ARRAYS = 2 << 30
+
+#: (block length, channels) -> blocks (len(channels), at most length), from the first sample on.
+ReadBlocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
 
 
 class Remark(str):
@@ -42,28 +45,49 @@ class Remark(str):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contents:
-    """Channels of a file, and what the file states about them.
+class Blocks:
+    """Samples of a file, and what it states about them: what the reader of a format returns.
 
-    blocks : `blocks(length, channels)` yields these channels (from 0) in order, as float32 or float64
-        (len(channels), at most length); every call begins with the first sample
-    n_samples : of each channel; None if only reading shows it
-    names : one per channel, "" if the file gives none
-    units : one per channel, None if the file gives no known one
-    sampling_rate : as stated by the file [Hz]
-    rate_from : place in the file that states the sampling rate
-    fallback_unit : unit if neither the file nor the user gives one
-    full_scales : one per channel, the number of full scale: 1 in sound files, 2^15 in integers of 16 bit; None if
-        the file does not say it
-    integers : one per channel, whether the samples were integers, whose unit alone says nothing about their size
-    sensitivities, gains : one text per channel, such as "10.2 mV/g", None if the file states none; they count for
-        samples in volts or coulombs
-    start_time : time of the first sample, as stated by the file
-    warnings : damaged parts that were left out, one line each; may grow during reading. What is no damage is a `Remark`
+    Attributes
+    ----------
+    n_channels : int
+    read : callable
+        ``read(length, channels)`` yields these channels, counted from 0, as arrays (len(channels), at most `length`) of
+        float32 or float64. Each call begins with the first sample, because a recording may be read several times. A
+        block may also be a pair of its first sample and the array: the samples missing before it are a gap, which moves
+        no later time.
+    n_samples : int or None
+        Of each channel; None if only reading shows it.
+    names : sequence of str
+        One a channel, "" without one.
+    units : sequence of str or None
+        One a channel, None without a known one.
+    sampling_rate : float or None
+        [Hz]; None if the file does not state it.
+    rate_from : str
+        Place in the file that states the sampling rate, for messages.
+    fallback_unit : str or None
+        Unit if neither the file nor the user states one, such as "FS".
+    full_scales : sequence of float or None
+        Number of full scale of each channel: 1 in a sound file, 2^15 in integers of 16 bit.
+    integers : sequence of bool
+        Whether the samples of each channel were integers, whose unit alone does not give their size.
+    sensitivities, gains : sequence of str or None
+        One a channel, such as "10.2 mV/g"; for samples in volts or coulombs.
+    start_time : datetime or None
+        Time of the first sample.
+    warnings : list of str
+        One line for each damaged part that was left out; may grow during reading.
+
+    Examples
+    --------
+    >>> blocks = Blocks.of_array(np.zeros((2, 1000)), sampling_rate=51_200.0, units=["N", "m/s^2"])
+    >>> [block.shape for block in blocks.read(600, [1])]
+    [(1, 600), (1, 400)]
     """
 
     n_channels: int
-    blocks: Blocks
+    read: Callable[[int, Sequence[int]], Iterator[NDArray[Any] | tuple[int, NDArray[Any]]]]
     n_samples: int | None = None
     names: Sequence[str] = ()
     units: Sequence[str | None] = ()
@@ -78,14 +102,42 @@ class Contents:
     warnings: list[str] = field(default_factory=list)
 
     @classmethod
-    def of_array(cls, samples: NDArray[Any], **about: Any) -> Contents:
-        """Return the contents of a file that was read whole, (n_channels, n_samples)."""
+    def of_array(cls, samples: NDArray[Any], **about: Any) -> Blocks:
+        """Return the blocks of an array in memory.
 
-        def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        Parameters
+        ----------
+        samples : array (n_channels, n_samples)
+        **about
+            Other attributes.
+
+        Returns
+        -------
+        Blocks
+        """
+
+        def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
             for first in range(0, samples.shape[1], length):
                 yield samples[list(channels), first : first + length]
 
-        return cls(n_channels=samples.shape[0], blocks=blocks, n_samples=samples.shape[1], **about)
+        return cls(n_channels=samples.shape[0], read=read, n_samples=samples.shape[1], **about)
+
+    def joined(self, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        """Yield the blocks of `read` in order, with nan where samples are missing."""
+        count = 0
+        for block in self.read(length, channels):
+            first, samples = block if isinstance(block, tuple) else (count, block)
+            if first < count or samples.shape[0] != len(channels):
+                raise BadData(
+                    f"a block must be of {len(channels)} channels and begin at sample {count} or later, got shape "
+                    f"{samples.shape} at {first}; correct the reader of the format"
+                )
+            while count < first:
+                n = min(length, first - count)
+                yield np.full((len(channels), n), np.nan, samples.dtype)
+                count += n
+            count += samples.shape[1]
+            yield samples
 
     def require_channels(self, source: str) -> None:
         """Raise `BadData` if there are no samples, or if rows and columns look exchanged."""
@@ -246,7 +298,7 @@ class RecordingFile:
 
     def __init__(
         self,
-        contents: Contents,
+        contents: Blocks,
         *,
         source: str,
         format: str,
@@ -380,7 +432,7 @@ class RecordingFile:
         # Memory must not grow with the number of channels either.
         length = min(length, max(MOST_NUMBERS // self._contents.n_channels, 1))
         with told(self.source):
-            for block in scaled(self._contents.blocks(length, self._selected), self._factors):
+            for block in scaled(self._contents.joined(length, self._selected), self._factors):
                 count += block.shape[1]
                 yield block
         if not count:
@@ -402,7 +454,7 @@ class RecordingFile:
         return self.source if channel == "1" else f"{self.source} channel {channel}"
 
 
-def _selected(contents: Contents, channel: int | str | Sequence[int | str] | None, source: str) -> tuple[int, ...]:
+def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None, source: str) -> tuple[int, ...]:
     if channel is None:
         return tuple(range(contents.n_channels))
     asked = [channel] if isinstance(channel, int | str) else list(channel)

@@ -1,18 +1,16 @@
 """Read sound files by blocks: WAV without a library, FLAC and OGG with libsndfile.
 
 Whole frames of a WAV are read, contradictions and cuts become warnings: EBU Tech 3285 (broadcast WAV), EBU Tech 3306
-(RF64), RFC 2361 (codings). libsndfile does not compare the FLAC checksum of all samples (RFC 9639, 8.2) and does not
-report missing pages of an Ogg file (RFC 3533): both are checked here.
+(RF64), RFC 2361 (codings).
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import struct
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -22,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import Contents, library
+from cgid.recordings.recording import Blocks, library, understood
 
 #: First bytes of WAV files: little-endian, big-endian, and two with 64-bit sizes.
 WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
@@ -223,7 +221,7 @@ def _start_time(broadcast: bytes) -> datetime | None:
 # ---- WAV files -------------------------------------------------------------------------------------------------------
 
 
-def read_wav(path: Path, source: str) -> Contents:
+def read_wav(path: Path, source: str) -> Blocks:
     """Return the channels of a WAV file (RIFF, RIFX or RF64).
 
     Integers of 8, 16, 24, 32 or 64 bits are scaled to a full scale of 1.0, floats of 32 or 64 bits are kept; both are
@@ -250,9 +248,9 @@ def read_wav(path: Path, source: str) -> Contents:
                     warnings.append("the file became shorter while it was read; what is whole was read")
                     return
 
-    return Contents(
+    return Blocks(
         n_channels=head.n_channels,
-        blocks=blocks,
+        read=blocks,
         n_samples=size // head.frame_size,
         sampling_rate=head.sampling_rate,
         rate_from="header of the WAV file",
@@ -316,140 +314,93 @@ def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
 
 #: Samples of each channel to decode at once; before damage, only whole groups of this size are read.
 _DECODED = 1024
-
 #: Most samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12 bytes.
 _BEST_PACKING = 1 << 13
-
-#: Bytes of an Ogg page before its segment table.
-_PAGE_HEAD = 27
-_LAST_PAGE = 4
+#: An Ogg page (RFC 3533): bytes before its segment table, longest page, and the flag of the last one.
+_PAGE_HEAD, _LONGEST_PAGE, _LAST_PAGE = 27, 65_307, 4
 
 
-def read_audio(path: Path, source: str) -> Contents:
+def read_audio(path: Path, source: str) -> Blocks:
     """Return the channels of a FLAC or OGG file.
 
     Full scale is 1.0, in "FS" unless the user gives a unit. A damaged or cut file gives the samples before the damage
     and a warning. Raises `BadData` if the header is damaged, `MissingExtra` without soundfile.
     """
-    sound = _Sound(path=path, source=source, library=library("soundfile", "FLAC and OGG files", source))
-    with sound.opened() as file:
-        n_channels, rate, n_samples = int(file.channels), float(file.samplerate), int(file.frames)
-    return Contents(
+    soundfile = library("soundfile", "FLAC and OGG files", source)
+    warnings = list[str]()
+
+    @contextmanager
+    def opened() -> Iterator[Any]:
+        fault = understood(source, "the audio file cannot be decoded", "copy or export it again")
+        # An open file, because libsndfile takes no name that is not UTF-8.
+        with path.open("rb") as file, ExitStack() as stack:
+            with fault:
+                sound = stack.enter_context(soundfile.SoundFile(file))
+            yield sound
+
+    with opened() as sound:
+        n_channels, rate, declared = int(sound.channels), float(sound.samplerate), int(sound.frames)
+    # A header may declare more than a file of this size can hold.
+    n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
+    is_whole, position = _ogg_end(path)
+    if not is_whole:
+        warnings.append("the file has no end; it looks cut off, the samples before were read")
+
+    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        picked, count, fault = list(channels), 0, ""
+        with opened() as sound:
+            # `SoundFile.blocks` repeats samples where a file is damaged.
+            while True:
+                try:
+                    frames = sound.read(min(length, _DECODED), dtype="float64", always_2d=True)
+                except soundfile.LibsndfileError as error:
+                    fault = str(error).rpartition("':")[2].strip(" .") or "damage"
+                    break
+                if not len(frames):
+                    break
+                count += len(frames)
+                yield np.ascontiguousarray(frames.T[picked])
+            if is_whole and position not in (None, count):
+                raise BadData(
+                    f"{source}: the file must hold {position} samples and {count} can be decoded; some of its pages "
+                    "are damaged, copy or export it again"
+                )
+        if not fault and n_samples in (None, count):
+            return
+        if not count:
+            raise BadData(f"{source}: no sample can be decoded ({fault}); copy or export the file again")
+        warnings.append(
+            f"{n_samples or 'more'} samples are declared and {count} can be decoded ({fault or 'then it ends'}); "
+            "the file looks cut off or damaged, what comes before was read"
+        )
+
+    return Blocks(
         n_channels=n_channels,
-        blocks=sound.blocks,
-        # A header may declare more than a file of this size can hold.
-        n_samples=n_samples if 0 <= n_samples <= _BEST_PACKING * path.stat().st_size else None,
+        read=read,
+        n_samples=n_samples,
         sampling_rate=rate,
         rate_from="header of the audio file",
         fallback_unit="FS",
         full_scales=[1.0] * n_channels,
         integers=[True] * n_channels,
-        warnings=sound.warnings,
+        warnings=warnings,
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Sound:
-    path: Path
-    source: str
-    library: Any
-    warnings: list[str] = field(default_factory=list)
+def _ogg_end(path: Path) -> tuple[bool, int | None]:
+    """Return whether an Ogg file ends with its last page, and the samples that this counts if they are Vorbis.
 
-    def opened(self) -> Any:
-        # Open with Python first: its error tells that a file is missing.
-        self.path.open("rb").close()
-        try:
-            return self.library.SoundFile(str(self.path))
-        except (self.library.LibsndfileError, ValueError) as error:
-            raise BadData(
-                f"{self.source}: the audio file cannot be decoded ({_reason(error)}); copy or export it again"
-            ) from None
-
-    def blocks(self, length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        """Yield the samples of channels; at the end warn of missing ones."""
-        picked, count = list(channels), 0
-        checksum, found = _flac_checksum(self.path), hashlib.md5(usedforsecurity=False)
-        end = _ogg_end(self.path)
-        with self.opened() as file:
-            most = min(length, _DECODED)
-            declared = file.frames
-            while True:
-                try:
-                    frames = file.read(most, dtype="int32" if checksum else "float64", always_2d=True)
-                except self.library.LibsndfileError as error:
-                    self._stopped(count, declared, _reason(error))
-                    return
-                if not len(frames):
-                    break
-                if checksum:
-                    found.update(_stored(frames, checksum[0]))
-                    frames = frames / 2.0**31
-                count += len(frames)
-                yield np.ascontiguousarray(frames.T[picked])
-        if count < declared:
-            self._stopped(count, declared, "it ends there")
-        elif checksum and found.digest() != checksum[1]:
-            self.warnings.append("the samples are not those of the checksum in the header; some are damaged or missing")
-        if end is not None:
-            self._compare(*end, count)
-
-    def _stopped(self, count: int, declared: int, reason: str) -> None:
-        if not count:
-            raise BadData(f"{self.source}: no sample can be decoded ({reason}); copy or export the file again")
-        self.warnings.append(
-            f"the header declares {declared} samples and {count} can be decoded ({reason}); the file looks cut off or "
-            "damaged, what comes before was read"
-        )
-
-    def _compare(self, is_whole: bool, n_samples: int | None, count: int) -> None:
-        if not is_whole:
-            self.warnings.append(f"the file has no end; it looks cut off, the {count} samples before were read")
-        elif n_samples not in (None, count):
-            raise BadData(
-                f"{self.source}: the file must hold {n_samples} samples and {count} can be decoded; some of its "
-                "pages are damaged, copy or export it again"
-            )
-
-
-def _flac_checksum(path: Path) -> tuple[int, bytes] | None:
-    """Return the bits of a sample and the MD5 of all samples in the header of a FLAC file; None without them."""
-    with path.open("rb") as file:
-        head = file.read(42)
-    if not head.startswith(b"fLaC") or len(head) < 42 or not any(head[26:42]):
-        return None
-    return ((head[20] & 1) << 4 | head[21] >> 4) + 1, head[26:42]
-
-
-def _stored(frames: NDArray[np.int32], bits: int) -> bytes:
-    """Return samples (n, n_channels) in the upper bits of 32 as the bytes that the checksum counts."""
-    numbers = np.ascontiguousarray(frames >> (32 - bits), "<i4")
-    return numbers.view(np.uint8).reshape(-1, 4)[:, : -(-bits // 8)].tobytes()
-
-
-def _reason(error: Exception) -> str:
-    # Remove the file name: the message already begins with it.
-    return " ".join(str(error).rpartition("':")[2].split()).rstrip(".")[:120]
-
-
-def _ogg_end(path: Path) -> tuple[bool, int | None] | None:
-    """Return whether all pages of an Ogg file exist, and its samples per channel if the last page counts them.
-
-    Returns None if it is not an Ogg file.
+    libsndfile says neither. Other files are whole, of unknown length.
     """
-    position, flags, number, at = 0, 0, -1, 0
-    is_vorbis = False
     with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        while len(head := file.read(_PAGE_HEAD)) == _PAGE_HEAD and head.startswith(b"OggS"):
-            table = file.read(head[26])
-            end = at + _PAGE_HEAD + head[26] + sum(table)
-            if end > size or int.from_bytes(head[18:22], "little") != number + 1:
-                break
-            if not at:
-                is_vorbis = file.read(7) == b"\x01vorbis"
-            number, flags, at = number + 1, head[5], end
-            position = int.from_bytes(head[6:14], "little", signed=True)
-            file.seek(at)
-        if not at and not head.startswith(b"OggS"):
-            return None
-    return at == size and bool(flags & _LAST_PAGE), position if is_vorbis else None
+        head = file.read(_LONGEST_PAGE)
+        file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_PAGE))
+        page = file.read()
+    if not head.startswith(b"OggS"):
+        return True, None
+    page = page[page.rfind(b"OggS") :]
+    n_segments = page[26] if len(page) >= _PAGE_HEAD else 0
+    size = _PAGE_HEAD + n_segments + sum(page[_PAGE_HEAD : _PAGE_HEAD + n_segments])
+    is_vorbis = b"\x01vorbis" in head[: _PAGE_HEAD + 256]
+    position = int.from_bytes(page[6:14], "little", signed=True) if is_vorbis else None
+    return len(page) == size and bool(page[5] & _LAST_PAGE), position

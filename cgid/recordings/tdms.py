@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -14,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Contents, Remark, library, understood
+from cgid.recordings.recording import LARGEST_ARRAYS, Blocks, Remark, library, understood
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement
 
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
 _UNKNOWN = 2**64 - 1
-#: nptdms reads a chunk of a channel whole; longer chunks [samples] go through a temporary file.
-_LONGEST_CHUNK = 1 << 18
-_CHUNKS = 4
+#: nptdms reads a chunk of a channel whole; a channel of longer chunks [samples] is read whole, too.
+LONGEST_CHUNK = 1 << 22
+#: Samples to read at once, if chunks are shorter.
+_READ = 1 << 18
 
 
 class _Tdms:
@@ -37,13 +37,10 @@ class _Tdms:
         with self.understood():
             # Given a file handle, nptdms does not look for an index file.
             self.tdms = nptdms.TdmsFile.open(self._file)
-        self._spools: dict[str, BinaryIO] = {}
 
     def __del__(self) -> None:
         if hasattr(self, "_file"):
             self._file.close()
-        for spool in getattr(self, "_spools", {}).values():
-            spool.close()
 
     @contextmanager
     def understood(self) -> Iterator[None]:
@@ -62,13 +59,18 @@ class _Tdms:
         """Yield the samples of a channel, (1, at most `length`)."""
         with self.understood():
             chunk = len(next(iter(channel.data_chunks()), ()))
-        read = self._spooled(channel) if chunk > _LONGEST_CHUNK else channel.read_data
-        # Read several chunks at once: part of a chunk costs as much as all of it.
-        step = length * -(-max(_CHUNKS * chunk, length) // length) if chunk <= _LONGEST_CHUNK else length
+        # Part of a chunk costs as much as all of it: read whole ones, or the channel if its chunks are long.
+        together = chunk * max(_READ // max(chunk, 1), 1)
+        step = length * -(-max(together, length) // length) if chunk <= LONGEST_CHUNK else len(channel)
+        if step == len(channel) and 8 * step > LARGEST_ARRAYS:
+            raise BadData(
+                f"{self.source}: channel {channel.name} of {step} samples is written in one part and so must be of at "
+                f"most {LARGEST_ARRAYS >> 30} GiB; export it again in smaller parts, or as WAV"
+            )
         for first in range(0, len(channel), step):
             count = min(step, len(channel) - first)
             with self.understood():
-                samples = np.asarray(read(first, count))
+                samples = np.asarray(channel.read_data(first, count))
             if len(samples) != count:
                 raise BadData(
                     f"{self.source}: channel {channel.name} must hold {len(channel)} samples, {first + len(samples)} "
@@ -78,23 +80,8 @@ class _Tdms:
             for begin in range(0, len(samples), length):
                 yield samples[np.newaxis, begin : begin + length].astype(kept)
 
-    def _spooled(self, channel: Any) -> Any:
-        """Copy a channel to a temporary file; return a function that reads its samples from there."""
-        spool, dtype = self._spools.get(channel.path), np.dtype(np.float64)
-        if spool is None:
-            spool = self._spools[channel.path] = tempfile.TemporaryFile()  # noqa: SIM115
-            with self.understood():
-                for chunk in channel.data_chunks():
-                    np.asarray(chunk[:]).astype(dtype).tofile(spool)
 
-        def read(first: int, count: int) -> NDArray[Any]:
-            spool.seek(first * dtype.itemsize)
-            return np.frombuffer(spool.read(count * dtype.itemsize), dtype)
-
-        return read
-
-
-def read_tdms(path: Path, source: str, variable: str | None) -> Contents:
+def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of one group of a TDMS file; an index file next to it is not used.
 
     Rate, unit and start come from waveform properties of the channels (``wf_increment``, ``unit_string``,
@@ -137,7 +124,7 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
         group=group,
         n_channels=1,
         n_samples=len(channel),
-        blocks=blocks,
+        read=blocks,
         about=about,
         # That of the numbers after the scales of NI, which nptdms applies.
         full_scale=full_scale_of(channel.dtype),

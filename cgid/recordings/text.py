@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, Contents, rates_agree, require_one_rate
+from cgid.recordings.recording import MAX_CHANNELS, Blocks, Remark, rates_agree, require_one_rate
 from cgid.recordings.text_layout import (
     MIXED,
     SNIFFED,
@@ -52,7 +52,7 @@ _COMMA = re.compile(r"^[^#%/\n]*,", re.MULTILINE)
 _NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "sample no", "point", "row", "序号")
 
 
-def read_text(path: Path, source: str) -> Contents:
+def read_text(path: Path, source: str) -> Blocks:
     r"""Return the channels of a text file, with the statements of its header and its time column.
 
     Layout and sampling rate are those of the first `PIECE` characters; each further piece is checked when it is read.
@@ -72,13 +72,21 @@ def read_text(path: Path, source: str) -> Contents:
     """
     with path.open("rb") as file:
         encoding = encoding_of(file.read(SNIFFED), source)
+        file.seek(max(0, file.seek(0, io.SEEK_END) - 4))
+        # UTF-16 has zeros beside the line feed.
+        is_ended = file.read().rstrip(b"\0\x1a").endswith((b"\n", b"\r"))
     header, body = _header_and_body(path, encoding, source)
     if body.layout.n_columns > MAX_CHANNELS:
         raise BadData(
             f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
             "transpose it: one sample a row, one channel a column"
         )
-    return _assembled(header, body)
+    blocks = _assembled(header, body)
+    if not is_ended:
+        blocks.warnings.append(
+            Remark("the last line has no line end; if the file was cut off, its last row is wrong or rows are missing")
+        )
+    return blocks
 
 
 # ---- rows ------------------------------------------------------------------------------------------------------------
@@ -335,7 +343,7 @@ def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[
 # ---- header, rows and time together ----------------------------------------------------------------------------------
 
 
-def _assembled(header: Header, body: Body) -> Contents:
+def _assembled(header: Header, body: Body) -> Blocks:
     columns, source = header.columns, body.source
     rows, is_whole = next(body.pieces(()))
     times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
@@ -364,7 +372,7 @@ def _assembled(header: Header, body: Body) -> Contents:
         "gains": _for_each(header.gains, len(kept)),
     }
     if is_whole and finite.all():
-        return Contents.of_array(np.ascontiguousarray(rows.T[kept]), **about)
+        return Blocks.of_array(np.ascontiguousarray(rows.T[kept]), **about)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         picked = [kept[channel] for channel in channels]
@@ -377,7 +385,7 @@ def _assembled(header: Header, body: Body) -> Contents:
             for first in range(0, len(piece), length):
                 yield samples[:, first : first + length]
 
-    return Contents(n_channels=len(kept), blocks=blocks, **about)
+    return Blocks(n_channels=len(kept), read=blocks, **about)
 
 
 def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:

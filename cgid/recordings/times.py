@@ -139,7 +139,7 @@ def rate_of_vector(times: Variable, unit: str, source: str) -> float:
     factor = seconds(unit, source)
     first = last = step = 0.0
     count = 0
-    for (block,) in times.blocks(_BLOCK_LENGTH, (0,)):
+    for (block,) in times.read(_BLOCK_LENGTH, (0,)):
         part = factor * block.astype(np.float64)
         if count:
             part = np.concatenate([[last], part])

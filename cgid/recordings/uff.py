@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Contents, library, rates_agree, understood
+from cgid.recordings.recording import Blocks, library, rates_agree, understood
 from cgid.recordings.text_layout import stated_chain
 from cgid.units import known_unit, seconds_of
 
@@ -88,7 +88,7 @@ class _DataSet:
         return f"{self.number} ({self.name or 'no name'}, {self.n_samples} samples)"
 
 
-def read_uff(path: Path, source: str, variable: str | None) -> Contents:
+def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of a universal file: its data sets 58 that are responses over time.
 
     `variable` is the number of a data set 58, from 1, or its name; None takes all over time, which must agree in length
@@ -113,7 +113,7 @@ def read_uff(path: Path, source: str, variable: str | None) -> Contents:
         samples = np.stack([_samples(file.read_sets(one.place), one, source) for one in chosen])
     first = chosen[0]
     names = [one.name for one in chosen]
-    return Contents.of_array(
+    return Blocks.of_array(
         samples,
         # If the names are not unique, node and direction are.
         names=names if len(set(names)) == len(names) else [one.position for one in chosen],

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, Contents, Remark, rates_agree, require_one_rate
+from cgid.recordings.recording import Blocks, ReadBlocks, Remark, rates_agree, require_one_rate
 from cgid.recordings.text_layout import column_of
 from cgid.recordings.times import rate_of_vector
 from cgid.units import hertz_of, known_unit, number_and_unit, plain_unit, ratio_of, seconds_of
@@ -259,7 +259,7 @@ class Variable:
     """An array of numbers in a file.
 
     group : path of its group, parts divided by slashes, "" at the top
-    blocks : as in `Contents`
+    read : as in `Blocks`
     about : named values attached to it
     full_scale : number of full scale of integers, None if unknown
     is_integer : whether it holds integers
@@ -270,7 +270,7 @@ class Variable:
     name: str
     n_channels: int
     n_samples: int
-    blocks: Blocks
+    read: ReadBlocks
     group: str = ""
     about: Values = field(default_factory=dict)
     full_scale: float | None = None
@@ -323,7 +323,7 @@ def contents_of(
     *,
     group_is_one: bool = False,
     is_cut: bool = False,
-) -> Contents:
+) -> Blocks:
     """Return the recording among the arrays of a file.
 
     variables : all arrays of two samples or more
@@ -366,9 +366,9 @@ def contents_of(
         for found, stated_of in ((units, stated_units), (sensitivities, stated_sensitivities), (gains, stated_gains)):
             found += _first(level, partial(stated_of, n_channels=one.n_channels)) or [None] * one.n_channels
     start: datetime | None = _first(levels[0], stated_start)
-    return Contents(
+    return Blocks(
         n_channels=sum(one.n_channels for one in chosen),
-        blocks=first.blocks if len(chosen) == 1 else _joined(chosen, n_samples, source),
+        read=first.read if len(chosen) == 1 else _joined(chosen, n_samples, source),
         n_samples=n_samples,
         names=names,
         units=units,
@@ -477,12 +477,12 @@ def _hertz(rate: float | None) -> str:
     return "none" if rate is None else f"{rate:.10g} Hz"
 
 
-def _joined(chosen: Sequence[Variable], n_samples: int, source: str) -> Blocks:
+def _joined(chosen: Sequence[Variable], n_samples: int, source: str) -> ReadBlocks:
     """Return the blocks of several one-channel arrays, `n_samples` long."""
     nothing: NDArray[Any] = np.empty((1, 0))
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        streams = [chosen[channel].blocks(length, (0,)) for channel in channels]
+        streams = [chosen[channel].read(length, (0,)) for channel in channels]
         waiting = [next(stream, nothing) for stream in streams]
         left = n_samples
         while left:
