@@ -1,7 +1,6 @@
 """Scene files, and the signals of many impacts that a sensor records."""
 
-from cgid.scene.calibration import Calibration, calibrated
-from cgid.scene.calibration_blow import Blow
+from cgid.scene.calibration import Blow, Calibration, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.given_pulses import synthesise_given
 from cgid.scene.recordings import generate_recordings

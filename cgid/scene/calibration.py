@@ -1,4 +1,4 @@
-"""On-site calibration: fit the gain or the modes of a scene to a tap test or to drops of known mass."""
+"""The gain of a sensor from recorded blows on its beam: hammer taps, or drops of known mass."""
 
 from __future__ import annotations
 
@@ -9,27 +9,98 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.scene.calibration_blow import Blow, PreparedBlow, prepared
-from cgid.scene.calibration_fit import MOST_MODES, NOTHING_LEFT, Fit, Ringing, columns, fitted, ringing_modes
+from cgid.physics import Impact
+from cgid.physics.driving import Pulses
+from cgid.physics.response import LowPass, Resonance, Response
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, load_scene, parse_scene
 from cgid.scene.sections import TailBeamSection
+from cgid.signals import Signal
+from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
 
-#: Without an anti-alias filter or a bandwidth, modes are sought up to this share of the sampling rate.
-_HEARD = 0.45
-#: Fewest samples of free ringing, for each mode and in total.
-_SAMPLES_A_MODE, _LEAST_SAMPLES = 8, 64
-#: Modes sought in addition, so that one that stands for two others displaces none.
-_SPARE = 2
-#: Searches of the residual, and modes that each may add.
-_ROUNDS, _MODES_A_ROUND = 3, 2
+#: Samples kept before the start of a blow, and at most after it.
+_BEFORE, _BEHIND = 32, 1 << 15
+#: Fewest samples before a blow: they show noise and offset.
+_QUIET = 8
+#: A hammer's force extends from the first to the last sample above this share of its peak and this multiple of its
+#: noise, with a margin of samples on both sides; the outermost samples taper to zero.
+_FORCE_FLOOR, _NOISE_FLOOR, _MARGIN, _TAPER = 1e-3, 4.0, 8, 3
+#: Lowest peak of a blow over the noise.
+_STANDS_OUT = 8.0
+#: Largest delay between hammer and sensor channels [samples].
+_CHANNELS_APART = 4.0
+#: Touch may precede the first visible motion of a drop by this many samples plus this share of its contact.
+_UNSEEN, _UNSEEN_SHARE = 8.0, 0.5
+#: Share of the flight after a drop that is kept, because the sphere falls again.
+_FLIGHT = 0.8
+#: Interpolated points of a force for each recorded one.
+_FINER = 8
 #: A blow that explains less of the motion did not cause it.
-_LEAST_EXPLAINED = 0.02
+_MIN_EXPLAINED = 0.02
+#: Samples of a blow that its delay is searched in, and relative error of the responses.
+_ALIGNED, _TOLERANCE = 2048, 1e-6
+#: Steps of the fit, step of its derivative and largest change of a delay [samples].
+_STEPS, _STEP, _MAX_CHANGE = 8, 1e-3, 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blow:
+    """One blow on a tail beam: the recorded motion, and the force or the drop that caused it.
+
+    Parameters
+    ----------
+    motion : Signal
+        From the scene's sensor, with a quiet stretch before the blow.
+    force : Signal, optional
+        Recorded by the hammer with the same clock and length, above 0 where it pushes.
+    impact : Impact, optional
+        A drop of known mass in place of a force: one impact on `scene.body` at the `free_fall_velocity` of its height.
+    impact_point : tuple of float, optional
+        Where it fell, x and y [m]; by default that of the scene, if it is a single point.
+    force_filtered : bool
+        Whether the force passed the same anti-alias filter (or bandwidth) as the motion, as in two channels of one
+        recorder. The filter then cancels.
+
+    Raises
+    ------
+    InvalidValue
+        Both or neither of force and impact, wrong unit or length of the force, more than one impact.
+    """
+
+    motion: Signal
+    force: Signal | None = None
+    impact: Impact | None = None
+    impact_point: tuple[float, float] | None = None
+    force_filtered: bool = True
+
+    def __post_init__(self) -> None:
+        validation.instance("motion", self.motion, Signal)
+        if (self.force is None) == (self.impact is None):
+            raise InvalidValue("a blow must have either force or impact, what made the motion, and not both")
+        if self.impact_point is not None and validation.real("impact_point", self.impact_point, "m").shape != (2,):
+            raise InvalidValue(f"impact_point must be x and y [m], got {self.impact_point!r}")
+        if self.force is not None:
+            self._require_force(self.force)
+        if self.impact is not None:
+            validation.instance("impact", self.impact, Impact)
+            if self.impact.contact_duration.size != 1:
+                raise InvalidValue(f"impact must be one, got {self.impact.contact_duration.size}; give each its Blow")
+
+    def _require_force(self, force: Signal) -> None:
+        validation.instance("force", force, Signal)
+        if force.quantity != "force":
+            raise InvalidValue(f"{force.name}: force must be in N or another unit of force, got {force.unit!r}")
+        if force.sampling_rate != self.motion.sampling_rate or len(force.samples) != len(self.motion.samples):
+            raise InvalidValue(
+                f"{force.name}: force must have the samples of its motion, {len(self.motion.samples)} at "
+                f"{self.motion.sampling_rate:g} Hz, got {len(force.samples)} at {force.sampling_rate:g} Hz"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,13 +110,13 @@ class Calibration:
     Attributes
     ----------
     scene : Scene
-        With `sensor.gain`, or with the fitted modes in `tail_beam.modes`.
+        With `sensor.gain`.
     gain : float
-        Recorded over synthesised; 1 for fitted modes, whose participation includes it.
+        Recorded over synthesised.
     explained : ndarray, (n_blows,)
-        Share of each recording's energy about its mean that the scene explains.
+        Fraction of each recording's energy about its mean that the scene explains.
     delays : ndarray, (n_blows,)
-        For a hammer, delay of the motion's channel to the force's; for a drop, time of touch in the recording [s].
+        For a hammer, delay of the motion's channel to the force's; for a drop, onset in the recording [s].
     """
 
     scene: Scene
@@ -54,41 +125,19 @@ class Calibration:
     delays: Floats
 
 
-def calibrated(
-    scene: Scene | str | Path,
-    blows: Sequence[Blow],
-    *,
-    modes: int | None = None,
-    band: tuple[float, float] | None = None,
-) -> Calibration:
-    """Fit the gain or the modes of a scene to recorded blows: a tap test, or drops of known mass.
+def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
+    """Fit the gain of a scene's sensor to recorded blows: hammer taps, or drops of known mass.
 
-    Without `modes` and `band` only `sensor.gain` is fitted: the factor between the recordings and the synthesised
-    motion of the same blows, by least squares over all samples. Each recording is scaled by its largest sample, so all
-    have the same weight. Offsets and delays are fitted as well. Noise in a hammer's channel biases the gain: by some
-    0.7 % per blow where it is 1 % of the peak of a contact of 5 to 10 samples.
-
-    With `modes` or `band` the modes are fitted. Initial poles come from the free ringing of all blows together. Least
-    squares over the whole recordings, including contact and sensor chain, then give frequencies, damping ratios, delays
-    and real participations. All blows must fall on one point.
-
-    Such blows determine only the participation `shape_impact shape_sensor / modal_mass`. It is stored as `shape_impact`
-    1, `shape_sensor` 1 or -1 and `modal_mass` the inverse of its size. Signals of taps do not depend on this split, but
-    the compliance of the beam under a rock does: it follows `shape_impact^2 / modal_mass`, here the size of the
-    participation. This is right for blows next to the sensor. Elsewhere it assumes the compliance at the sensor: on
-    average over modes as good a guess as any, but too stiff for a mode with a node near the sensor. With blows at both
-    points, take the masses from those at the impact point and adjust `shape_sensor` to keep the participation. A scale
-    error of the recorder changes the masses by its factor.
+    The gain is the factor between the recordings and the synthesised motion of the same blows, by least squares over
+    all samples. Each recording is scaled by its largest sample, so all have the same weight. Offsets and delays are
+    fitted as well. Noise in a hammer's channel biases the gain: by some 0.7 % per blow where it is 1 % of the peak of a
+    contact of 5 to 10 samples. The modes of a beam come from `cgid tap` or `cgid calibrate`.
 
     Parameters
     ----------
     scene : Scene, str or Path
         With a beam and a sensor of motion: that of the recordings except for the gain.
     blows : sequence of Blow
-    modes : int, optional
-        Number of modes, the loudest ones. Omitted modes shift those near them.
-    band : tuple of float, optional
-        Frequency range of the modes to keep [Hz]; without `modes` all that stand out of the noise.
 
     Returns
     -------
@@ -97,15 +146,15 @@ def calibrated(
     Raises
     ------
     InvalidValue
-        No blows, blows on several points for modes, or a quantity, rate or band that does not fit the scene.
+        No blows, or a quantity, rate or location that does not fit the scene.
     BadData
-        A recording is too short, too noisy, clipped or starts too late, or the blows do not explain it.
+        A recording is too noisy, clipped or starts too late, or the blows do not explain it.
 
     Examples
     --------
-    A tap test with an instrumented hammer, simulated with a scene of two modes and its force:
+    Taps of an instrumented hammer, simulated with a sensor that is 30 % too loud:
 
-    >>> from cgid.scene import Blow, calibrated, load_scene, parse_scene, synthesise, varied
+    >>> from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
     >>> from cgid.signals import Signal
     >>> mode = {"damping_ratio": 0.02, "modal_mass": "300 kg", "shape_impact": 0.8, "shape_sensor": 0.6}
     >>> beam = parse_scene(
@@ -120,29 +169,44 @@ def calibrated(
     ...     }
     ... )
     >>> taps = {}
-    >>> for unit, rig in {"m/s^2": beam, "N": varied(beam, quantity="force")}.items():
+    >>> for unit, rig in {"m/s^2": varied(beam, gain=1.3), "N": varied(beam, quantity="force")}.items():
     ...     batch = next(synthesise(rig, 3, seed=1))
     ...     taps[unit] = [Signal(samples=row, sampling_rate=10e3, unit=unit) for row in batch.signals]
-    >>> blows = [Blow(motion=motion, force=force) for motion, force in zip(taps["m/s^2"], taps["N"])]
-    >>> found = calibrated(beam, blows, modes=2)
-    >>> for row in found.scene.tail_beam.modes:
-    ...     print(f"{row.frequency:.0f} Hz, {row.damping_ratio:.3f}, {1e3 * row.shape_sensor / row.modal_mass:.1f}/t")
-    150 Hz, 0.020, 1.6/t
-    410 Hz, 0.020, 1.6/t
+    >>> found = calibrated(beam, [Blow(motion=motion, force=force) for motion, force in zip(taps["m/s^2"], taps["N"])])
+    >>> print(f"{found.gain:.2f}")
+    1.30
     >>> bool((found.explained > 0.98).all())
     True
     """
     scene = load_scene(scene)
     blows = _checked(scene, blows)
-    if modes is not None:
-        validation.count("modes", modes)
-    _require_band(scene, band)
-    struck = [prepared(scene, blow) for blow in blows]
-    # Many small matrices: more threads would only wait for each other.
-    with threadpool_limits(1):
-        if modes is None and band is None:
-            return _with_gain(scene, blows, struck)
-        return _with_modes(scene, blows, struck, modes, band)
+    beam = scene.tail_beam
+    assert beam is not None
+    prepared = [_prepared(scene, blow) for blow in blows]
+    modes = beam_modes(scene)
+    points = np.array([_point(beam, blow) for blow in blows])
+    rows = modes.participation({"impact_x": points[:, 0], "impact_y": points[:, 1]})
+    models = [_Model(scene, blow, modes, row) for blow, row in zip(prepared, rows, strict=True)]
+    with threadpool_limits(1, "blas"):
+        gain, delays = _aligned(models)
+        gain, delays, explained = _refined(models, gain, delays)
+    worst = int(np.argmin(explained))
+    if explained[worst] < _MIN_EXPLAINED:
+        raise BadData(
+            f"{blows[worst].motion.name}: motion must come from the blow, which explains "
+            f"{100 * explained[worst]:.1f} % of it; check that force and motion are of one blow, and where it fell"
+        )
+    content = json.loads(scene.text)
+    content["sensor"] |= {"gain": gain}
+    onsets = [
+        0.0 if blow.force is not None else cut.first + cut.onset for blow, cut in zip(blows, prepared, strict=True)
+    ]
+    return Calibration(
+        scene=parse_scene(content, source=f"calibration of {scene.name}"),
+        gain=gain,
+        explained=explained,
+        delays=(delays + onsets) / scene.sampling.sampling_rate,
+    )
 
 
 def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
@@ -159,39 +223,8 @@ def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
     return blows
 
 
-def _highest(scene: Scene) -> float:
-    """Return the highest frequency that the recorder passes [Hz]."""
-    sensor = scene.sensor
-    edges = [_HEARD * scene.sampling.sampling_rate]
-    edges += [] if sensor.anti_alias is None else [sensor.anti_alias.frequency]
-    edges += [] if sensor.bandwidth is None else [sensor.bandwidth]
-    return min(edges)
-
-
-def _require_band(scene: Scene, band: tuple[float, float] | None) -> None:
-    if band is None:
-        return
-    edges = validation.not_negative("band", band, "Hz")
-    if edges.shape != (2,) or not edges[0] < min(edges[1], _highest(scene)):
-        raise InvalidValue(
-            f"band must be a lower and a higher frequency and begin below {_highest(scene):g} Hz, up to where the "
-            f"recorder of scene {scene.name} hears, got {band!r}"
-        )
-
-
-def _with_gain(scene: Scene, blows: list[Blow], struck: list[PreparedBlow]) -> Calibration:
-    assert scene.tail_beam is not None
-    points = np.array([_point(scene.tail_beam, blow) for blow in blows])
-    heard = beam_modes(scene)
-    rows = heard.participation({"impact_x": points[:, 0], "impact_y": points[:, 1]})
-    fit = fitted(scene, struck, heard, list(rows[:, None]))
-    gain = float(fit.amounts[0])
-    found = _changed(scene, {"gain": gain}, None)
-    return _calibration(found, gain, blows, struck, fit.delays, fit.remains)
-
-
 def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
-    """Return the point of a blow; measured modes have only one."""
+    """Return the location of a blow; measured modes have only one."""
     if blow.impact_point is not None:
         place = blow.impact_point
         for axis, at, size in (("x", place[0], beam.length), ("y", place[1], beam.width)):
@@ -208,111 +241,236 @@ def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
     return extremes[0][0], extremes[1][0]
 
 
-def _with_modes(
-    scene: Scene, blows: list[Blow], struck: list[PreparedBlow], n_modes: int | None, band: tuple[float, float] | None
-) -> Calibration:
-    if len({blow.impact_point for blow in blows}) > 1:
-        raise InvalidValue("impact_point must be the same for all blows where modes are measured; calibrate each place")
-    # Modes outside the band are fitted as well, so that they do not disturb those inside.
-    fit = _identified(scene, struck, n_modes if band is None else None)
-    kept = _kept(fit, n_modes, band)
-    each = np.eye(fit.amounts.size)
-    remains = [
-        blow.samples - fit.amounts[kept] @ columns(scene, blow, fit.modes, each[kept], np.array([delay]))[0]
-        for blow, delay in zip(struck, fit.delays, strict=True)
-    ]
-    rows = [
-        {
-            "frequency": float(fit.modes.frequency[mode]),
-            "damping_ratio": float(fit.modes.damping_ratio[mode]),
-            "modal_mass": float(1 / abs(fit.amounts[mode])),
-            "shape_impact": 1.0,
-            "shape_sensor": float(np.sign(fit.amounts[mode])),
-        }
-        for mode in kept
-    ]
-    return _calibration(_changed(scene, {"gain": None}, rows), 1.0, blows, struck, fit.delays, remains)
+# ---- the fit ---------------------------------------------------------------------------------------------------------
 
 
-def _identified(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -> Fit:
-    """Return the least-squares fit of this many modes, or of all that stand out of the noise.
+class _Model:
+    """The motion of one blow that the scene predicts, over the largest sample of the recording."""
 
-    Close modes look like one at first, so the residual is searched again.
+    def __init__(self, scene: Scene, blow: _Prepared, modes: Any, participation: Floats) -> None:
+        sensor, rate = scene.sensor, scene.sampling.sampling_rate
+        assert sensor.quantity != "force"
+        self.blow, self._sensor, self._rate, self._participation = blow, sensor, rate, participation
+        self._response = Response(
+            sampling_rate=rate, quantity=sensor.quantity, modes=modes, filters=blow.filters, tolerance=_TOLERANCE
+        )
+
+    def motion(self, delays: Floats, n_samples: int | None = None) -> Floats:
+        """Return the motion without its mean for some delays [samples], (n_delays, n_samples)."""
+        blow, n = self.blow, len(delays)
+        frames: NDArray[Any] = np.zeros((n, n_samples or blow.samples.size))
+        onset = (blow.onset + delays) / self._rate
+        self._response.add_to_frames(frames, _Repeated(blow.pulse, n), onset, np.tile(self._participation, (n, 1)))
+        if blow.limited:
+            frames = self._sensor.limit_band(frames, self._rate)
+        return np.asarray((frames - frames.mean(axis=1, keepdims=True)) / blow.level, np.float64)
+
+
+class _Repeated:
+    """The force of a blow, repeated for each frame."""
+
+    def __init__(self, pulse: Pulses, n: int) -> None:
+        self.contact_duration = np.broadcast_to(np.ravel(pulse.contact_duration), (n,))
+        self.end_of_contact = np.broadcast_to(np.ravel(pulse.end_of_contact), (n,))
+        self.add_to_frames = pulse.add_to_frames
+
+
+def _aligned(models: Sequence[_Model]) -> tuple[float, Floats]:
+    """Return the gain and the best delay of each blow [samples], (n_blows,), on the grid of its shifts.
+
+    A shift by half a period with the opposite sign fits almost as well, so the clearest blow sets the sign.
     """
-    _require_length(scene, struck, n_modes)
-    most = MOST_MODES if n_modes is None else n_modes + _SPARE
-    first = _ringing(scene, struck, [blow.samples for blow in struck], most)
-    if not first.frequency.size:
-        raise BadData("recordings must ring after the blows, no mode stands out of the noise; tap harder or more often")
-    fit = fitted(scene, struck, first)
-    before = sum(float((blow.samples**2).sum()) for blow in struck)
-    for _ in range(_ROUNDS):
-        known = fit.only(fit.significant)
-        missing = most - known.frequency.size
-        if not missing or fit.energy < NOTHING_LEFT * before:
-            break
-        more = _ringing(scene, struck, fit.remains, min(missing, _MODES_A_ROUND))
-        if not more.frequency.size:
-            break
-        fit = fitted(scene, struck, known.joined(more), delays=fit.delays)
-    return fit if fit.significant.all() else fitted(scene, struck, fit.only(fit.significant), delays=fit.delays)
+    squares, products, energies = [], [], []
+    for model in models:
+        samples = model.blow.samples[:_ALIGNED]
+        samples = samples - samples.mean()
+        motion = model.motion(model.blow.shifts, samples.size)
+        squares.append(np.maximum(np.sum(motion**2, axis=1), 1e-300))
+        products.append(motion @ samples)
+        energies.append(float(samples @ samples))
+    explained = [h**2 / g / energy for g, h, energy in zip(squares, products, energies, strict=True)]
+    clearest = int(np.argmax([part.max() for part in explained]))
+    best = int(np.argmax(explained[clearest]))
+    gain = products[clearest][best] / squares[clearest][best]
+    for _ in range(3):
+        at = [int(np.argmin(gain**2 * g - 2 * gain * h)) for g, h in zip(squares, products, strict=True)]
+        chosen = np.array([(h[k], g[k]) for g, h, k in zip(squares, products, at, strict=True)])
+        gain = chosen[:, 0].sum() / chosen[:, 1].sum()
+    return float(gain), np.array([model.blow.shifts[k] for model, k in zip(models, at, strict=True)])
 
 
-def _require_length(scene: Scene, struck: list[PreparedBlow], n_modes: int | None) -> None:
-    shortest = min(blow.samples.size - blow.decay for blow in struck)
-    needed = max(_LEAST_SAMPLES, _SAMPLES_A_MODE * (n_modes or 1))
-    if shortest < needed:
+def _refined(models: Sequence[_Model], gain: float, delays: Floats) -> tuple[float, Floats, Floats]:
+    """Return gain, delays and explained fractions of the energy by Gauss-Newton steps over whole recordings."""
+    for _ in range(_STEPS):
+        information = pull = 0.0
+        slopes, rests = [], []
+        for model, delay in zip(models, delays, strict=True):
+            motion, late = model.motion(np.array([delay, delay + _STEP]))
+            slopes.append((motion, gain * (late - motion) / _STEP))
+            rests.append(model.blow.samples - gain * motion)
+            # What a delay of its own explains tells nothing of the gain.
+            free = _without(*slopes[-1])
+            information, pull = information + float(free @ free), pull + float(free @ rests[-1])
+        change = pull / information
+        steps = [
+            float(slope @ (rest - change * motion)) / max(float(slope @ slope), 1e-300)
+            for (motion, slope), rest in zip(slopes, rests, strict=True)
+        ]
+        gain, delays = gain + change, delays + np.clip(steps, -_MAX_CHANGE, _MAX_CHANGE)
+    explained = []
+    for model, delay in zip(models, delays, strict=True):
+        samples = model.blow.samples
+        rest = samples - gain * model.motion(np.array([delay]))[0]
+        explained.append(1 - rest @ rest / (samples @ samples))
+    return gain, delays, np.array(explained)
+
+
+def _without(values: Floats, direction: Floats) -> Floats:
+    """Return values without their part along a direction."""
+    return np.asarray(values - direction * (float(direction @ values) / max(float(direction @ direction), 1e-300)))
+
+
+# ---- blows -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A blow prepared for the fit: cut out, without its mean, over its largest sample."""
+
+    samples: Floats
+    first: int  # first sample of the cut in the recording
+    level: float  # the divisor of the samples, in the SI unit of the sensor
+    pulse: Pulses  # one force, for any number of frames
+    onset: float  # apparent start of the force in the cut [samples], to be corrected by one of the shifts
+    shifts: Floats  # [samples], (n_shifts,)
+    filters: tuple[Resonance | LowPass, ...]  # between force and recorded motion, in addition to the beam
+    limited: bool  # whether the sensor's zero-phase low-pass lies between them as well
+
+
+def _prepared(scene: Scene, blow: Blow) -> _Prepared:
+    """Return a blow prepared for the fit.
+
+    Raises `InvalidValue` if quantity or rate differ from those of the scene, and `BadData` if the recording is clipped
+    or starts too late, or if no blow stands out of it.
+    """
+    motion, sensor, rate = blow.motion, scene.sensor, scene.sampling.sampling_rate
+    if motion.quantity != sensor.quantity:
+        raise InvalidValue(
+            f"{motion.name}: motion must be {sensor.quantity} in {sensor.unit} or alike, as the sensor of scene "
+            f"{scene.name}, got {motion.quantity or 'no unit'}"
+        )
+    if abs(motion.sampling_rate / rate - 1) > 1e-6:
+        raise InvalidValue(
+            f"{motion.name}: sampling_rate must be that of scene {scene.name}, {rate:g} Hz, got "
+            f"{motion.sampling_rate:g} Hz; change the scene with varied(scene, sampling_rate=...) or resample"
+        )
+    samples = np.asarray(motion.in_si().samples, np.float64)
+    highest = np.abs(samples).max()
+    if sensor.range is not None and highest >= 0.999 * sensor.range:
         raise BadData(
-            f"recordings must ring freely for {needed} samples after the blow, "
-            f"{1e3 * needed / scene.sampling.sampling_rate:.3g} ms, for this many modes, got {max(shortest, 0)}; "
-            "record longer, or ask for fewer modes"
+            f"{motion.name}: motion must stay within the range of {sensor.range:g} {sensor.unit}; tap lighter"
+        )
+    filters = sensor.filters
+    if blow.force is not None:
+        start, pulse = _hammered(blow.force, rate)
+        onset, shifts = float(start), np.arange(-_CHANNELS_APART, _CHANNELS_APART + 0.25, 0.5)
+        last = len(samples)
+        if blow.force_filtered:
+            filters = tuple(part for part in filters if isinstance(part, Resonance))
+    else:
+        assert blow.impact is not None
+        onset, lasts = float(_first_motion(samples, motion.name)), blow.impact.contact_duration.item() * rate
+        shifts = np.arange(-_UNSEEN - _UNSEEN_SHARE * lasts, _CHANNELS_APART, 0.5)
+        pulse = blow.impact
+        flight = 2 * blow.impact.rebound_velocity.item() / STANDARD_GRAVITY
+        last = int(np.ceil(onset + lasts)) + int(_FLIGHT * flight * rate)
+    first = max(int(onset) - _BEFORE, 0)
+    cut = samples[first : min(last, int(onset) + _BEHIND)]
+    level = float(np.abs(cut).max())
+    _require_noise_below(cut[: int(onset) - first], level, motion.name)
+    return _Prepared(
+        samples=(cut - cut.mean()) / level,
+        first=first,
+        level=level,
+        pulse=pulse,
+        onset=onset - first,
+        shifts=shifts,
+        filters=filters,
+        limited=sensor.bandwidth is not None and not (blow.force is not None and blow.force_filtered),
+    )
+
+
+def _require_noise_below(before: Floats, level: float, name: str) -> None:
+    noise = float(before.std()) if before.size >= 2 else 0.0
+    if not level > _STANDS_OUT * noise:
+        raise BadData(
+            f"{name}: motion must stand out of its noise {_STANDS_OUT:g} times, its peak is {level:.3g} over a noise "
+            f"of {noise:.3g} before the blow; tap harder, or cut the recording to one blow"
         )
 
 
-def _ringing(scene: Scene, struck: list[PreparedBlow], samples: list[Floats], most: int) -> Ringing:
-    """Return a first guess of the modes in recordings or residuals."""
-    decays = [part[blow.decay :] for part, blow in zip(samples, struck, strict=True)]
-    filters = np.concatenate([np.empty(0, complex), *(part.poles for part in scene.sensor.filters)])
-    return ringing_modes(decays, scene.sampling.sampling_rate, most, _highest(scene), filters)
+def _first_motion(samples: Floats, name: str) -> int:
+    """Return the sample at which noise turns into motion, up to the largest sample.
 
-
-def _kept(fit: Fit, n_modes: int | None, band: tuple[float, float] | None) -> list[int]:
-    """Return the indices of the modes that explain most, in order of frequency."""
-    low, high = band or (0.0, np.inf)
-    frequency = fit.modes.frequency
-    inside = np.flatnonzero((frequency >= low) & (frequency <= high) & (fit.amounts != 0))
-    if inside.size < (n_modes or 1):
-        where = "" if band is None else f" from {low:g} to {high:g} Hz"
+    It is the likeliest boundary of two stretches of white noise with different variances: Maeda (1985), Zisin 38, 365.
+    """
+    peak = int(np.argmax(np.abs(samples)))
+    if peak < 2 * _QUIET:
         raise BadData(
-            f"recordings must be quiet and long enough for the modes asked for, {n_modes or 'at least 1'}{where}: only "
-            f"{inside.size} stand out of the noise; ask for fewer, tap harder or more often"
+            f"{name}: motion must begin {2 * _QUIET} samples or more before its peak, got {peak}; leave a quiet "
+            "stretch before the blow"
         )
-    loudest = inside[np.argsort(-fit.losses[inside], kind="stable")][:n_modes]
-    return [int(mode) for mode in loudest[np.argsort(frequency[loudest])]]
+    squares = np.cumsum(np.square(samples[: peak + 1] - np.median(samples[: peak // 2 + 1])))
+    k = np.arange(_QUIET, peak)
+    floor = 1e-12 * squares[-1]
+    before, behind = squares[k - 1] + floor, squares[-1] - squares[k - 1] + floor
+    return int(k[np.argmin(k * np.log(before / k) + (peak + 1 - k) * np.log(behind / (peak + 1 - k)))])
 
 
-def _changed(scene: Scene, sensor: dict[str, Any], modes: list[dict[str, float]] | None) -> Scene:
-    content = json.loads(scene.text)
-    content["sensor"] = {key: value for key, value in (content["sensor"] | sensor).items() if value is not None}
-    if modes is not None:
-        coupling = content["tail_beam"].get("coupling", "auto")
-        content["tail_beam"] = {"modes": modes, "coupling": "auto" if coupling == "impedance" else coupling}
-    return parse_scene(content, source=f"calibration of {scene.name}")
-
-
-def _calibration(
-    scene: Scene, gain: float, blows: list[Blow], struck: list[PreparedBlow], delays: Floats, remains: list[Floats]
-) -> Calibration:
-    energies = [
-        (float((rest**2).sum()), float((blow.samples**2).sum())) for rest, blow in zip(remains, struck, strict=True)
-    ]
-    explained = np.array([1 - rest / whole for rest, whole in energies])
-    worst = int(np.argmin(explained))
-    if explained[worst] < _LEAST_EXPLAINED:
+def _hammered(force: Signal, rate: float) -> tuple[int, Pulses]:
+    """Return the first sample of a hammer's force, and the force itself."""
+    samples = np.asarray(force.in_si().samples, np.float64)
+    samples = samples - np.median(samples)
+    peak, lowest = float(samples.max()), float(-samples.min())
+    # Most of a recording holds no force, so its median deviation is that of the noise.
+    noise = 1.4826 * float(np.median(np.abs(samples)))
+    if not max(peak, lowest) > _STANDS_OUT * noise:
         raise BadData(
-            f"{blows[worst].motion.name}: motion must come from the blow, which explains "
-            f"{100 * explained[worst]:.1f} % of it; check that force and motion are of one blow, and where it fell"
+            f"{force.name}: force must rise {_STANDS_OUT:g} times above its noise of {noise:.3g} N, its peak is "
+            f"{peak:.3g} N; check the hammer's channel"
         )
-    seen = [0.0 if blow.force is not None else cut.first + cut.onset for blow, cut in zip(blows, struck, strict=True)]
-    delays = (delays + seen) / scene.sampling.sampling_rate
-    return Calibration(scene=scene, gain=gain, explained=explained, delays=delays)
+    if lowest > peak:
+        raise BadData(f"{force.name}: force must be above 0 where it pushes, its peak is below; use Signal.inverted()")
+    strong = np.flatnonzero(np.abs(samples) > max(_NOISE_FLOOR * noise, _FORCE_FLOOR * peak))
+    # Noise passes the floor occasionally, so parts that a quiet stretch separates from the blow are left out.
+    at = int(np.searchsorted(strong, np.argmax(samples)))
+    gaps = np.diff(strong) > 2 * _MARGIN
+    begins = np.flatnonzero(gaps[:at])
+    ends = np.flatnonzero(gaps[at:])
+    start = int(strong[begins[-1] + 1 if begins.size else 0]) - _MARGIN
+    stop = int(strong[at + ends[0] if ends.size else -1]) + _MARGIN + 1
+    if start < 0 or stop > len(samples):
+        raise BadData(f"{force.name}: force must rise and fall within the recording, {_MARGIN} samples off its ends")
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_TAPER) + 0.5) / _TAPER)
+    window = np.concatenate([rise, np.ones(stop - start - 2 * _TAPER), rise[::-1]])
+    return start, _RecordedForce(window * samples[start:stop], rate)
+
+
+class _RecordedForce:
+    """The force of a hammer: band-limited interpolation of its samples."""
+
+    def __init__(self, samples: Floats, rate: float) -> None:
+        from scipy.interpolate import CubicSpline
+        from scipy.signal import resample
+
+        self.contact_duration = self.end_of_contact = np.array([(samples.size - 1) / rate])
+        # Zeros avoid a jump where the end of the period meets its start.
+        padded = np.concatenate([samples, np.zeros(samples.size)])
+        finer = resample(padded, _FINER * padded.size)[: _FINER * (samples.size - 1) + 1]
+        self._force = CubicSpline(np.arange(finer.size) / (_FINER * rate), finer)
+
+    def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
+        """Add the force to each frame, from its own onset on."""
+        times = np.arange(frames.shape[1]) / np.reshape(sampling_rate, (-1, 1)) - np.reshape(onset, (-1, 1))
+        inside = (times > 0) & (times < self.contact_duration[0])
+        frames[inside] += self._force(times[inside])

@@ -116,8 +116,8 @@ class TapTest:
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the modes as a table that `tail_beam.modes` of a scene reads, and `tail_beam.learned` beside it.
 
-        Only the participation is known. As with `cgid.scene.calibrated`, the shapes are 1 and 1 or -1, and the modal
-        mass is the inverse of its size: right for taps next to the sensor, elsewhere a guess of the beam's give.
+        Only the participation is known. The shapes are 1 and 1 or -1, and the modal mass is the inverse of its size:
+        right for taps next to the sensor, elsewhere a guess of the beam's compliance.
         """
         size = np.maximum(np.abs(self.participation), _LEAST)
         columns = {
