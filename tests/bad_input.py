@@ -497,7 +497,7 @@ CASES = (
     Case("truncated NPY", ("predict", "truncated.npy", "--rate", "2e5", "--unit", "N"), 65, ("truncated.npy",)),
     Case("truncated dataset", ("predict", "truncated.h5"), 65, ("truncated.h5",)),
     Case("unfinished dataset", ("train", "unfinished", "-o", "new.npz"), 65, ("description.json",)),
-    Case("nan sample", ("predict", "nan.csv"), 65, ("17", "nan")),
+    Case("nan sample", ("features", "nan.csv"), 65, ("17", "nan")),
     Case("infinite sample", ("features", "inf.csv"), 65, ("17", "inf")),
     Case("no impact", ("predict", "noise.csv"), 65, ("no impact", "6 times the noise")),
     Case("impact downwards", ("predict", "downwards.csv"), 65, ("no impact", "invert")),

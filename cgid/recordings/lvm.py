@@ -388,11 +388,11 @@ class _Lvm:
                 return rows
         except ValueError:
             pass
-        checked = list(self._checked(text, segment, columns, sample, line))
+        checked = list(self._checked(text, segment, columns, x is not None, sample, line))
         return np.array(checked).reshape(-1, len(columns))
 
     def _checked(
-        self, text: str, segment: _Segment, columns: list[int], sample: int, line: int
+        self, text: str, segment: _Segment, columns: list[int], times: bool, sample: int, line: int
     ) -> Iterator[list[float]]:
         unended = line + text.count("\n")
         for number, written in enumerate(text.split("\n"), line):
@@ -400,10 +400,12 @@ class _Lvm:
             if not written.strip() or not any(map(str.strip, fields)):
                 continue
             values = [segment.head.with_points(_at(fields, column)) for column in columns]
-            numbers = [float(value) if NUMBER.fullmatch(value) else math.nan for value in values]
-            wrong = next((column for column, x in zip(columns, numbers, strict=True) if not math.isfinite(x)), None)
+            numbers = [float(value) if NUMBER.fullmatch(value) else None for value in values]
+            wrong = next((column for column, x in zip(columns, numbers, strict=True) if x is None), None)
+            if wrong is None and times and not math.isfinite(numbers[0] or 0.0):
+                wrong = columns[0]
             if wrong is None:
-                yield numbers
+                yield [math.nan if number is None else number for number in numbers]
                 sample += 1
             elif number == unended:
                 # Only the last line of the file has no line feed.

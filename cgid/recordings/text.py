@@ -107,14 +107,15 @@ class Body:
     layout: Layout
     source: str
 
-    def pieces(self, needed: Sequence[int]) -> Iterator[tuple[Floats, bool]]:
+    def pieces(self, times: Sequence[int], samples: Sequence[int] = ()) -> Iterator[tuple[Floats, bool]]:
         """Yield rows (n, n_columns) in order, and whether they are the last ones.
 
-        Fields in the columns `needed` must be finite numbers; in other columns, invalid fields become nan. Raises
-        `BadData` with sample and line if a needed field is invalid, a row has more or fewer fields than the first, or a
-        comment or an empty line stands among the rows, where a sample may be missing.
+        Fields in the columns of times must be finite numbers; in those of samples nan and inf stand for a lost sample;
+        in other columns, invalid fields become nan. Raises `BadData` with sample and line if such a field is invalid, a
+        row has more or fewer fields than the first, or a comment or an empty line stands among the rows, where a sample
+        may be missing.
         """
-        wanted = list(needed)
+        needed = [*times, *samples]
         layout, sample, line = self.layout, 0, self.first_line
         points, comment = False, None
         for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
@@ -130,9 +131,9 @@ class Body:
                 layout = with_decimal_mark(layout, text)
             points = points or "." in text
             rows = _parsed_at_once(text, layout) if text else np.empty((0, layout.n_columns))
-            if rows is None or len(rows) < _n_lines(text) or not np.isfinite(rows[:, wanted]).all():
+            if rows is None or len(rows) < _n_lines(text) or not np.isfinite(rows[:, needed]).all():
                 # Parsing line by line either finds the error or skips the text that numpy could not parse.
-                checked = list(_checked_rows(text, layout, wanted, sample, line, self.source))
+                checked = list(_checked_rows(text, layout, times, needed, sample, line, self.source))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
             yield rows, is_last
             sample += len(rows)
@@ -209,7 +210,13 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
 
 
 def _checked_rows(
-    text: str, layout: Layout, needed: Sequence[int], sample: int, first_line: int, source: str
+    text: str,
+    layout: Layout,
+    times: Sequence[int],
+    needed: Sequence[int],
+    sample: int,
+    first_line: int,
+    source: str,
 ) -> Iterator[str]:
     # Only the last line of the file may lack its line feed.
     unended = first_line + text.count("\n")
@@ -227,14 +234,14 @@ def _checked_rows(
         values = [layout.number(field) for field in fields]
         for column in needed:
             value = values[column]
-            if value is None or not math.isfinite(float(value)):
+            if value is None or (column in times and not math.isfinite(float(value))):
                 raise no_number(sample, number, column, fields[column], source, cut if value is None else "")
         yield " ".join(value or "nan" for value in values)
         sample += 1
 
 
 def no_number(sample: int, line: int, column: int, field: str, source: str, cut: str = "") -> BadData:
-    """Return the error for a field that is not a finite number."""
+    """Return the error for a field that is no number."""
     shown = repr(field[:40]) if field else "empty"
     return BadData(
         f"{source}: every field must be a finite number, sample {sample} (line {line}) column {column + 1} is "
@@ -359,7 +366,7 @@ def _assembled(header: Header, body: Body) -> Blocks:
         measured = _measured_rate(columns, times, rows, None if is_whole else body.last_row(), body)
     rate = _agreed_rate(header.sampling_rates, measured, source)
     if rate is None or not finite[kept].any():
-        next(body.pieces(kept))
+        next(body.pieces((), kept))
     named = [columns[index] for index in kept] if columns else []
     units = [column.known_unit or (None if column.unit else header.unit) for column in named]
     about: dict[str, Any] = {
@@ -378,7 +385,7 @@ def _assembled(header: Header, body: Body) -> Blocks:
         picked = [kept[channel] for channel in channels]
         clock = None if measured is None else EvenTimes(measured, source)
         factor = _factor(columns, times[0], body) if times else 1.0
-        for piece, _ in body.pieces([*times, *picked]):
+        for piece, _ in body.pieces(times, picked):
             if clock is not None:
                 clock.feed(piece[:, times[0]] * factor)
             samples = np.ascontiguousarray(piece.T[picked])
