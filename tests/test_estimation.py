@@ -56,18 +56,25 @@ def squared(found, row, frame, baseline=0.0, seen=lambda force: force):
 
 # -- the template -------------------------------------------------------------------------------------------------
 
+#: Restitution up to which (and its inverse from which) the template errs by so much of the peak, and in its slope in s.
+TEMPLATE_ERRORS = [(0.05, 1.3e-4, 8e-3), (0.1, 5e-5, 4e-3), (0.3, 1.2e-5, 2e-3),
+                   (0.35, 1.2e-5, 2e-3), (0.5, 1.2e-5, 2e-3),
+                   (0.8, 1.2e-5, 2e-3), (0.95, 1.2e-5, 2e-3), (0.999, 1.2e-5, 2e-3)]  # fmt: skip
 
-@pytest.mark.parametrize("e", [0.05, 0.1, 0.35, 0.8, 0.999])
+
+@pytest.mark.parametrize(("e", "error", "slope_error"), TEMPLATE_ERRORS)
 @pytest.mark.parametrize("turned", [False, True])
-def test_curve_is_the_exact_pulse(e, turned):
-    share, h = np.linspace(-0.1, 1.1, 2401), 1e-5
-    near = 1 / e if turned else e
-    value, _, in_shape = curve(share[None], shape_of(near))
-    assert np.abs(value[0] - exact(share, near)).max() < 1e-9
+def test_template_is_the_exact_pulse(e, error, slope_error, turned):
+    share = np.linspace(-0.1, 1.1, 2401)
+    for near in e * np.exp(np.linspace(0, 0.023, 7)):  # one step of the grid
+        near = 1 / near if turned else near
+        value, _, in_shape = curve(share[None], shape_of(near))
+        assert np.abs(value[0] - exact(share, near)).max() < error
+        h = 1e-5
+        if abs(np.log(near)) > h and near * np.exp(h) < 20 and near * np.exp(-h) > 0.05:
+            slope = (exact(share, near * np.exp(h)) - exact(share, near * np.exp(-h))) / (2 * h)
+            assert np.abs(in_shape[0] - slope).max() < slope_error
     assert (value[0, (share <= 0) | (share >= 1)] == 0).all()
-    if e > 0.05:
-        slope = (exact(share, near * np.exp(h)) - exact(share, near * np.exp(-h))) / (2 * h)
-        assert np.abs(in_shape[0] - slope).max() < 1e-4
 
 
 @pytest.mark.parametrize("e", [0.1, 0.35, 0.65, 1.0, 2.0, 10.0])

@@ -5,12 +5,12 @@ import pytest
 from scipy import linalg, optimize
 
 from cgid.identification.estimation import cramer_rao_bound, estimate
-from cgid.measure import template
+from cgid.measure import search, template
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.features import extract_array, extract_truncated
 from cgid.measure.fit import MODEL_ERROR
 from cgid.measure.remainder import N_SHAPES
-from cgid.measure.search import NODES, SHAPES_PATH
+from cgid.measure.search import NODES, SHAPES_PATH, tangents_at
 from cgid.measure.template import curve, pulse_and_slopes, relative_times
 from tests import few, naive
 from tests.references import make_shapes
@@ -55,14 +55,15 @@ def test_quick_template_is_the_template(s, known):
     assert np.abs(slopes[0, :-1, outside]).max() < 1e-3
 
 
-def test_table_does_not_depend_on_which_rows_come_first():
-    """Bit for bit, filled one or a few at a time as at once."""
-    order = np.random.default_rng(52).permutation(129)
-    template._held.cache_clear()
-    whole = [column.copy() for column in template.pulse_table(np.arange(129))]
-    for rows in (order[:1], order[1:2], np.array([0, 128, 1]), order[:9], order[5:40], order):
-        template._held.cache_clear()
-        for own, all_of_them in zip(template.pulse_table(rows), whole, strict=True):
+@pytest.mark.parametrize(
+    ("table", "n"), [(template.pulse_table, 129), (template.quick_pulse_table, 129), (search.fine_bank, 201)]
+)
+def test_tables_do_not_depend_on_which_rows_come_first(table, n):
+    """Bit for bit, made one or a few at a time as at once."""
+    whole, found = (table.__wrapped__() for _ in range(2))
+    order = np.random.default_rng(52).permutation(n)
+    for rows in (order[:1], order[1:2], np.array([0, n - 1, 1]), order[:9], order[5:40], order):
+        for own, all_of_them in zip(found(rows), whole(np.arange(n)), strict=True):
             np.testing.assert_array_equal(own[rows], all_of_them[rows])
 
 
@@ -231,16 +232,11 @@ def test_components_tell_other_laws_from_the_family():
 
 
 def test_bank_is_what_its_maker_makes():
-    """To the error of the coarser template that it was made with, larger in slopes and towards the bounds of s."""
     place, width = make_shapes.coordinates()
     with np.load(SHAPES_PATH) as stored:
-        held_place, held_width, tangents = stored["place"], stored["width"], stored["tangents"]
-    assert held_place == pytest.approx(place, abs=2e-4)
-    assert held_width == pytest.approx(width, rel=2e-4)
-    made = make_shapes.tangents_at(NODES, held_place, held_width)
-    assert np.abs(tangents - made).max(axis=(0, 1)) == pytest.approx(0, abs=0.02)
-    assert np.abs(tangents - made)[:, :, 0].max() < 5e-5
-    assert np.sqrt(np.mean((tangents - made) ** 2)) < 1e-3
+        assert stored["place"] == pytest.approx(place, abs=1e-12)
+        assert stored["width"] == pytest.approx(width, rel=1e-12)
+        assert stored["tangents"] == pytest.approx(tangents_at(NODES, place, width), abs=1e-9)
 
 
 @pytest.mark.long

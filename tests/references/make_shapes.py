@@ -13,13 +13,11 @@ import numpy as np
 
 from cgid.measure.fit import Start, fit_pulses
 from cgid.measure.remainder import N_SHAPES, residual_bins
-from cgid.measure.search import BIN, MIDDLES, N_BINS, NODES, SHAPES_PATH, Samples, bank
-from cgid.measure.template import curve, relative_times
+from cgid.measure.search import NODES, SHAPES_PATH, Samples, averaged, bank, tangents_at
 from cgid.physics import HalfSpace, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 
 SAMPLES = 400  # of contact, so that sampling does not matter
-SHAPE_STEP = 1e-3
 
 
 def pulses() -> np.ndarray:
@@ -43,32 +41,6 @@ def pulses() -> np.ndarray:
         force = impact.force(times)
         frames.append((force / impact.peak_force[:, None])[keep])
     return np.concatenate(frames)
-
-
-def averaged(place: np.ndarray, width: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pulses averaged over the bins, and their slopes in place and ln(width), each (n, n_bins)."""
-    duration, lead, _, _ = (a[:, None] for a in relative_times(shape))
-    points = np.add.outer(MIDDLES, BIN * (np.arange(4) - 1.5) / 4).ravel()
-    z = (points - place[:, None]) / width[:, None]
-    value, in_share, _ = curve((z + lead) / duration, shape)
-    slope = -in_share / duration / width[:, None]
-    parts = (value, slope, slope * (points - place[:, None]))
-    value, in_place, in_width = (part.reshape(len(shape), N_BINS, 4).mean(axis=2) for part in parts)
-    return value, in_place, in_width
-
-
-def tangents_at(shapes: np.ndarray, place: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Return how changes of peak, place, width and shape change pulses, (n, n_bins, 4), the pulses themselves first.
-
-    Place and width (n_nodes,) are those of the bank, and changes of them are of the common coordinates.
-    """
-    own_place, own_width = np.interp(shapes, NODES, place), np.interp(shapes, NODES, width)
-    value, in_place, in_width = averaged(own_place, own_width, shapes)
-    near = [np.clip(shapes + k, NODES[0], NODES[-1]) for k in (-SHAPE_STEP, SHAPE_STEP)]
-    before, after = (averaged(np.interp(one, NODES, place), np.interp(one, NODES, width), one)[0] for one in near)
-    in_shape = (after - before) / (near[1] - near[0])[:, None]
-    # The origin of the common coordinates is not the peak.
-    return np.stack([value, in_place, in_width + own_place[:, None] * in_place, in_shape], axis=2)
 
 
 def coordinates() -> tuple[np.ndarray, np.ndarray]:
