@@ -50,7 +50,7 @@ SOURCES = (
     "physics/_taylor.py",
     "physics/collocation.py",
     "scene/_noise.py",
-    "store/_fletcher.py",
+    "store/_packing.py",
 )
 _PACKAGE = Path(__file__).parent
 #: Folders of other sources or versions are removed after this time without a new kernel [s]: 30 days.

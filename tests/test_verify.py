@@ -620,7 +620,7 @@ def test_what_is_broken_in_a_recording_without_checksums(tmp_path: Path, capsys:
     assert f"{gap}: recording of 1 file, no checksum, unreadable" in out
     looks_cut, not_finite, which = err.splitlines()
     assert "cut.wav: must be whole" in looks_cut and "cut off" in looks_cut
-    assert "sample 2 (line 3)" in not_finite
+    assert "sample 2 is nan" in not_finite
     assert "--variable NAME" in which
     assert run(["verify", str(many), "--variable", "second", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

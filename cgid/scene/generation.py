@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_info
 
 from cgid import __version__, validation
 from cgid.errors import CannotCreate, InvalidValue
@@ -176,8 +177,9 @@ def described(plan: ShardPlan, description: Description) -> ShardPlan:
 
 
 def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
-    """Return the root attributes of a dataset: scene, seed, and the versions that its bytes depend on."""
+    """Return the root attributes of a dataset: scene, seed, and the versions and processor that its bytes depend on."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "h5py"))
+    packages += f", {_processor()}"
     if compression != "none":
         packages += f", {library(compression)}"
     found = {
@@ -192,6 +194,13 @@ def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[st
         with scene.background.recorded.file(scene.folder).open("rb") as stream:
             found["background_sha256"] = hashlib.file_digest(stream, "sha256").hexdigest()
     return found
+
+
+def _processor() -> str:
+    """Return the instructions that numpy uses here and the kernel of BLAS: they decide last digits."""
+    found = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found") or ["baseline"]
+    kernels = {str(library.get("architecture")) for library in threadpool_info() if library["user_api"] == "blas"}
+    return f"instructions {found[-1]}, BLAS {'/'.join(sorted(kernels)) or 'unknown'}"
 
 
 def shard_plan(scene: Scene, attributes: Mapping[str, Any], dtype: str, compression: str) -> ShardPlan:
