@@ -81,10 +81,11 @@ def test_a_dataset_is_the_same_whoever_makes_it(
     generate(reference_scene, "one", **asked)
     generate(reference_scene, "two", **asked, jobs=2)
     generate(reference_scene, "dask", **asked, scheduler=address, progress=told.append)
+    generate(reference_scene, "one.h5", 32, 4)
     generate(reference_scene, "dask.h5", 32, 4, scheduler=address)
     assert sums(Path("one")) == sums(Path("two")) == sums(Path("dask"))
-    assert Path("dask.h5").read_bytes() == Path("one/shard-00000.h5").read_bytes()
-    assert len(sums(Path("dask"))) == 7  # five shards, the manifest and the sums
+    assert Path("dask.h5").read_bytes() == Path("one.h5").read_bytes()
+    assert len(sums(Path("dask"))) == 8  # five shards, the description, the sums and the lock
     assert sorted(told) == [22, *[32] * 4]
 
 
@@ -204,7 +205,8 @@ def test_a_folder_that_is_not_shared_is_told(
     monkeypatch.setattr(shards, "_anywhere", lambda asked: moved(asked, tmp_path / "empty"))
     with pytest.raises(CannotCreate, match="other"):
         generate(reference_scene, tmp_path / "other", 64, shard_signals=16, scheduler=address)
-    assert not list(tmp_path.glob("*/shard-*.h5"))
+    assert not [*(tmp_path / "data").glob("shard-*.h5"), *(tmp_path / "other").glob("shard-*.h5")]
+    assert not list((tmp_path / "empty").iterdir())
 
 
 def moved(asked: Any, folder: Path, *shared: str) -> Any:

@@ -957,4 +957,4 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, kind):
     )
     assert not done.returncode, done.stderr
     growth, count = map(int, done.stdout.split())
-    assert count == n_samples and growth < 6_000, f"{growth} kB"
+    assert count == n_samples and growth < 8_000, f"{growth} kB"

@@ -373,7 +373,8 @@ def test_tiny_errors_of_the_modes_change_nothing(monkeypatch: pytest.MonkeyPatch
         (found, pulse), (true, same) = certain.look(seen), exact.look(seen)
         apart, change = np.hypot(found.x - true.x, found.y - true.y), np.abs(np.log(pulse.peak / same.peak))
         assert np.median(apart) < 5e-4 and np.quantile(apart, 0.9) < 5e-3, (rate, apart)
-        assert np.median(change) < 1e-3 and np.quantile(change, 0.9) < 0.03, (rate, change)
+        # Two steps to the place leave some .1 % of the peak, whose error is .6 %.
+        assert np.median(change) < 2e-3 and np.quantile(change, 0.9) < 0.03, (rate, change)
     assert certain.inversion._errors is not None and Inversion(tail_beam().beam)._errors is None
     monkeypatch.undo()
     assert Inversion(certain.beam)._errors is None
@@ -474,7 +475,7 @@ def test_no_row_depends_on_its_batch() -> None:
 
 @pytest.mark.parametrize("rate", few([12_800, 51_200, 102_400]))
 def test_other_rates_tell_the_same(rate: float) -> None:
-    batch, n = blows()[0], 96
+    batch, n = blows()[0], 256
     other = at_rate(rate, n)
     np.testing.assert_array_equal(other.parameters["impact_x"], batch.parameters["impact_x"][:n])
     inverted = tail_beam().look(vibrations(other))[0]
