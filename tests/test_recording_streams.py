@@ -856,6 +856,9 @@ def test_gaps_are_the_same_sample_by_sample(seed, cuts, unit):
     assert np.array_equal(got, np.stack([one[0] for one in by_hand])[:, : got.shape[1]], equal_nan=True)
     assert [gaps.n_samples.tolist(), gaps.n_gaps.tolist()] == [[one[1] for one in by_hand], [one[2] for one in by_hand]]
     assert len(lines) == sum(one[3] for one in by_hand) + bool(gaps.n_samples.sum())
+    if gaps.n_samples.any():
+        lost = np.flatnonzero(np.isnan(np.stack([one[0] for one in by_hand])).any(axis=0))
+        assert f" {lost[0] / 10.0:.6g} s " in lines[-1]
     if ended:
         with pytest.raises(BadData, match="here"):
             gaps.require("here")

@@ -136,7 +136,7 @@ class Gaps:
         self._running[row] = lengths[-1] if lengths.size and missing[-1] else 0
         self.n_samples[row] += int(np.sum(stops - starts))
         self.n_gaps[row] += starts.size - goes_on
-        if self._first is None and starts.size:
+        if starts.size and (self._first is None or first + int(starts[0]) < self._first[0]):
             self._first = first + int(starts[0]), row, float(samples[starts[0]])
 
     def _give_up(self, row: int, sample: int, value: float) -> None:
