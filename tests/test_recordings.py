@@ -566,6 +566,12 @@ def test_npy_is_read_back_equal(array, fortran):
     assert all(signal.samples.flags.writeable for signal in signals)
 
 
+def test_npz_with_an_array_of_objects_beside_the_samples(tmp_path):
+    np.savez(tmp_path / "with.npz", x=np.arange(9.0), fs=5.0, about=np.array({"site": "a long text " * 9}, object))
+    (signal,) = read_recording(tmp_path / "with.npz")
+    assert (signal.samples.size, signal.sampling_rate) == (9, 5.0)
+
+
 @pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
 def test_npy_of_every_version(version):
     file = io.BytesIO()
