@@ -2,6 +2,7 @@
 
 import math
 import os
+import pickle
 import tomllib
 import tracemalloc
 from dataclasses import replace
@@ -323,6 +324,17 @@ def test_any_gaps_in_any_blocks_give_the_same(kind, gaps, cuts, joint):
     assert all_of(detected(samples, kind, cuts=sorted(cuts), joint=joint, gaps=True)) == all_of(events)
     if not joint:  # The other channel has no gap.
         assert all_of(replace(event, channel=0) for event in events if event.channel == 1) == alone
+
+
+@pytest.mark.parametrize("kind", ["vibration", "pulse"])
+def test_memory_does_not_grow_with_the_number_of_gaps(kind):
+    samples = np.random.default_rng(0).normal(size=(1, 4096))
+    samples[0, ::64] = np.nan
+    detector, sizes = ImpactDetector(RATE, kind=kind, gaps=True), []
+    for _ in range(200):
+        detector.feed(samples)
+        sizes.append(len(pickle.dumps(detector)))
+    assert max(sizes[100:]) < 1.2 * max(sizes[:100])
 
 
 def test_missing_samples_are_an_error_unless_they_are_expected():

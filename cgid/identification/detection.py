@@ -7,6 +7,7 @@ impact: pulses rise above a baseline (`pulse_onsets`), vibrations are a sudden r
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -279,6 +280,8 @@ class ImpactDetector:
         drop = oldest - self._framing.quiet - self._first
         if drop > 0:
             self._samples, self._first = self._samples[:, drop:], self._first + drop
+            for resumed in self._resumed:
+                del resumed[: bisect_right(resumed, self._first) - 1]
         return events
 
     def _complete(self, found: list[Onset]) -> list[Event]:
