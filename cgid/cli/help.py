@@ -14,7 +14,7 @@ _OTHERS = "Other"
 #: Heading -> the options below it; "command --option" where a command uses the name for something else.
 _OPTIONS = {
     "Task": "--sample --list --explain --features-only --closed-form-only --parameters-only --repair --scene "
-    "--finite-element --template",
+    "--template",
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --sample-format "
     "--variable --format --index --invert --keep-baseline --dead-time --give-up --from --to --events --kind",
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",

@@ -167,7 +167,8 @@ def train(
         Impacts of anything else, with the features and guards of the model; their labels do not matter. The model
         learns to tell them from its own, which sharpens its novelty. Not for recordings.
     beam : Beam, optional
-        The beam whose vibrations the signals are, as from `cgid.scene.beam_of`; its modes lead to the contact force.
+        The beam whose vibrations the signals are, as from `cgid.scene.through_beam.beam_of`; its modes lead to the
+        contact force.
         Rows have their own. Not for recordings.
     shuffle_labels : bool
         Shuffle the labels of specimens or recordings first, as a check: the accuracy must then be that of guessing.
