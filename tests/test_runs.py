@@ -241,6 +241,16 @@ def test_a_shard_without_a_sum_that_is_not_whole_is_made_again(whole, path):
     assert files(path) == whole[dataset]
 
 
+def test_recordings_of_an_earlier_version_are_not_replaced_by_resuming(path):
+    path.mkdir()
+    (path / "recording-00000.h5").write_bytes(b"old")
+    (path / "SHA256SUMS").write_bytes(sums_text({"recording-00000.h5": "1" * 64}))
+    before = files(path)
+    with pytest.raises(CannotCreate, match="--overwrite"):
+        recordings(path, resume=True)
+    assert before.items() <= files(path).items()
+
+
 @pytest.mark.parametrize("name", ["manifest.json", "unfinished.jsonl"])
 def test_folders_of_an_earlier_version_are_not_resumed(whole, path, name):
     path.mkdir()

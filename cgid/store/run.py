@@ -250,7 +250,9 @@ def _is_resumed(output: Path, description: Description, overwrite: bool) -> bool
     # A description that was lost or damaged is written again: sums and files say whether they follow from it.
     if text == description.text or read_sums(output, description.sha256):
         return True
-    if text is None and not (output / MANIFEST).exists() and not (output / JOURNAL).exists():
+    # Recordings of an earlier version have sums without a description, and nothing says what they follow from.
+    is_old = text is None and read_sums(output, None) and DESCRIPTION not in read_sums(output, None)
+    if text is None and not is_old and not (output / MANIFEST).exists() and not (output / JOURNAL).exists():
         return True
     if overwrite:
         return False
