@@ -143,9 +143,7 @@ class _Rows:
 
     def dataset(self, path: str, invert: bool) -> None:
         """Print one row for each signal of a dataset, batch by batch."""
-        from cgid.identification.contact import ThroughBeam
         from cgid.measure.features import FEATURES, extract_array, kind_for
-        from cgid.scene.through_beam import shared_beam
         from cgid.store import Dataset
 
         dataset = Dataset(path)
@@ -153,6 +151,9 @@ class _Rows:
         chosen = _chosen(self.names, kind, dataset.sampling_rate, dataset.header.n_samples)
         through = None
         if any(FEATURES[name].beam for name in self.names or ()) or (self.names is None and kind == "vibration"):
+            from cgid.identification.contact import ThroughBeam
+            from cgid.scene.through_beam import shared_beam
+
             beam, why = shared_beam([dataset])
             more = () if beam is None or self.names else tuple(name for name in FEATURES if FEATURES[name].beam)
             chosen, through = chosen + more, None if beam is None else ThroughBeam(beam)
