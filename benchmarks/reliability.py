@@ -3,7 +3,7 @@
     python benchmarks/reliability.py [MODEL] [-n 100000]   # prints Markdown; the shipped default model if none is given
 
 Impacts are of the reference scene, from blocks of random numbers that no training uses. Strangers are of the shipped
-scenes `strangers` and `lookalikes`; real ones are the shocks of ../shared/realdata, if present (assuming a striker of
+scenes `strangers` and `lookalikes`; real ones are the shocks of ../shared/realdata, if present (assuming an impactor of
 1 kg). Flagged are impacts outside the training range: strange, overdriven, or impossible to measure.
 """
 

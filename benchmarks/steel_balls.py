@@ -22,11 +22,11 @@ from cgid.identification.detection import find_impacts
 from cgid.identification.estimation import Estimates, estimate
 from cgid.identification.prediction import load_model, predict
 from cgid.identification.share import wilson_interval
+from cgid.impactor import MeasuredPulses, population_of
 from cgid.plots import png, require_matplotlib
 from cgid.recordings import read_recording
 from cgid.scene import parse_scene
 from cgid.signals import Signal
-from cgid.striker import MeasuredPulses, population_of
 from cgid.validation import Floats
 
 HERE = Path(__file__).parent

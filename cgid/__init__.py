@@ -27,6 +27,7 @@ _HOMES = {
     "Sphere": "cgid.physics",
     "ThinPlate": "cgid.physics",
     "Viscoelastic": "cgid.physics",
+    "estimate_impactors": "cgid.impactor",
     "extract": "cgid.measure.features",
     "fft_filter": "cgid.measure.filters",
     "find_impacts": "cgid.identification.detection",
@@ -37,10 +38,12 @@ _HOMES = {
     "predict": "cgid.identification.prediction",
     "read_recording": "cgid.recordings",
     "stream": "cgid.learn",
-    "strikers": "cgid.striker",
     "synthesise": "cgid.scene",
     "train": "cgid.identification.training",
 }
+
+#: Former public name -> new name, for one version.
+_RENAMED = {"strikers": "cgid.estimate_impactors"}
 
 __all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
@@ -49,7 +52,9 @@ def __getattr__(name: str) -> object:
     from importlib import import_module
 
     if name not in _HOMES:
-        raise AttributeError(f"module 'cgid' has no attribute {name!r}")
+        from cgid.deprecated import renamed
+
+        return renamed(__name__, _RENAMED)(name)
     return getattr(import_module(_HOMES[name]), name)
 
 

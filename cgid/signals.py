@@ -122,7 +122,7 @@ class Signal:
         return self if self.unit == si else replace(self, samples=self.samples * factor, unit=si)
 
     def as_force(self, mass: float) -> Signal:
-        """Return the contact force [N] of a striker that carries the accelerometer.
+        """Return the contact force [N] of an impactor that carries the accelerometer.
 
         Parameters
         ----------

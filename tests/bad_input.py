@@ -546,24 +546,23 @@ CASES = (
     Case("mirror of no host", ("fetch", "shock", "--mirror", "http://"), 65, ("mirror",)),
     Case("mirror with a password", ("fetch", "shock", "--mirror", "http://me:pw@h/"), 65, ("mirror", "password")),
     Case("mirror on a disk", ("fetch", "shock", "--mirror", "file:///etc"), 65, ("begins with https://",)),
-    Case("striker of no scene", ("predict", "good.csv", "--striker", "none.toml"), 66, ("none.toml",)),
-    Case("striker in drawn rigs", ("predict", "good.csv", "--striker", "randomised"), 65, ("take [randomise] out",)),
-    Case("masses without a striker", ("predict", "good.csv", "--masses", "m.png"), 2, ("give --striker SCENE",)),
+    Case("impactor of no scene", ("predict", "good.csv", "--impactor", "none.toml"), 66, ("none.toml",)),
+    Case("impactor in drawn rigs", ("predict", "good.csv", "--impactor", "randomised"), 65, ("take [randomise] out",)),
+    Case("masses without an impactor", ("predict", "good.csv", "--masses", "m.png"), 2, ("give --impactor SCENE",)),
     Case(
         "masses in a text file",
-        ("predict", "good.csv", "--striker", "reference", "--masses", "m.txt"),
+        ("predict", "good.csv", "--impactor", "reference", "--masses", "m.txt"),
         73,
         ("m.txt", "a picture must end in .png"),
     ),
     Case(
-        "striker by a model of shocks",
-        ("predict", "acceleration.csv", "--model", "acceleration.npz", "--striker", "reference"),
+        "impactor by a model of shocks",
+        ("predict", "acceleration.csv", "--model", "acceleration.npz", "--impactor", "reference"),
         65,
-        ("striker needs the force [N]", "acceleration [m/s^2]"),
+        ("impactor needs the force [N]", "acceleration [m/s^2]"),
     ),
     Case("unknown label in costs", ("predict", "good.csv", "--miss-cost", "granite=2"), 65, ("granite",)),
-    Case("former name of a cost", ("predict", "good.csv", "--cost", "coal=2"), 2, ("give --miss-cost coal=2",)),
-    Case("former cost of gangue", ("monitor", "--gangue-cost", "3"), 2, ("give --dilution-cost 3",)),
+    Case("value of a former option", ("predict", "good.csv", "--cost", "granite=2"), 65, ("granite",)),
     Case(
         "rows in a text file", ("predict", "good.csv", "-o", "rows.txt"), 73, ("rows.txt", ".csv or .jsonl or .parquet")
     ),
@@ -595,8 +594,8 @@ CASES = (
         "one of two sensors", ("predict", "vibration.csv", "--model", "pair.npz"), 65, ("be 2,", "got 1", "--channel")
     ),
     Case(
-        "strikers through two sensors",
-        ("predict", "vibration.csv", "--model", "pair.npz", "--striker", "reference"),
+        "impactors through two sensors",
+        ("predict", "vibration.csv", "--model", "pair.npz", "--impactor", "reference"),
         65,
         ("a model of one sensor", "several together"),
     ),

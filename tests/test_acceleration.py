@@ -274,7 +274,7 @@ def files(tmp_path: Path, fresh: Batch) -> dict[str, str]:
         "acceleration": written(tmp_path, "a.csv", frame),
         "g": written(tmp_path, "g.csv", frame / STANDARD_GRAVITY, "g"),
         "force": written(tmp_path, "f.csv", pulse, "N"),
-        "striker": written(tmp_path, "s.csv", pulse / 2.0),
+        "impactor": written(tmp_path, "s.csv", pulse / 2.0),
     }
 
 
@@ -305,9 +305,9 @@ def test_mass_makes_a_force_of_it_and_asks_the_model_of_force(
 ) -> None:
     assert run(["predict", files["force"], "--json"]) == 0
     (force,) = impacts(capsys)
-    assert run(["predict", files["striker"], "--mass", "2", "--json"]) == 0
-    (striker,) = impacts(capsys)
-    assert striker["probabilities"] == pytest.approx(force["probabilities"], rel=1e-9)
+    assert run(["predict", files["impactor"], "--mass", "2", "--json"]) == 0
+    (impactor,) = impacts(capsys)
+    assert impactor["probabilities"] == pytest.approx(force["probabilities"], rel=1e-9)
     assert run(["predict", files["force"], "--model", str(default_model)]) == 65
     assert "acceleration" in capsys.readouterr().err
 

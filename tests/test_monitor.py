@@ -295,7 +295,7 @@ def test_inbox_that_is_full_makes_the_stream_wait() -> None:
         for _ in range(8):
             yield block
 
-    inbox = Inbox(blocks(), 1e4, most_waiting=3 * block.nbytes)
+    inbox = Inbox(blocks(), 1e4, max_waiting=3 * block.nbytes)
     iterator = iter(inbox)
     total = next(iterator).shape[1]
     deadline = time.monotonic() + 60

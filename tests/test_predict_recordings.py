@@ -98,7 +98,7 @@ def test_units_and_signs_become_the_models(tmp_path: Path, default_model: Model)
         ("n", force, "N", {}),
         ("kn", force / 1e3, "kN", {}),
         ("down", -force, "N", {"invert": True}),
-        ("striker", force / 2.5, "m/s^2", {"mass": 2.5}),
+        ("impactor", force / 2.5, "m/s^2", {"mass": 2.5}),
     ):
         np.save(tmp_path / f"{name}.npy", samples)
         recording = open_recording(tmp_path / f"{name}.npy", sampling_rate=RATE, unit=unit)

@@ -28,19 +28,21 @@ ANSWERS_VERSION = 3
 
 
 #: What struck, and its units: the median and the ends of the interval that holds it with 90 %.
-STRIKER = {"mass": "kg", "radius": "m", "speed": "m/s"}
+IMPACTOR_UNITS = {"mass": "kg", "radius": "m", "speed": "m/s"}
 
 
-def striker_columns() -> tuple[Column, ...]:
+def impactor_columns() -> tuple[Column, ...]:
     """Return the columns of what struck."""
-    values = (numbers(f"{name}{end}", unit, ".4g") for name, unit in STRIKER.items() for end in ("", "_low", "_high"))
+    values = (
+        numbers(f"{name}{end}", unit, ".4g") for name, unit in IMPACTOR_UNITS.items() for end in ("", "_low", "_high")
+    )
     return (*values, Column("striker_problem"))
 
 
 def answer_columns(
-    model: Model, *, sets: bool = False, datasets: bool = False, strikers: bool = False
+    model: Model, *, sets: bool = False, datasets: bool = False, impactors: bool = False
 ) -> tuple[Column, ...]:
-    """Return the columns of answers; `sets`, `strikers` if these are asked for, `datasets` if there is one."""
+    """Return the columns of answers; `sets`, `impactors` if these are asked for, `datasets` if there is one."""
     return (
         Column("source"),
         Column("channel"),
@@ -52,7 +54,7 @@ def answer_columns(
         *(flags(name) for name in ("overlapping", "clipped", "cut_off")),
         Column("problem"),
         *[Column("prediction_set")] * sets,
-        *(striker_columns() if strikers else ()),
+        *(impactor_columns() if impactors else ()),
         *[Column("index", dtype="int64"), Column("truth")] * datasets,
     )
 
@@ -86,7 +88,7 @@ class AnswerLines:
             model,
             sets=question.coverage is not None,
             datasets=self._datasets,
-            strikers=question.strikers is not None,
+            impactors=question.impactors is not None,
         )
         if lacking := self._table.begin(columns):
             raise BadData(
@@ -112,14 +114,14 @@ class AnswerLines:
             likely = max(probabilities, key=lambda label: probabilities[label], default=None)
             row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
             more = {"in_training_range": answer.in_training_range, "prediction_set": held}
-            if answer.striker is not None:
-                more["striker"] = dict(answer.striker)
+            if answer.impactor is not None:
+                more["impactor"] = dict(answer.impactor)
             self._line(kind, source, row | more)
         if not self.as_json:
             row |= {"source": source, "time [s]": answer.time, "end [s]": answer.end}
             row |= {f"p({label})": probability for label, probability in probabilities.items()}
-            struck = answer.striker or {}
-            row |= {column.title: struck.get(column.name) for column in striker_columns()}
+            struck = answer.impactor or {}
+            row |= {column.title: struck.get(column.name) for column in impactor_columns()}
             self._table.add(row | {"prediction_set": "+".join(held or ())})
 
     def share(self, source: str, name: str, share: Share) -> None:

@@ -10,6 +10,8 @@ from typing import Any
 
 import click
 
+from cgid.cli.output import warn
+
 _OTHERS = "Other"
 #: Heading -> the options below it; "command --option" where a command uses the name for something else.
 _OPTIONS = {
@@ -18,15 +20,15 @@ _OPTIONS = {
     "Reading the recording": "--rate --unit --sensitivity --gain --full-scale --channel --channels --sample-format "
     "--variable --format --index --invert --keep-baseline --dead-time --give-up --from --to --events --kind",
     "Model": "--model --mass --drop-height --sensor --family --by --hop --level-free --features --class-weights",
-    "Decision": "--cost --miss-cost --coverage --class-conditional --vote",
-    "Gangue share": "--window --gangue --gangue-cost --dilution-cost --evidence --hold",
-    "What struck": "--striker --masses",
+    "Decision": "--miss-cost --coverage --class-conditional --vote",
+    "Gangue share": "--window --gangue --dilution-cost --evidence --hold",
+    "What struck": "--impactor --masses",
     "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
     "--clock --strict",
-    "Outlets": "--mqtt --modbus --prometheus --live --on-shut --on-open",
+    "Plant outputs": "--mqtt --modbus --prometheus --live --on-shut --on-open",
     "Speed": "--jobs --scheduler",
     _OTHERS: "--help --version",
 }
@@ -45,6 +47,8 @@ _COMMANDS = {
     "Models": "train export-model",
     "Datasets and scenes": "generate check ceiling tap calibrate verify export fetch",
 }
+#: Former option -> its name now; the former one still works, with a warning.
+RENAMED = {"--cost": "--miss-cost", "--gangue-cost": "--dilution-cost", "--striker": "--impactor"}
 #: One line for the start file of each shell.
 _COMPLETION = (
     ("bash", 'eval "$(_CGID_COMPLETE=bash_source cgid)"'),
@@ -72,6 +76,17 @@ class Command(click.Command):
     def __init__(self, *args: Any, example: str = "", **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.example = example
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the arguments, former options under their present names."""
+        flags = {flag for option in self.params for flag in option.opts}
+        for number, argument in enumerate(args):
+            old, equals, value = argument.partition("=")
+            new = RENAMED.get(old, "")
+            if new in flags and "--" not in args[:number]:
+                warn(f"{old} is now called {new}; the old name goes with version 0.3")
+                args[number] = f"{new}{equals}{value}"
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under their headings."""

@@ -25,7 +25,7 @@ from cgid.cli.options import (
     chain_options,
     dead_time_option,
     given_options,
-    outlet_options,
+    plant_options,
     question_of,
     warn_of_model,
 )
@@ -34,10 +34,10 @@ from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
     from cgid.identification.question import Question
-    from cgid.outlets import Outlets
+    from cgid.plant import PlantOutputs
 
 #: Most data in the queue [bytes].
-MOST_WAITING = 128 << 20
+MAX_WAITING = 128 << 20
 #: Most data taken at once [bytes], because processing takes many times more memory.
 MOST_TAKEN = 8 << 20
 #: Blocks are joined until they last this long [s], because short ones cost more than they contain,
@@ -68,7 +68,7 @@ class UnbufferedInput:
 class Inbox:
     """Read blocks (n_channels, n_samples) in a separate thread, so that the stream continues meanwhile.
 
-    An exception of `blocks` is raised again for the consumer, after the blocks before it. If more than `most_waiting`
+    An exception of `blocks` is raised again for the consumer, after the blocks before it. If more than `max_waiting`
     bytes wait, reading stops and the source has to wait.
 
     Attributes
@@ -77,8 +77,8 @@ class Inbox:
     held_up : whether the stream ever had to wait
     """
 
-    def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, most_waiting: int = MOST_WAITING) -> None:
-        self._blocks, self._rate, self._most = blocks, sampling_rate, most_waiting
+    def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, max_waiting: int = MAX_WAITING) -> None:
+        self._blocks, self._rate, self._most = blocks, sampling_rate, max_waiting
         self._changed = Condition()
         self._waiting: deque[NDArray[Any]] = deque()
         self._n_waiting = self._size = 0
@@ -170,7 +170,7 @@ _BEHIND = 1.0
 @dead_time_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @click.option("--clock", is_flag=True, help="Give each JSON object the time when it was printed, as wall_time (UTC).")
-@outlet_options
+@plant_options
 def monitor(
     stream: str,
     sampling_rate: float | None,
@@ -180,12 +180,12 @@ def monitor(
     chain: dict[str, Any],
     as_json: bool,
     clock: bool,
-    outlets: dict[str, str],
+    outputs: dict[str, str],
     **options: Any,
 ) -> None:
     """Identify the impacts in STREAM as they come: raw numbers or WAV; - is stdin.
 
-    Outlets (pip install 'cgid[plant]') pass the lines on to brokers, PLCs, commands and pages, and never hold them up.
+    Plant outputs (pip install 'cgid[plant]') send the lines to brokers, PLCs, commands and web pages, without delay.
 
     Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue share of
     its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than it
@@ -201,7 +201,7 @@ def monitor(
     stated = Chain.of(**chain)
     if clock and not as_json:
         raise click.UsageError("--clock is for lines of JSON; give --json, too")
-    with _outlets(outlets) as listener, _opened(stream) as file:
+    with _plant_outputs(outputs) as listener, _opened(stream) as file:
         source = "stdin" if stream == "-" else stream
         live = live_stream(
             file,
@@ -217,16 +217,18 @@ def monitor(
             _follow(live, models, question, lines, listener)
 
 
-def _outlets(given: dict[str, str]) -> AbstractContextManager[Outlets | None]:
-    """Return the outlets that were asked for; without any, nothing of them is imported."""
+def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:
+    """Return the outputs that were asked for; without any, nothing of them is imported."""
     if not given:
         return nullcontext()
-    from cgid.outlets import Outlets
+    from cgid.plant import PlantOutputs
 
-    return Outlets(**given, warn=warn)
+    return PlantOutputs(**given, warn=warn)
 
 
-def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, outlets: Outlets | None = None) -> None:
+def _follow(
+    live: Any, models: Models, question: Question, lines: AnswerLines, outputs: PlantOutputs | None = None
+) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
     from cgid.identification.next_steps import Diagnosis
     from cgid.identification.stream import factor_of, identify_blocks
@@ -249,14 +251,14 @@ def _follow(live: Any, models: Models, question: Question, lines: AnswerLines, o
         at_once=True,
     )
     blocks: Iterable[NDArray[Any]] = scaled(gaps.marked(inbox), factors)
-    if outlets is not None:
-        blocks = outlets.watched(blocks, live.sampling_rate)
+    if outputs is not None:
+        blocks = outputs.monitored_blocks(blocks, live.sampling_rate)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     # The stream is over when the next command runs: it is for a recording of it.
     diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names)
     rows = RecordingRows(live.source, model, names, question, lines, always=True, diagnosis=diagnosis)
-    if outlets is not None:
-        outlets.begin(
+    if outputs is not None:
+        outputs.begin(
             source=live.source,
             channels=rows.channels,
             rows=names,

@@ -135,9 +135,9 @@ chain_options = _bundle(
         help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
     ),
 )
-#: Outlets of a plant; the command receives those that were given as `outlets`, arguments of `Outlets`.
-outlet_options = _bundle(
-    "outlets",
+#: Plant outputs of a plant; the command receives those that were given as `outputs`, arguments of `PlantOutputs`.
+plant_options = _bundle(
+    "outputs",
     ("mqtt", "modbus", "prometheus", "live", "on_shut", "on_open"),
     lambda given: {name: value for name, value in given.items() if value is not None},
     click.option("--mqtt", metavar="URL", help="Publish each line below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."),
@@ -279,16 +279,6 @@ printing_options = _options(
 )
 
 
-def _renamed(old: str, new: str) -> Callable[[F], F]:
-    """Return a hidden option that refuses the former name of another one."""
-
-    def refuse(context: click.Context, _option: click.Parameter, value: str | None) -> None:
-        if value is not None:
-            raise click.UsageError(f"{old} is called {new} now; give {new} {value}", context)
-
-    return click.option(old, type=click.UNPROCESSED, hidden=True, expose_value=False, is_eager=True, callback=refuse)
-
-
 #: Options that choose the model and state the question, as `question_of` takes them.
 answering_options = _options(
     click.option(
@@ -298,7 +288,7 @@ answering_options = _options(
         help="Use this model: a file, or a shipped one such as default-acceleration; by default it follows the unit.",
     ),
     click.option(
-        "--mass", type=float, help="Give the mass of the accelerated striker [kg]: force = mass x acceleration."
+        "--mass", type=float, help="Give the mass of the accelerated impactor [kg]: force = mass x acceleration."
     ),
     click.option("--drop-height", type=float, help="Say how far the rocks fell [m], for a model that needs to know."),
     click.option(
@@ -308,7 +298,6 @@ answering_options = _options(
         metavar="LABEL=COST",
         help="Say what it costs to miss this label, by default 1.",
     ),
-    _renamed("--cost", "--miss-cost"),
     click.option(
         "--coverage",
         type=float,
@@ -352,7 +341,6 @@ answering_options = _options(
     click.option(
         "--hold", type=float, help="Keep to SHUT or OPEN at least this long [s], by default as long as the window."
     ),
-    _renamed("--gangue-cost", "--dilution-cost"),
     click.option(
         "--give-up", type=float, help="Give up a channel that stays unreadable for this long [s], by default 10."
     ),
@@ -458,7 +446,7 @@ class Models:
             return Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
         except NoInput as error:
             raise NoInput(
-                f"{error}; or give --model, or --mass KG if the accelerated body is the striker (force = mass x "
+                f"{error}; or give --model, or --mass KG if the accelerated body is the impactor (force = mass x "
                 "acceleration)"
             ) from None
 

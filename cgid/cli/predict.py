@@ -31,23 +31,23 @@ if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
     from cgid.identification.question import Question
+    from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import OverviewStream
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
     from cgid.report import Report
     from cgid.signals import Batch, Signal
-    from cgid.striker import StrikerColumns
     from cgid.validation import Floats
 
 
-def asked_of_strikers(scene: str | None, *, keep: bool) -> StrikerColumns | None:
+def impactor_columns_for(scene: str | None, *, keep: bool) -> ImpactorColumns | None:
     """Return what says what struck, among the rocks of a scene; None without one."""
     if scene is None:
         return None
+    from cgid.impactor import ImpactorColumns
     from cgid.scene import load_scene
-    from cgid.striker import StrikerColumns
 
-    return StrikerColumns(load_scene(scene), keep=keep)
+    return ImpactorColumns(load_scene(scene), keep=keep)
 
 
 class _Passing:
@@ -283,7 +283,7 @@ class _Tally:
     "--report", type=PATH, metavar="PAGE", help="Write one page (.html) with pictures and answers of the recordings."
 )
 @click.option(
-    "--striker",
+    "--impactor",
     type=SCENE,
     metavar="SCENE",
     help="Say mass, radius and speed of what struck, with 90 % intervals, among the rocks of this scene.",
@@ -292,7 +292,7 @@ class _Tally:
     "--masses",
     type=PATH,
     metavar="PICTURE",
-    help="Draw the distribution of masses (.png, .svg, .pdf), corrected for what is not found; with --striker.",
+    help="Draw the distribution of masses (.png, .svg, .pdf), corrected for what is not found; with --impactor.",
 )
 @output_options
 @reading_options
@@ -301,7 +301,7 @@ def predict(
     files: tuple[str, ...],
     sample: bool,
     report: str | None,
-    striker: str | None,
+    impactor: str | None,
     masses: str | None,
     output: str | None,
     overwrite: bool,
@@ -313,7 +313,7 @@ def predict(
     """Identify the material of every impact in FILEs: recordings or datasets; - is stdin.
 
     Without --model a force is answered by the default model of pulses, an acceleration by that of vibrations; with
-    --mass an acceleration is that of the striker, and becomes a force. A model of windows answers for each window.
+    --mass an acceleration is that of the impactor, and becomes a force. A model of windows answers for each window.
 
     Stdout is one CSV table, with the probability of each label as p(LABEL). The label is "unknown" when the impact lies
     outside of what the model was trained on (novelty above 1), or with --coverage when several labels, or none, are
@@ -328,16 +328,16 @@ def predict(
 
     if not files and not sample:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    if masses is not None and striker is None:
-        raise click.UsageError("--masses needs to know what can have struck; give --striker SCENE, too")
+    if masses is not None and impactor is None:
+        raise click.UsageError("--masses needs to know what can have struck; give --impactor SCENE, too")
     picture = None
     if masses is not None:
         from cgid.plots import FORMATS, new_picture
 
         picture = new_picture(masses, endings=FORMATS, overwrite=overwrite)
-    strikers = asked_of_strikers(striker, keep=picture is not None)
+    impactors = impactor_columns_for(impactor, keep=picture is not None)
     models, question = question_of(
-        **options, strikers=strikers, invert=reading.invert, milliseconds=reading.milliseconds
+        **options, impactors=impactors, invert=reading.invert, milliseconds=reading.milliseconds
     )
     if sample:
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
@@ -367,11 +367,11 @@ def predict(
 
         write_report(report, prediction.reports, overwrite=overwrite)
         say(f"wrote {report}", err=True)
-    if picture is not None and strikers is not None:
+    if picture is not None and impactors is not None:
         from cgid.files import write_whole
         from cgid.plots.answers import sizes_picture
 
-        content = sizes_picture(strikers.sizes(), ", ".join(files), picture.suffix.lower())
+        content = sizes_picture(impactors.sizes(), ", ".join(files), picture.suffix.lower())
         write_whole(picture, content, overwrite=overwrite)
         say(f"wrote {picture}", err=True)
     return code

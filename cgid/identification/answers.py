@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cgid.deprecated import renamed_attribute
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
@@ -62,7 +63,7 @@ class Answer:
         Share of its energy that the model's beam leaves unexplained [%]; nan without a beam or a measurement.
     level : float
         Logarithm of its peak force over what the training expects of such a pulse; nan without one.
-    striker : mapping or None
+    impactor : mapping or None
         What struck, where the question asks for it.
     """
 
@@ -81,7 +82,9 @@ class Answer:
     cause: Cause | None = None
     unexplained: float = float("nan")
     level: float = float("nan")
-    striker: Mapping[str, Any] | None = None
+    impactor: Mapping[str, Any] | None = None
+
+    striker = renamed_attribute("striker", "impactor")
 
     def __repr__(self) -> str:
         told = ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
@@ -105,7 +108,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     signal : Signal
     model : Model
     mass : float, optional [kg]
-        Mass of the accelerated striker, which turns an acceleration into a force.
+        Mass of the accelerated impactor, which turns an acceleration into a force.
 
     Returns
     -------
@@ -130,7 +133,7 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     if signal.quantity != model.quantity:
         cure = f"give a recording of {model.quantity}"
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
-            cure = "give --mass KG if the accelerated body is the striker (force = mass x acceleration)"
+            cure = "give --mass KG if the accelerated body is the impactor (force = mass x acceleration)"
         elif signal.quantity == "level":
             example = "500 g" if model.quantity == "acceleration" else "2 kN"
             cure = (
@@ -328,10 +331,10 @@ def identify_frames(
         for row in range(len(frames))
     ]
     found = with_frames(found, frames, sampling_rate, model, pre_trigger)
-    if question is None or question.strikers is None:
+    if question is None or question.impactors is None:
         return found
-    struck = question.strikers(frames, sampling_rate, model, pre_trigger, detection_limit)
-    return [replace(answer, striker=own) for answer, own in zip(found, struck, strict=True)]
+    struck = question.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
+    return [replace(answer, impactor=own) for answer, own in zip(found, struck, strict=True)]
 
 
 def answers_from(

@@ -92,7 +92,7 @@ def predict(
         What turns volts, coulombs or integers into what the sensor measured, such as ``sensitivity="10.2 mV/g"``; as
         in `cgid.open_recording`. A `full_scale` may also say the unit.
     **settings
-        Fields of `cgid.identification.question.Question`, such as ``mass=2.5`` [kg] of an accelerated striker,
+        Fields of `cgid.identification.question.Question`, such as ``mass=2.5`` [kg] of an accelerated impactor,
         ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.
 
     Returns

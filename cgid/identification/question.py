@@ -27,7 +27,7 @@ SHORTEST_SHARE_TIME = 0.05
 EVIDENCE = 0.95
 
 
-class Asked(Protocol):
+class ExtraColumns(Protocol):
     """What is asked of each frame beside its answer."""
 
     def check(self, model: Model) -> None:
@@ -63,7 +63,7 @@ class Question:
     drop_height : float, optional [m]
         How far the rocks fell, for a model that needs it.
     mass : float, optional [kg]
-        Mass of the accelerated striker; turns an acceleration into a force.
+        Mass of the accelerated impactor; turns an acceleration into a force.
     invert : bool
         Whether pulses point downwards.
     sensors : tuple of str
@@ -88,8 +88,8 @@ class Question:
         Least time between SHUT and OPEN; None: a window.
     give_up : float, optional [s]
         A channel that is unreadable for this long is given up; None: `cgid.recordings.gaps.GIVE_UP`.
-    strikers : Asked, optional
-        Says what struck, such as `cgid.striker.StrikerColumns`.
+    impactors : ExtraColumns, optional
+        Says what struck, such as `cgid.impactor.ImpactorColumns`.
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -109,7 +109,7 @@ class Question:
     evidence: float | None = None
     hold: float | None = None
     give_up: float | None = None
-    strikers: Asked | None = None
+    impactors: ExtraColumns | None = None
 
     def __post_init__(self) -> None:
         self._require_types()
@@ -144,8 +144,8 @@ class Question:
         self.labels(model, np.empty((0, len(model.labels))))
         if self.drop_height is not None:
             known_columns(model.known, 1, self.drop_height)
-        if self.strikers is not None:
-            self.strikers.check(model)
+        if self.impactors is not None:
+            self.impactors.check(model)
 
     def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
         """Return the label and the prediction set of each row of probabilities."""

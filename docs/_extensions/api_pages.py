@@ -85,9 +85,9 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
     ),
     "ceiling": ("The best possible accuracy: cgid.ceiling", {"cgid.ceiling": None}),
     "site": ("The beam of a site: cgid.site", {"cgid.site": None}),
-    "striker": (
-        "What struck, and public recordings: cgid.striker, cgid.public",
-        {"cgid.striker": None, "cgid.public": ("PublicData", "fetch")},
+    "impactor": (
+        "What struck, and public recordings: cgid.impactor, cgid.public",
+        {"cgid.impactor": None, "cgid.public": ("PublicData", "fetch")},
     ),
     "output": (
         "Pictures and reports: cgid.plots, cgid.report",

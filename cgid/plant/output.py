@@ -1,4 +1,4 @@
-"""What all outlets share: threads, a bounded queue, addresses, servers, and their libraries."""
+"""What all outputs share: threads, a bounded queue, addresses, servers, and their libraries."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 from cgid.errors import CannotCreate, InvalidValue, optional
 
-#: Most messages that wait for an outlet: a quarter of an hour at ten a second.
-MOST_WAITING = 10_000
-#: An outlet that is away is looked for after this time, then after twice as long, up to the longest [s].
-FIRST_PAUSE, LONGEST_PAUSE = 1, 30
+#: Most messages that wait for an output: a quarter of an hour at ten a second.
+MAX_WAITING = 10_000
+#: An output that is away is looked for after this time, then after twice as long, up to the longest [s].
+FIRST_PAUSE, MAX_PAUSE = 1, 30
 #: Clients of a server; after one was sent away, the next is let in after this time [s], which leaves the rest to the
 #: answers of the monitor.
 MAX_CLIENTS, _REST = 10, 0.01
@@ -44,7 +44,7 @@ class Service:
         """Start the thread."""
         self._thread.start()
 
-    def ask_to_end(self) -> None:
+    def request_end(self) -> None:
         """Let the thread end; returns at once."""
         with self._changed:
             self._ending = True
@@ -56,7 +56,7 @@ class Service:
             self._thread.join(grace)
 
     def say(self, text: str) -> None:
-        """Print a line about this outlet, unless it is the same as the last one."""
+        """Print a line about this output, unless it is the same as the last one."""
         if text != self._said:
             self._said = text
             with suppress(OSError, ValueError):  # stderr is gone
@@ -67,10 +67,10 @@ class Service:
             self.run()
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            self.say(f"this outlet has ended ({reason}); the answers go on without it")
+            self.say(f"this output has ended ({reason}); the answers go on without it")
 
 
-class Outlet(Service):
+class Output(Service):
     """A service with a queue of messages; when it is full, the oldest is dropped and counted.
 
     Attributes
@@ -79,10 +79,10 @@ class Outlet(Service):
     up : whether the receiver is there
     """
 
-    def __init__(self, name: str, warn: Callable[[str], None], most_waiting: int = MOST_WAITING) -> None:
+    def __init__(self, name: str, warn: Callable[[str], None], max_waiting: int = MAX_WAITING) -> None:
         super().__init__(name, warn)
         self._waiting: deque[dict[str, Any]] = deque()
-        self._most = most_waiting
+        self._most = max_waiting
         self.passed = self.dropped = 0
         self.up = False
 
@@ -101,7 +101,7 @@ class Outlet(Service):
         return {"name": self.name, "up": self.up, **counts}
 
     def _next(self, ready: Callable[[], bool] = lambda: True, timeout: float = 0.5) -> dict[str, Any] | None:
-        """Return the next message as soon as the outlet is ready; None after a while or at the end."""
+        """Return the next message as soon as the output is ready; None after a while or at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._ending or (self._waiting and ready()), timeout)
             return self._waiting.popleft() if self._waiting and ready() else None
@@ -181,9 +181,9 @@ class Server(Service):
         """Serve until the end."""
         self._listener.serve_forever(poll_interval=0.2)
 
-    def ask_to_end(self) -> None:
+    def request_end(self) -> None:
         """Close the port."""
-        super().ask_to_end()
+        super().request_end()
         if self._thread.ident is not None:
             self._listener.shutdown()
         self._listener.server_close()
@@ -268,7 +268,7 @@ def _disconnect(client: socket.socket) -> None:
 
 
 def library(module: str, option: str, package: str) -> Any:
-    """Return the module of an outlet; raises `MissingExtra` if it is not installed."""
+    """Return the module of an output; raises `MissingExtra` if it is not installed."""
     return optional(module, f"{option} needs", "plant", name=package)
 
 

@@ -1,6 +1,6 @@
-"""The outlets of `cgid monitor`: its answers in the protocols that a plant speaks.
+"""The outputs of `cgid monitor`: its answers in the protocols that a plant speaks.
 
-A listener of the lines that `--json` prints. Each outlet works in threads of its own, behind a queue that drops the
+A listener of the lines that `--json` prints. Each output works in threads of its own, behind a queue that drops the
 oldest message when it is full, so the answers never wait for a broker, a reader or a command.
 """
 
@@ -13,18 +13,18 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
-from cgid.outlets.outlet import Outlet, Service
-from cgid.outlets.plant import Plant, Waveform
+from cgid.plant.output import Output, Service
+from cgid.plant.state import PlantState, Waveform
 
-__all__ = ["Outlets"]
+__all__ = ["Plant outputs"]
 
 
-class Outlets:
+class PlantOutputs:
     """Everything that receives the answers of one `cgid monitor`; use as a context, which starts and ends it.
 
-    The arguments are the options of that name; `warn` prints a line about an outlet, and is called from several
+    The arguments are the options of that name; `warn` prints a line about an output, and is called from several
     threads. Raises `InvalidValue` for an address or a command that is none, `MissingExtra` without the library of an
-    outlet, `CannotCreate` if a port is in use or the page cannot be written, `NoInput` or `BadData` if a file with a
+    output, `CannotCreate` if a port is in use or the page cannot be written, `NoInput` or `BadData` if a file with a
     password or a certificate cannot be read.
     """
 
@@ -39,35 +39,35 @@ class Outlets:
         on_open: str | None = None,
         warn: Callable[[str], None],
     ) -> None:
-        self.plant = plant = Plant()
+        self.plant = plant = PlantState()
         self._commands = {"shut": on_shut, "open": on_open}
         self._services: list[Service] = []
         self._waveform: Waveform | None = None
         try:  # ports are bound here
             if mqtt is not None:
-                from cgid.outlets.mqtt import Mqtt
+                from cgid.plant.mqtt import Mqtt
 
                 self._services.append(Mqtt(mqtt, plant, warn))
             for kind, command in self._commands.items():
                 if command is not None:
-                    from cgid.outlets.command import Command
+                    from cgid.plant.command import Command
 
                     self._services.append(Command(f"--on-{kind}", command, kind, warn))
-            plant.outlets = self._queues = [one for one in self._services if isinstance(one, Outlet)]
+            plant.outputs = self._queues = [one for one in self._services if isinstance(one, Output)]
             if prometheus is not None or live is not None:
-                from cgid.outlets.web import web_services
+                from cgid.plant.web import web_services
 
                 self._services += web_services(prometheus, live, plant, warn)
                 self._waveform = plant.waveform = None if live is None else Waveform()
             if modbus is not None:  # after the other ports, which it must find taken
-                from cgid.outlets.modbus import Modbus
+                from cgid.plant.modbus import Modbus
 
                 self._services.append(Modbus(modbus, plant, warn))
         except BaseException:
             self._close(0.0)
             raise
 
-    def __enter__(self) -> Outlets:
+    def __enter__(self) -> PlantOutputs:
         for service in self._services:
             service.start()
         return self
@@ -79,9 +79,9 @@ class Outlets:
     def _close(self, grace: float = 3.0) -> None:
         # First those that pass on what waits: the others show how it ended.
         for passing in (True, False):
-            own = [service for service in self._services if isinstance(service, Outlet) is passing]
+            own = [service for service in self._services if isinstance(service, Output) is passing]
             for service in own:
-                service.ask_to_end()
+                service.request_end()
             for service in own:
                 service.wait(grace)
 
@@ -107,7 +107,7 @@ class Outlets:
             )
         self.plant.begin(source, channels, rows, unit, threshold, behind)
 
-    def watched(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterator[NDArray[Any]]:
+    def monitored_blocks(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterator[NDArray[Any]]:
         """Yield the blocks (n_channels, n_samples); each is a beat of the heart, and a part of the waveform."""
         for block in blocks:
             if self._waveform is not None:
@@ -118,5 +118,5 @@ class Outlets:
     def __call__(self, record: dict[str, Any]) -> None:
         """Take one line of JSON; returns at once."""
         self.plant.take(record)
-        for outlet in self._queues:
-            outlet.put(record)
+        for output in self._queues:
+            output.put(record)

@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 from cgid.errors import InvalidValue
-from cgid.outlets.outlet import Outlet
+from cgid.plant.output import Output
 
 #: A command that takes longer is ended [s]; at most this many turns wait for it.
 LONGEST_RUN, MOST_TURNS = 30.0, 100
@@ -20,7 +20,7 @@ LONGEST_RUN, MOST_TURNS = 30.0, 100
 N_RESERVED = 10
 
 
-class Command(Outlet):
+class Command(Output):
     """Runs one command at a time, without a shell; it gets the turn as JSON on stdin and in its environment.
 
     Descriptors are kept in reserve between the runs, so that it can start even if none are left.

@@ -14,8 +14,8 @@ from typing import Any
 
 from cgid.errors import CannotCreate
 from cgid.files import write_whole
-from cgid.outlets.outlet import Address, Server, Service, library
-from cgid.outlets.plant import SHUT, Plant
+from cgid.plant.output import Address, Server, Service, library
+from cgid.plant.state import SHUT, PlantState
 
 #: What a path returns: a function that makes the bytes, and their type.
 Routes = dict[str, tuple[Callable[[], bytes], str]]
@@ -33,7 +33,7 @@ _DATA = "/*DATA*/null"
 
 
 def web_services(
-    prometheus: str | None, live: str | None, plant: Plant, warn: Callable[[str], None]
+    prometheus: str | None, live: str | None, plant: PlantState, warn: Callable[[str], None]
 ) -> Iterator[Service]:
     """Yield the servers and the file that were asked for; one address may serve both."""
     routes: dict[Address, Routes] = {}
@@ -113,7 +113,7 @@ def _is_loopback(name: str, given: str = "localhost") -> bool:
 class PageFile(Service):
     """The page with its data in one file, which reloads itself; replaced as a whole every second."""
 
-    def __init__(self, path: str, plant: Plant, warn: Callable[[str], None]) -> None:
+    def __init__(self, path: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         super().__init__(f"live {path}", warn)
         self._path, self._plant = Path(path), plant
         if self._path.exists() and not self._path.is_file():
@@ -152,11 +152,11 @@ def page() -> str:
     return (Path(__file__).parent / "live.html").read_text(encoding="utf-8")
 
 
-def _json(plant: Plant) -> str:
+def _json(plant: PlantState) -> str:
     return json.dumps(plant.page(), allow_nan=False)
 
 
-def metrics_of(plant: Plant) -> Callable[[], bytes]:
+def metrics_of(plant: PlantState) -> Callable[[], bytes]:
     """Return what makes the text of a scrape; raises `MissingExtra` without prometheus-client."""
     client = library("prometheus_client", "--prometheus", "prometheus-client")
     core = library("prometheus_client.core", "--prometheus", "prometheus-client")
@@ -168,11 +168,11 @@ def metrics_of(plant: Plant) -> Callable[[], bytes]:
             yield gauge("cgid_last_block_age_seconds", "Time since the last block of the stream", value=plant.age)
             yield gauge("cgid_behind_seconds", "Delay of the answers behind the stream", value=plant.behind)
             yield counter("cgid_blocks", "Blocks of the stream that were taken", value=plant.beats)
-            states = [outlet.status() for outlet in plant.outlets]
+            states = [output.status() for output in plant.outputs]
             for name, text, family in (
-                ("up", "Whether the receiver of an outlet is there", gauge),
-                ("passed", "Messages that an outlet has delivered", counter),
-                ("dropped", "Messages that an outlet has dropped", counter),
+                ("up", "Whether the receiver of an output is there", gauge),
+                ("passed", "Messages that an output has delivered", counter),
+                ("dropped", "Messages that an output has dropped", counter),
             ):
                 found = family(f"cgid_outlet_{name}", text, labels=["outlet"])
                 for state in states:

@@ -1,4 +1,4 @@
-"""What struck as `cgid predict --striker` asks for it: columns beside the answers, and the sizes of a recording."""
+"""What struck as `cgid predict --impactor` asks for it: columns beside the answers, and the sizes of a recording."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from cgid.errors import InvalidValue
 from cgid.identification.detection import find_impacts
 from cgid.identification.model import Model
+from cgid.impactor.masses import Detection, SizeDistribution, size_distribution
+from cgid.impactor.measured import MeasuredPulses
+from cgid.impactor.population import population_of
+from cgid.impactor.posterior import QUANTITIES
+from cgid.impactor.recognition import forces, through_beam
 from cgid.measure.table import ImpactKind
 from cgid.scene import Scene, record
-from cgid.striker.masses import Detection, SizeDistribution, size_distribution
-from cgid.striker.measured import MeasuredPulses
-from cgid.striker.population import population_of
-from cgid.striker.posterior import QUANTITIES
-from cgid.striker.recognition import forces, through_beam
 from cgid.units import UNITS
 from cgid.validation import Floats
 
@@ -26,8 +26,8 @@ COVERAGE = 0.9
 _SEED, _NEAR = 0x5EED_0004, 2e-3
 
 
-class StrikerColumns:
-    """Say what struck beside each answer of a model: the `strikers` of a question.
+class ImpactorColumns:
+    """Say what struck beside each answer of a model: the `impactors` of the settings.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class StrikerColumns:
     Raises
     ------
     InvalidValue
-        The scene has no population to tell strikers by.
+        The scene has no population to tell impactors by.
     """
 
     def __init__(self, scene: Scene, *, keep: bool = False) -> None:
@@ -50,16 +50,16 @@ class StrikerColumns:
     def check(self, model: Model) -> None:
         """Raise `InvalidValue` if the answers of a model do not show the force of each impact."""
         if model.kind == "window":
-            raise InvalidValue("striker must be left out for a model of windows, which hold any number of impacts")
+            raise InvalidValue("impactor must be left out for a model of windows, which hold any number of impacts")
         if model.kind == "vibration" and model.beam is None:
             raise InvalidValue(
-                "striker needs the force: this model does not look through its beam to it; take one that does, such "
+                "impactor needs the force: this model does not look through its beam to it; take one that does, such "
                 "as default-acceleration, or train one on a scene with a beam"
             )
         if model.beam is not None and model.together > 1:
-            raise InvalidValue("striker needs a model of one sensor, this one looks through several together")
+            raise InvalidValue("impactor needs a model of one sensor, this one looks through several together")
         if model.kind == "pulse" and model.quantity != "force":
-            raise InvalidValue(f"striker needs the force [N], this model takes {model.quantity} [{model.unit}]")
+            raise InvalidValue(f"impactor needs the force [N], this model takes {model.quantity} [{model.unit}]")
 
     def __call__(
         self,

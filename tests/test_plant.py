@@ -1,4 +1,4 @@
-"""The outlets of monitor, each with a real counterpart on the loopback: broker, Modbus client, scrape, commands."""
+"""Plant outputs against real counterparts on the loopback: broker, Modbus client, Prometheus scrape, commands."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput
-from cgid.outlets import Outlets, command, modbus, mqtt, web
-from cgid.outlets.modbus import HEAD, WIDTH
-from cgid.outlets.outlet import MAX_CLIENTS, Outlet
-from cgid.outlets.plant import BIN_TIME, Waveform
-from cgid.outlets.web import page
+from cgid.plant import PlantOutputs, command, modbus, mqtt, web
+from cgid.plant.modbus import HEAD, WIDTH
+from cgid.plant.output import MAX_CLIENTS, Output
+from cgid.plant.state import BIN_TIME, Waveform
+from cgid.plant.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
 
 RAW = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--window", "0.24"]
@@ -71,11 +71,11 @@ def said() -> list[str]:
 
 
 @pytest.fixture
-def outlets(said: list[str]) -> Iterator[Callable[..., Outlets]]:
-    made: list[Outlets] = []
+def outputs(said: list[str]) -> Iterator[Callable[..., PlantOutputs]]:
+    made: list[PlantOutputs] = []
 
-    def make(channels: tuple[str, ...] = ("1",), **given: str) -> Outlets:
-        own = Outlets(**given, warn=said.append)
+    def make(channels: tuple[str, ...] = ("1",), **given: str) -> PlantOutputs:
+        own = PlantOutputs(**given, warn=said.append)
         own.__enter__()
         made.append(own)
         own.begin(source="s", channels=channels, rows=channels, unit="N", threshold=0.5, behind=lambda: 0.25)
@@ -162,10 +162,10 @@ class Subscriber:
         self.client.loop_stop()
 
 
-def test_each_line_is_a_message_and_the_state_is_retained(outlets, broker, said) -> None:
+def test_each_line_is_a_message_and_the_state_is_retained(outputs, broker, said) -> None:
     port = broker().port
     with Subscriber(port) as found:
-        own = outlets(channels=("1", "a/b#"), mqtt=f"mqtt://127.0.0.1:{port}/plant/s7")
+        own = outputs(channels=("1", "a/b#"), mqtt=f"mqtt://127.0.0.1:{port}/plant/s7")
         for number in range(1, 501):
             own(impact(number))
         own(share(10.0, 0.7, channel="a/b#"))
@@ -189,14 +189,14 @@ def test_each_line_is_a_message_and_the_state_is_retained(outlets, broker, said)
         wait_for(lambda: len(found.of("plant/s7/status")) == 2)
         assert found.of("plant/s7/status") == ["online", "offline"]
     assert said == []
-    assert own.plant.outlets[0].passed == 503
+    assert own.plant.outputs[0].passed == 503
 
 
-def test_broker_that_dies_and_comes_back(outlets, broker, said, monkeypatch) -> None:
-    monkeypatch.setattr(Outlet.__init__, "__defaults__", (50,))
+def test_broker_that_dies_and_comes_back(outputs, broker, said, monkeypatch) -> None:
+    monkeypatch.setattr(Output.__init__, "__defaults__", (50,))
     daemon = broker()
-    own = outlets(mqtt=f"mqtt://127.0.0.1:{daemon.port}/plant/s7")
-    (queue,) = own.plant.outlets
+    own = outputs(mqtt=f"mqtt://127.0.0.1:{daemon.port}/plant/s7")
+    (queue,) = own.plant.outputs
     own(impact(1))
     wait_for(lambda: queue.passed == 1)
     daemon.kill()
@@ -219,7 +219,7 @@ def test_broker_that_dies_and_comes_back(outlets, broker, said, monkeypatch) -> 
 
 
 @pytest.mark.parametrize("how", ["away", "refuses", pytest.param("hangs", marks=pytest.mark.long)])
-def test_broker_that_is_of_no_use_is_one_line(how, outlets, broker, said, monkeypatch) -> None:
+def test_broker_that_is_of_no_use_is_one_line(how, outputs, broker, said, monkeypatch) -> None:
     monkeypatch.setattr(mqtt, "_PATIENCE", 0.5)
     monkeypatch.setattr(mqtt, "_GRACE", 0.2)
     port = broker("allow_anonymous false").port if how == "refuses" else free_port()
@@ -227,7 +227,7 @@ def test_broker_that_is_of_no_use_is_one_line(how, outlets, broker, said, monkey
         if how == "hangs":
             silent.bind(("127.0.0.1", port))
             silent.listen()
-        own = outlets(mqtt=f"mqtt://127.0.0.1:{port}/plant")
+        own = outputs(mqtt=f"mqtt://127.0.0.1:{port}/plant")
         own(impact(1))
         wait_for(lambda: said)
         time.sleep(1.2)  # it tries again, and says no more
@@ -241,7 +241,7 @@ def test_broker_that_is_of_no_use_is_one_line(how, outlets, broker, said, monkey
 @pytest.mark.long
 # paho leaves the socket of a failed handshake to the collector.
 @pytest.mark.filterwarnings("ignore:Exception ignored in.*SSLSocket")
-def test_password_and_tls(outlets, broker, said, tmp_path, monkeypatch) -> None:
+def test_password_and_tls(outputs, broker, said, tmp_path, monkeypatch) -> None:
     if shutil.which("openssl") is None or shutil.which("mosquitto_passwd") is None:
         pytest.skip("openssl or mosquitto_passwd is not installed")
     crt, key, users = (tmp_path / name for name in ("c.pem", "k.pem", "users"))
@@ -257,36 +257,36 @@ def test_password_and_tls(outlets, broker, said, tmp_path, monkeypatch) -> None:
     (tmp_path / "word").write_text("se cret\n")
     monkeypatch.setenv("CGID_MQTT_USER", "seven")
     monkeypatch.setenv("CGID_MQTT_PASSWORD_FILE", str(tmp_path / "word"))
-    unknown = outlets(mqtt=url)  # a certificate that nobody vouches for
+    unknown = outputs(mqtt=url)  # a certificate that nobody vouches for
     assert "certificate verify failed" in wait_for(lambda: said)[0].lower()
     unknown.__exit__(None, None, None)
     said.clear()
     monkeypatch.setenv("CGID_MQTT_CA", str(crt))
-    own = outlets(mqtt=url)
+    own = outputs(mqtt=url)
     own(impact(1))
-    wait_for(lambda: own.plant.outlets[0].passed == 1)
+    wait_for(lambda: own.plant.outputs[0].passed == 1)
     assert said == []
     monkeypatch.setenv("CGID_MQTT_CA", str(tmp_path / "word"))
     with pytest.raises(BadData, match="CGID_MQTT_CA"):
-        Outlets(mqtt=url, warn=said.append)
+        PlantOutputs(mqtt=url, warn=said.append)
     monkeypatch.setenv("CGID_MQTT_PASSWORD_FILE", str(tmp_path / "none"))
     with pytest.raises(NoInput, match="CGID_MQTT_PASSWORD_FILE"):
-        Outlets(mqtt=url, warn=said.append)
+        PlantOutputs(mqtt=url, warn=said.append)
 
 
 # -- Modbus -----------------------------------------------------------------------------------------------
 
 
-def test_registers_are_what_a_client_reads(outlets) -> None:
+def test_registers_are_what_a_client_reads(outputs) -> None:
     client_of = pytest.importorskip("pymodbus.client", reason="pymodbus is not installed")
     port = free_port()
-    own = outlets(channels=("1", "2"), modbus=f"127.0.0.1:{port}")
+    own = outputs(channels=("1", "2"), modbus=f"127.0.0.1:{port}")
     for number in range(70_000):
         own(impact(number, "unknown" if number % 7 == 0 else "gangue"))
     own(share(10.0, 0.7))
     own(turn("shut", 10.0, 0.7))
     own(share(10.0, None, channel="2", impacts=0))
-    list(own.watched([np.zeros((2, 50))] * 3, 1000.0))
+    list(own.monitored_blocks([np.zeros((2, 50))] * 3, 1000.0))
     client = client_of.ModbusTcpClient("127.0.0.1", port=port)
     wait_for(client.connect)
     try:
@@ -307,7 +307,7 @@ def test_registers_are_what_a_client_reads(outlets) -> None:
         assert client.read_input_registers(60_000, count=4).isError()
         assert client.read_input_registers(HEAD, count=1).registers == [2]
         for beat in range(4, 7):
-            list(own.watched([np.zeros((2, 50))], 1000.0))
+            list(own.monitored_blocks([np.zeros((2, 50))], 1000.0))
             assert client.read_input_registers(1, count=1).registers == [beat]
     finally:
         client.close()
@@ -327,9 +327,9 @@ def modbus_frame(request: bytes, number: int = 7, protocol: int = 0, unit: int =
     return struct.pack(">HHHB", number, protocol, len(request) + 1, unit) + request
 
 
-def test_only_reads_of_registers_are_answered(outlets) -> None:
+def test_only_reads_of_registers_are_answered(outputs) -> None:
     port = free_port()
-    outlets(modbus=f"127.0.0.1:{port}")
+    outputs(modbus=f"127.0.0.1:{port}")
     requests = [bytes([function, 0, 0, 0, 1]) for function in range(256)]
     answers = asked(port, *map(modbus_frame, requests))
     for function, answer in enumerate(answers):
@@ -353,9 +353,9 @@ def test_only_reads_of_registers_are_answered(outlets) -> None:
 
 
 @pytest.fixture
-def two_servers(outlets) -> tuple[int, int]:
+def two_servers(outputs) -> tuple[int, int]:
     ports = free_port(), free_port()
-    outlets(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
+    outputs(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
     return ports
 
 
@@ -402,11 +402,11 @@ def test_silent_clients_leave_room(two_servers, said, capfd) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-def test_slow_request_ends(outlets, monkeypatch) -> None:
+def test_slow_request_ends(outputs, monkeypatch) -> None:
     for module in (modbus, web):
         monkeypatch.setattr(module, "TIMEOUT", 0.5)
     ports = free_port(), free_port()
-    outlets(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
+    outputs(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
     for port in ports:
         with socket.create_connection(("127.0.0.1", port), timeout=0.05) as client:
 
@@ -422,9 +422,9 @@ def test_slow_request_ends(outlets, monkeypatch) -> None:
             wait_for(is_closed, 5.0)
 
 
-def test_command_runs_without_a_descriptor_left(outlets, said, tmp_path) -> None:
-    own = outlets(on_shut=f"touch {tmp_path / 'x'}")
-    wait_for(lambda: own.plant.outlets[0].reserved)
+def test_command_runs_without_a_descriptor_left(outputs, said, tmp_path) -> None:
+    own = outputs(on_shut=f"touch {tmp_path / 'x'}")
+    wait_for(lambda: own.plant.outputs[0].reserved)
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     taken: list[int] = []
     try:
@@ -433,7 +433,7 @@ def test_command_runs_without_a_descriptor_left(outlets, said, tmp_path) -> None
             while True:
                 taken.append(os.open(os.devnull, os.O_RDONLY))
         own(turn("shut", 1.0))
-        wait_for(lambda: own.plant.outlets[0].passed or said)
+        wait_for(lambda: own.plant.outputs[0].passed or said)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         for descriptor in taken:
@@ -454,9 +454,9 @@ def status(port: int, *hosts: str, method: str = "GET", path: str = "/state.json
     return int(head.split()[1]), content
 
 
-def test_loopback_server_answers_loopback_names_only(outlets) -> None:
+def test_loopback_server_answers_loopback_names_only(outputs) -> None:
     port = free_port()
-    outlets(live=f":{port}")
+    outputs(live=f":{port}")
     for host in ("localhost", f"LOCALHOST:{port}", "127.0.0.1", "127.0.0.1:9", "[::1]", f"[::1]:{port}"):
         assert status(port, host)[0] == 200, host
     for host in (
@@ -478,7 +478,7 @@ def test_loopback_server_answers_loopback_names_only(outlets) -> None:
     assert status(port, "localhost", "evil.example")[0] == 421
     assert status(port, "localhost", method="HEAD") == (200, b"")
     everywhere = free_port()
-    outlets(live=f"0.0.0.0:{everywhere}")
+    outputs(live=f"0.0.0.0:{everywhere}")
     assert status(everywhere, "recorder.plant")[0] == 200
 
 
@@ -487,11 +487,11 @@ def get(port: int, path: str) -> tuple[Any, str]:
         return answer.headers, answer.read().decode()
 
 
-def test_scrape_and_page_share_a_port(outlets, tmp_path) -> None:
+def test_scrape_and_page_share_a_port(outputs, tmp_path) -> None:
     parser = pytest.importorskip("prometheus_client.parser", reason="prometheus-client is not installed")
     port = free_port()
     touched = f"touch {tmp_path}/x"
-    own = outlets(channels=("1", 'a"b'), prometheus=f":{port}", live=f":{port}", on_shut=touched)
+    own = outputs(channels=("1", 'a"b'), prometheus=f":{port}", live=f":{port}", on_shut=touched)
     own(impact(1))
     own(impact(2, "gangue"))
     own(share(2.0, 0.25))
@@ -511,7 +511,7 @@ def test_scrape_and_page_share_a_port(outlets, tmp_path) -> None:
     assert samples[("cgid_behind_seconds",)] == 0.25
     assert samples[("cgid_last_block_age_seconds",)] == np.inf
     assert samples[("cgid_outlet_up", "--on-shut")] == 1
-    list(own.watched([np.arange(20.0).reshape(2, 10)], 1000.0))
+    list(own.monitored_blocks([np.arange(20.0).reshape(2, 10)], 1000.0))
     _, text = get(port, "/state.json")
     data = json.loads(text)
     assert [one["state"] for one in data["supports"]] == ["shut", "unknown"]
@@ -535,11 +535,11 @@ def test_page_loads_nothing_from_elsewhere() -> None:
     assert not re.search(r"https?:|//[a-z]|@import|url\(|innerHTML|\bsrc=", page())
 
 
-def test_page_says_what_the_data_say(outlets, tmp_path) -> None:
+def test_page_says_what_the_data_say(outputs, tmp_path) -> None:
     """The script of the page runs without a browser: its functions on the data of a page in a file."""
     if shutil.which("node") is None:
         pytest.skip("node is not installed, which runs the script of the page")
-    own = outlets(channels=("</script><b>",), live=str(tmp_path / "p.html"))
+    own = outputs(channels=("</script><b>",), live=str(tmp_path / "p.html"))
     own(impact(1, channel="</script><b>"))
     own(share(2.0, 0.25, channel="</script><b>"))
     own.__exit__(None, None, None)
@@ -561,16 +561,16 @@ def test_page_says_what_the_data_say(outlets, tmp_path) -> None:
     ]
 
 
-def test_file_of_the_page_replaces_none_but_its_own(outlets, tmp_path) -> None:
+def test_file_of_the_page_replaces_none_but_its_own(outputs, tmp_path) -> None:
     (tmp_path / "mine.html").write_text("my diary")
     with pytest.raises(CannotCreate, match="no live page"):
-        Outlets(live=str(tmp_path / "mine.html"), warn=print)
+        PlantOutputs(live=str(tmp_path / "mine.html"), warn=print)
     with pytest.raises(CannotCreate, match=r"p\.html"):
-        Outlets(live=str(tmp_path / "none" / "p.html"), warn=print)
+        PlantOutputs(live=str(tmp_path / "none" / "p.html"), warn=print)
     planted = tmp_path / ".p.html.part"
     planted.symlink_to(tmp_path / "mine.html")
     for _ in range(2):
-        outlets(live=str(tmp_path / "p.html")).__exit__(None, None, None)
+        outputs(live=str(tmp_path / "p.html")).__exit__(None, None, None)
     assert (tmp_path / "mine.html").read_text() == "my diary"
     assert sorted(path.name for path in tmp_path.iterdir()) == [planted.name, "mine.html", "p.html"]
 
@@ -595,10 +595,10 @@ def test_waveform_is_the_least_and_largest_of_each_bin() -> None:
 # -- commands ---------------------------------------------------------------------------------------------
 
 
-def test_command_gets_the_turn(outlets, said, tmp_path) -> None:
+def test_command_gets_the_turn(outputs, said, tmp_path) -> None:
     program = "import os, sys; print(sys.stdin.read(), os.environ['CGID_SHARE'], os.environ['CGID_CHANNEL'], "
     program += f"sep='|', file=open(r'{tmp_path / 'log'}', 'a'))"
-    own = outlets(on_shut=f'"{sys.executable}" -c "{program}"')
+    own = outputs(on_shut=f'"{sys.executable}" -c "{program}"')
     for one in (impact(1), turn("open", 1.0), turn("shut", 2.0, 0.625)):
         own(one)
     own.__exit__(None, None, None)  # waits for it
@@ -608,9 +608,9 @@ def test_command_gets_the_turn(outlets, said, tmp_path) -> None:
     assert said == []
 
 
-def test_command_that_fails_or_hangs_is_one_line(outlets, said, monkeypatch) -> None:
+def test_command_that_fails_or_hangs_is_one_line(outputs, said, monkeypatch) -> None:
     monkeypatch.setattr(command, "LONGEST_RUN", 0.3)
-    own = outlets(on_shut=f'"{sys.executable}" -c "raise SystemExit(3)"', on_open="sleep 60")
+    own = outputs(on_shut=f'"{sys.executable}" -c "raise SystemExit(3)"', on_open="sleep 60")
     own(turn("shut", 1.0))
     own(turn("open", 2.0))
     wait_for(lambda: len(said) == 2)
@@ -642,26 +642,26 @@ def test_missing_library_names_the_extra(monkeypatch) -> None:
         monkeypatch.setitem(sys.modules, name, None)
     for option, value in (("mqtt", "mqtt://127.0.0.1/t"), ("prometheus", ":9400")):
         with pytest.raises(MissingExtra, match=rf"--{option} needs .* pip install 'cgid\[plant\]'"):
-            Outlets(**{option: value}, warn=print)
+            PlantOutputs(**{option: value}, warn=print)
 
 
 def test_two_servers_on_one_port_are_refused() -> None:
     port = free_port()
     with pytest.raises(CannotCreate, match=f"--modbus 127.0.0.1:{port}: the address must be free"):
-        Outlets(live=f":{port}", modbus=f":{port}", warn=print)
+        PlantOutputs(live=f":{port}", modbus=f":{port}", warn=print)
     with socket.socket() as again:  # and nothing is left open
         again.bind(("127.0.0.1", port))
 
 
 def test_command_needs_a_model_that_decides() -> None:
-    own = Outlets(on_open=f'"{sys.executable}" -V', warn=print)
+    own = PlantOutputs(on_open=f'"{sys.executable}" -V', warn=print)
     with pytest.raises(InvalidValue, match="--on-open needs a model that tells gangue from coal"):
         own.begin(source="s", channels=["1"], rows=["1"], unit="N", threshold=None, behind=lambda: 0.0)
 
 
 def test_password_in_the_url_is_not_repeated() -> None:
     with pytest.raises(InvalidValue, match="CGID_MQTT_PASSWORD") as found:
-        Outlets(mqtt="mqtt://me:s3cret@host/t", warn=print)
+        PlantOutputs(mqtt="mqtt://me:s3cret@host/t", warn=print)
     assert "s3cret" not in str(found.value)
 
 
@@ -706,7 +706,7 @@ def test_clock_adds_the_time_of_the_wall(raw, capsys) -> None:
 
 def test_nothing_of_the_outlets_is_loaded_unless_asked(raw) -> None:
     program = "import sys; from cgid.cli.main import run; run(sys.argv[1:]); "
-    program += "print([n for n in sys.modules if n.startswith(('cgid.outlets', 'paho', 'http.server', 'asyncio'))])"
+    program += "print([n for n in sys.modules if n.startswith(('cgid.plant', 'paho', 'http.server', 'asyncio'))])"
     done = subprocess.run(
         [sys.executable, "-c", program, "monitor", str(raw), *RAW], capture_output=True, text=True, cwd=ROOT
     )

@@ -1,9 +1,9 @@
 """What struck: coverage and width of intervals of mass, radius and speed, their time, and the masses of a recording.
 
-    python benchmarks/striker.py                          # all, some two minutes; writes striker.png
-    python benchmarks/striker.py --cases reference -n 2000
-    python benchmarks/striker.py --cases beams -n 1536 --seed 777000301 777000302
-    python benchmarks/striker.py --cases masses --recordings 6 --seed 777000401
+    python benchmarks/impactor.py                          # all, some two minutes; writes impactor.png
+    python benchmarks/impactor.py --cases reference -n 2000
+    python benchmarks/impactor.py --cases beams -n 1536 --seed 777000301 777000302
+    python benchmarks/impactor.py --cases masses --recordings 6 --seed 777000401
 
 Coverage is the share of impacts whose interval holds the truth, of those with an interval. Width is the ratio of the
 ends of the 80 % interval, the median over impacts: of the population (knowing nothing), of the posterior, of the
@@ -28,6 +28,11 @@ from cgid.identification.contact import ThroughBeam
 from cgid.identification.detection import find_impacts
 from cgid.identification.estimation import cramer_rao_bound, estimate
 from cgid.identification.events import frames_alike
+from cgid.impactor import ImpactorEstimates, MeasuredPulses, population_of, size_distribution
+from cgid.impactor.columns import detection_of, matched
+from cgid.impactor.population import beam_behind
+from cgid.impactor.posterior import QUANTITIES
+from cgid.impactor.recognition import of_material, through_beam
 from cgid.measure.beam import nodes
 from cgid.measure.template import relative_times
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
@@ -39,11 +44,6 @@ from cgid.scene.impacts import blows_of
 from cgid.scene.plan import Plan
 from cgid.scene.sections import DISSIPATIONS
 from cgid.scene.through_beam import beam_of
-from cgid.striker import MeasuredPulses, Strikers, population_of, size_distribution
-from cgid.striker.columns import detection_of, matched
-from cgid.striker.population import beam_behind
-from cgid.striker.posterior import QUANTITIES
-from cgid.striker.recognition import of_material, through_beam
 from cgid.validation import Floats
 from studies.ceilings.beam import BeamErrors
 
@@ -71,7 +71,7 @@ def impacts(scene: Scene, n: int, seed: int) -> tuple[MeasuredPulses, dict[str, 
     return MeasuredPulses.joined(parts), truth, taken / n
 
 
-def covered(found: Strikers, truth: dict[str, Floats], rows: Any) -> dict[str, list[float]]:
+def covered(found: ImpactorEstimates, truth: dict[str, Floats], rows: Any) -> dict[str, list[float]]:
     """Return the share of intervals that hold the truth, for each of `LEVELS`."""
     out: dict[str, list[float]] = {}
     for name in QUANTITIES:
@@ -80,7 +80,7 @@ def covered(found: Strikers, truth: dict[str, Floats], rows: Any) -> dict[str, l
     return out
 
 
-def ratio(found: Strikers, name: str, rows: Any = slice(None)) -> float:
+def ratio(found: ImpactorEstimates, name: str, rows: Any = slice(None)) -> float:
     low, high = found.interval(name, 0.8)
     return float(np.nanmedian((high / low)[rows]))
 
@@ -211,7 +211,7 @@ def beams(n: int) -> None:
             row(f"finite elements, {variant}, through {told}", found, truth)
 
 
-def row(name: str, found: Strikers, truth: dict[str, Floats]) -> None:
+def row(name: str, found: ImpactorEstimates, truth: dict[str, Floats]) -> None:
     known = np.isfinite(found.median("mass"))
     share = covered(found, truth, known)
     cells = "".join("| " + " / ".join(f"{one:.3f}" for one in share[q]) + " " for q in QUANTITIES)
@@ -325,7 +325,7 @@ def masses(path: Path, n: int, name: str = "caving") -> None:
         values = {"mass": mass, "radius": truth["radius"], "speed": truth["velocity"], "bounce": truth["bounce"]}
         hit = {key: value[place >= 0] for key, value in values.items()}
         held.append((found, true, population.posterior(pulses.rows(place[place >= 0])), hit))
-    own = Strikers.joined([part[2] for part in held])
+    own = ImpactorEstimates.joined([part[2] for part in held])
     hit = {key: np.concatenate([part[3][key] for part in held]) for key in held[0][3]}
     known = np.isfinite(own.median("mass"))
     groups = {"all": known, "not yet bounced": known & (hit["bounce"] == 0), "rebounds": known & (hit["bounce"] > 0)}
@@ -350,7 +350,7 @@ def masses(path: Path, n: int, name: str = "caving") -> None:
     picture(path, *held[0])
 
 
-def picture(path: Path, found: Any, true: Any, own: Strikers, hit: dict[str, Floats]) -> None:
+def picture(path: Path, found: Any, true: Any, own: ImpactorEstimates, hit: dict[str, Floats]) -> None:
     from cgid.plots.answers import draw_sizes
 
     figure = require_matplotlib()(figsize=(11, 4.4), layout="constrained")

@@ -1,7 +1,7 @@
-"""The outlets of monitor beside a real broker: messages a second, latency, and a broker that dies and comes back.
+"""The plant outputs of monitor beside a real broker: messages a second, latency, and a broker that dies and comes back.
 
-    python benchmarks/outlets.py [--seconds 30]
-    python benchmarks/outlets.py --clients
+    python benchmarks/plant.py [--seconds 30]
+    python benchmarks/plant.py --clients
 
 Needs mosquitto, and the extra "plant". Everything runs on this machine, over the loopback. Prints Markdown.
 
@@ -33,17 +33,17 @@ import numpy as np
 import paho.mqtt.client as paho
 from pymodbus.client import ModbusTcpClient
 
-from cgid.outlets import Outlets
+from cgid.plant import PlantOutputs
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 from tests.streams_of_pulses import RATE, stream  # noqa: E402
-from tests.test_outlets import free_port, impact, share  # noqa: E402
+from tests.test_plant import free_port, impact, share  # noqa: E402
 
 #: Samples are written in blocks of this time [s].
 BLOCK = 0.01
 SHORT_QUEUE = 200
-MONITOR = "from cgid.outlets.outlet import Outlet; Outlet.__init__.__defaults__ = ({queue},); "
+MONITOR = "from cgid.plant.output import Outlet; Outlet.__init__.__defaults__ = ({queue},); "
 MONITOR += "import sys; from cgid.cli.main import run; sys.exit(run(sys.argv[1:]))"
 
 
@@ -83,32 +83,32 @@ def subscriber(port):
     return client, found
 
 
-def queue_of(outlets):
-    return outlets.plant.outlets[0]
+def queue_of(outputs):
+    return outputs.plant.outputs[0]
 
 
 def messages(port, n_messages=20_000):
     """Print the largest rate of messages, the latency at a hundred a second, and what a line costs the answers."""
     client, found = subscriber(port)
-    with Outlets(mqtt=f"mqtt://127.0.0.1:{port}/b", warn=print) as outlets:
-        outlets.begin(source="s", channels=["1"], rows=["1"], unit="N", threshold=0.5, behind=lambda: 0.0)
+    with PlantOutputs(mqtt=f"mqtt://127.0.0.1:{port}/b", warn=print) as outputs:
+        outputs.begin(source="s", channels=["1"], rows=["1"], unit="N", threshold=0.5, behind=lambda: 0.0)
         begun, spent = time.perf_counter(), 0.0
         for number in range(n_messages):
-            while len(queue_of(outlets)._waiting) > 5000:
+            while len(queue_of(outputs)._waiting) > 5000:
                 time.sleep(0.001)
             record = impact(number)
             before = time.perf_counter()
-            outlets(record)
+            outputs(record)
             spent += time.perf_counter() - before
-        while sum("/impact/" in topic for _, topic, _ in found[-50:]) == 0 or queue_of(outlets).passed < n_messages:
+        while sum("/impact/" in topic for _, topic, _ in found[-50:]) == 0 or queue_of(outputs).passed < n_messages:
             time.sleep(0.001)
         print(f"| messages a second, acknowledged | {n_messages / (time.perf_counter() - begun):.0f} |")
-        print(f"| a line to the outlets, while messages leave [us] | {spent / n_messages * 1e6:.1f} |")
+        print(f"| a line to the outputs, while messages leave [us] | {spent / n_messages * 1e6:.1f} |")
         found.clear()
         sent = []
         for number in range(300):
             sent.append(time.perf_counter())
-            outlets(impact(number))
+            outputs(impact(number))
             time.sleep(0.01)
         time.sleep(0.5)
         arrived = {json.loads(line)["impact"]: at for at, topic, line in found if "/impact/" in topic}
@@ -127,15 +127,15 @@ def readers():
     """Print the times of a scrape, of a Modbus read and of the page's data, for eight supports."""
     http, modbus = free_port(), free_port()
     names = [str(number) for number in range(1, 9)]
-    with Outlets(prometheus=f":{http}", live=f":{http}", modbus=f":{modbus}", warn=print) as outlets:
-        outlets.begin(source="s", channels=names, rows=names, unit="N", threshold=0.5, behind=lambda: 0.0)
+    with PlantOutputs(prometheus=f":{http}", live=f":{http}", modbus=f":{modbus}", warn=print) as outputs:
+        outputs.begin(source="s", channels=names, rows=names, unit="N", threshold=0.5, behind=lambda: 0.0)
         for name in names:
-            outlets(impact(1, channel=name))
-            outlets(share(1.0, 0.5, channel=name))
+            outputs(impact(1, channel=name))
+            outputs(share(1.0, 0.5, channel=name))
         rng = np.random.default_rng(0)
         blocks = [rng.normal(size=(8, 1280)) for _ in range(200)]
         begun = time.perf_counter()
-        for _ in outlets.watched(blocks, 25_600.0):
+        for _ in outputs.monitored_blocks(blocks, 25_600.0):
             pass
         spent = (time.perf_counter() - begun) / 200
         print(f"| waveform of a block of 50 ms, 8 channels at 25.6 kHz [us] | {1e6 * spent:.0f} |")
@@ -203,9 +203,9 @@ def outage(folder, seconds):
     )
     print("|---|---|---|---|---|---|---|")
     alone, delays, _ = monitored(force, seconds)
-    print(f"| without outlets | {len(alone)} | {quantiles(np.multiply(delays, 1e3))} | | | | |")
+    print(f"| without outputs | {len(alone)} | {quantiles(np.multiply(delays, 1e3))} | | | | |")
     for name, queue, dies in (
-        ("all outlets", 10_000, False),
+        ("all outputs", 10_000, False),
         ("broker away for a third of the time", 10_000, True),
         (f"the same, queue of {SHORT_QUEUE}", SHORT_QUEUE, True),
     ):
@@ -354,7 +354,7 @@ def main():
             clients(folder)
             return
         broker = Broker(folder)
-        print("| outlet | value |\n|---|---|")
+        print("| output | value |\n|---|---|")
         messages(broker.port)
         broker.kill()
         readers()

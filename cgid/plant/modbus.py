@@ -12,8 +12,8 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from cgid.outlets.outlet import Address, Server, since
-from cgid.outlets.plant import Plant, Support
+from cgid.plant.output import Address, Server, since
+from cgid.plant.state import PlantState, Support
 from cgid.validation import UNKNOWN
 
 #: Version of the registers.
@@ -32,7 +32,7 @@ _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
 class Modbus(Server):
     """A Modbus TCP server that only answers reads of registers."""
 
-    def __init__(self, address: str, plant: Plant, warn: Callable[[str], None]) -> None:
+    def __init__(self, address: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         class Handler(socketserver.StreamRequestHandler):
             server: Any
 
@@ -52,12 +52,12 @@ class Modbus(Server):
         super().__init__("--modbus", Address.of("--modbus", address), Handler, TIMEOUT, warn)
 
 
-def answered(request: bytes, plant: Plant) -> bytes:
+def answered(request: bytes, plant: PlantState) -> bytes:
     """Return the answer to a request, both from the function code on.
 
     Examples
     --------
-    >>> answered(bytes([4, 0, 0, 0, 1]), Plant()).hex(" "), answered(bytes([6, 0, 0, 0, 1]), Plant()).hex(" ")
+    >>> answered(bytes([4, 0, 0, 0, 1]), PlantState()).hex(" "), answered(bytes([6, 0, 0, 0, 1]), PlantState()).hex(" ")
     ('04 02 00 01', '86 01')
     """
     function, error = request[0], 0
@@ -74,7 +74,7 @@ def answered(request: bytes, plant: Plant) -> bytes:
     return struct.pack(f">BB{count}H", function, 2 * count, *known, *[0] * (count - len(known)))
 
 
-def registers(plant: Plant, supports: dict[str, Support]) -> list[int]:
+def registers(plant: PlantState, supports: dict[str, Support]) -> list[int]:
     """Return all registers: the head, then those of each support in the order of the channels."""
     head = [VERSION, plant.beats & 0xFFFF, _tenths(plant.age), _tenths(plant.behind), len(supports), int(plant.ended)]
     found = head + [0] * (HEAD - len(head))

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
-from cgid.striker.measured import MeasuredPulses
-from cgid.striker.posterior import QUANTITIES, StrikerPopulation
+from cgid.impactor.measured import MeasuredPulses
+from cgid.impactor.posterior import QUANTITIES, ImpactorPopulation
 from cgid.validation import Floats
 
 #: Classes of size, most of them, steps of the iteration, and resampled sets of impacts.
@@ -117,7 +117,7 @@ class SizeDistribution:
 
 def size_distribution(
     pulses: MeasuredPulses,
-    population: StrikerPopulation,
+    population: ImpactorPopulation,
     *,
     quantity: str = "mass",
     detection: Detection | None = None,
@@ -199,7 +199,7 @@ def _class_of(values: Floats, edges: Floats) -> NDArray[np.intp]:
     return np.searchsorted(edges, values, side="right") - 1
 
 
-def _likelihood(pulses: MeasuredPulses, population: StrikerPopulation, quantity: str, edges: Floats) -> Floats:
+def _likelihood(pulses: MeasuredPulses, population: ImpactorPopulation, quantity: str, edges: Floats) -> Floats:
     """Return the posterior probability of each class for each impact, (n, n_classes)."""
     n_classes, parts = edges.size - 1, [np.empty((0, edges.size - 1))]
     for values, weight in population.draws(pulses):

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.outlets.outlet import since
+from cgid.plant.output import since
 
 if TYPE_CHECKING:
-    from cgid.outlets.outlet import Outlet
+    from cgid.plant.output import Output
 
 #: States of a support; before its first share nothing is known.
 NOTHING, OPEN, SHUT = 0, 1, 2
@@ -73,7 +73,7 @@ class Support:
         return {"state": STATES[self.state], **known, "impacts": self.impacts, "unknown": self.unknown}
 
 
-class Plant:
+class PlantState:
     """All supports of a stream, and whether it is alive; several threads may ask.
 
     Attributes
@@ -88,7 +88,7 @@ class Plant:
         self.threshold: float | None = None
         self.beats, self.time = 0, 0.0
         self.ended = False
-        self.outlets: list[Outlet] = []
+        self.outputs: list[Output] = []
         self.waveform: Waveform | None = None
         self._beaten_at: float | None = None
         self._behind: Callable[[], float] = lambda: 0.0
@@ -163,7 +163,7 @@ class Plant:
             "behind": self.behind,
             "ended": self.ended,
             "supports": supports,
-            "outlets": [outlet.status() for outlet in self.outlets],
+            "outlets": [output.status() for output in self.outputs],
             "waveform": None if self.waveform is None else self.waveform.content(self.rows),
         }
 

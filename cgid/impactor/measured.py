@@ -1,4 +1,4 @@
-"""Fitted pulses as the posterior of a striker takes them, from forces or from the acceleration of a beam."""
+"""Fitted pulses as the posterior of an impactor takes them, from forces or from the acceleration of a beam."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ OVERLOAD_LIMIT = 1.0
 #: Above this misfit nothing of the family is left, and no widening makes it an estimate.
 HOPELESS = 400.0
 #: What ln peak, ln width and shape of pulses of the laws of Thornton, Walton and Kuwabara are, less those of the damped
-#: Hertz pulse of the same sphere and speed: mean and deviation in scene `rock` (`benchmarks/striker.py`). Peak and
+#: Hertz pulse of the same sphere and speed: mean and deviation in scene `rock` (`benchmarks/impactor.py`). Peak and
 #: width vary together, because their product is the impulse, `(1 + e) m v`: with this correlation.
 OTHER_LAWS, OTHER_DEVIATIONS, OTHER_CORRELATION = (-0.51, 0.49, 0.99), (0.44, 0.39, 0.40), -0.98
 #: Smallest and largest standard deviation of the logarithms that are believed.
 _FINEST, _COARSEST = 1e-4, 3.0
 #: Standard deviations of ln peak, ln width and shape by which pulses fitted through a beam differ from the closest
-#: ones of the family where the beam's own waves come back during contact (`benchmarks/striker.py`).
+#: ones of the family where the beam's own waves come back during contact (`benchmarks/impactor.py`).
 _BEHIND_BEAM = (0.005, 0.01, 0.08)
 #: Error of ln peak for what the beam leaves unexplained, over the root of its share of the energy, the largest, those
 #: of ln peak, ln width and shape over it, and from which on it is told: so that the intervals of scene `caving` cover.

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
 from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.outlets.outlet import FIRST_PAUSE, LONGEST_PAUSE, Outlet, library
-from cgid.outlets.plant import Plant
+from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library
+from cgid.plant.state import PlantState
 
 #: Most messages that the broker has not acknowledged.
 _MOST_ON_THE_WAY = 200
@@ -66,14 +66,14 @@ class Broker(NamedTuple):
         return cls(str(host), port or _PORTS[url.scheme], topic, url.scheme == "mqtts")
 
 
-class Mqtt(Outlet):
+class Mqtt(Output):
     """Messages below one topic: KIND/CHANNEL for each line, state/CHANNEL and status retained.
 
     Messages are acknowledged by the broker (QoS 1). What it has not acknowledged is sent again after a break, so a
     message may come twice; the field `message` counts them, and shows those that were dropped while it was away.
     """
 
-    def __init__(self, url: str, plant: Plant, warn: Callable[[str], None]) -> None:
+    def __init__(self, url: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         self._broker = broker = Broker.of(url)
         super().__init__(f"mqtt {broker.host}:{broker.port}", warn)
         paho = library("paho.mqtt.client", "--mqtt", "paho-mqtt")
@@ -84,7 +84,7 @@ class Mqtt(Outlet):
         self._early: set[int] = set()
         self._asked_at = time.monotonic()
         self._client = client = paho.Client(paho.CallbackAPIVersion.VERSION2)
-        client.reconnect_delay_set(FIRST_PAUSE, LONGEST_PAUSE)
+        client.reconnect_delay_set(FIRST_PAUSE, MAX_PAUSE)
         client.max_inflight_messages_set(2 * _MOST_ON_THE_WAY)
         client.will_set(self._topic("status"), "offline", qos=1, retain=True)
         client.on_connect, client.on_disconnect = self._connected, self._disconnected

@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.errors import InvalidValue
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
+from cgid.impactor.measured import MeasuredPulses
+from cgid.impactor.population import beam_behind, is_behind_beam, population_of
+from cgid.impactor.posterior import LEVELS, SPEED_POWER, TIME_POWER, ImpactorEstimates, ImpactorPopulation
 from cgid.measure.features import BEAM_LEAD
 from cgid.measure.frames import DETECTION_LIMIT, frames_of
 from cgid.measure.pulses import PulseBatch
@@ -23,9 +26,6 @@ from cgid.measure.vibration import VibrationBatch
 from cgid.physics import RIGID, HalfSpace, RigidWall
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import Scene, load_scene
-from cgid.striker.measured import MeasuredPulses
-from cgid.striker.population import beam_behind, is_behind_beam, population_of
-from cgid.striker.posterior import LEVELS, SPEED_POWER, TIME_POWER, StrikerPopulation, Strikers
 from cgid.validation import Floats, require_rate
 
 #: Vibrations looked at at once.
@@ -34,15 +34,15 @@ _ROWS = 256
 _STEP = 1e-3
 
 
-def strikers(
+def estimate_impactors(
     samples: ArrayLike,
     sampling_rate: float,
-    among: str | Path | Scene | StrikerPopulation | Material,
+    among: str | Path | Scene | ImpactorPopulation | Material,
     *,
     target: HalfSpace | RigidWall = HalfSpace(material=STEEL),  # noqa: B008
     pre_trigger: int | None = None,
     **options: Any,
-) -> Strikers:
+) -> ImpactorEstimates:
     """Tell mass, radius and speed of what struck, with intervals.
 
     A pulse alone leaves radius, speed and modulus undetermined in one direction; what can have struck fills it.
@@ -65,16 +65,16 @@ def strikers(
 
     Returns
     -------
-    Strikers
+    ImpactorEstimates
         Nan, with the reason, where nothing is known: the fit failed, the pulse is saturated, or the population has no
-        such striker.
+        such impactor.
 
     Raises
     ------
     BadData
         Samples are not finite rows of numbers, or a force has no impact.
     InvalidValue
-        A number breaks its rule, or the scene has no population to tell strikers by.
+        A number breaks its rule, or the scene has no population to tell impactors by.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def strikers(
     >>> time = np.arange(2000) / 200e3
     >>> blow = 3e3 * np.sin(np.pi * np.clip((time - 4e-3) / 0.5e-3, 0, 1)) ** 1.5
     >>> blow += np.random.default_rng(0).normal(0, 30, 2000)
-    >>> found = strikers(blow, 200e3, Material(density=7850, youngs_modulus=210e9, poisson_ratio=0.3))
+    >>> found = estimate_impactors(blow, 200e3, Material(density=7850, youngs_modulus=210e9, poisson_ratio=0.3))
     >>> [round(float(x[0]), 2) for x in (found.median("mass"), *found.interval("mass", 0.95))]
     [3.6, 3.57, 3.62]
     """
@@ -100,7 +100,7 @@ def strikers(
             frames = frames_of(samples, pre_trigger).astype(np.float64, copy=False)
             return population_of(among).posterior(through_beam(frames, sampling_rate, pre_trigger, beam_behind(among)))
         among = population_of(among)
-    if not isinstance(among, StrikerPopulation):
+    if not isinstance(among, ImpactorPopulation):
         raise InvalidValue(f"among must be a scene, draws or a material, got a {type(among).__name__}")
     return among.posterior(_of_forces(samples, sampling_rate, pre_trigger, options))
 
@@ -162,7 +162,7 @@ def of_material(
     pulses: MeasuredPulses,
     material: Material,
     target: HalfSpace | RigidWall = HalfSpace(material=STEEL),  # noqa: B008
-) -> Strikers:
+) -> ImpactorEstimates:
     """Return radius, speed and mass of spheres of a known material, single numbers, on a target.
 
     From `P0 = K L^(3/2)` and `T0 = L / v` with `K = 4/3 E* R^(1/2)` and `L = (m v^2 / K)^(2/5)`, which are linear in
@@ -190,7 +190,7 @@ def of_material(
         deviation = np.sqrt(np.einsum("ni,nij,nj->n", slope, pulses.covariance, slope))
         spread = np.exp(middle[:, None] + deviation[:, None] * scores)
         quantiles[name] = np.where(pulses.usable[:, None], spread, np.nan)
-    return Strikers(quantiles, pulses.problem)
+    return ImpactorEstimates(quantiles, pulses.problem)
 
 
 def _scales(material: Material, target: HalfSpace | RigidWall) -> tuple[float, float]:

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
+from cgid.impactor.measured import MeasuredPulses
 from cgid.measure.template import dimensionless_logarithms
-from cgid.striker.measured import MeasuredPulses
 from cgid.validation import Floats
 
-#: What is asked of a striker, and its units.
+#: What is asked of an impactor, and its units.
 QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}
 #: Probabilities whose quantiles are kept.
 LEVELS = np.array([0.005, 0.01, 0.025, *np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995])
@@ -50,7 +50,7 @@ _ROWS = 128
 
 
 @dataclass(frozen=True, eq=False)
-class Strikers:
+class ImpactorEstimates:
     """What struck, one row an impact.
 
     Attributes
@@ -93,27 +93,27 @@ class Strikers:
         return self.quantile(quantity, 0.5 - 0.5 * coverage), self.quantile(quantity, 0.5 + 0.5 * coverage)
 
     @classmethod
-    def joined(cls, parts: list[Strikers]) -> Strikers:
+    def joined(cls, parts: list[ImpactorEstimates]) -> ImpactorEstimates:
         """Return the impacts of all parts."""
         held = {name: np.concatenate([part.quantiles[name] for part in parts]) for name in QUANTITIES}
         return cls(held, np.concatenate([part.reason for part in parts]))
 
     @classmethod
-    def unknown(cls, reason: NDArray[np.str_]) -> Strikers:
-        """Return strikers of which nothing is known."""
+    def unknown(cls, reason: NDArray[np.str_]) -> ImpactorEstimates:
+        """Return impactors of which nothing is known."""
         return cls({name: np.full((reason.size, LEVELS.size), np.nan) for name in QUANTITIES}, reason)
 
 
 @dataclass(frozen=True, eq=False)
-class StrikerPopulation:
+class ImpactorPopulation:
     """Draws of a population, each (n,).
 
     Attributes
     ----------
     log_peak, log_width, shape : of the pulse: ln of the peak [N] and of impulse over peak [s], and s = ln e
-    log_radius, log_speed, log_mass : of the striker [m], [m/s], [kg]
+    log_radius, log_speed, log_mass : of the impactor [m], [m/s], [kg]
     group : number of its part of the population; within a part the radius does not depend on the rest
-    similar : whether a striker twice as large gives the same pulse, twice as long
+    similar : whether an impactor twice as large gives the same pulse, twice as long
     of_family : whether all pulses are damped-Hertz pulses
     name : of the population
     """
@@ -135,10 +135,10 @@ class StrikerPopulation:
 
     # -- the posterior ------------------------------------------------------------------------------------
 
-    def posterior(self, pulses: MeasuredPulses) -> Strikers:
+    def posterior(self, pulses: MeasuredPulses) -> ImpactorEstimates:
         """Return what struck."""
         parts = [self._posterior(part) for part in self._seen(pulses).blocks(_ROWS)]
-        return Strikers.joined(parts) if parts else Strikers.unknown(np.empty(0, np.str_))
+        return ImpactorEstimates.joined(parts) if parts else ImpactorEstimates.unknown(np.empty(0, np.str_))
 
     def draws(self, pulses: MeasuredPulses) -> Iterator[tuple[dict[str, Floats], Floats]]:
         """Yield the logarithms of mass, radius and speed of weighted draws of the posterior, some impacts at a time.
@@ -152,10 +152,10 @@ class StrikerPopulation:
     def _seen(self, pulses: MeasuredPulses) -> MeasuredPulses:
         return pulses.widened() if self.of_family else pulses
 
-    def _posterior(self, pulses: MeasuredPulses) -> Strikers:
+    def _posterior(self, pulses: MeasuredPulses) -> ImpactorEstimates:
         found, weight, excluded = self._moved(pulses)
         quantiles = {name: np.exp(values) for name, values in _quantiles(found, weight).items()}
-        return Strikers(quantiles, pulses.without(excluded).problem)
+        return ImpactorEstimates(quantiles, pulses.without(excluded).problem)
 
     def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, dict[int, str]]:
         """Return logarithms of draws moved onto pulses and their weights, (n, n_draws), and why some have none."""
@@ -209,7 +209,7 @@ class StrikerPopulation:
         else:
             rule = "it would be of another size or speed"
         return (
-            f"{self.name} has no striker with a pulse of {peak:.3g} N and {width * 1e6:.3g} us (impulse over peak): "
+            f"{self.name} has no impactor with a pulse of {peak:.3g} N and {width * 1e6:.3g} us (impulse over peak): "
             f"{rule}; take a population that has"
         )
 
@@ -228,7 +228,7 @@ class StrikerPopulation:
 class _Table:
     """Draws sorted by shape and, within these, by size-free scale."""
 
-    def __init__(self, population: StrikerPopulation) -> None:
+    def __init__(self, population: ImpactorPopulation) -> None:
         shape = population.shape
         n = shape.size
         self.n_shapes = int(np.clip(n // _PER_SHAPE, _FEWEST_SHAPES, _MOST_SHAPES))

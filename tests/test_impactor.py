@@ -15,16 +15,16 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.estimation import estimate
+from cgid.impactor import Detection, MeasuredPulses, estimate_impactors, population_of, size_distribution
+from cgid.impactor.columns import matched
+from cgid.impactor.population import beam_behind, fit_through_beam
+from cgid.impactor.posterior import LEVELS, QUANTITIES
+from cgid.impactor.recognition import forces, of_material, through_beam
 from cgid.physics import RIGID, HalfSpace, HuntCrossley, Impact, Sphere, ThinPlate
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import blows_of
 from cgid.scene.plan import Plan
-from cgid.striker import Detection, MeasuredPulses, population_of, size_distribution, strikers
-from cgid.striker.columns import matched
-from cgid.striker.population import beam_behind, fit_through_beam
-from cgid.striker.posterior import LEVELS, QUANTITIES
-from cgid.striker.recognition import forces, of_material, through_beam
 from tests import few
 from tests.bad_input import pulse
 
@@ -95,7 +95,7 @@ def test_posterior_is_that_of_all_draws_weighted_by_likelihood(population, devia
 
 def test_intervals_cover(reference):
     signals, truth = frames_of(reference, 1536)
-    found = strikers(signals, RATE, reference, pre_trigger=200)
+    found = estimate_impactors(signals, RATE, reference, pre_trigger=200)
     known = found.reason == ""
     assert known.mean() > 0.99
     for name in QUANTITIES:
@@ -113,7 +113,7 @@ def test_intervals_cover(reference):
 def test_pulses_of_other_laws_are_covered_by_their_population():
     scene = load_scene("rock")
     signals, truth = frames_of(scene, 768)
-    found = strikers(signals, RATE, population_of(scene, 1 << 14), pre_trigger=200)
+    found = estimate_impactors(signals, RATE, population_of(scene, 1 << 14), pre_trigger=200)
     known = np.isfinite(found.median("mass"))
     assert known.mean() > 0.98
     for name in QUANTITIES:
@@ -132,7 +132,7 @@ def test_pulse_of_another_law_is_wide_in_a_population_of_one_law(reference):
     frame = np.zeros((1, 1200))
     rock.add_to_frames(frame, RATE, np.array([2e-3]))
     frame += np.random.default_rng(0).normal(0, 0.01 * frame.max(), frame.shape)
-    found = strikers(frame, RATE, reference, pre_trigger=300)
+    found = estimate_impactors(frame, RATE, reference, pre_trigger=300)
     assert "wide: the pulse is not of the family (misfit" in found.reason[0]
     low, high = (end[0] for end in found.interval("mass", 0.95))
     mass = 4 / 3 * np.pi * 0.04**3 * 1400
@@ -155,11 +155,11 @@ def test_equal_rocks_are_known(reference):
     """A population of one rock: nothing is left to be found but what is drawn, and the pulse of another is excluded."""
     one = varied(reference, radius=0.03, density=1400.0, youngs_modulus=3e9, poisson_ratio=0.3, drop_height=1.0)
     signals, truth = frames_of(one, 256)
-    found = strikers(signals, RATE, one, pre_trigger=200)
+    found = estimate_impactors(signals, RATE, one, pre_trigger=200)
     assert np.isfinite(found.median("mass")).mean() > 0.98
     for name in QUANTITIES:
         assert np.nanmax(np.abs(np.log(found.median(name) / truth[name]))) < 0.06, name
-    assert "scene reference has no striker with a pulse of" in strikers(pulse(), RATE, one).reason[0]
+    assert "scene reference has no impactor with a pulse of" in estimate_impactors(pulse(), RATE, one).reason[0]
 
 
 # -- the material known -------------------------------------------------------------------------------
@@ -251,18 +251,26 @@ def test_misfit_without_end_is_no_measurement(reference):
 @pytest.mark.parametrize(
     ("ask", "says"),
     [
-        (lambda: strikers(pulse(), RATE, 7), "among must be a scene, draws or a material, got a int"),
-        (lambda: strikers(pulse(), RATE, COAL, target=ThinPlate(material=STEEL, thickness=0.01)), "target must be"),
+        (lambda: estimate_impactors(pulse(), RATE, 7), "among must be a scene, draws or a material, got a int"),
         (
-            lambda: strikers(pulse(), RATE, Material(density=[1e3, 2e3], youngs_modulus=1e9, poisson_ratio=0.3)),
+            lambda: estimate_impactors(pulse(), RATE, COAL, target=ThinPlate(material=STEEL, thickness=0.01)),
+            "target must be",
+        ),
+        (
+            lambda: estimate_impactors(
+                pulse(), RATE, Material(density=[1e3, 2e3], youngs_modulus=1e9, poisson_ratio=0.3)
+            ),
             "material must be one material, got 2; take one by one",
         ),
         (lambda: Material(density=1e3, youngs_modulus=np.nan, poisson_ratio=0.3), "youngs_modulus must be"),
-        (lambda: strikers(pulse(), RATE, load_scene("randomised")), "take [randomise] out"),
+        (lambda: estimate_impactors(pulse(), RATE, load_scene("randomised")), "take [randomise] out"),
         (lambda: population_of(load_scene("reference"), 100), "must hold at least 1024 draws, got 100"),
-        (lambda: strikers(pulse(), RATE, COAL).interval("mass", 1.0), "coverage must be above 0 and at most 0.99"),
-        (lambda: strikers(pulse(), RATE, COAL).quantile("weight", 0.5), "quantity must be one of"),
-        (lambda: strikers(pulse(), RATE, load_scene("tail_beam"), noise=1.0), "noise is for forces"),
+        (
+            lambda: estimate_impactors(pulse(), RATE, COAL).interval("mass", 1.0),
+            "coverage must be above 0 and at most 0.99",
+        ),
+        (lambda: estimate_impactors(pulse(), RATE, COAL).quantile("weight", 0.5), "quantity must be one of"),
+        (lambda: estimate_impactors(pulse(), RATE, load_scene("tail_beam"), noise=1.0), "noise is for forces"),
     ],
 )
 def test_bad_input_is_named(ask, says):
@@ -289,7 +297,7 @@ def test_taps_alone_are_no_population():
 def test_intervals_cover_through_a_beam():
     scene = load_scene("tail_beam")
     signals, truth = frames_of(scene, 768)
-    found = strikers(signals, scene.sampling.sampling_rate, scene, pre_trigger=scene.sampling.pre_trigger)
+    found = estimate_impactors(signals, scene.sampling.sampling_rate, scene, pre_trigger=scene.sampling.pre_trigger)
     known = np.isfinite(found.median("mass"))
     assert known.mean() > 0.98
     for name in QUANTITIES:
@@ -349,7 +357,9 @@ def test_a_saturated_accelerometer_gives_wide_intervals_or_none(share):
     scene = load_scene("tail_beam")
     signals, truth = frames_of(scene, 384, seed=11)
     limit = share * np.abs(signals).max(axis=1, keepdims=True)
-    whole, cut = (strikers(one, 25600.0, scene, pre_trigger=128) for one in (signals, np.clip(signals, -limit, limit)))
+    whole, cut = (
+        estimate_impactors(one, 25600.0, scene, pre_trigger=128) for one in (signals, np.clip(signals, -limit, limit))
+    )
     known = np.isfinite(cut.median("mass"))
     low, high = cut.interval("mass", 0.95)
     assert np.mean((low <= truth["mass"])[known] & (truth["mass"] <= high)[known]) > 0.88
@@ -428,15 +438,15 @@ def test_bad_distributions_are_named(population, ask, says):
 
 
 def test_predict_says_what_struck(capsys):
-    assert run(["predict", "--sample", "--striker", "reference"]) == 0
+    assert run(["predict", "--sample", "--impactor", "reference"]) == 0
     rows = pd.read_csv(io.StringIO(capsys.readouterr().out))
     for name, unit in QUANTITIES.items():
         low, middle, high = (rows[f"{name}{end} [{unit}]"] for end in ("_low", "", "_high"))
         assert (low < middle).all() and (middle < high).all()
     assert rows["striker_problem"].isna().all()
-    assert run(["predict", "--sample", "--striker", "reference", "--json"]) == 0
+    assert run(["predict", "--sample", "--impactor", "reference", "--json"]) == 0
     first = json.loads(capsys.readouterr().out.splitlines()[0])
-    assert first["striker"]["mass"] == pytest.approx(rows["mass [kg]"][0], rel=1e-3)
+    assert first["impactor"]["mass"] == pytest.approx(rows["mass [kg]"][0], rel=1e-3)
     assert run(["predict", "--sample"]) == 0
     assert "mass [kg]" not in capsys.readouterr().out
 
@@ -446,14 +456,14 @@ def test_predict_says_where_nothing_is_known(tmp_path, capsys):
     text = (shipped.path_of("datasets", "reference.toml")).read_text()
     (tmp_path / "giants.toml").write_text(text.replace('"10 mm", highest = "80 mm"', '"1 m", highest = "2 m"'))
     picture = tmp_path / "m.png"
-    asked = ["predict", "--sample", "--striker", str(tmp_path / "giants.toml")]
+    asked = ["predict", "--sample", "--impactor", str(tmp_path / "giants.toml")]
     assert run([*asked, "--masses", str(picture)]) == 65
     out, err = capsys.readouterr()
     rows = pd.read_csv(io.StringIO(out))
     assert rows["mass [kg]"].isna().all() and rows["label"].isin(["coal", "gangue"]).all()
     assert rows["striker_problem"].str.contains("it would be of another size or speed").all()
     assert "at least 5 impacts with an interval, got 0" in err and not picture.exists()
-    assert run(["predict", "--sample", "--striker", "reference", "--masses", str(picture)]) == 0
+    assert run(["predict", "--sample", "--impactor", "reference", "--masses", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 

@@ -14,6 +14,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
 from cgid.identification.inversion import Inverted
+from cgid.impactor.posterior import ImpactorPopulation
 from cgid.measure.beam import FINE, TOUCH, filtered, respond
 from cgid.measure.template import relative_times
 from cgid.physics import HertzRangeWarning, Impact
@@ -23,7 +24,6 @@ from cgid.scene.impacts import draws, impacts_by_coupling, impacts_of
 from cgid.scene.plan import Plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.through_beam import beam_of, whole_beam
-from cgid.striker.posterior import StrikerPopulation
 from cgid.validation import Floats
 
 #: Draws of a scene whose pulses follow from a formula, of one whose pulses are fitted, and of one with a beam.
@@ -40,7 +40,7 @@ _PLACES, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
 @lru_cache(maxsize=_KEPT)
-def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation:
+def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulation:
     """Return the population of a scene, as what struck is sought among.
 
     Parameters
@@ -61,9 +61,9 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
         The scene has no impacts of spheres, or draws its rig.
     """
     if scene.randomise is not None:
-        raise InvalidValue(f"scene {scene.name}: must be one rig to tell strikers by; take [randomise] out")
+        raise InvalidValue(f"scene {scene.name}: must be one rig to tell impactors by; take [randomise] out")
     if not scene.populations:
-        raise InvalidValue(f"scene {scene.name}: must have populations to tell strikers by, it has taps alone")
+        raise InvalidValue(f"scene {scene.name}: must have populations to tell impactors by, it has taps alone")
     of_family = set(scene.dissipations) <= {"hunt-crossley", "elastic"}
     # Nothing but the sphere has a size or a time of its own.
     similar = scene.tail_beam is None and scene.impact.gravity is None
@@ -80,7 +80,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> StrikerPopulation
             values, pulses = next(blocks)
         parts.append(_described(values, None if plain else pulses, beam))
     held = {name: np.concatenate([part[name] for part in parts])[:wanted] for name in parts[0]}
-    return StrikerPopulation(
+    return ImpactorPopulation(
         log_peak=held["log_peak"],
         log_width=held["log_width"],
         shape=held["shape"],
@@ -145,7 +145,7 @@ def _of_rocks(asked: Plan, rocks: Rocks) -> _Pulses:
 
 
 def _described(values: Mapping[str, Any], pulses: _Pulses | None, beam: ThroughBeam | None) -> dict[str, Floats]:
-    """Return strikers and pulses of a block; without pulses, these follow from peak, duration and restitution."""
+    """Return impactors and pulses of a block; without pulses, these follow from peak, duration and restitution."""
     names = ("radius", "velocity", "density", "group")
     if pulses is None:
         rows = np.flatnonzero(values["struck"])
