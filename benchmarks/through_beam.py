@@ -21,8 +21,8 @@ import numpy as np
 
 from cgid import shipped
 from cgid.identification.contact import ThroughBeam
+from cgid.identification.diagnosis import CHANGED, ChannelAnswers
 from cgid.identification.model import Model
-from cgid.identification.next_steps import CHANGED, ChannelAnswers
 from cgid.identification.prediction import load_model
 from cgid.measure.beam import Beam, corrected, nodes
 from cgid.measure.features import extract_array
@@ -174,7 +174,7 @@ def is_noticed(unexplained: Any) -> bool:
     """Return whether the hint comes for impacts that leave these shares of their energy unexplained [%]."""
     channel = ChannelAnswers()
     channel.unexplained.extend(unexplained.tolist())
-    return channel.left()[0] > CHANGED
+    return channel.median_unexplained()[0] > CHANGED
 
 
 def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:

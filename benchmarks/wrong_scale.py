@@ -21,8 +21,8 @@ import numpy as np
 from cgid import shipped
 from cgid.identification.answers import Answer, answers_from
 from cgid.identification.card import table
+from cgid.identification.diagnosis import Diagnosis
 from cgid.identification.model import Model
-from cgid.identification.next_steps import Diagnosis
 from cgid.identification.question import Question
 from cgid.identification.rows import Rows, measure
 from cgid.measure.features import FEATURES
@@ -85,10 +85,9 @@ class World:
         found: dict[str, list[tuple[bool, bool]]] = {}
         for name, part in zip(self.names, answers, strict=True):
             for first in range(0, len(part) - size + 1, size):
-                diagnosis = Diagnosis(self.model, self.model.sampling_rates[0], "x")
+                diagnosis = Diagnosis(self.model)
                 diagnosis.add(part[first : first + size])
-                level, hint = diagnosis.level_warning(), diagnosis.hint()
-                found.setdefault(name, []).append((level is not None, hint is not None))
+                found.setdefault(name, []).append((bool(diagnosis.wrong_scales()), diagnosis.finding() is not None))
         return found
 
 

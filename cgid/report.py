@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from cgid import __version__
 from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
+from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
-from cgid.identification.next_steps import Hint
 from cgid.identification.share import FEWEST_IMPACTS, Share, Turn
 from cgid.measure.overview import Overview
 from cgid.plots import (

@@ -22,8 +22,8 @@ from cgid import report as page
 from cgid import shipped
 from cgid.errors import CannotCreate
 from cgid.identification.answers import Answer
+from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
-from cgid.identification.next_steps import Hint
 from cgid.identification.share import Share, ShareWindow, Shutting
 from cgid.measure.overview import OverviewStream
 from cgid.plots import Mark

@@ -15,9 +15,10 @@ from cgid.cli.table import Column, TableOutput, flags, numbers, times
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
+    from cgid.cli.hints import Hints
     from cgid.identification.answers import Answer
+    from cgid.identification.diagnosis import Hint
     from cgid.identification.model import Model
-    from cgid.identification.next_steps import Diagnosis, Hint
     from cgid.identification.question import Question
     from cgid.identification.share import Share, Turn
     from cgid.identification.stream import Step
@@ -239,7 +240,7 @@ class RecordingRows:
     """Print the answers of one model for the channels of one recording.
 
     `keep` stores answers, shares and turns. Unless `always`, rows wait for a measurable one, and shares for a second
-    row. `diagnosis` sees all answers; its hint follows the last line or, if `always`, the first clear answers.
+    row. `hints` see all answers; the hint follows the last line or, if `always`, the first clear answers.
     """
 
     def __init__(
@@ -252,7 +253,7 @@ class RecordingRows:
         *,
         keep: bool = False,
         always: bool = False,
-        diagnosis: Diagnosis | None = None,
+        hints: Hints | None = None,
     ) -> None:
         from cgid.identification.share import CavingWatch, Turn
         from cgid.identification.stream import answering_channels, independence
@@ -266,7 +267,7 @@ class RecordingRows:
         self.turns: list[Turn] = []
         self._keep, self._always, self._turn, self._question = keep, always, Turn, question
         self._numbers: Counter[str] = Counter()
-        self._diagnosis = diagnosis
+        self._hints = hints
         self.hint: Hint | None = None
         self.level: str | None = None
         self._measured = always
@@ -294,10 +295,9 @@ class RecordingRows:
         self._silent += step.silent
         for warning in step.warnings:
             self.lines.warning(self.source, warning)
-        if self._diagnosis is not None:
-            self._diagnosis.add(answers)
-            self._diagnosis.upside_down.update(step.upside_down)
-            if self._always and self._diagnosis.is_clear:
+        if self._hints is not None:
+            self._hints.add(answers, step.upside_down)
+            if self._always and self._hints.is_clear:
                 self._print_hint()
             if self._always:
                 self._print_level(live=True)
@@ -333,17 +333,17 @@ class RecordingRows:
 
     def _print_level(self, *, live: bool = False) -> None:
         """Print once that the level is not that of the training, unless a hint says why."""
-        if self._diagnosis is None or self.hint is not None or self.level is not None:
+        if self._hints is None or self.hint is not None or self.level is not None:
             return
-        text = self._diagnosis.level_warning(live=live)
+        text = self._hints.level_warning(live=live)
         if text is not None:
             self.level = f"{self.source}: {text}"
             self.lines.warning(self.source, self.level)
 
     def _print_hint(self) -> None:
         """Print the hint once, if there is one."""
-        if self._diagnosis is not None and self.hint is None:
-            self.hint = self._diagnosis.hint()
+        if self._hints is not None and self.hint is None:
+            self.hint = self._hints.hint()
             if self.hint is not None:
                 self.lines.hint(self.source, self.hint)
 

@@ -230,7 +230,7 @@ def _follow(
     live: Any, models: Models, question: Question, lines: AnswerLines, outputs: PlantOutputs | None = None
 ) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
-    from cgid.identification.next_steps import Diagnosis
+    from cgid.cli.hints import Hints
     from cgid.identification.stream import factor_of, identify_blocks
     from cgid.recordings.chain import scaled
     from cgid.recordings.gaps import Gaps
@@ -255,8 +255,8 @@ def _follow(
         blocks = outputs.monitored_blocks(blocks, live.sampling_rate)
     steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
     # The stream is over when the next command runs: it is for a recording of it.
-    diagnosis = Diagnosis(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names)
-    rows = RecordingRows(live.source, model, names, question, lines, always=True, diagnosis=diagnosis)
+    hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names)
+    rows = RecordingRows(live.source, model, names, question, lines, always=True, hints=hints)
     if outputs is not None:
         outputs.begin(
             source=live.source,

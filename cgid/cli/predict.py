@@ -129,7 +129,7 @@ class _Prediction:
 
     def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
         """Print the answers for the channels of a recording that use this model."""
-        from cgid.identification.next_steps import Diagnosis
+        from cgid.cli.hints import Hints
         from cgid.identification.stream import identify_blocks, model_blocks
 
         question, source, rate = self.question, recording.source, recording.sampling_rate
@@ -141,10 +141,8 @@ class _Prediction:
         steps = identify_blocks(blocks, rate, model, names, question, source)
         # The next command cannot read what came through a pipe.
         file = "RECORDING" if source == "stdin" else source
-        diagnosis = Diagnosis(
-            model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels]
-        )
-        rows = RecordingRows(source, model, names, question, self.lines, keep=keep, diagnosis=diagnosis)
+        hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
+        rows = RecordingRows(source, model, names, question, self.lines, keep=keep, hints=hints)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
@@ -159,9 +157,9 @@ class _Prediction:
 
     def dataset(self, path: str) -> None:
         """Print the answer for every signal of a dataset, and how many are right."""
+        from cgid.cli.hints import Hints
         from cgid.errors import BadData
         from cgid.identification.answers import identify_frames
-        from cgid.identification.next_steps import Diagnosis
         from cgid.store import Dataset
         from cgid.units import UNITS
 
@@ -177,7 +175,7 @@ class _Prediction:
         warn_of_model(path, path, dataset.sampling_rate, model, self.question)
         self.lines.begin(path, model, self.question)
         number, tally = count(), _Tally()
-        diagnosis = Diagnosis(model, dataset.sampling_rate, path, *given_options(), labelled=True)
+        hints = Hints(model, dataset.sampling_rate, path, *given_options(), labelled=True)
         with progress_bar(len(dataset), "signals", "predicting") as progress:
             for batch in dataset.batches():
                 answers = identify_frames(
@@ -188,7 +186,7 @@ class _Prediction:
                     pre_trigger=batch.pre_trigger,
                     drop_height=self._heights(path, batch, model),
                 )
-                diagnosis.add(answers)
+                hints.add(answers)
                 truths = zip(answers, batch.labels.tolist(), batch.specimen.tolist(), strict=True)
                 for answer, truth, specimen in truths:
                     self.lines.answer(path, answer, index=next(number), truth=truth)
@@ -196,9 +194,9 @@ class _Prediction:
                 progress(len(batch))
         if tally.measured:
             say(f"{path}: {tally.summary(len(dataset))}", err=True)
-        if (hint := diagnosis.hint()) is not None:
+        if (hint := hints.hint()) is not None:
             self.lines.hint(path, hint)
-        elif (level := diagnosis.level_warning()) is not None:
+        elif (level := hints.level_warning()) is not None:
             self.lines.warning(path, f"{path}: {level}")
 
     def dataset_signal(self, path: str, index: int, signal: Signal) -> None:

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from cgid.deprecated import renamed_attribute
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
+from cgid.identification.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
-from cgid.identification.next_steps import Cause, causes_of, with_frames
 from cgid.identification.question import Question, known_columns
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation

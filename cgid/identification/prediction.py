@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from cgid import validation
 from cgid.errors import BadData, MissingOption
 from cgid.identification.answers import Answer
+from cgid.identification.diagnosis import Diagnosis, scale_warning
 from cgid.identification.model import Model
-from cgid.identification.next_steps import Diagnosis
 from cgid.identification.question import Question
 from cgid.identification.stream import factor_of, identify_blocks
 from cgid.recordings import read_recording
@@ -165,15 +165,16 @@ def predict(
     blocks = scaled(gaps.marked([np.stack([signal.samples for signal in signals])]), factors)
     names = [signal.channel for signal in signals]
     answers: list[Answer] = []
-    diagnosis = Diagnosis(chosen, first.sampling_rate, first.source)
+    diagnosis = Diagnosis(chosen)
     for step in identify_blocks(blocks, first.sampling_rate, chosen, names, question, first.source):
         answers += step.answers
         for text in (*step.silent, *step.warnings):
             warnings.warn(text, stacklevel=2)
     gaps.require(first.source)
     diagnosis.add(answers)
-    if (level := diagnosis.level_warning()) is not None:
-        warnings.warn(level, stacklevel=2)
+    name_channels = len(diagnosis.channels) > 1
+    if (wrong := scale_warning(diagnosis.wrong_scales(), chosen, name_channels=name_channels)) is not None:
+        warnings.warn(wrong, stacklevel=2)
     return _table(answers, chosen, question)
 
 

@@ -18,10 +18,11 @@ from scipy.io import wavfile
 from scipy.signal import resample_poly
 from scipy.stats import binom
 
+from cgid.cli.hints import CALIBRATED, SCENE, SCENE_RATE, Hints
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
+from cgid.identification.diagnosis import ChannelAnswers, Hint
 from cgid.identification.model import Model
-from cgid.identification.next_steps import CALIBRATED, SCENE, SCENE_RATE, ChannelAnswers, Diagnosis, Hint
 from cgid.identification.question import Question
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.identification.stream import identify_blocks
@@ -93,11 +94,10 @@ def beam() -> np.ndarray:
 def hint_of(
     samples: np.ndarray, rate: float, model: Model, options: tuple[str, ...] = (), **fields: object
 ) -> Hint | None:
-    diagnosis = Diagnosis(model, rate, "my file.csv", options)
+    hints = Hints(model, rate, "my file.csv", options)
     for step in identify_blocks([samples[None]], rate, model, ("1",), Question(**fields)):
-        diagnosis.add(step.answers)
-        diagnosis.upside_down.update(step.upside_down)
-    return diagnosis.hint()
+        hints.add(step.answers, step.upside_down)
+    return hints.hint()
 
 
 def cause_of(samples: np.ndarray, rate: float, model: Model) -> str | None:
@@ -153,13 +153,13 @@ def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
 
 
 def test_an_upside_down_channel_is_told_even_if_its_rebounds_were_answered() -> None:
-    diagnosis = Diagnosis(PULSES, RATE, "x.csv", ())
+    hints = Hints(PULSES, RATE, "x.csv", ())
     for batch in synthesise(load_scene(ROOT / "datasets" / "reference.toml"), 256, 3):
         answers = identify_frames(batch.signals, batch.sampling_rate, PULSES, pre_trigger=batch.pre_trigger)
-        diagnosis.add(answers)
-    assert diagnosis.hint() is None
-    diagnosis.upside_down.add(answers[0].channel)
-    hint = diagnosis.hint()
+        hints.add(answers)
+    assert hints.hint() is None
+    hints.add((), [answers[0].channel])
+    hint = hints.hint()
     assert hint is not None
     assert (hint.cause, hint.n_unknown, hint.n_answers) == ("upside_down", 0, 256)
 
@@ -168,11 +168,11 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     """The answers change when only the rate does, so the rate is the cause."""
     samples = of_the_trained_beam(3)
     model = of_levels()
-    diagnosis = Diagnosis(model, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--mass", "2"))
+    hints = Hints(model, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--mass", "2"))
     for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), Question()):
         # Only those outside of the training: at this rate about half of them are.
-        diagnosis.add([answer for answer in step.answers if answer.novelty > 1])
-    hint = diagnosis.hint()
+        hints.add([answer for answer in step.answers if answer.novelty > 1])
+    hint = hints.hint()
     assert hint is not None
     assert hint.cause == "sampling_rate"
     assert "at 25600 Hz they would be inside" in hint.lines[0]
@@ -193,10 +193,10 @@ def test_coverage_that_no_label_reaches(beam: np.ndarray) -> None:
 
 def test_only_the_channels_that_need_it_are_named() -> None:
     force = stream(LABELS, 0.05)
-    diagnosis = Diagnosis(PULSES, RATE, "two.csv")
+    hints = Hints(PULSES, RATE, "two.csv")
     for step in identify_blocks([np.stack([force, np.minimum(force, 2000)])], RATE, PULSES, ("a", "b"), Question()):
-        diagnosis.add(step.answers)
-    hint = diagnosis.hint()
+        hints.add(step.answers)
+    hint = hints.hint()
     assert hint is not None
     assert (hint.channels, hint.cause, hint.n_unknown, hint.n_answers) == (("b",), "clipped", 16, 16)
 
@@ -254,13 +254,13 @@ def answers_of(share: float, noise: float | None) -> list[Answer]:
 
 def change_of(answers: list[Answer], model: Model = BEAM) -> Hint | None:
     """The hint for answers that come every second; it must not come before there are enough."""
-    diagnosis = Diagnosis(model, BEAM_RATE, "my file.csv", ("--unit", "g"))
+    hints = Hints(model, BEAM_RATE, "my file.csv", ("--unit", "g"))
     for number, answer in enumerate(answers):
-        diagnosis.add([replace(answer, time=float(number))])
-        if diagnosis.is_clear:
+        hints.add([replace(answer, time=float(number))])
+        if hints.is_clear:
             assert number >= 29
             break
-    return diagnosis.hint()
+    return hints.hint()
 
 
 def cause_of_change(answers: list[Answer], model: Model = BEAM) -> str | None:
@@ -305,11 +305,11 @@ def test_the_median_lies_above_what_is_said() -> None:
         channel = ChannelAnswers()
         # The later ones leave less, so that most are looked at.
         channel.unexplained.extend(np.arange(n, 0.0, -1).tolist())
-        left, latest = channel.left()
+        left, latest = channel.median_unexplained()
         assert len(latest) == n
         rank = sorted(latest).index(left) + 1
         assert binom.cdf(rank - 1, n, 0.5) < 2e-5 < binom.cdf(rank + 1, n, 0.5)
-    assert np.isnan(ChannelAnswers().left()[0])
+    assert np.isnan(ChannelAnswers().median_unexplained()[0])
 
 
 def test_a_sudden_change_is_noticed_after_a_long_shift() -> None:
@@ -536,9 +536,9 @@ def test_a_live_stream_has_its_hint_once(tmp_path: Path, capsys: pytest.CaptureF
 
 def test_a_labelled_dataset_trains_itself() -> None:
     batch = ringing_batch(10, noise=1e-3)
-    diagnosis = Diagnosis(BEAM, BEAM_RATE, "mine.h5", labelled=True)
-    diagnosis.add(identify_frames(10 * batch.signals, BEAM_RATE, BEAM, pre_trigger=200))
-    hint = diagnosis.hint()
+    hints = Hints(BEAM, BEAM_RATE, "mine.h5", labelled=True)
+    hints.add(identify_frames(10 * batch.signals, BEAM_RATE, BEAM, pre_trigger=200))
+    hint = hints.hint()
     assert hint is not None
     assert hint.commands == ("cgid train mine.h5 -o mine.npz", "cgid predict mine.h5 --model mine.npz")
 
@@ -561,9 +561,9 @@ def own_answers(model: str, factor: float) -> tuple[Answer, ...]:
 
 def level_of(model: str, answers: tuple[Answer, ...], *, live: bool = False) -> str | None:
     shipped = Model.load(ROOT / "models" / f"{model}.npz")
-    diagnosis = Diagnosis(shipped, shipped.sampling_rates[0], "x")
-    diagnosis.add(answers)
-    return diagnosis.level_warning(live=live)
+    hints = Hints(shipped, shipped.sampling_rates[0], "x")
+    hints.add(answers)
+    return hints.level_warning(live=live)
 
 
 SHIPPED = ["default", "default-drop-height", "default-acceleration"]
@@ -604,26 +604,26 @@ def test_a_factor_of_two_is_told_with_many_impacts(model: str) -> None:
 def test_a_hint_and_a_warning_of_the_level_are_never_both_given() -> None:
     model = Model.load(ROOT / "models" / "default.npz")
     for factor in (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3):
-        diagnosis = Diagnosis(model, RATE, "x")
-        diagnosis.add(own_answers("default", factor))
-        assert (diagnosis.hint() is None) == (diagnosis.level_warning() is not None)
+        hints = Hints(model, RATE, "x")
+        hints.add(own_answers("default", factor))
+        assert (hints.hint() is None) == (hints.level_warning() is not None)
 
 
 def test_a_live_stream_is_looked_at_less_and_less_often() -> None:
-    diagnosis, looks = Diagnosis(BEAM, BEAM_RATE, "x"), []
+    hints, looks = Hints(BEAM, BEAM_RATE, "x"), []
     for number, answer in enumerate(own_answers("default-acceleration", 9.81), start=1):
-        diagnosis.add([answer])
-        if diagnosis.level_warning(live=True) is not None:
+        hints.add([answer])
+        if hints.level_warning(live=True) is not None:
             looks.append(number)
     assert looks == [10, 30, 90]
 
 
 def test_a_vibration_far_from_the_scale_of_the_beam_is_told_by_its_amplitude() -> None:
-    diagnosis = Diagnosis(BEAM, BEAM_RATE, "x")
-    diagnosis.add(one for one in own_answers("default-acceleration", 1e5))
-    hint = diagnosis.hint()
+    hints = Hints(BEAM, BEAM_RATE, "x")
+    hints.add(one for one in own_answers("default-acceleration", 1e5))
+    hint = hints.hint()
     assert hint is not None and hint.cause == "amplitude"
-    assert diagnosis.level_warning() is None
+    assert hints.level_warning() is None
 
 
 def test_commands_tell_a_wrong_scale_once(

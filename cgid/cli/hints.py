@@ -1,0 +1,353 @@
+"""What to do where most impacts are unknown, the beam has changed or the scale is wrong: words and commands."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Sequence
+from itertools import chain, count, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cgid.identification.diagnosis import Diagnosis, Hint, scale_warning
+from cgid.units import UNITS
+
+if TYPE_CHECKING:
+    from cgid.identification.answers import Answer
+    from cgid.identification.diagnosis import Finding
+    from cgid.identification.model import Model
+
+#: The shipped scene with a beam, and its sampling rate [Hz], which a recording to calibrate it by must have.
+SCENE, SCENE_RATE = "tail_beam", 25_600.0
+#: Fewest impacts that calibrate a scene, and that one recording trains on (in blocks of its time, with two labels).
+CALIBRATED, _TRAINED = 20, 16
+#: Decades by which an amplitude may miss the unit that explains it: it is known to a quarter of a decade.
+_SAME_UNIT = 0.3
+
+#: Cause -> reason, and what helps; see `Hints._words` for what stands in braces.
+_WORDS = {
+    "noise": (
+        "they are too weak, only {value:.2g} times as strong as what is before them",
+        "record nearer to the impacts, or with less noise",
+    ),
+    "hidden": (
+        "they are too weak, not clear of the noise",
+        "record nearer to the impacts, or with less noise",
+    ),
+    "drowned": (
+        "they are drowned in noise that the training does not have",
+        "record nearer, or with less noise",
+    ),
+    "clipped": ("they are clipped at the limit of the recorder", "record with a larger range"),
+    "cut_off": (
+        "the recording begins or ends within them",
+        "record longer, with some milliseconds before the first impact",
+    ),
+    "overlapping": (
+        "they follow too closely, each begins before the one before it is over",
+        "place the sensor where fewer rocks are heard",
+    ),
+    "upside_down": ("the signal falls far deeper than it rises", "turn it over"),
+    "coverage": ("they are like those of the training, but {problem}", "ask for a lower coverage"),
+    "unmeasured": ("they cannot be measured ({problem})", "record anew"),
+    "sampling_rate": (
+        "sampled at {rate:g} Hz they are outside of the training, at {value:g} Hz they would be inside",
+        "if that is the true rate, {correct_rate}",
+    ),
+    "amplitude": (
+        "they are about {times} times as {strong} as those of the training, otherwise like them",
+        "check gain, sensitivity and unit ({units}), and {correct_unit}",
+    ),
+    "duration": (
+        "they are about {times} times as {long} as those of the training, otherwise like them",
+        "check the sampling rate, {rate:g} Hz, and {correct_rate}",
+    ),
+    "vibration": (
+        "they swing below their baseline by {value:.0%} of their peak, which no contact force does",
+        "if it is an acceleration, {correct_unit}, else label impacts and train on them{lacking}",
+    ),
+    "other_beam": (
+        "they are clear, but unlike those of the training: the modes of the model's beam do not explain them, it is "
+        "another beam, or it has changed{or_order}",
+        "learn the modes of this beam, with a scene of its size at {rate:g} Hz, and train on them, or label impacts"
+        "{lacking}",
+    ),
+    "shape": (
+        "they are no single pulses like those of the training, as where the sensor rings or filters{other_rate}",
+        "label impacts and train on them{lacking}",
+    ),
+    "features": (
+        "they are clear, but unlike those of the training, as on another beam, mount or sensor{range}{other_rate}",
+        "label {what} and train on them{lacking}",
+    ),
+    "beam": (
+        "the beam has changed, or it is another: the modes of the model's leave {value:.2g} % of the energy of the "
+        "last {n_latest} {kind}s unexplained (median{usual}), and answers are less often right",
+        "learn its modes anew and train on them{lacking}",
+    ),
+}
+
+
+class Hints:
+    """Diagnose the answers of a recording, and say which commands help.
+
+    `source` is the file as the next commands name it; `options` are those that all commands need to read it, such as
+    `--rate 25600`, `answering` those of `cgid predict` alone, such as `--model mine.npz`. `channels` are all that these
+    options read. `labelled` says that the file is a dataset, which holds signals and the labels to train on.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        sampling_rate: float,
+        source: str,
+        options: Sequence[str] = (),
+        answering: Sequence[str] = (),
+        *,
+        channels: Sequence[str] = (),
+        labelled: bool = False,
+    ) -> None:
+        self._diagnosis = Diagnosis(model)
+        self._model, self._rate, self._source = model, sampling_rate, source
+        self._options, self._answering = tuple(options), tuple(answering)
+        self._labelled, self._all_channels = labelled, tuple(channels)
+        self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
+
+    def add(self, answers: Iterable[Answer], upside_down: Iterable[str] = ()) -> None:
+        """Count more answers, and channels that are upside down."""
+        self._diagnosis.add(answers)
+        self._diagnosis.upside_down.update(upside_down)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether a live stream can have its hint already."""
+        return self._diagnosis.is_clear
+
+    def hint(self) -> Hint | None:
+        """Return the hint; None where no channel is upside down or mostly unknown, and no beam changed."""
+        finding = self._diagnosis.finding()
+        if finding is None:
+            return None
+        commands, instead = self._steps(finding)
+        reason, advice = self._words(finding, bool(commands or instead))
+        where = (
+            f"{finding.n_unknown} of {finding.n_answers} {self._kind}{'' if finding.n_answers == 1 else 's'} unknown"
+        )
+        return Hint(
+            cause=finding.cause,
+            reason=reason if finding.cause == "beam" else f"{where}: {reason}",
+            advice=advice,
+            commands=commands,
+            instead=instead,
+            channels=finding.channels,
+            n_unknown=finding.n_unknown,
+            n_answers=finding.n_answers,
+        )
+
+    def level_warning(self, *, live: bool = False) -> str | None:
+        """Return one line if the levels are not those of the training, None if they are or a hint says why not."""
+        factors = self._diagnosis.wrong_scales(live=live)
+        return scale_warning(factors, self._model, name_channels=len(self._diagnosis.channels) > 1)
+
+    # -- words ----------------------------------------------------------------------------------------
+
+    def _words(self, finding: Finding, has_steps: bool) -> tuple[str, str]:
+        """Return reason and advice."""
+        model, value = self._model, finding.value
+        is_enough = self._kind == "window" or self._has_usable(CALIBRATED)
+        low, high = model.sampling_rates
+        rates = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        within = not finding.name or not np.isfinite(value) or finding.low <= value <= finding.high
+        fields = {
+            **vars(finding),
+            "kind": self._kind,
+            "what": "parts of recordings" if self._kind == "window" else "impacts",
+            "rate": self._rate,
+            "times": _times(value) if value > 0 else "",
+            "strong": "strong" if value > 1 else "weak",
+            "long": "long" if value > 1 else "short",
+            "units": ", ".join(_spellings(model.quantity)),
+            "correct_rate": self._correction("--rate"),
+            "correct_unit": self._correction("--unit"),
+            "lacking": "" if has_steps or is_enough else f"; record {CALIBRATED} clear impacts or more for that",
+            "or_order": ", or the channels are in another order" if model.together > 1 else "",
+            "other_rate": "" if model.covers(self._rate) else f"; and sampled at {self._rate:g} Hz, not {rates} Hz",
+            "range": ""
+            if within
+            else f" (foremost {finding.name}: {value:.3g}, in the training {finding.low:.3g} to {finding.high:.3g})",
+            "usual": f", {model.unexplained:.2g} % in the training" if model.unexplained else "",
+        }
+        cause = finding.cause
+        if cause == "noise" and np.isnan(value):
+            cause = "hidden"
+        elif cause == "shape" and self._is_of_beam:
+            cause = "other_beam"
+        reason, advice = _WORDS.get(cause, _WORDS["features"])
+        return reason.format(**fields).removesuffix(" ()"), advice.format(**fields)
+
+    @property
+    def _is_of_beam(self) -> bool:
+        return self._model.beam is not None and not self._labelled
+
+    # -- steps ----------------------------------------------------------------------------------------
+
+    def _steps(self, finding: Finding) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the next steps, and others in their place."""
+        ways: list[tuple[str, ...]]
+        match finding.cause:
+            case "upside_down":
+                ways = [self._turned()]
+            case "sampling_rate":
+                is_open = "--rate" in self._options
+                ways = [(self._predict("--rate", f"{finding.value:g}"),) if is_open else ()]
+            case "amplitude":
+                ways = [self._in_other_unit(finding.value)]
+            case "beam":
+                ways = [self._calibration()]
+            case "vibration":
+                ways = [self._as_acceleration(), self._training()]
+            case "shape" if self._is_of_beam:
+                ways = [self._calibration(), self._training()]
+            case "shape" | "features":
+                ways = [self._training()]
+            case _:
+                ways = []
+        first, second = ([way for way in ways if way] + [(), ()])[:2]
+        return first, second
+
+    def _predict(self, *more: str) -> str:
+        options = _without([*self._options, *self._answering], more)
+        return shlex.join(["cgid", "predict", self._source, *options, *more])
+
+    def _predict_with(self, model: str) -> str:
+        """Return the command for a model made here; what only the former one asks for is left out."""
+        is_for_all = self._model.together > 1 or self._diagnosis.channels.keys() >= set(self._all_channels)
+        options = self._options if is_for_all else self._for_one()  # others may be of another quantity
+        return shlex.join(["cgid", "predict", self._source, *options, "--model", model])
+
+    def _turned(self) -> tuple[str, ...]:
+        """Return the command that turns the signal over, without the channels that need it not."""
+        options = [*self._options, *self._answering]
+        turned, channels = self._diagnosis.upside_down, self._diagnosis.channels
+        if channels.keys() - turned and self._model.together == 1:
+            names = [name for name in channels if name in turned]
+            options = _without(options, ("--channel",)) + [word for name in names for word in ("--channel", name)]
+        turn = [] if "--invert" in options else ["--invert"]
+        return (shlex.join(["cgid", "predict", self._source, *_without(options, ("--invert",)), *turn]),)
+
+    def _as_acceleration(self) -> tuple[str, ...]:
+        if "--unit" not in self._options or self._is_converted("--unit"):
+            return ()
+        options = [*_without(self._options, ("--unit",)), "--unit", "m/s^2"]
+        return (shlex.join(["cgid", "predict", self._source, *options]),)
+
+    def _in_other_unit(self, factor: float) -> tuple[str, ...]:
+        """Return the command with the unit that makes the signal so many times as small; none if no unit does."""
+        given = dict(pairwise(self._options)).get("--unit", "")
+        units = UNITS[self._model.quantity]
+        if given not in units or self._is_converted("--unit"):
+            return ()
+        away = {unit: abs(np.log10(units[given] / units[unit] / factor)) for unit in _spellings(self._model.quantity)}
+        nearest = min(away, key=lambda unit: away[unit])
+        return (self._predict("--unit", nearest),) if away[nearest] < _SAME_UNIT else ()
+
+    def _correction(self, flag: str) -> str:
+        """Return how to correct what an option says: the option, or the file, which no option may contradict."""
+        if self._is_converted(flag):
+            flag = "--sensitivity"
+        return f"correct it with {flag}" if flag in self._options else "correct it in the file"
+
+    def _is_converted(self, flag: str) -> bool:
+        """Return whether a flag is the unit of volts, which a sensitivity converts."""
+        return flag == "--unit" and "--sensitivity" in self._options
+
+    def _for_one(self) -> tuple[str, ...]:
+        """Return the options that read one channel alone: that with the most impacts to learn from."""
+        if len(self._all_channels) < 2:
+            return self._options
+        best = self._best()
+        # Channels that are looked at together have one name.
+        name = next((one for one in self._all_channels if best == one or best.startswith(f"{one}+")), best)
+        return (*_without(self._options, ("--channel",)), "--channel", name)
+
+    def _best(self) -> str:
+        channels = self._diagnosis.channels
+        return max(channels, key=lambda name: channels[name].n_usable)
+
+    def _has_usable(self, n_impacts: int) -> bool:
+        return self._labelled or self._diagnosis.channels[self._best()].n_usable >= n_impacts
+
+    def _training(self) -> tuple[str, ...]:
+        """Return the steps that make a model of this recording's own; none if it is too short for that."""
+        if self._kind == "window":
+            return self._training_on_windows()
+        if not self._has_usable(_TRAINED):
+            return ()
+        model = _unused("mine", ".npz")
+        if self._labelled:
+            return (shlex.join(["cgid", "train", self._source, "-o", model]), self._predict_with(model))
+        options, table = list(self._for_one()), _unused("events", ".csv")
+        if self._model.quantity == "level" and "--unit" not in options:
+            options += ["--unit", "FS"]
+        dead_time = [word for pair in pairwise(options) if pair[0] == "--dead-time" for word in pair]
+        return (
+            shlex.join(["cgid", "events", self._source, *options, "-o", table]),
+            f"fill in the label column of {table}",
+            shlex.join(["cgid", "train", table, *dead_time, "-o", model]),
+            self._predict_with(model),
+        )
+
+    def _training_on_windows(self) -> tuple[str, ...]:
+        """Return the steps that make a model of parts of this recording; none if train cannot read it alike."""
+        if {"--variable", "--invert"} & set(self._options):
+            return ()
+        table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
+        return (
+            shlex.join(["cgid", "train", self._source, *self._options, "--template", table]),
+            f"fill in {table}: a row for each part, with its start, end and label",
+            shlex.join(["cgid", "train", table, *self._options, "--by", "window", "-o", model]),
+            self._predict_with(model),
+        )
+
+    def _calibration(self) -> tuple[str, ...]:
+        """Return the steps that make a model of this recording's beam; none if the shipped scene cannot start them."""
+        if not self._has_usable(CALIBRATED) or abs(self._rate / SCENE_RATE - 1) > 1e-3:
+            return ()
+        name = _unused("site", ".toml", "-modes.csv", ".npz")
+        return (
+            shlex.join(["cgid", "calibrate", self._source, *self._for_one(), "--scene", SCENE, "-o", f"{name}.toml"]),
+            f"cgid train {name}.toml -o {name}.npz",
+            self._predict_with(f"{name}.npz"),
+        )
+
+
+def _unused(stem: str, *endings: str) -> str:
+    """Return the name of a file that is not there yet, or of several without their endings."""
+    names = chain([stem], (f"{stem}_{number}" for number in count(2)))
+    name = next(one for one in names if not any(Path(one + ending).exists() for ending in endings))
+    return name + endings[0] if len(endings) == 1 else name
+
+
+def _without(options: Sequence[str], dropped: Sequence[str]) -> list[str]:
+    """Return the options, pairs of flag and value or flags alone, without the flags in `dropped`."""
+    rest: list[str] = []
+    flag = ""
+    for option in options:
+        flag = option if option.startswith("--") else flag
+        if flag not in dropped:
+            rest.append(option)
+    return rest
+
+
+def _times(factor: float) -> str:
+    """Return how many times larger or smaller: one digit, because only powers of 10^(1/4) are tried."""
+    return f"{float(f'{max(factor, 1 / factor):.1g}'):.0f}"
+
+
+def _spellings(quantity: str) -> list[str]:
+    """Return the units of a quantity, one spelling of each."""
+    first: dict[float, str] = {}
+    for unit, factor in UNITS[quantity].items():
+        first.setdefault(factor, unit)
+    return list(first.values())

@@ -1,0 +1,444 @@
+"""Why most impacts of a recording are unknown, whether its beam has changed, and whether its scale is wrong.
+
+Each answer outside of the training has a `Cause`. A `Diagnosis` counts the answers of a recording, channel by channel;
+its `Finding` is the cause of most unknown answers. Every cause is tested: the impact stands barely above the noise
+before it; another amplitude or another sampling rate alone would bring it inside; or one measured quantity contributes
+most to its distance from the training. What to do about a cause is for the caller to say: `cgid.cli.hints` does.
+
+A model that looks through a beam also shows where the beam has changed too little for single impacts to show it: with
+the right modes, half of the impacts leave next to nothing unexplained, however loud the noise is.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.errors import CgidError
+from cgid.identification.events import EVENT_TIME
+from cgid.measure.features import FEATURES, extract_array
+from cgid.validation import UNKNOWN, Floats
+
+if TYPE_CHECKING:
+    from cgid.identification.answers import Answer
+    from cgid.identification.model import Model
+
+#: The start of a vibration, whose power is compared with that before it [s]; below this ratio of amplitudes a vibration
+#: is too weak.
+_START_TIME, _CLEAR = 10e-3, 2.0
+#: Factors of amplitude and duration that are tried; only one beyond `_FAR` times is a cause.
+_SCALES, _FAR = 10.0 ** np.arange(-4.0, 4.25, 0.25), 3.0
+#: A signal that falls below its baseline by this fraction of its peak swings both ways, which no contact force does.
+_BOTH_WAYS = 0.4
+#: Standard deviations of the training to either side that make the range of a quantity in messages.
+_N_DEVIATIONS = 3.0
+#: A live stream gets its hint when a channel has this many answers, and this fraction of them is unknown.
+_MIN_ANSWERS, _MOSTLY = 20, 0.8
+#: With this fraction unknown it is another beam rather than one that has changed.
+_ANOTHER_BEAM = 0.95
+#: The beam has changed where the median of the latest impacts, so many, leaves more than this fraction of the energy
+#: unexplained [%], beyond so many standard deviations of a median, and so many times that of the training.
+_LATEST, CHANGED, _N_SIGMA, _OVER_TRAINING = (30, 100, 300), 0.5, 4.0, 3.0
+#: Impacts from which on their levels are compared with those of the training, times as many to the next test of a live
+#: stream, and the latest levels kept of a channel.
+_MIN_LEVELS, _NEXT_TEST, _MAX_LEVELS = 10, 3, 10_000
+#: Levels count up to so many standard deviations from their median; the upper end of n levels, their mean and standard
+#: deviation together, is about this one in the training. In standard deviations of the training.
+_CLIPPED, _UPPER = 2.0, 0.85
+#: The upper end of n levels lies above and below that by more than sqrt(a / n + b) in less than one of 200 recordings
+#: each, by simulation (benchmarks/wrong_scale.py): (a, b) above and below, for a force and for what a beam gives. Slow
+#: rebounds on a beam only lower the level.
+_SPREAD = {False: ((7.0, 0.10), (10.0, 0.12)), True: ((3.5, 0.05), (15.0, 0.34))}
+#: Between these factors g and m/s^2 may have been confused.
+_LIKE_G = (5.0, 20.0)
+#: Fraction of answers without any mark from which these, and not the marks, decide on the cause.
+_UNMARKED = 0.25
+#: Examples kept of each cause.
+_MAX_EXAMPLES = 50
+#: Causes that are no input or guard of a model.
+_TESTED = ("noise", "drowned", "amplitude", "duration", "sampling_rate", "vibration")
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What puts an answer outside of the training.
+
+    Attributes
+    ----------
+    name : an input or guard of the model; else noise, drowned, amplitude, duration, sampling_rate or vibration
+    value : of the input or guard, as measured. Noise: amplitude of the impact over that before it. Drowned: the part of
+        the novelty of a window that is due to noise. Amplitude and
+        duration: how many times as large as those of the training. Sampling rate: the one at which the impact lies
+        inside [Hz]. Vibration: how deep a pulse swings below its baseline, over its peak
+    low, high : range of an input or guard in the training
+    """
+
+    name: str
+    value: float
+    low: float = float("nan")
+    high: float = float("nan")
+
+
+def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
+    """Return the cause for each row outside of the training, from inputs (n, n_inputs) and guards (n, n_guards)."""
+    limits = np.array(model.guard_limits)
+    amplitudes, durations = (_scale_of(model, inputs, guards, symbol) for symbol in ("U", "s"))
+    foremost, (low, high), drowned = model.foremost(inputs), model.usual(_N_DEVIATIONS), model.drowned(inputs)
+    causes = []
+    for row, values in enumerate(guards):
+        scale, name = min((abs(np.log(x[row])), n) for x, n in ((amplitudes, "amplitude"), (durations, "duration")))
+        if drowned[row] > 1:
+            causes.append(Cause("drowned", float(drowned[row])))
+        elif values.size and (values / limits).max() > 1:
+            guard = int(np.argmax(values / limits))
+            causes.append(Cause(model.guards[guard], float(values[guard]), 0.0, model.guard_limits[guard]))
+        elif scale < np.inf:
+            causes.append(Cause(name, float((amplitudes if name == "amplitude" else durations)[row])))
+        else:
+            k = int(foremost[row])
+            causes.append(Cause(model.inputs[k], float(inputs[row, k]), float(low[k]), float(high[k])))
+    return causes
+
+
+def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floats:
+    """Return how many times as large as in the training the unit `symbol` of each row is; infinite where not that.
+
+    It is that where a factor beyond `_FAR`, on all inputs with that unit, brings the row inside.
+    """
+    powers, logarithmic = _powers(model, symbol)
+    if not len(inputs) or not powers.any():
+        return np.full(len(inputs), np.inf)
+    distances = []
+    for factor in _SCALES:
+        scaled = np.where(logarithmic, inputs + powers * np.log10(factor), inputs * factor**powers)
+        distances.append(model.novelty(scaled, guards))
+    size = 1 / _SCALES[np.argmin(distances, axis=0)]
+    is_cause = (np.min(distances, axis=0) <= 1) & ((size >= _FAR) | (size <= 1 / _FAR))
+    return np.where(is_cause, size, np.inf)
+
+
+def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the power of a unit in each input, and whether the input is a logarithm; of that, durations are ignored.
+
+    The level of a vibration lasts as long as its window, so only pulses have durations.
+    """
+    names = [name.split(" of channel ")[0] for name in model.inputs]
+    units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
+    logarithmic = np.array([unit.startswith("log10") for unit in units])
+    units = ["U" if unit == "N" else unit for unit in units]  # a force that is recovered through a beam
+    powers = np.array([2.0 if f"{symbol}^2" in unit else float(symbol in unit) for unit in units])
+    if symbol == "s":
+        powers[logarithmic] = 0.0
+    return powers, logarithmic
+
+
+def with_frames(
+    answers: Sequence[Answer], frames: NDArray[np.floating], sampling_rate: float, model: Model, pre_trigger: int | None
+) -> list[Answer]:
+    """Return the answers for frames (n, n_samples), with the causes that only the samples show."""
+    rows = [row for row, answer in enumerate(answers) if answer.cause is not None]
+    explained = list(answers)
+    if not rows:
+        return explained
+    outside, causes = frames[rows], {}
+    if not model.covers(sampling_rate) and not model.known:
+        rate = min(max(sampling_rate, min(model.sampling_rates)), max(model.sampling_rates))
+        causes = dict.fromkeys(
+            np.flatnonzero(_inside(outside, rate, model, pre_trigger)).tolist(), Cause("sampling_rate", rate)
+        )
+    if pre_trigger is not None and pre_trigger > 1:
+        clear = _clearness(outside, sampling_rate, pre_trigger)
+        causes |= {k: Cause("noise", float(clear[k])) for k in np.flatnonzero(clear < _CLEAR).tolist()}
+    elif model.kind == "pulse":
+        middle = np.median(outside, axis=1)
+        depth = (middle - outside.min(axis=1)) / np.maximum(outside.max(axis=1) - middle, np.finfo(np.float64).tiny)
+        causes |= {k: Cause("vibration", float(depth[k])) for k in np.flatnonzero(depth > _BOTH_WAYS).tolist()}
+    for k, cause in causes.items():
+        explained[rows[k]] = replace(answers[rows[k]], cause=cause)
+    return explained
+
+
+def _inside(frames: NDArray[np.floating], rate: float, model: Model, pre_trigger: int | None) -> NDArray[np.bool_]:
+    """Return whether each frame would lie inside of the training at another sampling rate."""
+    try:
+        table = extract_array(
+            frames, rate, model.measured, pre_trigger=pre_trigger, invalid="nan", detection_limit=0.0, beam=model.beam
+        )
+    except CgidError:  # at that rate the frames are too short for a feature
+        return np.zeros(len(frames), bool)
+    sound = np.asarray(np.isfinite(table).all(axis=1))
+    features, guards = np.split(table[sound], [len(model.features)], axis=1)
+    sound[sound] = model.novelty(features, guards) <= 1
+    return sound
+
+
+def _clearness(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Floats:
+    """Return the amplitude at the start of each vibration over that before it, at the sensor where it is clearest."""
+    before = frames[..., :pre_trigger].astype(np.float64)
+    middle = before.mean(axis=-1, keepdims=True)
+    start = frames[..., pre_trigger : pre_trigger + max(round(_START_TIME * sampling_rate), 2)] - middle
+    noise = np.sqrt(np.mean((before - middle) ** 2, axis=-1))
+    signal = np.sqrt(np.mean(start**2, axis=-1))
+    ratio = np.asarray(np.divide(signal, noise, out=np.full(noise.shape, np.inf), where=noise > 0))
+    return np.asarray(ratio.reshape(len(frames), -1).max(axis=1))
+
+
+@dataclass
+class ChannelAnswers:
+    """The unknown answers of a channel: how many for each cause, and for the causes of unmarked ones some examples."""
+
+    n_answers: int = 0
+    n_unmarked: int = 0
+    n_unknown: int = 0
+    n_usable: int = 0
+    marks: Counter[str] = field(default_factory=Counter)
+    unmarked: Counter[str] = field(default_factory=Counter)
+    examples: dict[str, list[Answer]] = field(default_factory=dict)
+    latest: float = -np.inf
+    problems: Counter[str] = field(default_factory=Counter)
+    unexplained: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST[-1]))
+    levels: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_LEVELS))
+    n_levels: int = 0
+
+    def add(self, answer: Answer, *, is_vibration: bool) -> None:
+        """Count one more answer."""
+        after, self.latest = answer.time - self.latest, answer.time
+        self.n_answers += 1
+        is_soon = 0 < after < EVENT_TIME
+        crowded = is_vibration and is_soon
+        disturbed = answer.overlapping or answer.clipped or answer.cut
+        name, marked = _cause_of(answer, crowded)
+        self.n_unmarked += not marked
+        # Training leaves out impacts that begin within the event before.
+        self.n_usable += bool(answer.probabilities) and not is_soon and not disturbed
+        if np.isfinite(answer.unexplained) and not (crowded or disturbed):
+            self.unexplained.append(answer.unexplained)
+        if np.isfinite(answer.level):
+            self.levels.append(answer.level)
+            self.n_levels += 1
+        if answer.label != UNKNOWN:
+            return
+        self.n_unknown += 1
+        (self.marks if marked else self.unmarked)[name] += 1
+        if answer.problem in self.problems or len(self.problems) < _MAX_EXAMPLES:
+            self.problems[answer.problem] += 1
+        examples = self.examples.setdefault(name, [])
+        if len(examples) < _MAX_EXAMPLES:
+            examples.append(answer)
+
+    @property
+    def decisive(self) -> Counter[str]:
+        """The causes that count: those of unmarked answers alone where these are many."""
+        few_marks = self.unmarked and self.n_unmarked >= _UNMARKED * self.n_answers
+        return self.unmarked if few_marks else self.marks + self.unmarked
+
+    def median_unexplained(self) -> tuple[float, list[float]]:
+        """Return a sure lower bound of the median of what the latest impacts leave unexplained, and these values [%].
+
+        Of few impacts or many, whichever leave more; not a number if there are too few.
+        """
+        bounds: list[tuple[float, list[float]]] = [(float("nan"), [])]
+        for n_latest in _LATEST if len(self.unexplained) >= _LATEST[0] else ():
+            latest = list(self.unexplained)[-n_latest:]
+            # The rank of a sample that lies below the median but for a chance of 2e-5 (binomial).
+            bounds.append((sorted(latest)[int(len(latest) / 2 - _N_SIGMA / 2 * np.sqrt(len(latest))) - 1], latest))
+        return max(bounds[1:] or bounds, key=lambda one: one[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Why most answers of some channels are unknown, or how their beam has changed.
+
+    `cause` is one word for programs: noise, drowned, amplitude, duration, sampling_rate, clipped, cut_off, overlapping,
+    vibration, shape, upside_down, features, coverage or unmeasured; or beam, where the beam has changed and its answers
+    are known. `value` is the median over the examples, of the input `name` with this range in the training; of a beam
+    it is what the latest `n_answers` impacts leave unexplained [%].
+    """
+
+    cause: str
+    channels: tuple[str, ...]
+    n_unknown: int
+    n_answers: int
+    value: float = float("nan")
+    name: str = ""
+    low: float = float("nan")
+    high: float = float("nan")
+    problem: str = ""
+    n_latest: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hint:
+    """Why most answers are unknown or the beam is not the model's, and what helps.
+
+    `cause` is that of the `Finding`; `commands` are the next steps, in order, and `instead` others that may be taken in
+    their place: commands, or words. `channels` is empty if it concerns all.
+    """
+
+    cause: str
+    reason: str
+    advice: str
+    commands: tuple[str, ...]
+    instead: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()
+    n_unknown: int = 0
+    n_answers: int = 0
+
+    @property
+    def lines(self) -> list[str]:
+        """The hint as text: why and what helps in one line, then a line for each step."""
+        ways = [[f"  {number}. {step}" for number, step in enumerate(way, 1)] for way in (self.commands, self.instead)]
+        between = ["  or:"] * (ways[0] != [] and ways[1] != [])
+        steps = [*ways[0], *between, *ways[1]]
+        return [f"{self.reason}; {self.advice}{':' * bool(steps)}", *steps]
+
+
+class Diagnosis:
+    """Count the answers of a recording, and find the cause where most are unknown.
+
+    Parameters
+    ----------
+    model : Model
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.channels: dict[str, ChannelAnswers] = {}
+        self.upside_down: set[str] = set()
+        self._next_test = _MIN_LEVELS
+
+    def add(self, answers: Iterable[Answer]) -> None:
+        """Count more answers."""
+        for answer in answers:
+            channel = self.channels.setdefault(answer.channel, ChannelAnswers())
+            channel.add(answer, is_vibration=self.model.kind == "vibration")
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether a live stream can have its hint already."""
+        enough = _MIN_ANSWERS if self.model.beam is None else _LATEST[0]  # by then it shows whether the beam changed
+        unknown = any(c.n_answers >= enough and c.n_unknown >= _MOSTLY * c.n_answers for c in self.channels.values())
+        return unknown or bool(self._changed())
+
+    def _changed(self) -> dict[str, list[float]]:
+        """Return the channels whose beam has changed, with what their latest impacts leave unexplained [%]."""
+        limit = max(CHANGED, _OVER_TRAINING * self.model.unexplained)
+        unexplained = {name: channel.median_unexplained() for name, channel in self.channels.items()}
+        return {name: latest for name, (median, latest) in unexplained.items() if median > limit}
+
+    def finding(self) -> Finding | None:
+        """Return the cause; None where no channel is upside down or mostly unknown, and no beam changed."""
+        # The rebounds of a pulse that points down may be answered: then it is the wrong side that was.
+        turned = {name: self.channels[name] for name in sorted(self.upside_down & self.channels.keys())}
+        unknown = {name: c for name, c in self.channels.items() if 2 * c.n_unknown > c.n_answers}
+        affected = turned or unknown
+        if not affected:
+            return self._change()
+        counts = sum((channel.decisive for channel in affected.values()), Counter[str]())
+        cause = "upside_down" if turned else counts.most_common(1)[0][0]
+        another = all(channel.n_unknown >= _ANOTHER_BEAM * channel.n_answers for channel in affected.values())
+        if cause == "shape" and not another and affected.keys() & self._changed().keys():
+            return self._change()
+        examples = [one.cause for channel in affected.values() for one in channel.examples.get(cause, ()) if one.cause]
+        problem = sum((channel.problems for channel in affected.values()), Counter[str]()).most_common(1)
+        name = Counter(one.name for one in examples).most_common(1)[0][0] if examples else ""
+        if cause == "features":  # of several inputs, the one that is most often the cause
+            examples = [one for one in examples if one.name == name]
+        return Finding(
+            cause=cause,
+            **self._counts(affected),
+            value=float(np.median([one.value for one in examples])) if examples else float("nan"),
+            name=name,
+            low=examples[0].low if examples else float("nan"),
+            high=examples[0].high if examples else float("nan"),
+            problem=problem[0][0] if problem else "",
+        )
+
+    def _change(self) -> Finding | None:
+        """Return the finding of a beam that is no longer that of the model; None where it is."""
+        changed = self._changed()
+        if not changed:
+            return None
+        latest = np.concatenate(list(changed.values()))
+        counts = self._counts(changed)
+        return Finding(cause="beam", **counts, value=float(np.median(latest)), n_latest=len(latest))
+
+    def _counts(self, affected: Iterable[str]) -> dict[str, Any]:
+        names = tuple(affected)
+        return {
+            "channels": () if len(names) == len(self.channels) else names,
+            "n_unknown": sum(self.channels[name].n_unknown for name in names),
+            "n_answers": sum(self.channels[name].n_answers for name in names),
+        }
+
+    def wrong_scales(self, *, live: bool = False) -> dict[str, float]:
+        """Return the likely factor of each channel whose levels are not those of the training; none where a cause is.
+
+        A live stream is tested when it has three times as many impacts as at the last test: a chance for each test.
+        """
+        if live:
+            if max((channel.n_levels for channel in self.channels.values()), default=0) < self._next_test:
+                return {}
+            self._next_test *= _NEXT_TEST
+        factors = {name: _factor_of(channel.levels, self.model) for name, channel in self.channels.items()}
+        factors = {name: factor for name, factor in factors.items() if factor != 1}
+        return {} if factors and self.finding() is not None else factors
+
+
+def _factor_of(levels: Sequence[float], model: Model) -> float:
+    """Return the likely factor of a signal with these levels; 1 if they are as in recordings like the training's."""
+    n, deviation = len(levels), model.level_deviation
+    if n < _MIN_LEVELS or not deviation:
+        return 1.0
+    scaled = np.array(levels) / deviation
+    middle = np.median(scaled)
+    scaled = np.clip(scaled, middle - _CLIPPED, middle + _CLIPPED)
+    excess = float(scaled.mean() + scaled.std()) - _UPPER
+    chance, spread = _SPREAD[model.beam is not None][0 if excess > 0 else 1]
+    # What the training itself does not know for few impacts counts as well.
+    limit = np.sqrt(chance / n + chance / model.training.get("n_train", np.inf) + spread)
+    return float(np.exp(excess * deviation)) if abs(excess) > limit else 1.0
+
+
+def scale_warning(factors: Mapping[str, float], model: Model, *, name_channels: bool) -> str | None:
+    """Return one line with both explanations of levels that are not those of the training; None without such."""
+    texts = []
+    for name, factor in factors.items():
+        size = max(factor, 1 / factor)
+        is_like_g = model.quantity == "acceleration" and _LIKE_G[0] < size < _LIKE_G[1]
+        as_g = " (g taken for m/s^2 or the other way round is a factor of 9.81)" if is_like_g else ""
+        texts.append(
+            f"channel {name}: " * name_channels + f"the forces are about {size:.2g} times as "
+            f"{'large' if factor > 1 else 'small'} as in the training: the scale of the samples is wrong{as_g}, or the "
+            "rocks are of other sizes, drop heights or mixture; check unit, sensitivity, gain and full scale"
+        )
+    return "; ".join(texts) or None
+
+
+def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
+    """Return the cause of an unknown answer, and whether a mark of its frame is that cause.
+
+    `crowded` says that another impact began within a frame before it.
+    """
+    if answer.cut and not answer.probabilities:
+        return "cut_off", True
+    cause = "" if answer.cause is None else answer.cause.name
+    if answer.clipped or cause == "overload":
+        return "clipped", True
+    weak = not answer.probabilities or cause == "noise"
+    if answer.overlapping or (crowded and weak):
+        return "overlapping", True
+    if answer.cut:
+        return "cut_off", True
+    if not answer.probabilities:
+        return ("noise" if answer.problem.startswith("no impact") else "unmeasured"), False
+    if not cause:
+        return "coverage", False
+    if cause.endswith(("misfit", "unexplained")):
+        return "shape", False
+    return (cause if cause in _TESTED else "features"), False
