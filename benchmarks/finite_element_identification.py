@@ -146,7 +146,7 @@ def family_curve(found: Estimates, shape: tuple[int, ...], rate: float) -> np.nd
     """Return the fitted pulses on the samples of the frames."""
     times = np.arange(shape[1]) / rate
     share = (times - found.onset[:, None]) / found.contact_duration[:, None]
-    return found.peak[:, None] * curve(share, np.log(found.restitution))[0]
+    return found.peak[:, None] * curve(share, np.log(found.restitution))
 
 
 @dataclass(frozen=True)

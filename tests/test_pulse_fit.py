@@ -5,13 +5,12 @@ import pytest
 from scipy import linalg, optimize
 
 from cgid.identification.estimation import cramer_rao_bound, estimate
-from cgid.measure import search, template
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.features import extract_array, extract_truncated
 from cgid.measure.fit import MODEL_ERROR
 from cgid.measure.remainder import N_SHAPES
-from cgid.measure.search import NODES, SHAPES_PATH, tangents_at
-from cgid.measure.template import curve, pulse_and_slopes, relative_times
+from cgid.measure.search import NODES
+from cgid.measure.template import SHAPES_PATH, TEMPLATE_PATH, curve, pulse_and_slopes, relative_times
 from tests import few, naive
 from tests.references import make_shapes
 from tests.test_estimation import BEFORE, frames_of, squared, taps
@@ -19,13 +18,13 @@ from tests.test_estimation import BEFORE, frames_of, squared, taps
 REMAINDER = [*(f"pulse_shape_{k + 1}" for k in range(N_SHAPES)), "unexplained"]
 
 
-# -- the quick template -------------------------------------------------------------------------------------------
+# -- the template -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("s", [-2.9, -1.6, -0.7, -0.011, 0.0, 0.4, 2.5])
 @pytest.mark.parametrize("known", [False, True])
-def test_quick_template_is_the_template(s, known):
-    """Values to 2e-5 except at the very ends, slopes as differences of the slow template."""
+def test_template_is_the_exact_pulse(s, known):
+    """Values to 4e-5 except at the very ends, slopes as differences of the exact pulse."""
     times = np.linspace(-5, 130, 1213)[None]
     width = 40.0
 
@@ -33,7 +32,7 @@ def test_quick_template_is_the_template(s, known):
         duration, lead, _, _ = relative_times(p[3:4])
         own = np.exp(p[1])
         start = 7.3 if known else p[2] - lead[0] * own
-        return p[0] * curve((times - start) / (duration[0] * own), p[3:4])[0][0]
+        return p[0] * curve((times - start) / (duration[0] * own), p[3:4])[0]
 
     p = np.array([2.0, np.log(width), 7.3 + relative_times(np.array([s]))[1][0] * width, s, 0.0])
     value, slopes = pulse_and_slopes(p[None], times, known, True)
@@ -53,18 +52,6 @@ def test_quick_template_is_the_template(s, known):
     outside = (share < 0) | (share > 1)
     assert np.abs(value[0][outside]).max() < 1e-6
     assert np.abs(slopes[0, :-1, outside]).max() < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("table", "n"), [(template.pulse_table, 129), (template.quick_pulse_table, 129), (search.fine_bank, 201)]
-)
-def test_tables_do_not_depend_on_which_rows_come_first(table, n):
-    """Bit for bit, made one or a few at a time as at once."""
-    whole, found = (table.__wrapped__() for _ in range(2))
-    order = np.random.default_rng(52).permutation(n)
-    for rows in (order[:1], order[1:2], np.array([0, n - 1, 1]), order[:9], order[5:40], order):
-        for own, all_of_them in zip(found(rows), whole(np.arange(n)), strict=True):
-            np.testing.assert_array_equal(own[rows], all_of_them[rows])
 
 
 # -- the global optimum -------------------------------------------------------------------------------------------
@@ -231,12 +218,14 @@ def test_components_tell_other_laws_from_the_family():
     assert np.mean(sizes > 3 * np.sqrt(np.sum(of_family**2, axis=1)).max()) > 0.7
 
 
-def test_bank_is_what_its_maker_makes():
+def test_tables_are_what_their_maker_makes():
+    assert np.load(TEMPLATE_PATH) == pytest.approx(make_shapes.template(), abs=1e-6)
     place, width = make_shapes.coordinates()
     with np.load(SHAPES_PATH) as stored:
+        assert stored["times"] == pytest.approx(make_shapes.times(), abs=1e-6)
         assert stored["place"] == pytest.approx(place, abs=1e-12)
         assert stored["width"] == pytest.approx(width, rel=1e-12)
-        assert stored["tangents"] == pytest.approx(tangents_at(NODES, place, width), abs=1e-9)
+        assert stored["tangents"] == pytest.approx(make_shapes.tangents_at(NODES, place, width), abs=1e-9)
 
 
 @pytest.mark.long
@@ -245,7 +234,8 @@ def test_components_are_those_of_the_pulses_of_other_laws(tmp_path, monkeypatch)
     """The stored components span what the making of them finds anew."""
     with np.load(SHAPES_PATH) as stored:
         held = dict(stored)
-    monkeypatch.setattr(make_shapes, "SHAPES_PATH", tmp_path / "shapes.npz")
+    for name in ("SHAPES_PATH", "TEMPLATE_PATH"):
+        monkeypatch.setattr(make_shapes, name, tmp_path / getattr(make_shapes, name).name)
     make_shapes.main()
     with np.load(tmp_path / "shapes.npz") as made:
         assert np.abs(np.sum(made["components"] * held["components"], axis=1)).min() > 1 - 1e-6

@@ -17,7 +17,7 @@ from cgid.measure.excerpts import Rows, rows_of, windows
 from cgid.measure.frames import constant_signal
 from cgid.measure.optimum import Optimum, Problem, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
-from cgid.measure.search import Found, around, last_bin, refined, search
+from cgid.measure.search import Found, around, last_bin, search
 from cgid.measure.template import relative_times
 from cgid.validation import Floats
 
@@ -202,22 +202,19 @@ def _fit_block(
     unit = start.peak
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        rough, guess, found_of = np.empty((len(samples), 5)), np.empty((len(samples), 5)), []
+        guess, found_of = np.empty((len(samples), 5)), []
         reach = np.zeros(len(samples))
         for rows, own in around(samples, start.place, start.width, offset, clip_level, _REACH):
             own_found = search(own, start.place[rows], start.width[rows], fit_baseline)
             found_of.append((rows, own_found))
-            rough[rows] = own_found.start()
-            guess[rows] = refined(own, rough[rows])
+            guess[rows] = own_found.start()
             reach[rows] = own.reach
         found = Found.joined(found_of)
         parts, sigma = [], noise_over_peak.copy()
         colour = None if n_quiet is None else colour_of(samples, n_quiet, MODEL_ERROR * unit)
         for rows, coloured in _by_colour(len(samples), colour):
-            if coloured:  # the refined one is for white noise
-                guess[rows] = rough[rows]
             levels = (offset[rows], clip_level[rows], unit[rows])
-            for window in windows(samples, rough[rows], *levels, response is None, ORDER * coloured, rows):
+            for window in windows(samples, guess[rows], *levels, response is None, ORDER * coloured, rows):
                 own_rows = window.rows
                 problem = Problem(window, fit_baseline, rows_of(onset, own_rows), response)
                 if coloured and colour is not None and n_quiet is not None:

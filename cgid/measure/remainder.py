@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.search import BIN, N_BINS, NODES, SHAPES_PATH, Bins, Samples, bank
-from cgid.measure.template import relative_times
+from cgid.measure.search import BIN, N_BINS, NODES, Bins, Samples, bank
+from cgid.measure.template import SHAPES_PATH, relative_times
 from cgid.validation import Floats
 
 #: Root mean square of what the components leave of pulses of other laws, over the peak.

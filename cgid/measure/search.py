@@ -14,16 +14,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, RowsOnDemand, curve, relative_times
+from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, SHAPES_PATH
 from cgid.validation import Floats
 
-#: The bank, and the components of `cgid.measure.remainder`; `tests/references/make_shapes.py` makes both.
-SHAPES_PATH = Path(__file__).with_name("shapes.npz")
 #: Shapes of the bank: most of them where materials are, some mirrored.
 NODES = np.concatenate([np.linspace(LOWEST_SHAPE, 0.8, 20), [1.2, 1.8, HIGHEST_SHAPE]])
 #: Inner nodes with evenly spaced neighbours.
@@ -37,8 +34,6 @@ MIDDLES = EDGES[:-1] + 0.5 * BIN
 _PASSES, _LARGEST_STEP = 4, 0.4
 #: Power of 2 of the fewest samples around a pulse.
 _SHORTEST = 5
-#: Shapes of `refined`, the step of their slopes, and its largest step in any parameter.
-_FINE_SHAPES, _SHAPE_STEP, _LARGEST_REFINEMENT = np.linspace(NODES[0], NODES[-1], 201), 1e-3, 0.3
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
 #: A shape is quite another beyond this distance, and surely not the true one if its cost is this many noise variances
@@ -74,18 +69,6 @@ class Bank:
     def conditions(self, shape: Floats) -> tuple[Floats, Floats]:
         """Return place and width in common coordinates at any shapes."""
         return np.interp(shape, NODES, self.place), np.interp(shape, NODES, self.width)
-
-
-def averaged(place: Floats, width: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return pulses averaged over the bins, and their slopes in place and ln(width), each (n, n_bins)."""
-    duration, lead, _, _ = (a[:, None] for a in relative_times(shape))
-    points = np.add.outer(MIDDLES, BIN * (np.arange(4) - 1.5) / 4).ravel()
-    z = (points - place[:, None]) / width[:, None]
-    value, in_share, _ = curve((z + lead) / duration, shape)
-    slope = -in_share / duration / width[:, None]
-    parts = (value, slope, slope * (points - place[:, None]))
-    value, in_place, in_width = (part.reshape(len(shape), N_BINS, 4).mean(axis=2) for part in parts)
-    return value, in_place, in_width
 
 
 @cache
@@ -335,59 +318,6 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
         baseline,
         unit,
     )
-
-
-def tangents_at(shapes: Floats, place: Floats, width: Floats) -> Floats:
-    """Return how changes of peak, place, width and shape change pulses, (n, n_bins, 4), the pulses themselves first.
-
-    Place and width (n_nodes,) are those of the bank, and changes of them are of the common coordinates.
-    """
-    own_place, own_width = np.interp(shapes, NODES, place), np.interp(shapes, NODES, width)
-    value, in_place, in_width = averaged(own_place, own_width, shapes)
-    near = [np.clip(shapes + k, NODES[0], NODES[-1]) for k in (-_SHAPE_STEP, _SHAPE_STEP)]
-    before, after = (averaged(np.interp(one, NODES, place), np.interp(one, NODES, width), one)[0] for one in near)
-    in_shape = (after - before) / (near[1] - near[0])[:, None]
-    # The origin of the common coordinates is not the peak.
-    return np.stack([value, in_place, in_width + own_place[:, None] * in_place, in_shape], axis=2)
-
-
-@cache
-def fine_bank() -> RowsOnDemand:
-    """Return pulses of `_FINE_SHAPES` in the bins, pseudo-inverses of their tangents, and second derivatives."""
-    return RowsOnDemand(_fine, _FINE_SHAPES.size, (N_BINS,), (4, N_BINS), (N_BINS,), kind=np.float64)
-
-
-def _fine(rows: NDArray[np.intp]) -> tuple[Floats, ...]:
-    tangents = tangents_at(_FINE_SHAPES[rows], bank().place, bank().width)
-    bends = -np.gradient(tangents[:, :, 1], BIN, axis=1)
-    # The bins of the bank are means over four points.
-    pulses = tangents[:, :, 0] + (BIN / 4) ** 2 / 24 * bends
-    return pulses, np.asarray(np.linalg.pinv(tangents)), bends
-
-
-def refined(samples: Samples, start: Floats) -> Floats:
-    """Return parameters (n, 5) as `Found.start` after a step to the least-squares pulse in the bins, shape included.
-
-    Rows with samples that do not count are left alone.
-    """
-    peak, log_width, place, shape, baseline = start.T
-    own_place, own_width = bank().conditions(shape)
-    unit = np.exp(log_width) / own_width
-    bins = samples.bins(place - own_place * unit, unit, np.arange(len(peak)))
-    node = np.rint(np.nan_to_num((shape - _FINE_SHAPES[0]) / (_FINE_SHAPES[1] - _FINE_SHAPES[0]))).astype(np.intp)
-    pulses, inverses, bends = fine_bank()(node)
-    left = (bins.values - baseline[:, None]) / peak[:, None] - pulses[node]
-    # The line through the samples is above a curve that is bent upwards.
-    left -= bends[node] * (1 / (12 * unit**2))[:, None]
-    step = np.matmul(inverses[node], left[:, :, None])[:, :, 0]
-    moved = _FINE_SHAPES[node] + step[:, 3]
-    good = (np.abs(step[:, :3]).max(axis=1) < _LARGEST_REFINEMENT) & (np.abs(moved - shape) < _LARGEST_REFINEMENT)
-    good &= (moved > NODES[0]) & (moved < NODES[-1])
-    good[bins.partial] = False
-    new_place, new_width = bank().conditions(moved)
-    origin, new_unit = place + unit * (step[:, 1] - own_place), unit * np.exp(step[:, 2])
-    found = (peak * (1 + step[:, 0]), np.log(new_unit * new_width), origin + new_place * new_unit, moved, baseline)
-    return np.where(good[:, None], np.array(found).T, start)
 
 
 def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:

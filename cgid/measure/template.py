@@ -4,9 +4,9 @@ A pulse of peak 1 is `g(u; s)` at the share u of its contact, with s = ln e. Rev
 1/e (`tau -> -tau` changes the sign of the damping in `x'' = -x^(3/2) (1 + D x')`), so the family continues smoothly
 beyond e = 1. No material has such a shape, but estimates near 1 may err to either side.
 
-In `w = (1 + sqrt(u) - sqrt(1 - u)) / 2` the curve is smooth up to touch and separation, where it rises as the power
-3/2 of time. It is tabulated with its derivatives on a grid of s and w, and extrapolated from the nearest node by a
-Taylor polynomial of order two: within 1e-5 of the peak for e from .2, 5e-5 from .1, 1.2e-4 at .05.
+It is tabulated with its derivatives at `N_SHAPES` shapes and at the ends of `N_CELLS` equal parts of the contact, and
+extrapolated from the nearest node by a Taylor polynomial of order two. `tests/references/make_shapes.py` makes the
+tables from `cgid.family`.
 
 The parameters of a fit are (peak, ln width, place = time of the peak, s, baseline), where width is impulse over peak.
 They are nearly independent, while contact duration and onset of a damped pulse, which ends in the noise, are strongly
@@ -15,9 +15,8 @@ correlated with s. The reported parameters are `PARAMETERS`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from functools import cache
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,38 +26,11 @@ from cgid.validation import Floats
 
 #: Bounds of the shape s = ln e.
 LOWEST_SHAPE, HIGHEST_SHAPE = float(np.log(family.LOWEST_RESTITUTION)), -float(np.log(family.LOWEST_RESTITUTION))
-#: Steps of the grid from the lowest shape to 0, and from touch to separation.
-_SHAPES, _PLACES = 128, 256
-_SPACING = -LOWEST_SHAPE / _SHAPES
-_NODES: Floats = LOWEST_SHAPE + _SPACING * np.arange(_SHAPES + 1, dtype=np.float64)
-#: Nodes to either side that central differences need, also beyond s = 0.
-_BEYOND = 2
-#: Least distance from touch and separation at which slopes are evaluated.
-_EDGE = 1e-12
-#: Cells of the contact in the table of `slopes_and_pulse`.
-_CELLS = 1024
-
-
-class RowsOnDemand:
-    """Arrays of one row for each shape, made when first asked for: a pulse or two need few of them.
-
-    `make` returns the arrays from the numbers of some rows; their shapes have no axis for the rows.
-    """
-
-    def __init__(
-        self, make: Callable[[NDArray[np.intp]], Iterable[Floats]], n_rows: int, *shapes: tuple[int, ...], kind: Any
-    ) -> None:
-        self._make, self._made = make, np.zeros(n_rows, bool)
-        self._held = tuple(np.empty((n_rows, *shape), kind) for shape in shapes)
-
-    def __call__(self, rows: NDArray[np.intp]) -> tuple[NDArray[Any], ...]:
-        """Return the arrays, of which at least these rows are made."""
-        if not self._made[rows].all():
-            missing = np.flatnonzero(np.bincount(rows, minlength=len(self._made)).astype(bool) & ~self._made)
-            for held, part in zip(self._held, self._make(missing), strict=True):
-                held[missing] = part
-            self._made[missing] = True
-        return self._held
+#: Tables of pulses; and of their times, of the bank of `search`, and of the components of `remainder`.
+TEMPLATE_PATH, SHAPES_PATH = (Path(__file__).with_name(name) for name in ("template.npy", "shapes.npz"))
+#: Shapes of the tables, from the lowest to 0, and cells of the contact.
+N_SHAPES, N_CELLS = 129, 1024
+_SPACING = -LOWEST_SHAPE / (N_SHAPES - 1)
 
 
 def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -86,77 +58,21 @@ def _logarithms() -> dict[str, Floats]:
 
 
 @cache
-def _times() -> Floats:
-    """Return contact duration and time from touch to peak at the nodes of s, (n_shapes, 2, 3).
+def tables() -> tuple[NDArray[np.float32], Floats]:
+    """Return the tables of the family from their files.
 
-    Over the width (impulse over peak), with two derivatives in s.
+    The first (6, n_shapes, n_cells + 1) holds g, g_u, g_uu, g_s, g_su and g_ss at the nodes of s and at even fractions
+    u; u counts cells. Onset and separation are zero with all slopes, and so is what lies beyond. The second
+    (n_shapes, 2, 3) holds contact duration and time from onset to peak, over the width, with two derivatives in s.
     """
-    restitution, contact, peak_time, peak = dimensionless(_NODES)
-    # The impulse of m x'' from 1 to -e is 1 + e.
-    times = np.stack([contact, peak_time], axis=1) * (peak / (1 + restitution))[:, None]
-    # Beyond s = 0: the same, reversed.
-    beyond = times[-2 : -2 - _BEYOND : -1]
-    times = np.concatenate([times, np.stack([beyond[:, 0], beyond[:, 0] - beyond[:, 1]], axis=1)])
-    return np.stack([times, _slope(times, 0) / _SPACING, _bend(times, 0) / _SPACING**2], axis=-1)[: _NODES.size]
-
-
-@cache
-def pulse_table() -> RowsOnDemand:
-    """Return g, g_w, g_ww, g_s, g_sw and g_ss at the nodes of s and w."""
-    return RowsOnDemand(_derivatives, _NODES.size, *((_PLACES + 1,),) * 6, kind=np.float64)
-
-
-def _derivatives(rows: NDArray[np.intp]) -> tuple[Floats, ...]:
-    first = np.maximum(rows - _BEYOND, 0)
-    around = first[:, None] + np.arange(2 * _BEYOND + 1)
-    # Beyond s = 0: the same, reversed.
-    beyond = around >= _NODES.size
-    around[beyond] = 2 * (_NODES.size - 1) - around[beyond]
-    wanted = np.flatnonzero(np.bincount(around.ravel()))
-    curves = _curves(wanted)[np.searchsorted(wanted, around)]
-    curves[beyond] = curves[beyond][:, ::-1]
-    own = np.arange(rows.size), rows - first
-    in_s = _slope(curves, 1)[own] / _SPACING
-    return (
-        curves[own],
-        _slope(curves[own], 1) * _PLACES,
-        _bend(curves[own], 1) * _PLACES**2,
-        in_s,
-        _slope(in_s, 1) * _PLACES,
-        _bend(curves, 1)[own] / _SPACING**2,
-    )
-
-
-def _curves(rows: NDArray[np.intp]) -> Floats:
-    """Return pulses over their peaks at some nodes of s and all of w."""
-    w = np.arange(_PLACES + 1) / _PLACES
-    u = np.sin(np.pi / 4 + np.arcsin((2 * w - 1) / np.sqrt(2))) ** 2  # w is (1 + sin - cos) / 2 of that angle
-    restitution, contact, _, peak = dimensionless(_NODES[rows])
-    return family.force(u * contact[:, None], restitution) / peak[:, None]
-
-
-def _slope(values: Floats, axis: int) -> Floats:
-    """Return first differences between nodes, of order four inside and two at the ends."""
-    v = np.moveaxis(values, axis, 0)
-    out = np.gradient(v, axis=0, edge_order=2)
-    out[2:-2] = (8 * (v[3:-1] - v[1:-3]) - (v[4:] - v[:-4])) / 12
-    return np.moveaxis(out, 0, axis)
-
-
-def _bend(values: Floats, axis: int) -> Floats:
-    """Return second differences between nodes, of order four inside and one at the ends."""
-    v = np.moveaxis(values, axis, 0)
-    out = np.empty_like(v)
-    out[1:-1] = v[2:] - 2 * v[1:-1] + v[:-2]
-    out[0], out[-1] = out[1], out[-2]
-    out[2:-2] = (16 * (v[3:-1] + v[1:-3]) - (v[4:] + v[:-4]) - 30 * v[2:-2]) / 12
-    return np.moveaxis(out, 0, axis)
+    with np.load(SHAPES_PATH, allow_pickle=False) as stored:
+        return np.load(TEMPLATE_PATH, allow_pickle=False), stored["times"]
 
 
 def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s."""
     node, offset = _nearest(shape)
-    held = _times()[node]
+    held = tables()[1][node]
     at = held[:, :, 0] + offset[:, None] * (held[:, :, 1] + 0.5 * offset[:, None] * held[:, :, 2])
     slopes = held[:, :, 1] + offset[:, None] * held[:, :, 2]
     duration, peak_time, duration_slope, peak_slope = at[:, 0], at[:, 1], slopes[:, 0], slopes[:, 1]
@@ -168,41 +84,22 @@ def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     return duration, peak_time, duration_slope, peak_slope
 
 
-def curve(share: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the pulse over its peak and its slopes in share and shape, each (n, n_samples); zero outside contact.
+def curve(fraction: Floats, shape: Floats) -> Floats:
+    """Return the exact pulse over its peak (n, n_samples), zero outside contact.
 
-    `share` (n, n_samples) is u, 0 at touch and 1 at separation; `shape` (n,) is s = ln e.
+    `fraction` (n, n_samples) is u, 0 at onset and 1 at separation; `shape` (n,) is s = ln e.
     """
-    node, offset = _nearest(shape)
-    turned = shape > 0
-    u = share
-    if turned.any():
-        u = np.where(turned[:, None], 1 - share, share)
-    inside = (u > 0) & (u < 1)
-    u = np.minimum(np.maximum(u, _EDGE), 1 - _EDGE)
-    root, other = np.sqrt(u), np.sqrt(1 - u)
-    place = (root - other + 1) * (0.5 * _PLACES)
-    column = np.rint(place)
-    dw = (place - column) * (1 / _PLACES)
-    index = column.astype(np.intp) + (node * (_PLACES + 1))[:, None]
-    g, g_w, g_ww, g_s, g_sw, g_ss = (held.take(index) for held in pulse_table()(node))
-    ds = offset[:, None]
-    in_shape = (g_s + ds * g_ss + dw * g_sw) * inside
-    g_w += ds * g_sw
-    value = (g + ds * (g_s + (0.5 * ds) * g_ss) + dw * (g_w + 0.5 * dw * g_ww)) * inside
-    in_share = (g_w + dw * g_ww) * (0.25 / root + 0.25 / other) * inside
-    if turned.any():
-        in_share[turned] *= -1.0
-        in_shape[turned] *= -1.0
-    return value, in_share, in_shape
+    restitution, contact, _, peak = dimensionless(-np.abs(shape))
+    fraction = np.where(shape[:, None] > 0, 1 - fraction, fraction)
+    return family.force(fraction * contact[:, None], restitution) / peak[:, None]
 
 
 def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
     """Return the nearest node of s (of -s above 0) and the distance from it."""
-    place = (-np.abs(shape) - LOWEST_SHAPE) * (_SHAPES / -LOWEST_SHAPE)
+    place = (-np.abs(shape) - LOWEST_SHAPE) / _SPACING
     # Of nan, which a fit of no pulse may try, fmax and fmin make a node.
-    node = np.fmin(np.fmax(np.rint(place), 0), _SHAPES).astype(np.intp)
-    return node, (place - node) * (-LOWEST_SHAPE / _SHAPES)
+    node = np.fmin(np.fmax(np.rint(place), 0), N_SHAPES - 1).astype(np.intp)
+    return node, (place - node) * _SPACING
 
 
 #: Order of the parameters in a reported covariance.
@@ -216,45 +113,14 @@ def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
     return [0, 1, *([] if onset_known else [2]), 3, *([4] if fit_baseline else [])]
 
 
-@cache
-def quick_pulse_table() -> RowsOnDemand:
-    """Return g, g_u, g_uu, g_s, g_su, g_ss at the nodes of s and at even shares u; u counts cells.
-
-    Touch and separation are zero with all slopes, and so is what lies beyond.
-    """
-    return RowsOnDemand(_quick_derivatives, _NODES.size, *((_CELLS + 1,),) * 6, kind=np.float32)
-
-
-def _quick_derivatives(rows: NDArray[np.intp]) -> tuple[Floats, ...]:
-    # Of a shape and its neighbours, or at the ends the next two.
-    first = np.minimum(np.maximum(rows - 1, 0), _NODES.size - 3)
-    around = first[:, None] + np.arange(3)
-    wanted = np.flatnonzero(np.bincount(around.ravel()))
-    shapes = LOWEST_SHAPE * (1 - wanted / _SHAPES)
-    value, in_share, in_shape = curve(
-        np.broadcast_to(np.arange(_CELLS + 1) / _CELLS, (wanted.size, _CELLS + 1)), shapes
-    )
-    places, own = np.searchsorted(wanted, around), np.searchsorted(wanted, rows)
-    bend = np.gradient(in_shape[places], _SPACING, axis=1, edge_order=2)[np.arange(rows.size), rows - first]
-    value, in_share, in_shape = value[own], in_share[own] / _CELLS, in_shape[own]
-    curvature, twist = np.gradient(in_share, axis=1), np.gradient(in_shape, axis=1)
-    # Near the ends the curve is as u^(3/2).
-    curvature[:, 1], curvature[:, -2] = 0.5 * in_share[:, 1], -0.5 * in_share[:, -2]
-    half, _, _ = curve(np.broadcast_to(np.array([0.5, _CELLS - 0.5]) / _CELLS, (rows.size, 2)), shapes[own])
-    for part in (value, in_share, in_shape, twist, bend):
-        part[:, [0, -1]] = 0.0
-    curvature[:, [0, -1]] = 8 * half
-    return value, in_share, curvature, in_shape, twist, bend
-
-
 def slopes_and_pulse(
     parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
 ) -> Floats:
     """Return the slopes of pulses in the free parameters and, last, the pulses without baseline.
 
     From parameters (n, 5) and times (n, n_samples); the result is (n, n_free + 1, n_samples). With a known onset, the
-    place follows from width and shape. It is `curve` in single precision and a fifth of its time, and errs more only
-    within a thousandth of the contact from its ends: by up to 4e-5 of the peak for e from .3, 4e-4 at .05.
+    place follows from width and shape. Next to `curve` it errs by 1e-5 of the peak for e from .2 and 1.2e-4 at .05;
+    within a thousandth of the contact from its ends by up to 4e-5 for e from .3, 4e-4 at .05.
     """
     peak, log_width, place, shape, _ = parameters.T
     width = np.exp(log_width)
@@ -263,8 +129,8 @@ def slopes_and_pulse(
     turned = shape > 0
     sign = np.where(turned, -1.0, 1.0)
     # Time in cells x is linear in time, and what the slopes need of time is linear in x.
-    scale = sign * _CELLS / (width * duration)
-    shift = (lead / duration) * sign * _CELLS + np.where(turned, _CELLS, 0.0) - place * scale
+    scale = sign * N_CELLS / (width * duration)
+    shift = (lead / duration) * sign * N_CELLS + np.where(turned, N_CELLS, 0.0) - place * scale
     steep = peak * scale * width
     # z, the time from the place over the width, and the share at x = 0; with a known onset, the time from there.
     first_z, first_share = turned * duration - (0.0 if onset_known else lead), turned * 1.0
@@ -273,23 +139,23 @@ def slopes_and_pulse(
         offset,
         0.5 * offset,
         -steep * first_z,
-        -steep * (sign * duration / _CELLS),
+        -steep * (sign * duration / N_CELLS),
         -steep / width,
         peak * sign,
         steep * (moved - first_share * duration_slope),
-        -steep * (sign / _CELLS) * duration_slope,
+        -steep * (sign / N_CELLS) * duration_slope,
     ]
     ds, half, z0, z1, to_place, in_s, s0, s1 = np.array(of_rows, np.float32)[:, :, None]
     n, n_points = times.shape
     out = np.empty((n, len(free_parameters(onset_known, fit_baseline)) + 1, n_points))
     x = times * scale[:, None]
     x += shift[:, None]
-    np.minimum(np.maximum(x, 0.0, out=x), _CELLS, out=x)
+    np.minimum(np.maximum(x, 0.0, out=x), N_CELLS, out=x)
     column = np.rint(x)
     dx = (x - column).astype(np.float32)
     index = column.astype(np.intp)
-    index += (node * (_CELLS + 1))[:, None]
-    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in quick_pulse_table()(node))
+    index += (node * (N_CELLS + 1))[:, None]
+    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in tables()[0])
     x = x.astype(np.float32)
     g_uu *= dx
     slope = g_su * ds

@@ -291,7 +291,7 @@ def _closest(pulse: Floats) -> tuple[Floats, Floats, Floats]:
 def _nodes() -> tuple[Floats, Floats]:
     """Return shapes and their pulses as of `_centred`."""
     shapes, share = np.linspace(*_SHAPES, 129), np.linspace(0, 1, _POINTS + 1)
-    return shapes, _centred(curve(np.broadcast_to(share, (shapes.size, share.size)), shapes)[0])[1]
+    return shapes, _centred(curve(np.broadcast_to(share, (shapes.size, share.size)), shapes))[1]
 
 
 def _centred(pulse: Floats) -> tuple[Floats, Floats]:

@@ -50,7 +50,7 @@ def heard(errors: BeamErrors, unknowns: np.ndarray, n_samples: int) -> np.ndarra
     """Return the recorder's response to pulses of the family, as the signals of scenes are made."""
     log_peak, log_width, shape, touch, x, y = unknowns.T
     shares = shares_of_contact(257)
-    force = curve(np.broadcast_to(shares, (len(unknowns), shares.size)), shape)[0]
+    force = curve(np.broadcast_to(shares, (len(unknowns), shares.size)), shape)
     lasts = relative_times(shape)[0] * np.exp(log_width)
     pulses = SampledPulses(
         shares=shares, forces=np.maximum(force, 0) * np.exp(log_peak)[:, None], contact_duration=lasts
