@@ -193,6 +193,7 @@ def _impacts(
     waiting: list[Event] = []
     everything = set(range(len(channels)))
     silent = everything
+    warned: set[int] = set()
     quiet = _Quiet(sampling_rate, len(channels)) if kind == "vibration" else None
     beam = None if model.beam is None else model.beam.stream()
 
@@ -211,7 +212,8 @@ def _impacts(
 
     for block in blocks:
         found(detector.feed(block))
-        loud = set() if quiet is None else quiet.never(block) - silent
+        loud = set() if quiet is None else quiet.loud(block) - silent - warned
+        warned |= loud
         if loud or not waiting or len(waiting) >= question.batch:
             yield replace(answered(), warnings=tuple(f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud)))
     found(detector.finish())
@@ -229,23 +231,20 @@ class _Quiet:
         self._length = max(round(_QUIET_WINDOW * sampling_rate), 2)
         self._rest: Floats = np.empty((n_channels, 0))
         self._powers: Floats = np.empty((n_channels, 0))
-        self._said: set[int] = set()
+        self._loud: set[int] = set()
 
-    def never(self, block: NDArray[Any]) -> set[int]:
-        """Take a block (n_channels, n) and return the channels found to be never quiet, each once."""
+    def loud(self, block: NDArray[Any]) -> set[int]:
+        """Take a block (n_channels, n) and return the channels that were never quiet so far."""
         samples = np.concatenate([self._rest, block], axis=1) if self._rest.size else block
         count = samples.shape[1] // self._length
         windows = samples[:, : count * self._length].reshape(len(samples), count, self._length)
         self._rest = samples[:, count * self._length :].copy()
         self._powers = np.concatenate([self._powers, windows.var(axis=2, dtype=np.float64)], axis=1)
-        found: set[int] = set()
         while self._powers.shape[1] >= _QUIET_STRETCH:
             stretch, self._powers = np.split(self._powers, [_QUIET_STRETCH], axis=1)
             floor, low = np.quantile(stretch, _QUIET_SHARES, axis=1)
-            loud = (floor > 0) & (low > _QUIET_RATIO * floor)
-            found |= set(np.flatnonzero(loud).tolist()) - self._said
-            self._said |= found
-        return found
+            self._loud |= set(np.flatnonzero((floor > 0) & (low > _QUIET_RATIO * floor)).tolist())
+        return self._loud
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
