@@ -1,11 +1,12 @@
-"""The size of the house, and what one command walks through: of this checkout, and of others side by side.
+"""The size of the package, and what one command walks through: of this checkout, and of others side by side.
 
 python benchmarks/house.py [FOLDER ...]
 
 A folder is another checkout (`git worktree add ../before 86b87a3`), measured by the same Python and libraries.
-Code lines have neither blank lines, comments nor docstrings. A jump is a pair of files where a function of one has
-called one of the other. A command is followed twice in one process; the first run also fills tables and caches. The
-bodies of classes and what an import runs do not count.
+Code lines are no blank lines, comments and docstrings. Lines of logic are also no imports, signatures, decorators,
+fields, constants, brackets and bare checks (`if` with nothing but `raise`). A jump is a pair of files where a function
+of one has called one of the other. A command is followed twice in one process; the first run also fills tables and
+caches. The bodies of classes and what an import runs do not count.
 """
 
 import argparse
@@ -21,6 +22,7 @@ import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeGuard
 
 HERE = Path(__file__).resolve().parents[1]
 WALKS = {
@@ -78,18 +80,54 @@ _IMPORT = (
 )
 
 
-def code_lines(text: str) -> int:
-    """Return how many lines hold code: neither blank, nor a comment, nor a docstring."""
+def code_lines(text: str) -> tuple[int, int]:
+    """Return how many lines are code, and how many of these are logic."""
     prose: set[int] = set()
+    frame: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            prose.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+            prose |= lines_of(node)
+        elif isinstance(node, (ast.Import, ast.ImportFrom, ast.Raise)) or is_bare_check(node):
+            frame |= lines_of(node)
+        elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+            frame |= set(range(first, max(node.body[0].lineno, node.lineno + 1)))
+        if isinstance(node, (ast.Module, ast.ClassDef)):
+            for statement in node.body:
+                frame |= lines_of(statement) if isinstance(statement, (ast.Assign, ast.AnnAssign)) else set()
     silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
     lines: set[int] = set()
+    bracketed: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type not in silent:
-            lines.update(range(token.start[0], token.end[0] + 1))
-    return len(lines - prose)
+            own = lines if token.string not in "()[]{},:" else bracketed
+            own.update(range(token.start[0], token.end[0] + 1))
+    return len((lines | bracketed) - prose), len(lines - prose - frame)
+
+
+def lines_of(node: ast.stmt) -> set[int]:
+    """Return the numbers of the lines of a statement."""
+    return set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+
+
+def is_bare_check(node: ast.AST) -> TypeGuard[ast.If]:
+    """Return whether a statement only raises an error under a condition."""
+    return isinstance(node, ast.If) and not node.orelse and all(isinstance(part, ast.Raise) for part in node.body)
+
+
+def by_package(checkout: Path) -> dict[str, tuple[int, int, int, int]]:
+    """Return files, lines, code lines and lines of logic of each package, and of what stands beside `cgid`."""
+    sizes: dict[str, tuple[int, int, int, int]] = {}
+    for path in sorted(checkout.glob("*/**/*.py")):
+        parts = path.relative_to(checkout).parts
+        if parts[0] not in ("cgid", "studies", "tests", "benchmarks"):
+            continue
+        text = path.read_text(encoding="utf-8")
+        size = (1, text.count("\n"), *code_lines(text))
+        for name in {parts[0], "/".join(parts[:2]) if len(parts) > 2 else parts[0] + "/*.py"}:
+            if name == parts[0] or parts[0] == "cgid":
+                sizes[name] = tuple(map(sum, zip(sizes.get(name, (0, 0, 0, 0)), size, strict=True)))  # type: ignore
+    return dict(sorted(sizes.items()))
 
 
 def modules(checkout: Path) -> dict[str, ast.Module]:
@@ -143,6 +181,11 @@ def data_types(tree: ast.Module) -> int:
     return sum(any(word in text for word in words) for text in said)
 
 
+def n_long_functions(tree: ast.Module) -> int:
+    """Return how many functions of a module have more than 70 lines, docstring and signature included."""
+    return sum(isinstance(node, ast.FunctionDef) and len(lines_of(node)) > 70 for node in ast.walk(tree))
+
+
 def figures(checkout: Path) -> dict[str, str]:
     """Return every figure of one checkout."""
     trees = modules(checkout)
@@ -156,7 +199,9 @@ def figures(checkout: Path) -> dict[str, str]:
     result = {
         "files of `cgid`": f"{len(trees)}",
         "lines": f"{sum(lengths):,}",
-        "code lines": f"{sum(map(code_lines, texts)):,}",
+        "code lines": f"{sum(code_lines(text)[0] for text in texts):,}",
+        "lines of logic": f"{sum(code_lines(text)[1] for text in texts):,}",
+        "functions above 70 lines": f"{sum(map(n_long_functions, trees.values()))}",
         "median file [lines]": f"{statistics.median(lengths):.0f}",
         "largest file [lines]": f"{largest[0]}",
         "modules in the longest chain of imports": f"{longest_chain(first)}",
@@ -195,6 +240,12 @@ def main() -> None:
     print("| | " + " | ".join(checkout.name for checkout in checkouts) + " |\n|---" * 1 + "|---" * len(checkouts) + "|")
     for row in tables[-1]:
         print(f"| {row} | " + " | ".join(table[row] for table in tables) + " |")
+    sizes = [by_package(checkout) for checkout in checkouts]
+    print("\nFiles / lines / code lines / lines of logic:\n\n| | " + " | ".join(one.name for one in checkouts) + " |")
+    print("|---" * (1 + len(checkouts)) + "|")
+    for name in sorted({name for size in sizes for name in size}):
+        cells = (" / ".join(f"{n:,}" for n in size.get(name, ())) or "-" for size in sizes)
+        print(f"| {name} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":
