@@ -135,7 +135,7 @@ chain_options = _bundle(
         help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
     ),
 )
-#: Plant outputs of a plant; the command receives those that were given as `outputs`, arguments of `PlantOutputs`.
+#: Plant outputs; the command receives those that were given as `outputs`, arguments of `PlantOutputs`.
 plant_options = _bundle(
     "outputs",
     ("mqtt", "modbus", "prometheus", "live", "on_shut", "on_open"),

@@ -16,7 +16,7 @@ from cgid.errors import InvalidValue
 from cgid.plant.output import Output, Service
 from cgid.plant.state import PlantState, Waveform
 
-__all__ = ["Plant outputs"]
+__all__ = ["PlantOutputs"]
 
 
 class PlantOutputs:
