@@ -1,4 +1,4 @@
-"""Read LabVIEW measurement files (.lvm) by blocks: headers of tags, each above tab-separated rows.
+"""Read LabVIEW measurement files (.lvm): headers of tags, each above rows that the text reader parses.
 
 Segments that follow each other without a gap are one recording. The tags follow National Instruments' "Specification
 for the LabVIEW Measurement File (.lvm)", tutorial 4139. Deviations of real files (times with decimal commas, missing
@@ -7,32 +7,28 @@ separators) are read, too.
 
 from __future__ import annotations
 
-import io
 import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Blocks, Remark, require_one_rate
-from cgid.recordings.text import PIECE, no_number, whole_lines
-from cgid.recordings.text_layout import NUMBER, SNIFFED, encoding_of, stamped_moment
-from cgid.recordings.times import EvenTimes, Floats, is_resolved, rate_of
+from cgid.recordings.recording import MAX_CHANNELS, RATE_TOLERANCE, Blocks, Remark
+from cgid.recordings.text import Body, Piece, assembled, encoding_and_end, n_lines, whole_lines
+from cgid.recordings.text_layout import NUMBER, Column, Header, Layout, stamped_moment
 from cgid.terminal import counted
-from cgid.units import known_unit
 
 _END_OF_HEAD = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
 
 #: Rows begin with a number or a separator, the header of the next segment with a letter or a star.
 _HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
+#: Lines without a field below the last row.
+_EMPTY_LINES = re.compile(r"(?<=\n)[\s,;]*\Z")
 #: Longest header [lines]; usual ones have about twenty tags.
 _LONGEST_HEAD = 2000
 
@@ -47,147 +43,147 @@ _GAP, _STAMP = 1.5, 2e-6
 def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of a LabVIEW measurement file.
 
-    `variable` is the number of a segment from 1, or a channel, which selects all channels of its length and rate. A cut
-    file gives its whole rows and a warning. Raises `BadData` if a header or a row is damaged; without `variable` also
-    if channels differ in length or rate, or segments do not follow each other.
+    `variable` is the number of a segment from 1. The rate is that of Delta_X, or of the column of x where Delta_X has
+    too few digits. A file with fewer rows than it declares gives these and a warning. Raises `BadData` if a header or a
+    row is damaged or cut off; without `variable` also if segments do not follow each other.
     """
-    is_number = variable is not None and variable.isascii() and variable.isdigit() and len(variable) < 9
-    lvm = _Lvm(path=path, source=source, only=int(variable) if variable is not None and is_number else None)
-    first, rows = lvm.beginning()
-    channels = _channels_alike(first, None if is_number else variable, source, lvm.warnings)
-    rate, rate_from, is_timed = lvm.rate(first, channels[0], rows)
-
-    def blocks(length: int, picked: Sequence[int]) -> Iterator[NDArray[Any]]:
-        for samples in lvm.samples(first, [channels[index] for index in picked], rate if is_timed else None):
-            for start in range(0, samples.shape[1], length):
-                yield samples[:, start : start + length]
-
-    about: dict[str, Any] = {
-        "names": [first.name(channel) for channel in channels],
-        "units": [known_unit(first.field("Y_Unit_Label", channel)) for channel in channels],
-        "sampling_rate": rate,
-        "rate_from": rate_from,
-        "start_time": first.start_time(channels[0]),
-        "warnings": lvm.warnings,
-    }
-    if path.stat().st_size > PIECE:
-        return Blocks(n_channels=len(channels), read=blocks, **about)
-    # Read a short file at once, so that its length is known.
-    whole = list(blocks(PIECE, range(len(channels))))
-    return Blocks.of_array(np.concatenate([np.empty((len(channels), 0)), *whole], axis=1), **about)
-
-
-# ---- heads -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Head:
-    """File header, valid for all segments.
-
-    decimal_comma : None if the header does not state it
-    x_columns : "no", "one" or "multi": columns with values of x
-    """
-
-    separator: str
-    decimal_comma: bool | None
-    x_columns: str
-    tags: dict[str, list[str]]
-
-    @classmethod
-    def of(cls, lines: Sequence[str], source: str) -> _Head:
-        """Parse the lines above the first end of a header."""
-        separator = "\t"
-        for line in lines:
-            if line.startswith("Separator"):
-                named = line.removeprefix("Separator").strip().lower()
-                # The separator may be written literally, after a separator; of a tab nothing is left.
-                separator = _SEPARATORS.get(named) or named[:1] or "\t"
-        tags = _tags(lines, separator)
-        stated = {tag: (fields[1].strip() if len(fields) > 1 else "") for tag, fields in tags.items()}
-        x_columns = stated.get("X_Columns", "One").lower()
-        if x_columns not in ("no", "one", "multi") or separator.isalnum():
-            raise BadData(
-                f"{source}: the head of a LabVIEW file must say X_Columns No, One or Multi, got {x_columns[:20]!r}, "
-                f"and a separator that is no letter, got {separator!r}; export it again"
-            )
-        decimal_comma = stated["Decimal_Separator"] == "," if "Decimal_Separator" in stated else None
-        return cls(separator=separator, decimal_comma=decimal_comma, x_columns=x_columns, tags=tags)
-
-    def with_points(self, text: str) -> str:
-        """Return numbers with decimal points."""
-        is_comma = "." not in text if self.decimal_comma is None else self.decimal_comma
-        return text.replace(",", ".") if is_comma and self.separator != "," else text
+    encoding, warnings = encoding_and_end(path, source)
+    lvm = _Segments(path, encoding, source, warnings)
+    only = None
+    if variable is not None:
+        only = int(variable) if variable.isascii() and variable.isdigit() and len(variable) < 9 else 0
+    first, text = lvm.beginning(variable, only)
+    channels = first.channels(source, warnings)
+    rate = first.rate(channels[0])
+    x = [] if rate is not None else first.x_columns(channels[0])
+    if rate is None and not x:
+        shown = first.field("Delta_X", channels[0])
+        warnings.append(Remark(f"Delta_X {shown[:40]!r} has too few digits for a sampling rate to 0.1 %"))
+    columns = [Column(name="time", unit="s")] * len(x)
+    columns += [Column(name=first.label(one), unit=first.field("Y_Unit_Label", one)) for one in channels]
+    layout = Layout(
+        delimiter=first.separator,
+        n_columns=len(columns),
+        decimal_comma=first.has_decimal_comma(text),
+        picked=(*x, *map(first.column, channels)),
+    )
+    rates, start_time = () if rate is None else (rate,), first.start_time(channels[0])
+    header = Header(columns=tuple(columns), sampling_rates=rates, start_time=start_time)
+    place: dict[str, Any] = {"path": path, "encoding": encoding, "source": source, "start": 0, "first_line": first.line}
+    body = _Rows(**place, layout=layout, segments=lvm, only=only, channel=channels[0])
+    rate_from = "column of x" if x else "Delta_X"
+    return replace(assembled(header, body, list(range(len(x)))), rate_from=rate_from, warnings=warnings)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Segment:
-    """A packet of rows and its header.
+    """The header of a packet of rows.
 
     number : from 1
     line : of the first row in the file, from 1
+    x : "no", "one" or "multi": columns with values of x
     tags : fields of each tag, in the columns to which they belong; column 0 is that of x
+    of_file : tags of the header of the file
     labels : texts above the columns
     """
 
     number: int
     line: int
-    head: _Head
+    separator: str
+    x: str
     tags: dict[str, list[str]]
+    of_file: dict[str, list[str]]
     labels: list[str]
     n_channels: int
 
     @classmethod
-    def of(cls, lines: Sequence[str], head: _Head, number: int, line: int, source: str) -> _Segment:
-        """Parse the header of a segment; its last line holds the labels of the columns."""
-        tags = _tags(lines[:-1], head.separator)
-        channels = [*tags.get("Channels", []), "", ""][1].strip()
-        if not (channels.isascii() and channels.isdigit() and 0 < int(channels[:9]) < 10**6):
+    def of(cls, head: Sequence[str], lines: Sequence[str], number: int, line: int, source: str) -> _Segment:
+        """Parse the header of the file and that of a segment, whose last line holds the labels of the columns."""
+        separator = "\t"
+        for one in head:
+            if one.startswith("Separator"):
+                named = one.removeprefix("Separator").strip().lower()
+                # The separator may be written literally, after a separator; of a tab nothing is left.
+                separator = _SEPARATORS.get(named) or named[:1] or "\t"
+        of_file, tags = _tags(head, separator), _tags(lines[:-1], separator)
+        x = _at(of_file.get("X_Columns", ["", "One"]), 1).lower()
+        if x not in ("no", "one", "multi") or separator.isalnum():
             raise BadData(
-                f"{source}: segment {number} (line {line}) must say its number of Channels, got {channels[:20]!r}; "
-                "export the file again"
+                f"{source}: the head of a LabVIEW file must say X_Columns No, One or Multi, got {x[:20]!r}, "
+                f"and a separator that is no letter, got {separator!r}; export it again"
+            )
+        channels = _at(tags.get("Channels", []), 1)
+        if not (channels.isascii() and channels.isdigit() and 0 < int(channels[:9]) <= MAX_CHANNELS):
+            raise BadData(
+                f"{source}: segment {number} (line {line}) must say its number of Channels, 1 to {MAX_CHANNELS}, got "
+                f"{channels[:20]!r}; export the file again"
             )
         other = {field.strip() for field in tags.get("X_Dimension", [])[1:]} - {"", "Time"}
         if other:
             raise BadData(
                 f"{source}: the x axis must be time, segment {number} says {min(other)[:40]}; export the signals"
             )
-        labels = lines[-1].split(head.separator)
-        return cls(number=number, line=line, head=head, tags=tags, labels=labels, n_channels=int(channels))
+        labels, n_channels = lines[-1].split(separator), int(channels)
+        place: dict[str, Any] = {"number": number, "line": line, "separator": separator, "x": x}
+        return cls(**place, tags=tags, of_file=of_file, labels=labels, n_channels=n_channels)
 
     def column(self, channel: int) -> int:
         """Return the column of the samples of a channel."""
-        return 2 * channel + 1 if self.head.x_columns == "multi" else channel + 1
+        return 2 * channel + 1 if self.x == "multi" else channel + 1
 
-    def x_column(self, channel: int) -> int | None:
-        """Return the x column of a channel, None without one."""
-        return {"no": None, "one": 0, "multi": 2 * channel}[self.head.x_columns]
+    def x_columns(self, channel: int) -> list[int]:
+        """Return the column with the x of a channel, none if there is none."""
+        return {"no": [], "one": [0], "multi": [2 * channel]}[self.x]
 
     def field(self, tag: str, channel: int) -> str:
         """Return the text of a tag for a channel, "" without one."""
         return _at(self.tags.get(tag, []), self.column(channel))
 
-    def name(self, channel: int) -> str:
+    def label(self, channel: int) -> str:
         """Return the label above a channel."""
         return _at(self.labels, self.column(channel))
-
-    def n_samples(self, channel: int) -> int | None:
-        """Return the declared number of samples, None without one."""
-        text = self.field("Samples", channel)
-        return int(text) if text.isascii() and text.isdigit() and len(text) < 19 else None
 
     def number_of(self, tag: str, channel: int) -> float | None:
         """Return the number of a tag for a channel, None without one."""
         text = self.field(tag, channel).replace(",", ".")
         return float(text) if NUMBER.fullmatch(text) else None
 
-    def step(self, channel: int) -> tuple[float | None, bool]:
-        """Return Delta_X [s], and whether its printed digits are fine enough for a rate."""
+    @property
+    def n_samples(self) -> int:
+        """Declared number of samples of the longest channel, 0 without one."""
+        texts = [self.field("Samples", channel) for channel in range(self.n_channels)]
+        return max(int(text) if text.isascii() and text.isdigit() and len(text) < 19 else 0 for text in texts)
+
+    def channels(self, source: str, warnings: list[str]) -> list[int]:
+        """Return the channels with samples, from 0, which must have one rate; warn of others."""
+        empty = [channel for channel in range(self.n_channels) if self.number_of("Samples", channel) == 0]
+        if empty:
+            names = ", ".join(self.label(channel) or str(channel + 1) for channel in empty[:20])
+            warnings.append(Remark(f"{counted(len(empty), 'channel')} without samples left out: {names}"))
+        channels = [channel for channel in range(self.n_channels) if channel not in empty]
+        if not channels:
+            raise BadData(f"{source}: a recording must hold at least one sample, no channel does; record it again")
+        steps = {self.number_of("Delta_X", channel) for channel in channels}
+        if len(steps) > 1:
+            raise BadData(
+                f"{source}: channels must have one sampling rate, Delta_X says {', '.join(map(str, list(steps)[:9]))} "
+                "s; export those of one rate"
+            )
+        return channels
+
+    def rate(self, channel: int) -> float | None:
+        """Return the rate [Hz] of Delta_X, None if its printed digits are too few for one."""
         step = self.number_of("Delta_X", channel)
         if step is None or not (math.isfinite(step) and step > 0):
-            return None, False
+            return None
         digits, _, exponent = self.field("Delta_X", channel).replace(",", ".").lower().partition("e")
         places = len(digits.partition(".")[2])
-        return step, 0.5 * 10.0 ** (int(exponent or 0) - places) <= _FINE * step
+        return 1 / step if 0.5 * 10.0 ** (int(exponent or 0) - places) <= _FINE * step else None
+
+    def has_decimal_comma(self, text: str) -> bool:
+        """Return whether the rows have decimal commas; `text` holds the first ones."""
+        stated = _at(self.of_file.get("Decimal_Separator", []), 1)
+        return self.separator != "," and (stated == "," if stated else "," in text and "." not in text)
 
     def start_time(self, channel: int) -> datetime | None:
         """Return the time of the first sample."""
@@ -195,7 +191,7 @@ class _Segment:
         stamp: datetime | None = datetime(1904, 1, 1)
         if x0 <= _SINCE_1904:
             own = [self.field(tag, channel) for tag in ("Date", "Time")]
-            of_file = [_at(self.head.tags.get(tag, []), 1) for tag in ("Date", "Time")]
+            of_file = [_at(self.of_file.get(tag, []), 1) for tag in ("Date", "Time")]
             stamp = stamped_moment(" ".join(own), alone=True) or stamped_moment(" ".join(of_file), alone=True)
         with suppress(OverflowError, ValueError):
             return None if stamp is None else stamp + timedelta(seconds=x0)
@@ -211,128 +207,40 @@ def _at(fields: Sequence[str], column: int) -> str:
     return fields[column].strip() if column < len(fields) else ""
 
 
-def _channels_alike(segment: _Segment, named: str | None, source: str, warnings: list[str]) -> list[int]:
-    """Return the channels, from 0, like the channel `named` in length and rate; without a name all must be alike.
-
-    Channels without samples are left out with a warning.
-    """
-    if segment.n_channels > MAX_CHANNELS:
-        raise BadData(f"{source}: at most {MAX_CHANNELS} channels, got {segment.n_channels}; export fewer")
-    kinds = {
-        channel: (segment.n_samples(channel), segment.number_of("Delta_X", channel))
-        for channel in range(segment.n_channels)
-    }
-    empty = [channel for channel, kind in kinds.items() if kind[0] == 0]
-    if empty:
-        warnings.append(Remark(f"{counted(len(empty), 'channel')} without samples left out: {_listed(segment, empty)}"))
-    held = [channel for channel in kinds if channel not in empty]
-    if not held:
-        raise BadData(f"{source}: a recording must hold at least one sample, no channel does; record it again")
-    if named is not None:
-        chosen = [channel for channel in held if segment.name(channel) == named]
-        if not chosen:
-            raise BadData(
-                f"{source}: variable {named!r} is neither the number of a segment nor a channel with samples; choose "
-                f"one of {_listed(segment, held)} by --variable"
-            )
-        return [channel for channel in held if kinds[channel] == kinds[chosen[0]]]
-    odd = next((channel for channel in held if kinds[channel] != kinds[held[0]]), None)
-    if odd is not None:
-        shown = [f"{kinds[one][0]} samples of {kinds[one][1]} s" for one in (held[0], odd)]
-        raise BadData(
-            f"{source}: channels must be of one length and rate, {segment.name(held[0])!r} has {shown[0]} and "
-            f"{segment.name(odd)!r} {shown[1]}; pick those like one channel by --variable NAME"
-        )
-    return held
-
-
-def _listed(segment: _Segment, channels: Sequence[int]) -> str:
-    names = [segment.name(channel) or str(channel + 1) for channel in channels[:20]]
-    return ", ".join(names) + (", ..." if len(channels) > 20 else "")
-
-
 # ---- segments and their rows -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Lvm:
-    """A file of segments; `only` is the number of the selected one, None for all."""
-
+@dataclass(frozen=True)
+class _Segments:
     path: Path
+    encoding: str
     source: str
-    only: int | None
-    warnings: list[str] = field(default_factory=list)
+    warnings: list[str]
 
-    def beginning(self) -> tuple[_Segment, str]:
-        """Return the first selected segment and its first rows."""
-        found, last = None, 0
-        for segment, rows, _ in self._parts():
-            if found is not None:
-                # A header without rows is followed by the header of the next segment.
-                return found, rows if segment is found else ""
-            last = segment.number
-            if self.only in (None, segment.number):
-                found = segment
-                if rows.strip():
-                    return found, rows
-        if found is None:
-            raise BadData(
-                f"{self.source}: there is no segment {self.only}, the last one is {last}; name it by --variable"
-            )
-        return found, ""
+    def beginning(self, variable: str | None, only: int | None) -> tuple[_Segment, str]:
+        """Return the first selected segment that has rows, and its first ones."""
+        number = 0
+        for segment, piece in self.parts():
+            number = segment.number
+            if piece.text and only in (None, number):
+                return segment, piece.text
+        if only is not None and not 0 < only <= number:
+            raise BadData(f"{self.source}: there is no segment {variable}, the last is {number}; correct --variable")
+        raise BadData(f"{self.source}: a recording must hold at least one sample, there is none; record it again")
 
-    def rate(self, segment: _Segment, channel: int, text: str) -> tuple[float | None, str, bool]:
-        """Return the sampling rate [Hz], its origin, and whether the x column is fine enough for checks.
-
-        Delta_X gives the rate if its printed digits are fine enough, else the x of the first rows.
-        """
-        step, is_fine = segment.step(channel)
-        stated = 1 / step if step is not None and is_fine else None
-        if segment.x_column(channel) is not None:
-            times = self._rows(text, segment, [channel], 0, segment.line)[:, 0]
-            if len(times) > 1 and (stated is None or is_resolved(times, 1 / stated)):
-                measured = rate_of(times, self.source)
-                # A few rounded times are less exact than a step of many digits.
-                if stated is not None and abs(measured - stated) * len(times) > measured:
-                    require_one_rate((stated, "Delta_X"), (measured, "the column of x"), self.source)
-                return stated or measured, "Delta_X" if stated else "column of x", True
-        if stated is None:
-            shown = segment.field("Delta_X", channel)
-            self.warnings.append(Remark(f"Delta_X {shown[:40]!r} has too few digits for a sampling rate to 0.1 %"))
-        return stated, "Delta_X", False
-
-    def samples(self, first: _Segment, channels: Sequence[int], timed: float | None) -> Iterator[Floats]:
-        """Yield samples, (len(channels), n), segment by segment; `timed` is the rate [Hz] of checked x."""
-        at, count = first, 0
-        clock = None if timed is None else EvenTimes(timed, self.source)
-        for segment, text, line in self._parts():
-            if segment.number < first.number or self.only not in (None, segment.number):
-                continue
-            if segment.number > at.number:
-                self._require_end(at, channels[0], count)
-                self._require_next(at, segment, channels[0], count)
-                # Times may restart from 0 in each segment.
-                at, count, clock = segment, 0, None if timed is None else EvenTimes(timed, self.source)
-            rows = self._rows(text, segment, channels, count, line)
-            if clock is not None:
-                clock.feed(rows[:, 0])
-            count += len(rows)
-            yield np.ascontiguousarray(rows.T[-len(channels) :])
-        self._require_end(at, channels[0], count)
-
-    def _parts(self) -> Iterator[tuple[_Segment, str, int]]:
-        """Yield segments with pieces of their rows, at least one each, and the first line of the piece."""
-        with self.path.open("rb") as file:
-            encoding = encoding_of(file.read(SNIFFED), self.source)
+    def parts(self) -> Iterator[tuple[_Segment, Piece]]:
+        """Yield segments with pieces of their rows, at least one each, which may be empty."""
         above: list[str] | None = []
+        head: list[str] = []
         special, line, segment = False, 1, None
-        for text, _ in whole_lines(self.path, encoding, self.source):
+        for text, is_last in whole_lines(self.path, self.encoding, self.source):
             at = 0
             while at < len(text):
                 if above is None and segment is not None:
                     found = _HEAD.search(text, at)
                     end = found.start() if found else len(text)
-                    yield segment, text[at:end], line
+                    rows = _EMPTY_LINES.sub("", text[at:end]) if found or is_last else text[at:end]
+                    yield segment, Piece(rows, line, is_last and not found)
                     line += text.count("\n", at, end)
                     at, above = end, [] if found else None
                     continue
@@ -344,11 +252,14 @@ class _Lvm:
                     continue
                 assert above is not None
                 above.append(written)
-                if (head := self._head_of(above, segment)) is not None:
+                if len(above) > 1 and above[-2].startswith(_END_OF_HEAD):
+                    if segment is None and not head:
+                        # The first end is that of the header of the file.
+                        head, above = above[:-2], above[-1:]
+                        continue
                     number = 1 if segment is None else segment.number + 1
-                    below = above if segment is not None else above[_ends(above)[0] + 1 :]
-                    segment, above = _Segment.of(below, head, number, line, self.source), None
-                    yield segment, "", line
+                    segment, above = _Segment.of(head, above, number, line, self.source), None
+                    yield segment, Piece("", line)
                 elif len(above) > _LONGEST_HEAD:
                     raise BadData(
                         f"{self.source}: a head of {len(above)} lines is none (line {line}); copy the file again"
@@ -361,77 +272,53 @@ class _Lvm:
         if above and any(map(str.strip, above)):
             self.warnings.append(f"the head of segment {segment.number + 1} is cut off; what comes before it was read")
 
-    def _head_of(self, above: list[str], segment: _Segment | None) -> _Head | None:
-        """Return the file header if `above` is a complete segment header: its end and a line of labels."""
-        if len(above) < 2 or not above[-2].startswith(_END_OF_HEAD):
-            return None
-        if segment is not None:
-            return segment.head
-        ends = _ends(above)
-        return _Head.of(above[: ends[0]], self.source) if len(ends) > 1 else None
 
-    def _rows(self, text: str, segment: _Segment, channels: Sequence[int], sample: int, line: int) -> Floats:
-        """Return rows as numbers, (n, n_columns): x, if present, and the channels."""
-        x = segment.x_column(channels[0])
-        columns = ([] if x is None else [x]) + [segment.column(channel) for channel in channels]
-        # If channels differ in length, the shorter ones have empty fields after their end.
-        declared = segment.n_samples(channels[0])
-        longest = max(segment.n_samples(channel) or 0 for channel in range(segment.n_channels))
-        if declared is not None and declared < longest:
-            text = "".join(text.splitlines(keepends=True)[: max(0, declared - sample)])
-        if not text.strip():
-            return np.empty((0, len(columns)))
-        written = io.StringIO(segment.head.with_points(text).rstrip())
-        try:
-            rows = np.loadtxt(written, delimiter=segment.head.separator, usecols=columns, comments=None, ndmin=2)
-            if np.isfinite(rows).all():
-                return rows
-        except ValueError:
-            pass
-        checked = list(self._checked(text, segment, columns, x is not None, sample, line))
-        return np.array(checked).reshape(-1, len(columns))
+@dataclass(frozen=True, kw_only=True)
+class _Rows(Body):
+    """The rows of a segment (`only`), or of all, which must follow each other."""
 
-    def _checked(
-        self, text: str, segment: _Segment, columns: list[int], times: bool, sample: int, line: int
-    ) -> Iterator[list[float]]:
-        unended = line + text.count("\n")
-        for number, written in enumerate(text.split("\n"), line):
-            fields = written.split(segment.head.separator)
-            if not written.strip() or not any(map(str.strip, fields)):
+    segments: _Segments
+    only: int | None
+    channel: int
+
+    def texts(self) -> Iterator[Piece]:
+        """Yield the rows as they are written, without the headers between them."""
+        before: _Segment | None = None
+        count = 0
+        for segment, piece in self.segments.parts():
+            if not (piece.text or piece.is_last) or self.only not in (None, segment.number):
                 continue
-            values = [segment.head.with_points(_at(fields, column)) for column in columns]
-            numbers = [float(value) if NUMBER.fullmatch(value) else None for value in values]
-            wrong = next((column for column, x in zip(columns, numbers, strict=True) if x is None), None)
-            if wrong is None and times and not math.isfinite(numbers[0] or 0.0):
-                wrong = columns[0]
-            if wrong is None:
-                yield [math.nan if number is None else number for number in numbers]
-                sample += 1
-            elif number == unended:
-                # Only the last line of the file has no line feed.
-                self.warnings.append(f"the last row (line {number}) is cut off and was left out")
-                return
-            else:
-                raise no_number(sample, number, wrong, _at(fields, wrong), self.source)
+            is_new = segment is not before
+            if before is not None and is_new:
+                self._require_end(before, count)
+                self._require_next(before, segment, count)
+            before, count = segment, (0 if is_new else count) + n_lines(piece.text)
+            if piece.is_last:
+                self._require_end(segment, count)
+                before = None
+            yield piece._replace(is_restart=is_new)
+        if before is not None:
+            self._require_end(before, count)
 
-    def _require_end(self, segment: _Segment, channel: int, count: int) -> None:
-        declared = segment.n_samples(channel)
+    def last_row(self) -> None:
+        """Return None, as the times of a later segment may begin anew."""
+
+    def _require_end(self, segment: _Segment, count: int) -> None:
+        declared = segment.n_samples
         # More packets of the declared length may follow without headers.
         if declared and (not count or count % declared):
-            self.warnings.append(
+            self.segments.warnings.append(
                 f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off or "
-                "damaged, the rows that are whole were read"
+                "damaged, the rows that are there were read"
             )
 
-    def _require_next(self, segment: _Segment, following: _Segment, channel: int, count: int) -> None:
+    def _require_next(self, segment: _Segment, following: _Segment, count: int) -> None:
         """Raise `BadData` unless a segment continues the one before with the same channels and rate."""
-        step, _ = segment.step(channel)
+        step, channel = segment.number_of("Delta_X", self.channel), self.channel
+        name = f"{self.source}: segment {following.number} (line {following.line})"
         cure = f"pick one segment by --variable {segment.number}, {following.number}, ..."
-        if following.n_channels != segment.n_channels or following.step(channel)[0] != step:
-            raise BadData(
-                f"{self.source}: segment {following.number} (line {following.line}) must have the channels and the "
-                f"rate of the one before, it has others; {cure}"
-            )
+        if following.n_channels != segment.n_channels or following.number_of("Delta_X", channel) != step:
+            raise BadData(f"{name} must have the channels and the rate of the one before, it has others; {cure}")
         if step is None:
             return
         span, allowed = count * step, max(_GAP * step, RATE_TOLERANCE * count * step) + _STAMP
@@ -442,10 +329,6 @@ class _Lvm:
             passed.append((moments[1] - moments[0]).total_seconds())
         if all(abs(seconds - span) > allowed for seconds in passed):
             raise BadData(
-                f"{self.source}: segment {following.number} (line {following.line}) must begin where the one before "
-                f"ends, after {span:.6g} s, its head says after {passed[-1]:.6g} s; {cure}"
+                f"{name} must begin where the one before ends, after {span:.6g} s, its head says after "
+                f"{passed[-1]:.6g} s; {cure}"
             )
-
-
-def _ends(lines: Sequence[str]) -> list[int]:
-    return [index for index, line in enumerate(lines) if line.startswith(_END_OF_HEAD)]

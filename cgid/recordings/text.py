@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,26 +70,45 @@ def read_text(path: Path, source: str) -> Blocks:
     >>> contents.n_samples, contents.units, contents.sampling_rate
     (2, ['N'], 2000.0)
     """
-    with path.open("rb") as file:
-        encoding = encoding_of(file.read(SNIFFED), source)
-        file.seek(max(0, file.seek(0, io.SEEK_END) - 4))
-        # UTF-16 has zeros beside the line feed.
-        is_ended = file.read().rstrip(b"\0\x1a").endswith((b"\n", b"\r"))
+    encoding, warnings = encoding_and_end(path, source)
     header, body = _header_and_body(path, encoding, source)
     if body.layout.n_columns > MAX_CHANNELS:
         raise BadData(
             f"{source}: at most {MAX_CHANNELS} columns, line {body.first_line} has {body.layout.n_columns}; "
             "transpose it: one sample a row, one channel a column"
         )
-    blocks = _assembled(header, body)
-    if not is_ended:
-        blocks.warnings.append(
-            Remark("the last line has no line end; if the file was cut off, its last row is wrong or rows are missing")
-        )
-    return blocks
+    return replace(assembled(header, body), warnings=warnings)
+
+
+def encoding_and_end(path: Path, source: str) -> tuple[str, list[str]]:
+    """Return the encoding of a text, and a warning if its last line has no end.
+
+    A text that is cut off at the end of a line, and states no length, looks like a whole one.
+    """
+    with path.open("rb") as file:
+        encoding = encoding_of(file.read(SNIFFED), source)
+        file.seek(max(0, file.seek(0, io.SEEK_END) - 4))
+        # UTF-16 has zeros beside the line feed.
+        is_ended = file.read().rstrip(b"\0\x1a").endswith((b"\n", b"\r"))
+    unended = "the last line has no line end; if the file was cut off, its last row is wrong or rows are missing"
+    return encoding, [] if is_ended else [Remark(unended)]
 
 
 # ---- rows ------------------------------------------------------------------------------------------------------------
+
+
+class Piece(NamedTuple):
+    """Whole lines of rows.
+
+    line : line number of the first row, from 1
+    is_last : whether no more follow
+    is_restart : whether times may begin anew
+    """
+
+    text: str
+    line: int
+    is_last: bool = False
+    is_restart: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,8 +126,15 @@ class Body:
     layout: Layout
     source: str
 
-    def pieces(self, times: Sequence[int], samples: Sequence[int] = ()) -> Iterator[tuple[Floats, bool]]:
-        """Yield rows (n, n_columns) in order, and whether they are the last ones.
+    def texts(self) -> Iterator[Piece]:
+        """Yield the rows as they are written."""
+        line = self.first_line
+        for text, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
+            yield Piece(text, line, is_last)
+            line += text.count("\n")
+
+    def pieces(self, times: Sequence[int], samples: Sequence[int] = ()) -> Iterator[tuple[Floats, Piece]]:
+        """Yield rows (n, n_columns) in order, and as they are written.
 
         Fields in the columns of times must be finite numbers; in those of samples nan and inf stand for a lost sample;
         in other columns, invalid fields become nan. Raises `BadData` with sample and line if such a field is invalid, a
@@ -116,28 +142,27 @@ class Body:
         may be missing.
         """
         needed = [*times, *samples]
-        layout, sample, line = self.layout, 0, self.first_line
-        points, comment = False, None
-        for written, is_last in whole_lines(self.path, self.encoding, self.source, self.start):
+        layout, sample, points = self.layout, 0, bool(self.layout.picked)
+        comment: tuple[int, str] | None = None
+        for piece in self.texts():
             # Comments are allowed after the last row; among the rows they may replace samples.
-            held = _without_end(written)
-            if held and comment is not None:
+            held = _without_end(piece.text)
+            if held and comment is not None and not piece.is_restart:
                 raise _among_rows(*comment, sample, self.source)
-            if comment is None and len(held) < len(written):
-                comment = line + held.count("\n"), written[len(held) :].partition("\n")[0]
+            if comment is None and len(held) < len(piece.text):
+                comment = piece.line + held.count("\n"), piece.text[len(held) :].partition("\n")[0]
             text = with_seconds(held, layout)
             if not points:
                 # The decimal mark is unknown while all numbers are integers.
                 layout = with_decimal_mark(layout, text)
             points = points or "." in text
             rows = _parsed_at_once(text, layout) if text else np.empty((0, layout.n_columns))
-            if rows is None or len(rows) < _n_lines(text) or not np.isfinite(rows[:, needed]).all():
+            if rows is None or len(rows) < n_lines(text) or not np.isfinite(rows[:, needed]).all():
                 # Parsing line by line either finds the error or skips the text that numpy could not parse.
-                checked = list(_checked_rows(text, layout, times, needed, sample, line, self.source))
+                checked = list(_checked_rows(text, layout, times, needed, sample, piece.line, self.source))
                 rows = np.loadtxt(checked, comments=None, ndmin=2) if checked else np.empty((0, layout.n_columns))
-            yield rows, is_last
+            yield rows, piece
             sample += len(rows)
-            line += written.count("\n")
 
     def last_row(self) -> Floats | None:
         """Return the last row, (n_columns,), None if the end of the file does not show it."""
@@ -197,7 +222,8 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
     for old, new in replacements.items():
         parsed = parsed.replace(old, new)
     try:
-        rows = np.loadtxt(io.StringIO(parsed), delimiter=delimiter, comments="#" if "#" in text else None, ndmin=2)
+        comments, picked = "#" if "#" in text else None, layout.picked or None
+        rows = np.loadtxt(io.StringIO(parsed), delimiter=delimiter, comments=comments, usecols=picked, ndmin=2)
     except ValueError:
         return None
     if rows.shape[1] != layout.n_columns:
@@ -235,18 +261,14 @@ def _checked_rows(
         for column in needed:
             value = values[column]
             if value is None or (column in times and not math.isfinite(float(value))):
-                raise no_number(sample, number, column, fields[column], source, cut if value is None else "")
+                place = (layout.picked or range(layout.n_columns))[column]
+                shown = repr(fields[column][:40]) if fields[column] else "empty"
+                raise BadData(
+                    f"{source}: every field must be a finite number, sample {sample} (line {number}) column "
+                    f"{place + 1} is {shown}{cut if value is None else ''}; repair or cut the recording there"
+                )
         yield " ".join(value or "nan" for value in values)
         sample += 1
-
-
-def no_number(sample: int, line: int, column: int, field: str, source: str, cut: str = "") -> BadData:
-    """Return the error for a field that is no number."""
-    shown = repr(field[:40]) if field else "empty"
-    return BadData(
-        f"{source}: every field must be a finite number, sample {sample} (line {line}) column {column + 1} is "
-        f"{shown}{cut}; repair or cut the recording there"
-    )
 
 
 def _among_rows(number: int, line: str, sample: int, source: str) -> BadData:
@@ -265,7 +287,8 @@ def _without_end(text: str) -> str:
     return text[:end]
 
 
-def _n_lines(text: str) -> int:
+def n_lines(text: str) -> int:
+    """Return the number of lines."""
     return text.removesuffix("\n").count("\n") + 1 if text else 0
 
 
@@ -350,11 +373,15 @@ def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[
 # ---- header, rows and time together ----------------------------------------------------------------------------------
 
 
-def _assembled(header: Header, body: Body) -> Blocks:
+def assembled(header: Header, body: Body, times: list[int] | None = None) -> Blocks:
+    """Return the channels of rows below a header; `times` are the columns of times if they are known."""
     columns, source = header.columns, body.source
-    rows, is_whole = next(body.pieces(()))
-    times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
-    kept = [index for index in range(rows.shape[1]) if index not in times and not _counts(columns, rows, index)]
+    rows, beginning = next(body.pieces(()))
+    counters = []
+    if times is None:
+        times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
+        counters = [index for index in range(rows.shape[1]) if _counts(columns, rows, index)]
+    kept = [index for index in range(rows.shape[1]) if index not in (*times, *counters)]
     if not kept:
         raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
     # Gaps in a channel matter only if it is read, but times must be complete.
@@ -363,7 +390,7 @@ def _assembled(header: Header, body: Body) -> Blocks:
         next(body.pieces(times))
     measured = None
     if times and len(rows) > 1:
-        measured = _measured_rate(columns, times, rows, None if is_whole else body.last_row(), body)
+        measured = _measured_rate(columns, times, rows, None if beginning.is_last else body.last_row(), body)
     rate = _agreed_rate(header.sampling_rates, measured, source)
     if rate is None or not finite[kept].any():
         next(body.pieces((), kept))
@@ -378,18 +405,19 @@ def _assembled(header: Header, body: Body) -> Blocks:
         "sensitivities": _for_each(header.sensitivities, len(kept)),
         "gains": _for_each(header.gains, len(kept)),
     }
-    if is_whole and finite.all():
+    if beginning.is_last and finite.all():
         return Blocks.of_array(np.ascontiguousarray(rows.T[kept]), **about)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         picked = [kept[channel] for channel in channels]
         clock = None if measured is None else EvenTimes(measured, source)
         factor = _factor(columns, times[0], body) if times else 1.0
-        for piece, _ in body.pieces(times, picked):
+        for rows, piece in body.pieces(times, picked):
             if clock is not None:
-                clock.feed(piece[:, times[0]] * factor)
-            samples = np.ascontiguousarray(piece.T[picked])
-            for first in range(0, len(piece), length):
+                clock = EvenTimes(measured or 0.0, source) if piece.is_restart else clock
+                clock.feed(rows[:, times[0]] * factor)
+            samples = np.ascontiguousarray(rows.T[picked])
+            for first in range(0, len(rows), length):
                 yield samples[:, first : first + length]
 
     return Blocks(n_channels=len(kept), read=blocks, **about)

@@ -88,6 +88,7 @@ class Layout:
     decimal_comma : whether the decimal mark is a comma
     trailing : whether each row ends in a delimiter
     stamp : column with times of day, which become seconds before a row is divided
+    picked : the fields of a row that count, in a row that may have others; all if there are none
     """
 
     delimiter: str | None
@@ -95,6 +96,7 @@ class Layout:
     decimal_comma: bool = False
     trailing: bool = False
     stamp: int | None = None
+    picked: tuple[int, ...] = ()
 
     def fields(self, line: str) -> list[str]:
         """Return the fields of a row without quotes and surrounding blanks.
@@ -110,6 +112,8 @@ class Layout:
         if self.delimiter == MIXED:
             return re.split(r"[,\s]+", line.strip(" \t\r\n,"))
         fields = [field.strip() for field in line.split(self.delimiter)]
+        if self.picked:
+            return [fields[place] if place < len(fields) else "" for place in self.picked]
         return fields[:-1] if self.trailing and not fields[-1] else fields
 
     def number(self, field: str) -> str | None:
@@ -158,7 +162,7 @@ def layout_of(line: str) -> Layout | None:
     Examples
     --------
     >>> layout_of("0,001;3,5")
-    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=None)
+    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=None, picked=())
     >>> layout_of("time;force") is None
     True
     """
@@ -203,7 +207,7 @@ def stamped_layout_of(line: str, following: str) -> Layout | None:
     Examples
     --------
     >>> stamped_layout_of("10:00:00.001;1,5", "10:00:00.002;1,6")
-    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=0)
+    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=0, picked=())
     >>> stamped_layout_of("2026-03-04 10:00:00", "time;force") is None
     True
     """
