@@ -291,11 +291,8 @@ def test_wav_of_a_program_that_never_came_back(write, size):
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (wav_file(WORDS.tobytes(), outer=5000), "must be of 5008 bytes by its header and is of 244"),
-        (wav_file(WORDS.tobytes(), outer=100), "must be of 108 bytes"),
         (wav_file(WORDS.tobytes(), size=150), "50 bytes behind the declared sound"),
         (wav_file(WORDS.tobytes()[:-1]), "not whole frames of 2; the last 1 were left out"),
-        (wav_file(WORDS.tobytes(), before=chunk(b"fact", struct.pack("<I", 99))), "says 99 samples a channel and"),
         (wav_file(WORDS.tobytes(), byte_rate=4000), "1000 Hz of 2 bytes each are not 4000 bytes/s"),
         (wav_file(WORDS.tobytes(), align=4), "16 bits do not take 4 bytes each"),
     ],
@@ -483,7 +480,7 @@ def test_lvm_segments_that_follow_each_other_are_one_recording(write):
     other = lvm(list(rows_of(parts[1])), head=False, delta="2.000000E-3", time="10:00:00,52")
     with pytest.raises(BadData, match=r"segment 2 .* must have the channels and the rate"):
         whole(open_recording(write(by_time[0] + other)))
-    with pytest.raises(BadData, match="no segment 4, the last one is 3"):
+    with pytest.raises(BadData, match="no segment 4"):
         open_recording(write("".join(by_time)), variable="4")
 
 
@@ -640,6 +637,16 @@ def test_npz_without_an_array_that_can_be_meant(tmp_path):
             open_recording(path, sampling_rate=1)
 
 
+def test_an_npy_file_that_shrinks_while_it_is_read_is_refused(tmp_path):
+    path = tmp_path / "x.npy"
+    np.save(path, np.arange(3000.0))
+    blocks = open_recording(path, sampling_rate=1).blocks(1000)
+    next(blocks)
+    os.truncate(path, 20_000)
+    with pytest.raises(BadData, match="shorter"):
+        list(blocks)
+
+
 # ---- FLAC and OGG ----
 
 
@@ -658,38 +665,29 @@ def test_flac_is_what_libsndfile_reads(flac):
     assert np.array_equal(whole(recording), flac.samples) and not recording.warnings
 
 
-def test_damaged_flac_is_refused_or_told(flac, tmp_path):
+def test_damaged_and_cut_flac_is_refused(flac, tmp_path):
     path = tmp_path / "damaged.flac"
-    read = 0
     for place in range(0, len(flac.content), len(flac.content) // 60):
         for damaged in (
             flac.content[:place],
             flac.content[:place] + bytes([flac.content[place] ^ 4]) + flac.content[place + 1 :],
         ):
             path.write_bytes(damaged)
-            try:
-                recording = open_recording(path, sampling_rate=48000)
-                found = whole(recording)
-            except CgidError as error:
-                assert "\n" not in str(error)
-                continue
-            assert recording.warnings
-            # What comes before the damage is whole.
-            assert np.array_equal(found, flac.samples[:, : found.shape[1]])
-            read += found.shape[1] > 5000
-    assert read > 30
+            with pytest.raises(CgidError):
+                whole(open_recording(path, sampling_rate=48000))
 
 
-def test_ogg_cut_off_is_told(tmp_path):
+def test_ogg_cut_off_or_damaged_is_refused(tmp_path):
     soundfile = pytest.importorskip("soundfile")
     path = tmp_path / "x.ogg"
     soundfile.write(path, np.random.default_rng(8).uniform(-0.5, 0.5, (100_000, 1)), 48000, subtype="VORBIS")
     recording = open_recording(path)
     assert whole(recording).shape == (1, 100_000) and not recording.warnings
     content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
-    recording = open_recording(path)
-    assert 0 < whole(recording).shape[1] < 100_000 and "no end" in recording.warnings[0]
+    for damaged in (content[: len(content) // 2], content[:9000] + bytes(99) + content[9099:]):
+        path.write_bytes(damaged)
+        with pytest.raises(BadData):
+            whole(open_recording(path))
 
 
 # ---- live streams ----

@@ -88,10 +88,10 @@ def read_npy(path: Path, source: str) -> Blocks:
                 for start in starts:
                     file.seek(offset + (start + first * together) * dtype.itemsize)
                     numbers = np.fromfile(file, dtype, n * together)
-                    parts.append(numbers[: numbers.size // together * together].reshape(-1, together).T[picked])
-                # Channels stay equally long if the file becomes shorter while it is read.
-                whole = min(part.shape[1] for part in parts)
-                yield _floats(np.concatenate([part[:, :whole] for part in parts]))
+                    if numbers.size < n * together:
+                        raise BadData(f"{source}: the file became shorter while it was read; read it again")
+                    parts.append(numbers.reshape(-1, together).T[picked])
+                yield _floats(np.concatenate(parts))
 
     return Blocks(
         n_channels=n_channels,

@@ -10,7 +10,7 @@ import os
 import struct
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -30,7 +30,7 @@ WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
 ENDLESS = 0x7FFF0000
 
 #: Bytes to read of each relevant chunk; the rest is skipped.
-_READ = {b"fmt ": 40, b"ds64": 28, b"fact": 4, b"bext": 338}
+_READ = {b"fmt ": 40, b"ds64": 28, b"bext": 338}
 #: Most chunks before the sound; a hostile file could hold millions of empty ones.
 _MOST_CHUNKS = 1000
 
@@ -116,9 +116,7 @@ def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
 class WaveHead:
     """Statements of a WAV file or stream before the sound.
 
-    outer_size : declared bytes after the first 8
     data_size : declared bytes of sound
-    n_frames : samples per channel according to the chunk "fact"
     start_time : from a broadcast chunk
     warnings : contradictions within the header
     """
@@ -126,9 +124,7 @@ class WaveHead:
     n_channels: int
     sampling_rate: float
     coding: Coding
-    outer_size: int
     data_size: int
-    n_frames: int | None = None
     start_time: datetime | None = None
     warnings: list[str] = field(default_factory=list)
 
@@ -157,7 +153,7 @@ def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, s
             break
         name, size = head[:4], int(struct.unpack(order + "I", head[4:])[0])
         if name == b"data":
-            return _head(chunks, order, int(struct.unpack(order + "I", start[4:8])[0]), size, source)
+            return _head(chunks, order, size, source)
         wanted = min(_READ.get(name, 0), size)
         # Some programs write chunks twice; the first one counts.
         chunks.setdefault(name, file.read(wanted) if wanted else b"")
@@ -168,7 +164,7 @@ def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, s
     )
 
 
-def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: int, source: str) -> WaveHead:
+def _head(chunks: dict[bytes, bytes], order: str, data_size: int, source: str) -> WaveHead:
     form = chunks.get(b"fmt ", b"")
     if len(form) < 16:
         raise BadData(f"{source}: a WAV file must say its format before the sound; export it again")
@@ -196,14 +192,12 @@ def _head(chunks: dict[bytes, bytes], order: str, outer_size: int, data_size: in
         )
     if len(chunks.get(b"ds64", b"")) >= 24:
         # RF64 stores its 64-bit sizes here.
-        outer_size, data_size = struct.unpack("<QQ", chunks[b"ds64"][:16])
+        (data_size,) = struct.unpack("<Q", chunks[b"ds64"][8:16])
     return WaveHead(
         n_channels=n_channels,
         sampling_rate=float(rate),
         coding=coding,
-        outer_size=outer_size,
         data_size=data_size,
-        n_frames=struct.unpack(order + "I", chunks[b"fact"])[0] if len(chunks.get(b"fact", b"")) == 4 else None,
         start_time=_start_time(chunks.get(b"bext", b"")),
         warnings=warnings,
     )
@@ -276,31 +270,18 @@ def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnin
         )
     else:
         follows = declared
-        _check_end(file, head, start, held, warnings)
+        end = start + declared
+        # A zero byte follows sound of odd size, but some programs omit it.
+        if end + end % 2 < held and not any(_is_chunk(file, head, at, held) for at in (end, end + 1)):
+            warnings.append(
+                f"{held - end} bytes behind the declared sound are no part of a WAV file and were left out; check the "
+                "file"
+            )
+        if left := declared % head.frame_size:
+            warnings.append(
+                f"{declared} bytes of sound are not whole frames of {head.frame_size}; the last {left} were left out"
+            )
     return follows - follows % head.frame_size
-
-
-def _check_end(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> None:
-    """Warn of contradictions to the size of the sound, if the file holds all of it."""
-    n_frames, left = divmod(head.data_size, head.frame_size)
-    if left:
-        warnings.append(
-            f"{head.data_size} bytes of sound are not whole frames of {head.frame_size}; the last {left} were left out"
-        )
-    # Some programs count the samples of all channels here.
-    counted = head.n_frames or n_frames
-    if counted not in (n_frames, n_frames * head.n_channels) and counted < ENDLESS:
-        warnings.append(f"the header says {counted} samples a channel and there are {n_frames}; check the file")
-    end = start + head.data_size
-    # A zero byte follows sound of odd size, but some programs omit it.
-    if end + end % 2 < held and not any(_is_chunk(file, head, at, held) for at in (end, end + 1)):
-        warnings.append(
-            f"{held - end} bytes behind the declared sound are no part of a WAV file and were left out; check the file"
-        )
-    elif 0 < head.outer_size < ENDLESS and not 0 <= held - 8 - head.outer_size <= 1:
-        warnings.append(
-            f"the file must be of {head.outer_size + 8} bytes by its header and is of {held}; check whether it is whole"
-        )
 
 
 def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
@@ -312,8 +293,8 @@ def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
 
 # ---- FLAC and OGG files ----------------------------------------------------------------------------------------------
 
-#: Samples of each channel to decode at once; before damage, only whole groups of this size are read.
-_DECODED = 1024
+#: Samples of each channel to decode at once.
+_DECODED = 1 << 14
 #: Most samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12 bytes.
 _BEST_PACKING = 1 << 13
 #: An Ogg page (RFC 3533): bytes before its segment table, longest page, and the flag of the last one.
@@ -323,56 +304,34 @@ _PAGE_HEAD, _LONGEST_PAGE, _LAST_PAGE = 27, 65_307, 4
 def read_audio(path: Path, source: str) -> Blocks:
     """Return the channels of a FLAC or OGG file.
 
-    Full scale is 1.0, in "FS" unless the user gives a unit. A damaged or cut file gives the samples before the damage
-    and a warning. Raises `BadData` if the header is damaged, `MissingExtra` without soundfile.
+    Full scale is 1.0, in "FS" unless the user gives a unit. Raises `BadData` if the file is damaged or cut off,
+    `MissingExtra` without soundfile.
     """
     soundfile = library("soundfile", "FLAC and OGG files", source)
-    warnings = list[str]()
+    fault, cure = "the audio file is damaged or cut off", "copy or export it again"
 
     @contextmanager
     def opened() -> Iterator[Any]:
-        fault = understood(source, "the audio file cannot be decoded", "copy or export it again")
         # An open file, because libsndfile takes no name that is not UTF-8.
-        with path.open("rb") as file, ExitStack() as stack:
-            with fault:
-                sound = stack.enter_context(soundfile.SoundFile(file))
+        with understood(source, fault, cure), path.open("rb") as file, soundfile.SoundFile(file) as sound:
             yield sound
 
     with opened() as sound:
         n_channels, rate, declared = int(sound.channels), float(sound.samplerate), int(sound.frames)
-    # A header may declare more than a file of this size can hold.
+    # A header may declare more than a file of this size can hold, or nothing.
     n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
-    is_whole, position = _ogg_end(path)
-    if not is_whole:
-        warnings.append("the file has no end; it looks cut off, the samples before were read")
+    if not _is_ended(path):
+        raise BadData(f"{source}: an OGG file must end with a last page, there is none; it looks cut off, {cure}")
 
     def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        picked, count, fault = list(channels), 0, ""
+        picked, count = list(channels), 0
         with opened() as sound:
             # `SoundFile.blocks` repeats samples where a file is damaged.
-            while True:
-                try:
-                    frames = sound.read(min(length, _DECODED), dtype="float64", always_2d=True)
-                except soundfile.LibsndfileError as error:
-                    fault = str(error).rpartition("':")[2].strip(" .") or "damage"
-                    break
-                if not len(frames):
-                    break
+            while len(frames := sound.read(min(length, _DECODED), dtype="float64", always_2d=True)):
                 count += len(frames)
                 yield np.ascontiguousarray(frames.T[picked])
-            if is_whole and position not in (None, count):
-                raise BadData(
-                    f"{source}: the file must hold {position} samples and {count} can be decoded; some of its pages "
-                    "are damaged, copy or export it again"
-                )
-        if not fault and n_samples in (None, count):
-            return
-        if not count:
-            raise BadData(f"{source}: no sample can be decoded ({fault}); copy or export the file again")
-        warnings.append(
-            f"{n_samples or 'more'} samples are declared and {count} can be decoded ({fault or 'then it ends'}); "
-            "the file looks cut off or damaged, what comes before was read"
-        )
+        if n_samples not in (None, count):
+            raise BadData(f"{source}: {fault}, it declares {n_samples} samples and {count} can be decoded; {cure}")
 
     return Blocks(
         n_channels=n_channels,
@@ -383,24 +342,17 @@ def read_audio(path: Path, source: str) -> Blocks:
         fallback_unit="FS",
         full_scales=[1.0] * n_channels,
         integers=[True] * n_channels,
-        warnings=warnings,
     )
 
 
-def _ogg_end(path: Path) -> tuple[bool, int | None]:
-    """Return whether an Ogg file ends with its last page, and the samples that this counts if they are Vorbis.
-
-    libsndfile says neither. Other files are whole, of unknown length.
-    """
+def _is_ended(path: Path) -> bool:
+    """Return whether an Ogg file ends with its last page, which libsndfile does not ask; other files are."""
     with path.open("rb") as file:
-        head = file.read(_LONGEST_PAGE)
+        if file.read(4) != b"OggS":
+            return True
         file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_PAGE))
         page = file.read()
-    if not head.startswith(b"OggS"):
-        return True, None
     page = page[page.rfind(b"OggS") :]
     n_segments = page[26] if len(page) >= _PAGE_HEAD else 0
     size = _PAGE_HEAD + n_segments + sum(page[_PAGE_HEAD : _PAGE_HEAD + n_segments])
-    is_vorbis = b"\x01vorbis" in head[: _PAGE_HEAD + 256]
-    position = int.from_bytes(page[6:14], "little", signed=True) if is_vorbis else None
-    return len(page) == size and bool(page[5] & _LAST_PAGE), position
+    return len(page) == size and bool(page[5] & _LAST_PAGE)
