@@ -529,6 +529,19 @@ def test_clipping_is_marked(kind):
     assert [event.clipped for event in detected(np.clip(samples, -60.0, 60.0), kind)] == [True, True]
 
 
+def test_why_there_is_no_impact_does_not_depend_on_the_blocks():
+    samples = np.random.default_rng(0).normal(size=(1, 30_000))
+    samples[0, ::64] = 500.0 * (-1.0) ** np.arange(samples[0, ::64].size)
+    reasons = set()
+    for length in (30_000, 6400, 1000, 777):
+        detector = ImpactDetector(RATE, kind="vibration")
+        for first in range(0, 30_000, length):
+            detector.feed(samples[:, first : first + length])
+        detector.finish()
+        reasons.add(detector.why_silent())
+    assert len(reasons) == 1
+
+
 def test_what_the_recording_cuts_is_marked():
     samples = blows([0, 9000, 19_950], 20_000, damping=0.005)
     first, whole, last = detected(samples[20:])

@@ -849,7 +849,8 @@ def test_gaps_are_the_same_sample_by_sample(seed, cuts, unit):
             own = samples[row, start : start + random.integers(1, 14)]
             own[:] = random.choice([np.nan, np.inf, -np.inf, 1e35, -1.2 * limit], own.size)
     lines = []
-    gaps = Gaps([Channel(name=name, unit=unit) for name in ("left", "right")], 10.0, lines.append, give_up=1.15)
+    channels = [Channel(name=name, unit=unit) for name in ("left", "right")]
+    gaps = Gaps(channels, 10.0, lines.append, give_up=1.15)
     blocks = list(gaps.marked(np.split(samples, sorted(cuts), axis=1)))
     by_hand = [marked_by_hand(own, limit, 12) for own in samples]
     got = np.concatenate(blocks, axis=1)
@@ -861,11 +862,16 @@ def test_gaps_are_the_same_sample_by_sample(seed, cuts, unit):
     if gaps.n_samples.any():
         lost = np.flatnonzero(np.isnan(np.stack([one[0] for one in by_hand])).any(axis=0))
         assert f" {lost[0] / 10.0:.6g} s " in lines[-1]
-    if ended:
-        with pytest.raises(BadData, match="here"):
-            gaps.require("here")
-    else:
+    if not ended:
         gaps.require("here")
+        return
+    with pytest.raises(BadData, match="here") as caught:
+        gaps.require("here")
+    at_once = Gaps(channels, 10.0, lines.append, give_up=1.15)
+    list(at_once.marked([samples]))
+    with pytest.raises(BadData) as other:
+        at_once.require("here")
+    assert str(other.value) == str(caught.value)  # whatever the blocks
 
 
 def test_every_unit_has_a_largest_sample_and_no_block_is_copied():

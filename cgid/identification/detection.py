@@ -342,7 +342,7 @@ class _Limits:
 
     def __init__(self, n_channels: int) -> None:
         self.lowest, self.highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
-        self._counts, self._seen = np.zeros((2, n_channels)), 0
+        self._counts, self._seen, self._passed = np.zeros((2, n_channels)), 0, 0
         self._counted = np.stack([self.lowest, self.highest])
 
     def widen(self, lowest: Floats, highest: Floats) -> None:
@@ -354,7 +354,9 @@ class _Limits:
         limits = np.stack([self.lowest, self.highest])
         self._counts[limits != self._counted] = 0
         self._counted = limits
-        looked = samples[:, ::_EVERY]
+        # Of the recording, not of each block: the share must not depend on where blocks end.
+        looked = samples[:, -self._passed % _EVERY :: _EVERY]
+        self._passed += samples.shape[1]
         self._counts += (looked == limits[:, :, None]).sum(axis=2)
         self._seen += looked.shape[1]
 

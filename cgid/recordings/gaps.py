@@ -53,7 +53,9 @@ class Gaps:
         self._seen = 0
         self._running = np.zeros(n_channels, np.int64)  # missing samples up to the end so far
         self._given_up = np.zeros(n_channels, bool)
-        self._enough = np.any if joint else np.all  # of the channels given up, for an end
+        self._end = np.zeros(n_channels, np.int64)  # sample at which each channel was given up
+        # Of the channels given up, for an end.
+        self._enough, self._last = (np.any, np.min) if joint else (np.all, np.max)
         self.n_samples, self.n_gaps = np.zeros((2, n_channels), np.int64)
         self._first: tuple[int, int, float] | None = None  # sample, channel, value
         self._said = 0
@@ -87,17 +89,12 @@ class Gaps:
     def require(self, source: str) -> None:
         """Raise `BadData` if the blocks ended because of channels given up, or held no reading at all."""
         if self._seen and self._enough(self._given_up | (self.n_samples == self._seen)):
+            # The number of samples seen depends on the length of the blocks where a channel was given up.
+            end = float(self._last(np.where(self._given_up, self._end, self._seen))) / self._rate
             raise BadData(
-                f"{source}: samples must be finite and what a sensor can give, none is {self._last_reading}; check "
-                "sensor, cable and sample format"
+                f"{source}: samples must be finite and what a sensor can give, none is in the "
+                f"{min(self._patience, end):.6g} s before {end:.6g} s; check sensor, cable and sample format"
             )
-
-    @property
-    def _last_reading(self) -> str:
-        """Where the samples end that can be read."""
-        if self._enough(self.n_samples == self._seen):
-            return f"in {self._seen / self._rate:.6g} s"
-        return f"in the last {self._patience:g} s of {self._seen / self._rate:.6g} s"
 
     def _marked(self, block: NDArray[Any]) -> NDArray[Any]:
         limits = self._limits[:, None]
@@ -130,7 +127,7 @@ class Gaps:
         if over.size:
             given_up = int(stops[over[0]] - lengths[over[0]]) + self._longest
             missing[given_up:] = True
-            self._given_up[row] = True
+            self._given_up[row], self._end[row] = True, first + given_up
             starts, stops = starts[: over[0] + 1], np.append(stops[: over[0]], given_up)
             self._give_up(row, first + given_up, samples[max(given_up - 1, 0)])
         self._running[row] = lengths[-1] if lengths.size and missing[-1] else 0
