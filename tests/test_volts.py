@@ -291,6 +291,17 @@ def test_integers_whose_unit_the_file_states_and_streams_of_floats_need_no_full_
         live_stream(io.BytesIO(bytes(8)), sample_format="s16le", **stream)
 
 
+def test_channels_of_an_array_may_differ_in_unit(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", blows())
+    both = open_recording(tmp_path / "a.npy", sampling_rate=RATE, unit="1=m/s^2, 2=N")
+    assert [channel.unit for channel in both.channels] == ["m/s^2", "N"]
+    one = open_recording(tmp_path / "a.npy", sampling_rate=RATE, unit="1=mV", sensitivity="10.2 mV/g")
+    assert [channel.unit for channel in one.channels] == ["m/s^2", None]
+    for unit in ("1=stone", "3=N", "1=N, 1=V", "=N"):
+        with pytest.raises(InvalidValue):
+            open_recording(tmp_path / "a.npy", sampling_rate=RATE, unit=unit)
+
+
 def test_clipping_is_seen_behind_a_sensitivity(tmp_path: Path) -> None:
     from scipy.io import wavfile
 

@@ -259,7 +259,11 @@ reading_options = _bundle(
     click.option(
         "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
     ),
-    click.option("--unit", help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it."),
+    click.option(
+        "--unit",
+        help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it; for single channels "
+        "1=N,2=m/s^2.",
+    ),
     click.option(
         "--channel",
         multiple=True,

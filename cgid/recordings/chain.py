@@ -157,7 +157,20 @@ def _text(given: Any) -> str:
     return " ".join(given.split()) if isinstance(given, str) and len(given) <= _LONGEST else ""
 
 
-Part = TypeVar("Part", Sensitivity, Gain, FullScale)
+@dataclass(frozen=True)
+class Unit:
+    """The unit of samples."""
+
+    text: str
+
+    @classmethod
+    def of(cls, given: Any) -> Unit:
+        """Return a known unit; raise `InvalidValue` for another one."""
+        quantity_of(given)
+        return cls(given)
+
+
+Part = TypeVar("Part", Sensitivity, Gain, FullScale, Unit)
 
 
 @dataclass(frozen=True)
@@ -195,6 +208,19 @@ def _stated(name: str, kind: type[Part], given: Statement | None) -> _Stated[Par
                 raise InvalidValue(f"{name} must name the channel before =, as in 2=VALUE, got {shown(one)}")
             pairs.append((channel.strip() if equals else None, value))
     return _Stated(name, tuple((channel, kind.of(value)) for channel, value in pairs))
+
+
+def units_of(given: str | None) -> _Stated[Unit]:
+    """Return the units of a text: one for all channels, or NAME=UNIT of some, divided by commas.
+
+    Examples
+    --------
+    >>> units_of("1=N, beam=m/s^2").values
+    (('1', Unit(text='N')), ('beam', Unit(text='m/s^2')))
+    """
+    is_by_name = isinstance(given, str) and "=" in given
+    pairs = [one.strip() for one in given.split(",")] if is_by_name and given else given
+    return _stated("unit", Unit, pairs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,16 +274,18 @@ class Chain:
         BadData
             The file states an impossible sensitivity, or a unit other than the user's.
         """
-        scaled_links = [self._scaled(contents, index, unit, source) for index in channels]
+        units = units_of(unit)
+        scaled_links = [self._scaled(contents, index, units, source) for index in channels]
         is_some = any(link.unit and quantity_of(link.unit) in ELECTRICAL for link in scaled_links)
         return [
             self._measured(link, contents, index, source, is_some=is_some)
             for index, link in zip(channels, scaled_links, strict=True)
         ]
 
-    def _scaled(self, contents: Blocks, index: int, unit: str | None, source: str) -> Link:
+    def _scaled(self, contents: Blocks, index: int, units: _Stated[Unit], source: str) -> Link:
         """Return the link through full scale and amplification."""
-        own, factor, origin = contents.unit(index, unit, source), 1.0, []
+        unit, _ = units.at(index, contents, source)
+        own, factor, origin = contents.unit(index, unit.text if unit else None, source), 1.0, []
         scale, _ = self.full_scale.at(index, contents, source)
         if scale is not None:
             own, factor = _full_scale(scale, own, contents, index, source)

@@ -18,11 +18,10 @@ from threading import Timer
 from typing import IO, Any
 
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
-from cgid.recordings.chain import Chain, Statement
+from cgid.recordings.chain import Chain, Statement, units_of
 from cgid.recordings.recording import DATASET_CURE, Blocks, RecordingFile, told, understood
 from cgid.recordings.sound import WAV_MAGICS
 from cgid.signals import Signal
-from cgid.units import quantity_of
 from cgid.validation import require_rate
 
 #: First bytes of a file, enough to recognise any format.
@@ -265,7 +264,8 @@ def open_recording(
         [Hz]; required if the file does not state it. If both do, they must agree to 0.1 %, and this one, which is not
         rounded, is used.
     unit : str, optional
-        Unit of the numbers if the file does not state it; nothing is converted by it.
+        Unit of the numbers if the file does not state it; nothing is converted by it. "1=N, beam=m/s^2" are the units of
+        single channels, by number or name.
     channel : int, str or sequence of these, optional
         Channels to read: number from 1 (the time column does not count) or name in the header; "1+2" is both.
     variable : str, optional
@@ -323,8 +323,7 @@ def open_recording(
     chain = Chain.of(sensitivity, gain, full_scale)
     if sampling_rate is not None:
         sampling_rate = require_rate(sampling_rate)
-    if unit is not None:
-        quantity_of(unit)
+    units_of(unit)
     source = "stdin" if str(path) == "-" else str(path)
     regular, spool = _regular(path, source)
     try:

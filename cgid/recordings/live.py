@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
-from cgid.recordings.chain import Chain, scaled
+from cgid.recordings.chain import Chain, scaled, units_of
 from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel, rates_agree
 from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, WaveHead, read_wave_head
-from cgid.units import quantity_of
 from cgid.validation import require_rate
 
 #: Most numbers to read from the stream at once.
@@ -118,8 +117,7 @@ def live_stream(
     >>> [block.tolist() for block in stream]
     [[[0.5], [-0.5]]]
     """
-    if unit is not None:
-        quantity_of(unit)
+    units_of(unit)
     given = None if sampling_rate is None else require_rate(sampling_rate)
     if n_channels is not None and validation.count("n_channels", n_channels) > MAX_CHANNELS:
         raise InvalidValue(f"n_channels must be at most {MAX_CHANNELS}, got {n_channels}")
