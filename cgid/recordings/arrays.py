@@ -10,9 +10,8 @@ import math
 import os
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,8 +35,6 @@ if TYPE_CHECKING:
 
 #: Longest NPY header [bytes]; a longer one is damaged.
 _HEADER_SIZE = 1 << 16
-#: Largest member of an archive that may state something [bytes]; larger ones are samples.
-_SMALL = 1 << 16
 
 
 def read_npy(path: Path, source: str) -> Blocks:
@@ -127,49 +124,6 @@ def _floats(samples: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(samples, kept)
 
 
-def _rows(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array of at most two axes as (n_channels, n_samples)."""
-    axes = orientation(array.shape)
-    assert axes is not None
-    across, along = axes
-    return array.reshape(1, -1) if across is None else np.moveaxis(array, (across, along), (0, 1)).squeeze()
-
-
-def value_of_array(array: NDArray[Any]) -> Value | None:
-    """Return a single number, a text or a list of texts; None for any other array."""
-    if array.dtype.kind == "S":
-        array = np.char.decode(array, "utf-8", "replace")
-    if array.dtype.kind == "U" and array.size:
-        texts = [str(text) for text in array.ravel()[:MAX_CHANNELS]]
-        return texts[0] if array.size == 1 else texts
-    return float(array.ravel()[0]) if array.dtype.kind in "fiu" and array.size == 1 else None
-
-
-def variable_of_array(
-    name: str, group: str, shape: tuple[int, ...], dtype: np.dtype[Any], whole: Callable[[], NDArray[Any]]
-) -> Variable | None:
-    """Return an array that may be the recording, read by `whole`; None if it is no row or table of real numbers."""
-    axes = orientation(shape)
-    if dtype.kind not in "fiu" or axes is None or not all(shape):
-        return None
-    across, along = axes
-
-    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        rows, picked = _rows(whole()), list(channels)
-        for first in range(0, shape[along], length):
-            yield _floats(rows[picked, first : first + length])
-
-    return Variable(
-        name=name,
-        group=group,
-        n_channels=1 if across is None else shape[across],
-        n_samples=shape[along],
-        read=read,
-        full_scale=full_scale_of(dtype),
-        is_integer=dtype.kind in "iu",
-    )
-
-
 def require_room(size: int, source: str, cure: str) -> None:
     """Raise `BadData` if arrays [bytes] are too large to be read whole."""
     if size > LARGEST_ARRAYS:
@@ -179,21 +133,46 @@ def require_room(size: int, source: str, cure: str) -> None:
         )
 
 
-def contents_of_arrays(arrays: Iterable[Variable | tuple[str, Value]], source: str, variable: str | None) -> Blocks:
-    """Return the recording among arrays and named values, each with its path."""
+def blocks_of_arrays(arrays: Iterable[tuple[str, NDArray[Any]]], source: str, variable: str | None) -> Blocks:
+    """Return the recording among arrays in memory, each with its path; single numbers and texts state things."""
     variables, statements = [], dict[str, dict[str, Value]]()
-    for one in arrays:
-        if isinstance(one, Variable):
-            variables.append(one)
-        else:
-            group, _, name = one[0].rpartition("/")
-            statements.setdefault(group, {})[name] = one[1]
+    for place, array in arrays:
+        group, _, name = place.rpartition("/")
+        axes = orientation(array.shape)
+        if (value := _value(array)) is not None:
+            statements.setdefault(group, {})[name] = value
+        elif array.dtype.kind in "fiu" and axes is not None and array.size:
+            variables.append(_variable(group, name, array, axes))
     return contents_of(variables, statements, source, variable, [])
 
 
-# ---- NPZ -------------------------------------------------------------------------------------------------------------
+def _value(array: NDArray[Any]) -> Value | None:
+    """Return a single number, a text or a list of texts; None for any other array."""
+    if array.dtype.kind == "S":
+        array = np.char.decode(array, "utf-8", "replace")
+    if array.dtype.kind == "U" and array.size:
+        texts = [str(text) for text in array.ravel()[:MAX_CHANNELS]]
+        return texts[0] if array.size == 1 else texts
+    return float(array.ravel()[0]) if array.dtype.kind in "fiu" and array.size == 1 else None
 
-_DAMAGED = ("the archive is damaged or cut off", "copy or save it again")
+
+def _variable(group: str, name: str, array: NDArray[Any], axes: tuple[int | None, int]) -> Variable:
+    across, along = axes
+    rows = array.reshape(1, -1) if across is None else np.moveaxis(array, (across, along), (0, 1)).squeeze()
+
+    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        for first in range(0, rows.shape[1], length):
+            yield _floats(rows[list(channels), first : first + length])
+
+    return Variable(
+        name=name,
+        group=group,
+        n_channels=rows.shape[0],
+        n_samples=rows.shape[1],
+        read=read,
+        full_scale=full_scale_of(array.dtype),
+        is_integer=array.dtype.kind in "iu",
+    )
 
 
 def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
@@ -203,44 +182,22 @@ def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
     Raises `BadData` if the archive is damaged (checksums are compared), its arrays are larger than 2 GiB, or it holds
     none, or several of which `variable` (a name or pattern) selects none.
     """
-    with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive:
+    arrays = []
+    damage = understood(source, "the archive is damaged or cut off", "copy or save it again")
+    with damage, zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="ignore"):
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
         require_room(sum(member.file_size for member in members), source, "save one array as NPY")
-        return contents_of_arrays(_members(archive, members, path, source), source, variable)
-
-
-def _members(
-    archive: zipfile.ZipFile, members: Sequence[zipfile.ZipInfo], path: Path, source: str
-) -> Iterator[Variable | tuple[str, Value]]:
-    for member in members:
-        whole = partial(_member, path, member.filename, source)
-        with archive.open(member) as file:
-            try:
-                shape, _, dtype, offset = _header(file.read(_HEADER_SIZE), source)
-            except BadData:  # it is not the recording
-                continue
-        if dtype.hasobject:  # pickled, so its size says nothing
-            continue
-        declared, stored = math.prod(shape) * dtype.itemsize, member.file_size - offset
-        if declared != stored:
-            raise BadData(
-                f"{source}: {member.filename} declares {declared} bytes {shape} and holds {stored}; save it again"
-            )
-        place = member.filename.removesuffix(".npy")
-        if member.file_size <= _SMALL and (value := value_of_array(whole())) is not None:
-            yield place, value
-        else:
-            group, _, name = place.rpartition("/")
-            if (found := variable_of_array(name, group, shape, dtype, whole)) is not None:
-                yield found
-
-
-def _member(path: Path, name: str, source: str) -> NDArray[Any]:
-    """Return an array of an archive."""
-    with understood(source, *_DAMAGED), zipfile.ZipFile(path) as archive, archive.open(name) as file:
-        array: NDArray[Any] = npy_format.read_array(file, allow_pickle=False)
-        file.read()  # zipfile compares the checksum at the end
-    return array
+        for member in members:
+            array = None
+            with archive.open(member) as file:
+                with suppress(ValueError):  # arrays of objects are not the recording
+                    array = npy_format.read_array(file, allow_pickle=False)
+                left = file.read()  # zipfile compares the checksum at the end
+            if array is not None and left:
+                raise BadData(f"{source}: {member.filename} holds more than it declares {array.shape}; save it again")
+            if array is not None:
+                arrays.append((member.filename.removesuffix(".npy"), array))
+    return blocks_of_arrays(arrays, source, variable)
 
 
 # ---- HDF5 ------------------------------------------------------------------------------------------------------------

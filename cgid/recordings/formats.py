@@ -11,11 +11,10 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from threading import Timer
-from typing import IO, Any
+from typing import Any, BinaryIO
 
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
@@ -231,7 +230,7 @@ def open_recording(
     in seconds unless the header says ms or us, or they are times of day.
 
     LVM (LabVIEW): the channels of all segments that follow each other without a gap. `variable` is the number of one
-    segment, or a channel, which selects all channels of its length and rate.
+    segment.
 
     WAV (RIFF, RIFX, RF64), FLAC and OGG (library soundfile): any number of channels. Integers are scaled to a full
     scale of 1.0. The unit is "FS" unless `unit` is given, as the unit of numbers between -1 and 1.
@@ -248,7 +247,8 @@ def open_recording(
     ``group/channel``. UFF, UNV (library pyuff): the data sets 58 over time; `variable` is the number or name of one.
     Parquet (library pyarrow): columns, as in a text file.
 
-    A WAV, FLAC, OGG, LVM or TDMS file that is cut off gives its whole samples and `RecordingFile.warnings`.
+    A file that is cut off is refused, but for WAV and TDMS, and LVM between two rows, which give the samples before it
+    and `RecordingFile.warnings`. A text that is cut off at the end of a line looks like a whole one.
 
     Volts and coulombs become N or m/s^2 where `sensitivity` or the file says what the sensor gives: a line ``#
     sensitivity: 10.2 mV/g`` above a text or in the header of a UFF, an attribute, property or value of such a name.
@@ -264,7 +264,7 @@ def open_recording(
         [Hz]; required if the file does not state it. If both do, they must agree to 0.1 %, and this one, which is not
         rounded, is used.
     unit : str, optional
-        Unit of the numbers if the file does not state it; nothing is converted by it. "1=N, beam=m/s^2" are the units of
+        Unit of the numbers if the file does not state it; nothing is converted by it. "1=N, beam=m/s^2" are those of
         single channels, by number or name.
     channel : int, str or sequence of these, optional
         Channels to read: number from 1 (the time column does not count) or name in the header; "1+2" is both.
@@ -422,7 +422,7 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
                     raise NoInput("stdin: the standard input must be open, it is closed; give a file, or pipe one in")
                 if sys.stdin.buffer.isatty():
                     raise NoInput("stdin: a recording must be a file or a pipe, this is a terminal; pipe one in")
-                return _saved(lambda: nullcontext(sys.stdin.buffer), source)
+                return _saved(sys.stdin.buffer, source)
             path = Path(path)
             if path.is_dir():
                 raise BadData(f"{source}: a directory is a dataset, not one recording; {DATASET_CURE}")
@@ -432,7 +432,7 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
                     "it by cgid monitor"
                 )
             if path.exists() and not path.is_file():
-                return _saved(partial(path.open, "rb"), source)
+                return _saved(path, source)
             # Open it once, so that its errors come first.
             path.open("rb").close()
             return path, ExitStack()
@@ -443,17 +443,26 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
         raise NoInput(f"{source!r}: the file cannot be opened ({error}); check the name") from None
 
 
-def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tuple[Path, ExitStack]:
+def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
     """Save a stream to a temporary file; return its path and the stack that removes it."""
     waiting = Timer(WAITING_TIME, warn_of_waiting, [source])
     waiting.daemon = True
     waiting.start()
     spool = ExitStack()
     try:
-        with opened() as stream:
+        # A pipe opens when somebody writes into it.
+        with given.open("rb") if isinstance(given, Path) else nullcontext(given) as stream:
             piece = stream.read(PIECE_LENGTH)
             waiting.cancel()
-            path, file = _temporary_file(spool, needs_name=is_hdf5(piece[:HEAD_SIZE]))
+            if Path("/proc/self/fd").is_dir() and not is_hdf5(piece[:HEAD_SIZE]):
+                # Without a name, nothing is left behind however this process ends.
+                file: Any = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
+                path = Path(f"/proc/self/fd/{file.fileno()}")
+            else:
+                file = tempfile.NamedTemporaryFile(prefix="cgid-", suffix=".recording", delete=False)  # noqa: SIM115
+                path = Path(file.name)
+                spool.callback(path.unlink, missing_ok=True)
+                spool.enter_context(file)
             while piece:
                 if file.tell() > LARGEST_STREAM:
                     raise BadData(
@@ -462,7 +471,7 @@ def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tu
                     )
                 file.write(piece)
                 piece = stream.read(PIECE_LENGTH)
-        file.flush()
+            file.flush()
     except BaseException as error:
         with suppress(OSError):
             spool.close()
@@ -473,32 +482,6 @@ def _saved(opened: Callable[[], AbstractContextManager[Any]], source: str) -> tu
     finally:
         waiting.cancel()
     return path, spool
-
-
-def _temporary_file(spool: ExitStack, *, needs_name: bool = False) -> tuple[Path, IO[bytes]]:
-    """Return path and handle of a temporary file, which is removed when the stack closes or this process ends.
-
-    Windows is untested. Without /bin/sh the file remains if the process is killed.
-    """
-    if not needs_name and Path("/proc/self/fd").is_dir():
-        file = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
-        return Path(f"/proc/self/fd/{file.fileno()}"), file
-    # HDF5 needs a real file name, and outside Linux a file without a name cannot be opened twice.
-    import subprocess
-
-    kept = tempfile.NamedTemporaryFile(prefix="cgid-", suffix=".recording", delete=False)  # noqa: SIM115
-    spool.callback(Path(kept.name).unlink, missing_ok=True)
-    spool.enter_context(kept)
-    with suppress(FileNotFoundError):
-        remover = subprocess.Popen(
-            ["/bin/sh", "-c", 'cat; rm -f -- "$1"', "sh", kept.name],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        spool.enter_context(remover)
-    return Path(kept.name), kept.file
 
 
 def warn_of_waiting(source: str) -> None:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cgid.recordings.arrays import contents_of_arrays, require_room, value_of_array, variable_of_array
+from cgid.recordings.arrays import blocks_of_arrays, require_room
 from cgid.recordings.recording import Blocks, understood
-from cgid.recordings.variables import Value, Variable
 
 #: Deepest struct in a struct, and longest text [characters].
 _DEEPEST, _LONGEST_TEXT = 16, 4096
@@ -41,11 +41,11 @@ def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
         if any(issubclass(one.category, np.exceptions.ComplexWarning) for one in caught):
             stored = loadmat(file, mat_dtype=False)
     arrays = (one for name in found for one in _fields(name, found[name], stored[name], 0))
-    return contents_of_arrays(arrays, source, variable)
+    return blocks_of_arrays(arrays, source, variable)
 
 
-def _fields(place: str, value: Any, stored: Any, depth: int) -> Iterator[Variable | tuple[str, Value]]:
-    """Yield the real arrays and the values in a MATLAB value; cells and objects are left out."""
+def _fields(place: str, value: Any, stored: Any, depth: int) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the arrays and texts in a MATLAB value; cells, objects and complex numbers are left out."""
     if type(value) is not np.ndarray or depth > _DEEPEST or not value.size:
         return
     if value.dtype.names:
@@ -56,9 +56,5 @@ def _fields(place: str, value: Any, stored: Any, depth: int) -> Iterator[Variabl
         return
     if value.dtype.kind == "U":
         value = np.char.strip(value) if value.nbytes <= 4 * _LONGEST_TEXT else value[:0]
-    if (single := value_of_array(value)) is not None:
-        yield place, single
-    elif stored.dtype.kind != "c":
-        group, _, name = place.rpartition("/")
-        if (array := variable_of_array(name, group, value.shape, value.dtype, lambda: value)) is not None:
-            yield array
+    if stored.dtype.kind != "c":
+        yield place, value
