@@ -104,9 +104,9 @@ def recording(label_of: list[str], random: np.random.Generator) -> tuple[np.ndar
         acceleration[start : start + len(heard)] += heard
         truth.append(
             {
-                "time [s]": round(time, 6),
+                "time_s": round(time, 6),
                 "label": label,
-                "peak_force [N]": round(float(pulse.max()), 1),
+                "peak_force_N": round(float(pulse.max()), 1),
                 "speed [m/s]": round(speed, 3),
                 "radius [m]": round(float(radius), 4),
             }
@@ -145,8 +145,8 @@ def with_truth(table: Path) -> tuple[list[dict[str, str]], list[str | None]]:
         rows = list(csv.DictReader(file))
     labels: list[str | None] = []
     for row in rows:
-        name, time = Path(row.get("path") or row["source"]).name, float(row["time [s]"])
-        near = [blow for blow in truth if blow["path"] == name and abs(float(blow["time [s]"]) - time) < 0.02]
+        name, time = Path(row.get("path") or row["source"]).name, float(row["time_s"])
+        near = [blow for blow in truth if blow["path"] == name and abs(float(blow["time_s"]) - time) < 0.02]
         labels.append(near[0]["label"] if near else None)
     return rows, labels
 

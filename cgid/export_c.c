@@ -25,6 +25,7 @@ typedef struct {
 
 extern const char *const cgid_labels[CGID_N_LABELS];
 extern const char *const cgid_values[CGID_N_VALUES];
+extern const char *const cgid_columns[CGID_N_VALUES];  /* the same as `cgid features` names its columns */
 
 /* Identify one impact from its CGID_N_VALUES values, in the order of cgid_values; return the status. */
 cgid_status cgid_identify(const cgid_real *values, cgid_answer *answer);
@@ -527,13 +528,14 @@ static int is_row(const char *text)
     return *text == ',' || (end != text && (*end == ',' || *end == '\n' || *end == '\r' || *end == '\0'));
 }
 
-/* Return the number of the value of a column named `name` or `name [unit]`; -1 if it is none. */
+/* Return the number of the value that a column names, also as `name [unit]` of older tables; -1 if it is none. */
 static int value_named(const char *name)
 {
     int i;
     for (i = 0; i < CGID_N_VALUES; i++) {
         size_t length = strlen(cgid_values[i]);
-        if (strncmp(name, cgid_values[i], length) == 0 && (!name[length] || strncmp(name + length, " [", 2) == 0)) {
+        int begins = strncmp(name, cgid_values[i], length) == 0;
+        if (strcmp(name, cgid_columns[i]) == 0 || (begins && (!name[length] || strncmp(name + length, " [", 2) == 0))) {
             return i;
         }
     }
@@ -625,7 +627,7 @@ int main(int argc, char **argv)
     }
     printf("label");
     for (k = 0; k < CGID_N_LABELS; k++) {
-        printf(",p(%s)", cgid_labels[k]);
+        printf(",p_%s", cgid_labels[k]);
     }
     printf(",novelty,problem\n");
     for (k = 0; k < CGID_N_VALUES; k++) {

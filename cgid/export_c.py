@@ -27,6 +27,7 @@ from cgid.measure.features import FEATURES
 from cgid.measure.spectra import THIRD_OCTAVES, third_octave
 from cgid.measure.vibration import EARLY_BANDS, EARLY_TIME, WINDOW_TIME
 from cgid.signals import KNOWN
+from cgid.units import column_title
 from cgid.validation import Floats
 
 #: Most numbers in an exported file: 8 MiB of constants in double precision.
@@ -70,7 +71,9 @@ def c_source(model: Model) -> str:
     text += [_interface(model), "#endif\n", "#ifndef CGID_HEADER\n"]
     text += [_part("arithmetic", single=_single(arrays)), _inner_sizes(model)]
     text += [_strings("cgid_labels", "CGID_N_LABELS", model.labels)]
-    text += [_strings("cgid_values", "CGID_N_VALUES", (*model.inputs, *model.guards))]
+    values = (*model.inputs, *model.guards)
+    text += [_strings("cgid_values", "CGID_N_VALUES", values)]
+    text += [_strings("cgid_columns", "CGID_N_VALUES", (column_title(name, unit) for name, unit, _ in _values(model)))]
     text += [_table(name, array) for name, array in arrays.items()]
     text += [_part("standardise"), *([_part("layer")] if _has_layers(model) else [])]
     text += [_part(f"scores of {model.family}"), _part("probabilities")]

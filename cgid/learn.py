@@ -28,6 +28,7 @@ from cgid.scene.synthesis import require_count, require_frames
 from cgid.scene.through_beam import shared_beam
 from cgid.signals import Signal
 from cgid.store import Dataset
+from cgid.units import column_unit
 from cgid.validation import Floats
 from cgid.workers import MAX_JOBS
 from cgid.workers import workers as executor
@@ -426,11 +427,11 @@ def _rate_of(array: xarray.DataArray) -> float:
 
 
 def _units(column: str, unit: str) -> dict[str, str]:
-    """Return the attribute of a column: the unit of its feature, or that of its title, `time [s]`."""
+    """Return the attribute of a column: the unit of its feature, or that of its title, such as `time_s`."""
     if column in FEATURES:
         return {"units": FEATURES[column].unit_for(unit)}
-    _, bracket, rest = column.partition(" [")
-    return {"units": rest.rstrip("]")} if bracket else {}
+    stated = column_unit(column)
+    return {} if stated is None else {"units": stated}
 
 
 def _xarray() -> Any:

@@ -54,6 +54,9 @@ LARGEST: Mapping[str, float] = {
     "level": 1e10,
 }
 
+#: Signs of a unit that a column spells in ASCII.
+_SPELLED = str.maketrans({"^": "", "(": "", ")": "", "²": "2", "µ": "u", "%": "percent"})
+
 #: Quantities of a sensor's signal, which its sensitivity turns into what it measures.
 ELECTRICAL = ("voltage", "charge")
 
@@ -241,3 +244,31 @@ def parse(value: Any, dimension: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"must be a finite number [{next(iter(units)) or '1'}], got {shown(value)}")
     return number
+
+
+def column_title(name: str, unit: str = "") -> str:
+    """Return the title of a column: its name, then its unit in ASCII; the unit "1" adds nothing.
+
+    Examples
+    --------
+    >>> column_title("peak_acceleration", "m/s^2"), column_title("impulse", "N s"), column_title("novelty", "1")
+    ('peak_acceleration_m_s2', 'impulse_N_s', 'novelty')
+    """
+    spelled = re.sub("[^A-Za-z0-9]+", "_", unit.translate(_SPELLED)).strip("_") if unit != "1" else ""
+    return f"{name}_{spelled}" if spelled else name
+
+
+def column_unit(title: str) -> str | None:
+    """Return the unit that ends the title of a column, as in `time_s`, or in `time [s]` of older tables; None without.
+
+    Examples
+    --------
+    >>> column_unit("width_10_s"), column_unit("peak_acceleration_m_s2"), column_unit("time [s]"), column_unit("label")
+    ('s', 'm/s^2', 's', None)
+    """
+    if title.endswith("]") and " [" in title:
+        return title.rpartition(" [")[2].removesuffix("]")
+    known = [unit for units in UNITS.values() for unit in units] + ["s", "Hz", "kg"]
+    spelled = {column_title("", unit): unit for unit in reversed(known)}
+    ends = (title[place:] for place, sign in enumerate(title) if sign == "_" and place)
+    return next((spelled[end] for end in ends if end in spelled and not title.startswith("p_")), None)

@@ -61,7 +61,7 @@ def test_bad_input(
     assert all(word in " ".join(errors) for word in case.says), err
     assert "Traceback" not in err
     # A recording without impacts has a table without rows.
-    assert out == "" or (out.startswith("source,channel,time [s],") and out.count("\n") == 1)
+    assert out == "" or (out.startswith("source,channel,time_s,") and out.count("\n") == 1)
     assert {path: path.lstat().st_mtime_ns for path in bad_files.rglob("*")} == before
 
 
@@ -268,7 +268,7 @@ def test_features_are_a_table_in_the_unit_of_the_file(capsys: pytest.CaptureFixt
     assert run(["features", sample, "--features", "peak_force,width_10"]) == 0
     out, err = capsys.readouterr()
     rows = list(csv.reader(io.StringIO(out)))
-    assert rows[0] == ["source", "channel", "time [s]", "peak_force [N]", "width_10 [s]", "problem"]
+    assert rows[0] == ["source", "channel", "time_s", "peak_force_N", "width_10_s", "problem"]
     assert len(rows) == 1 + 6
     assert err == f"{sample}: 200000 Hz, 6 impacts, baseline removed\n"
     assert run(["features", sample, "--json", "--keep-baseline"]) == 0

@@ -65,7 +65,7 @@ def answers(program: Path, text: str) -> dict[str, np.ndarray]:
     head, *lines = csv.reader(io.StringIO(done.stdout))
     columns = dict(zip(head, map(np.array, zip(*lines, strict=True)), strict=True))
     return {
-        name: np.array([float(field or "nan") for field in column]) if name[:2] in ("p(", "no") else column
+        name: np.array([float(field or "nan") for field in column]) if name[:2] in ("p_", "no") else column
         for name, column in columns.items()
     }
 
@@ -176,7 +176,7 @@ def test_double_precision_gives_the_models_answers(name: str, tmp_path: Path) ->
     found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN"), as_csv(rows))
     labels, probabilities, novelties = judged(model, rows)
     np.testing.assert_array_equal(found["label"], labels)
-    theirs = np.stack([found[f"p({label})"] for label in model.labels], axis=1)
+    theirs = np.stack([found[f"p_{label}"] for label in model.labels], axis=1)
     compare(theirs, probabilities, found["novelty"], novelties)
     assert set(labels[:2000]) == {*model.labels, UNKNOWN}
 
@@ -207,7 +207,7 @@ def test_what_is_no_number_is_unknown(real: str, tmp_path: Path) -> None:
     found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN", f"-DCGID_REAL={real}"), text)
     assert set(found["label"]) == {UNKNOWN}
     assert set(found["problem"]) == {"a value is missing or not finite"}
-    assert np.isnan(found["p(coal)"]).all() and np.isnan(found["novelty"]).all()
+    assert np.isnan(found["p_coal"]).all() and np.isnan(found["novelty"]).all()
 
 
 CALLER = """
@@ -276,7 +276,7 @@ def test_columns_are_found_by_name_as_cgid_features_prints_them(tmp_path: Path, 
     expected = list(csv.DictReader(io.StringIO(capfd.readouterr().out)))
     found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN"), table)
     assert found["label"].tolist() == [row["label"] for row in expected]
-    np.testing.assert_allclose(found["p(coal)"], [float(row["p(coal)"]) for row in expected], atol=1e-4)
+    np.testing.assert_allclose(found["p_coal"], [float(row["p_coal"]) for row in expected], atol=1e-4)
 
 
 @needs_gcc
@@ -336,7 +336,7 @@ def test_trees_of_whole_numbers_read_their_tables_alone(tmp_path: Path) -> None:
     labels, probabilities, _ = judged(read, rows)
     found = answers(compiled(c_source(read), tmp_path, "-DCGID_MAIN"), as_csv(rows))
     np.testing.assert_array_equal(found["label"], labels)
-    np.testing.assert_allclose(found["p(coal)"], probabilities[:, 0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found["p_coal"], probabilities[:, 0], rtol=0, atol=1e-9)
 
 
 def test_the_file_names_the_model_it_was_made_of(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from cgid.physics.materials import STEEL, Material
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import blows_of
 from cgid.scene.plan import Plan
+from cgid.units import column_title
 from tests import few
 from tests.bad_input import pulse
 
@@ -441,14 +442,14 @@ def test_predict_says_what_struck(capsys):
     assert run(["predict", "--sample", "--impactor", "reference"]) == 0
     rows = pd.read_csv(io.StringIO(capsys.readouterr().out))
     for name, unit in QUANTITIES.items():
-        low, middle, high = (rows[f"{name}{end} [{unit}]"] for end in ("_low", "", "_high"))
+        low, middle, high = (rows[column_title(f"{name}{end}", unit)] for end in ("_low", "", "_high"))
         assert (low < middle).all() and (middle < high).all()
-    assert rows["striker_problem"].isna().all()
+    assert rows["impactor_problem"].isna().all()
     assert run(["predict", "--sample", "--impactor", "reference", "--json"]) == 0
     first = json.loads(capsys.readouterr().out.splitlines()[0])
-    assert first["impactor"]["mass"] == pytest.approx(rows["mass [kg]"][0], rel=1e-3)
+    assert first["impactor"]["mass_kg"] == pytest.approx(rows["mass_kg"][0], rel=1e-3)
     assert run(["predict", "--sample"]) == 0
-    assert "mass [kg]" not in capsys.readouterr().out
+    assert "mass_kg" not in capsys.readouterr().out
 
 
 def test_predict_says_where_nothing_is_known(tmp_path, capsys):
@@ -460,8 +461,8 @@ def test_predict_says_where_nothing_is_known(tmp_path, capsys):
     assert run([*asked, "--masses", str(picture)]) == 65
     out, err = capsys.readouterr()
     rows = pd.read_csv(io.StringIO(out))
-    assert rows["mass [kg]"].isna().all() and rows["label"].isin(["coal", "gangue"]).all()
-    assert rows["striker_problem"].str.contains("it would be of another size or speed").all()
+    assert rows["mass_kg"].isna().all() and rows["label"].isin(["coal", "gangue"]).all()
+    assert rows["impactor_problem"].str.contains("it would be of another size or speed").all()
     assert "at least 5 impacts with an interval, got 0" in err and not picture.exists()
     assert run(["predict", "--sample", "--impactor", "reference", "--masses", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")

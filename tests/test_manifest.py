@@ -92,7 +92,7 @@ def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
         "start": "0.5",
         "end": "1.25",
         "rate": "25600.5",
-        "time [s]": "0.51",
+        "time_s": "0.51",
         "peak": "7.5",
     }
     text = manifest_text([{**row, "label": "coal", "gain": "0.5", "flags": "clipped"}])

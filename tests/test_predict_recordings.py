@@ -333,7 +333,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     how = ["--rate", str(RATE), "--unit", "N", "--window", "0.16", "--dilution-cost", "2"]
     assert run(["predict", str(two_channels), "--json", *how]) == 0
     rows = lines_of(capsys)
-    assert {row["version"] for row in rows} == {3}
+    assert {row["version"] for row in rows} == {4}
     impacts = of_kind(rows, "impact")
     assert [row["time_s"] for row in impacts] == sorted(row["time_s"] for row in impacts)
     assert [row["impact"] for row in impacts if row["channel"] == "2"] == list(range(1, 17))
@@ -352,7 +352,7 @@ def test_predict_tells_impacts_shares_and_a_summary(two_channels: Path, capsys: 
     out, err = capsys.readouterr()
     table = list(csv.DictReader(io.StringIO(out)))
     assert [row["label"] for row in table] == [row["label"] for row in impacts]
-    assert [float(row["p(coal)"]) for row in table] == pytest.approx(
+    assert [float(row["p_coal"]) for row in table] == pytest.approx(
         [row["probabilities"]["coal"] for row in impacts], abs=5.1e-5
     )
     assert sum(row["channel"] == "1" for row in table) == 16

@@ -474,11 +474,11 @@ def test_what_was_said_of_the_reading_is_in_the_table(blows: tuple[Path, dict[st
     name = str(folder / "0.npy")
     assert run(["events", name, "-o", str(table), *READ, "--channel", "2", "--invert"]) == 0
     (first, *_) = rows_in(table)
-    assert (first["channel"], first["invert"], float(first["rate"]), first["unit"]) == ("2", "yes", FAST, "g")
+    assert (first["channel"], first["invert"], float(first["rate_Hz"]), first["unit"]) == ("2", "yes", FAST, "g")
     labelled(table, {first["path"]: label_of["0.npy"]})
     rows = record(read_manifest(table))
     assert len(rows.labels) == 12
-    np.testing.assert_allclose(rows.time, [float(row["time [s]"]) for row in rows_in(table)], atol=1e-3)
+    np.testing.assert_allclose(rows.time, [float(row["time_s"]) for row in rows_in(table)], atol=1e-3)
 
 
 def test_volts_are_trained_on_as_they_were_read(

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import json
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
 from cgid.cli.help import RENAMED
 from cgid.cli.main import cli, run
+from cgid.cli.table import written_table
+from cgid.errors import BadData
 from cgid.identification.answers import Answer
+from cgid.identification.manifest import read_manifest
+from cgid.site.tapping import read_times
 
 ROOT = Path(__file__).parents[1]
 #: Former Python name -> the present one.
@@ -64,3 +71,71 @@ def test_option(old: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     found = capsys.readouterr()
     assert found.out == expected.out
     assert sum(old in line and RENAMED[old] in line for line in found.err.splitlines()) == 1
+
+
+# -- columns of tables: what version 54da98c wrote --------------------------------------------------------
+
+EVENTS = """path,start,end,label,time [s],peak,peak_unit
+sample.csv,0.0030050,0.0051750,coal,0.005005,8415,N
+sample.csv,0.0230100,0.0252100,gangue,0.025010,13636,N
+"""
+MANIFEST = "path,label,start,end,rate,unit\na.npy,coal,0,0.5,25600,g\na.npy,gangue,0.5,1,25600,g\n"
+ANSWERS = """source,channel,time [s],label,p(coal),p(gangue),novelty,overlapping,clipped,cut_off,problem
+sample.csv,1,0.0050050,coal,0.6257,0.3743,0.181,false,false,false,
+"""
+
+
+def test_old_tables_of_events_and_manifests(tmp_path: Path) -> None:
+    (tmp_path / "events.csv").write_text(EVENTS)
+    (tmp_path / "manifest.csv").write_text(MANIFEST)
+    new = EVENTS.replace("start,end,", "start_s,end_s,").replace("time [s]", "time_s")
+    (tmp_path / "new.csv").write_text(new)
+    events = read_manifest(tmp_path / "events.csv").annotations
+    assert [(one.start, one.end, one.label) for one in events] == [
+        (0.003005, 0.005175, "coal"),
+        (0.02301, 0.02521, "gangue"),
+    ]
+    assert read_manifest(tmp_path / "new.csv").annotations == events
+    (first, _) = read_manifest(tmp_path / "manifest.csv").annotations
+    assert (first.start, first.end, first.sampling_rate) == (0.0, 0.5, 25600.0)
+
+
+def test_a_column_under_both_names_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("path,label,start,start_s\na.npy,coal,0,0\n")
+    with pytest.raises(BadData, match="twice"):
+        read_manifest(tmp_path / "m.csv")
+
+
+def test_a_table_of_events_is_written_with_the_new_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["events", str(ROOT / "datasets" / "sample.csv"), "-o", "-"]) == 0
+    head, first, *_ = capsys.readouterr().out.splitlines()
+    assert head == "path,start_s,end_s,label,time_s,peak,peak_unit"
+    assert float(dict(zip(head.split(","), first.split(","), strict=True))["time_s"]) == pytest.approx(0.005, abs=1e-4)
+
+
+def test_old_tables_of_answers_and_times(tmp_path: Path) -> None:
+    (tmp_path / "answers.csv").write_text(ANSWERS)
+    table = written_table(str(tmp_path / "answers.csv"))
+    assert table is not None and (table.kind, table.n_rows) == ("table of answers", 1)
+    row = dict(zip(ANSWERS.splitlines()[0].split(","), ["sample.csv", "1", 0.005, "coal"], strict=False))
+    (tmp_path / "answers.jsonl").write_text(json.dumps(row) + "\n")
+    assert written_table(str(tmp_path / "answers.jsonl")) is not None
+    with h5py.File(tmp_path / "answers.h5", "w") as file:
+        file["columns/source"], file["columns/channel"] = np.array([b"sample.csv"]), np.array([b"1"])
+        file["columns/time"] = np.array([0.005])
+    assert written_table(str(tmp_path / "answers.h5")) is not None
+    for title in ("time_s", "time [s]"):
+        (tmp_path / "taps.csv").write_text(f"{title},by\n0.5,me\n")
+        assert read_times(tmp_path / "taps.csv") == [0.5]
+
+
+def test_json_keeps_the_keys_that_scripts_read(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    assert run(["predict", "datasets/sample.csv", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert first["version"] == 4
+    assert first["probabilities"].keys() == {"coal", "gangue"}
+    keys = {"kind", "source", "channel", "label", "novelty", "time_s", "end_s", "most_likely", "in_training_range"}
+    assert keys <= first.keys()

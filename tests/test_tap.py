@@ -201,7 +201,7 @@ def test_what_is_no_tap_test():
 
 def test_tables_of_taps(tmp_path):
     path = tmp_path / "times.csv"
-    for text, match in (("time\n1\n", "'time \\[s\\]'"), ("time [s]\nsoon\n", "line 2"), ("time [s]\n-1\n", "line 2")):
+    for text, match in (("time\n1\n", "time_s"), ("time [s]\nsoon\n", "line 2"), ("time [s]\n-1\n", "line 2")):
         path.write_text(text)
         with pytest.raises(BadData, match=match):
             read_times(path)

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from cgid.identification.stream import Step
 
 #: Version of the lines that --json prints: since 2 each has a kind; since 3 the source is the file alone, and instead
-#: of one probability there are the most likely label and the probabilities of all.
-ANSWERS_VERSION = 3
+#: of one probability there are the most likely label and the probabilities of all; since 4 the key `striker` is
+#: `impactor`, with the unit in each name.
+ANSWERS_VERSION = 4
 
 
 #: What struck, and its units: the median and the ends of the interval that holds it with 90 %.
@@ -37,7 +38,7 @@ def impactor_columns() -> tuple[Column, ...]:
     values = (
         numbers(f"{name}{end}", unit, ".4g") for name, unit in IMPACTOR_UNITS.items() for end in ("", "_low", "_high")
     )
-    return (*values, Column("striker_problem"))
+    return (*values, Column("impactor_problem"))
 
 
 def answer_columns(
@@ -50,7 +51,7 @@ def answer_columns(
         times("time"),
         *[times("end")] * (model.kind == "window"),
         Column("label"),
-        *(numbers(f"p({label})", form=".4f") for label in model.labels),
+        *(numbers(f"p_{label}", form=".4f") for label in model.labels),
         numbers("novelty", form=".3f"),
         *(flags(name) for name in ("overlapping", "clipped", "cut_off")),
         Column("problem"),
@@ -116,11 +117,11 @@ class AnswerLines:
             row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
             more = {"in_training_range": answer.in_training_range, "prediction_set": held}
             if answer.impactor is not None:
-                more["impactor"] = dict(answer.impactor)
+                more["impactor"] = {one.title: answer.impactor.get(one.name) for one in impactor_columns()}
             self._line(kind, source, row | more)
         if not self.as_json:
-            row |= {"source": source, "time [s]": answer.time, "end [s]": answer.end}
-            row |= {f"p({label})": probability for label, probability in probabilities.items()}
+            row |= {"source": source, "time_s": answer.time, "end_s": answer.end}
+            row |= {f"p_{label}": probability for label, probability in probabilities.items()}
             struck = answer.impactor or {}
             row |= {column.title: struck.get(column.name) for column in impactor_columns()}
             self._table.add(row | {"prediction_set": "+".join(held or ())})

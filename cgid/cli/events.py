@@ -130,7 +130,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
             "start": f"{start:.7f}",
             "end": f"{end:.7f}",
             "label": "",
-            "time [s]": f"{event.time:.6f}",
+            "time_s": f"{event.time:.6f}",
             "peak": f"{_peak(event):.5g}",
             "peak_unit": unit,
             "flags": " ".join(name for name in ("overlapping", "clipped", "cut") if getattr(event, name)),

@@ -282,7 +282,7 @@ class _Rows:
             print_json(row | {"units": {column.name: column.unit for column in columns}}, version=FEATURES_VERSION)
         else:
             own = {column.title: value for column, value in zip(columns, values, strict=True)}
-            self.table.add(row | {"time [s]": about["time_s"]} | own)
+            self.table.add(row | {"time_s": about["time_s"]} | own)
 
 
 def _columns(quantity: str | None, unit: str | None, chosen: tuple[str, ...]) -> list[Column]:

@@ -313,7 +313,7 @@ def predict(
     Without --model a force is answered by the default model of pulses, an acceleration by that of vibrations; with
     --mass an acceleration is that of the impactor, and becomes a force. A model of windows answers for each window.
 
-    Stdout is one CSV table, with the probability of each label as p(LABEL). The label is "unknown" when the impact lies
+    Stdout is one CSV table, with the probability of each label as p_LABEL. The label is "unknown" when the impact lies
     outside of what the model was trained on (novelty above 1), or with --coverage when several labels, or none, are
     left.
 

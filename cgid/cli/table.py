@@ -21,11 +21,14 @@ from cgid.cli.options import PATH
 from cgid.cli.output import finite, say
 from cgid.errors import BadData
 from cgid.terminal import counted
+from cgid.units import column_title
 
 #: Endings of table files.
 ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
 #: Longest line of JSON that is read as a row [characters].
 _LONGEST_LINE = 1 << 20
+#: More than the names of the first columns take in CSV [characters].
+_LONGEST_HEAD = 40
 
 
 class Column(NamedTuple):
@@ -38,8 +41,8 @@ class Column(NamedTuple):
 
     @property
     def title(self) -> str:
-        """The name, with the unit in brackets."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
+        """The name and the unit, as in `time_s`."""
+        return column_title(self.name, self.unit)
 
     def cell(self, value: Any) -> str:
         """Return a value as CSV holds it; empty if it is missing."""
@@ -153,8 +156,8 @@ class WrittenTable(NamedTuple):
     n_rows: int
 
 
-#: What these tables begin with.
-_HEAD = ("source", "channel", "time [s]")
+#: What these tables begin with; before version 0.2 the time had its unit in brackets, or none in HDF5.
+_HEADS = tuple(("source", "channel", time) for time in ("time_s", "time [s]", "time"))
 
 
 def written_table(path: str) -> WrittenTable | None:
@@ -170,14 +173,14 @@ def written_table(path: str) -> WrittenTable | None:
         columns, n_rows = ([], 0) if read is None else read(file)
     except OSError:  # whoever opens it next says why
         return None
-    if not {name.partition(" [")[0] for name in _HEAD} <= {name.partition(" [")[0] for name in columns}:
+    if not any(set(head) <= set(columns) for head in _HEADS):
         return None
     return WrittenTable(f"table of {'answers' if 'novelty' in columns else 'features'}", columns, n_rows)
 
 
 def _csv_table(file: Path) -> tuple[list[str], int]:
     with file.open(encoding="utf-8", errors="replace", newline="") as stream:
-        if not stream.read(len(",".join(_HEAD))).startswith(",".join(_HEAD)):
+        if not stream.read(_LONGEST_HEAD).startswith(tuple(",".join(head) for head in _HEADS)):
             return [], 0
         stream.seek(0)
         rows = csv.reader(stream)
@@ -200,7 +203,7 @@ def _json_table(file: Path) -> tuple[list[str], int]:
                 row = json.loads(line)
             except (ValueError, RecursionError):
                 row = None
-            if n_rows == 1 and not (isinstance(row, dict) and list(row)[: len(_HEAD)] == [*_HEAD]):
+            if n_rows == 1 and not (isinstance(row, dict) and tuple(row)[:3] in _HEADS):
                 return [], 0
             columns = columns or list(row)
             if not isinstance(row, dict) or list(row) != columns:
@@ -211,7 +214,7 @@ def _json_table(file: Path) -> tuple[list[str], int]:
 def _parquet_table(file: Path) -> tuple[list[str], int]:
     from cgid.recordings.parquet import parquet_columns
 
-    return parquet_columns(file, str(file), _HEAD)
+    return next((found for head in _HEADS if (found := parquet_columns(file, str(file), head))[0]), ([], 0))
 
 
 def _hdf5_table(file: Path) -> tuple[list[str], int]:
@@ -221,7 +224,7 @@ def _hdf5_table(file: Path) -> tuple[list[str], int]:
         return [], 0
     from cgid.store.foreign import foreign_columns
 
-    return foreign_columns(file, [name.partition(" [")[0] for name in _HEAD])
+    return next((found for head in _HEADS if (found := foreign_columns(file, head))[0]), ([], 0))
 
 
 def _damaged(file: Path, fault: str) -> BadData:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @click.option(
     "--contact", type=float, default=2.0, show_default=True, help="Say how long a hammer without channel stays on [ms]."
 )
-@click.option("--taps", "table", type=PATH, help="Use only the taps of this table (.csv) with a column 'time [s]'.")
+@click.option("--taps", "table", type=PATH, help="Use only the taps of this table (.csv) with a column 'time_s'.")
 @click.option(
     "--scene", "scene_name", type=SCENE, help="Write the modes of this scene's beam, corrected where the taps say more."
 )

@@ -1,8 +1,9 @@
 """The manifest of labelled recordings: labels of files or intervals, and the groups they belong to.
 
-A CSV file has one row per interval, with any of `COLUMNS`. A TOML file has one `[[recording]]` per file, with keys of
-the same names; top-level values apply to all recordings. Paths are relative to the manifest. A folder whose subfolders
-are labels is a manifest, too. `manifest_text` writes one for the user to fill in.
+A CSV file has one row per interval, with any of `COLUMNS`, those of times and rates with their unit (`start_s`). A TOML
+file has one `[[recording]]` per file, with keys of the same names without units; top-level values apply to all
+recordings. Paths are relative to the manifest. A folder whose subfolders are labels is a manifest, too. `manifest_text`
+writes one for the user to fill in.
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
     *("variable", "format", "sensitivity", "full_scale", "invert"),
 )
+#: Title of a column in a CSV file -> its name above, which is also read, since earlier versions wrote it.
+_TITLES = {"start_s": "start", "end_s": "end", "rate_hz": "rate"}
 #: Columns of a CSV file that only inform the person who labels the rows.
-INFORMATIVE = ("time [s]", "peak", "peak_unit", "flags", "content", "note")
+INFORMATIVE = ("time_s", "time [s]", "peak", "peak_unit", "flags", "content", "note")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
 _NUMBERS = ("start", "end", "gain", "rate", "sensitivity", "full_scale")
 #: Manifests that a folder may hold, and endings of the recordings in it.
@@ -379,7 +382,7 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         if not any(cells):
             continue
         if not names:
-            names = [cell.lower() for cell in cells]
+            names = [_TITLES.get(cell.lower(), cell.lower()) for cell in cells]
             read = [name for name in names if name not in INFORMATIVE]
             _check_names(read, COLUMNS, f"{path}: columns", required="path")
             continue
@@ -513,15 +516,17 @@ def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()
     """Return the content of a CSV manifest; columns without a value are left out, but for path, label and the given.
 
     >>> print(manifest_text([{"path": "a.wav", "start": "0.5", "peak": "12"}]), end="")
-    path,start,label,peak
+    path,start_s,label,peak
     a.wav,0.5,,12
     """
     order = dict.fromkeys(("path", "channel", "start", "end", "label", *INFORMATIVE, *COLUMNS))
-    kept = [name for name in order if name in ("path", "label", *columns) or any(row.get(name) for row in rows)]
+    required = ("path", "label", *columns)
+    columns = [name for name in order if name in required or any(row.get(name) for row in rows)]
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, kept, restval="", extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    writer = csv.writer(stream, lineterminator="\n")
+    titles = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
+    writer.writerow([titles.get(name, name) for name in columns])
+    writer.writerows([row.get(name, "") for name in columns] for row in rows)
     return stream.getvalue()
 
 

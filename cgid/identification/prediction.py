@@ -99,8 +99,8 @@ def predict(
     -------
     DataFrame
         One row for each impact (or window, by the model), in order of time, with the columns of `cgid predict`:
-        `channel`, `time [s]`, `label`, one `p(LABEL)` for each label of the model, `novelty` (above 1 the label is
-        "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end [s]`, and a coverage adds
+        `channel`, `time_s`, `label`, one `p_LABEL` for each label of the model, `novelty` (above 1 the label is
+        "unknown"), `overlapping`, `clipped`, `cut_off`, `problem`. Windows also have `end_s`, and a coverage adds
         `prediction_set`. Without impacts it has no rows.
 
     Warns
@@ -128,8 +128,8 @@ def predict(
     >>> time = np.arange(2000) / 200e3
     >>> blow = 8e3 * np.sin(np.pi * np.clip((time - 4e-3) / 0.4e-3, 0, 1)) ** 1.5
     >>> table = predict(blow + np.random.default_rng(0).normal(0, 50, 2000), 200e3, "N")
-    >>> list(table.columns[:5]), len(table), round(float(table["time [s]"][0]), 4)
-    (['channel', 'time [s]', 'label', 'p(coal)', 'p(gangue)'], 1, 0.004)
+    >>> list(table.columns[:5]), len(table), round(float(table["time_s"][0]), 4)
+    (['channel', 'time_s', 'label', 'p_coal', 'p_gangue'], 1, 0.004)
 
     A recording:
 
@@ -255,12 +255,12 @@ def _default(signal: Signal, question: Question) -> str:
 def _table(answers: Sequence[Answer], model: Model, question: Question) -> pandas.DataFrame:
     import pandas as pd
 
-    columns: dict[str, Any] = {"channel": [one.channel for one in answers], "time [s]": [one.time for one in answers]}
+    columns: dict[str, Any] = {"channel": [one.channel for one in answers], "time_s": [one.time for one in answers]}
     if model.kind == "window":
-        columns["end [s]"] = [one.end for one in answers]
+        columns["end_s"] = [one.end for one in answers]
     columns["label"] = [one.label for one in answers]
     for label in model.labels:
-        columns[f"p({label})"] = [one.probabilities.get(label, np.nan) for one in answers]
+        columns[f"p_{label}"] = [one.probabilities.get(label, np.nan) for one in answers]
     columns["novelty"] = [one.novelty for one in answers]
     for title, name in (("overlapping", "overlapping"), ("clipped", "clipped"), ("cut_off", "cut")):
         columns[title] = np.array([getattr(one, name) for one in answers], bool)

@@ -71,7 +71,7 @@ class ImpactorColumns:
     ) -> list[dict[str, Any]]:
         """Return what struck in each frame (n_signals, n_samples) in the unit of the model.
 
-        The names are those of `QUANTITIES`, alone and with `_low` and `_high`, and `striker_problem`; None where
+        The names are those of `QUANTITIES`, alone and with `_low` and `_high`, and `impactor_problem`; None where
         nothing is known.
         """
         samples = frames * UNITS[model.quantity][model.unit]
@@ -88,7 +88,7 @@ class ImpactorColumns:
             columns |= {name: found.median(name), f"{name}_low": low, f"{name}_high": high}
         rows = zip(*(column.tolist() for column in columns.values()), found.reason.tolist(), strict=True)
         return [
-            dict(zip((*columns, "striker_problem"), (None if one != one else one or None for one in row), strict=True))
+            dict(zip((*columns, "impactor_problem"), (None if one != one else one or None for one in row), strict=True))
             for row in rows
         ]
 

@@ -232,11 +232,13 @@ def tap_test(
 
 
 def read_times(path: str | Path) -> list[float]:
-    """Return the times [s] of a table of taps: a CSV file with a column `time [s]`, other columns ignored."""
+    """Return the times [s] of a table of taps: a CSV file with a column `time_s`, formerly `time [s]`."""
     lines = read_cells(path, "the table of taps", _LARGEST_FILE)
-    if not lines or "time [s]" not in lines[0][1] or len(lines) < 2:
-        raise BadData(f"{path}: a table of taps must have the column 'time [s]' and a line a tap; name its unit, too")
-    column, out = lines[0][1].index("time [s]"), []
+    titles = lines[0][1] if lines else []
+    title = next((name for name in ("time_s", "time [s]") if name in titles), None)
+    if title is None or len(lines) < 2:
+        raise BadData(f"{path}: a table of hammer taps must have the column time_s [s] and one line per tap; add them")
+    column, out = titles.index(title), []
     for number, cells in lines[1:]:
         cell = cells[column] if column < len(cells) else ""
         try:

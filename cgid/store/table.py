@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import struct
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +32,7 @@ from cgid.store.description import (
     sealed,
     text_of,
 )
+from cgid.units import column_title
 
 #: Rows written and read at once: whole chunks of HDF5, a row group of Parquet.
 _ROWS = 16384
@@ -284,12 +284,12 @@ def plain_writer(
     path : Path
         An empty file, as of `cgid.files.whole_file`.
     suffix : str
-        .parquet, else HDF5: /columns/<name>, with their units as attributes.
+        .parquet, else HDF5: /columns/<title>, with their units as attributes.
     types : dict
         "string", "float64", "int64" or "bool" of each (name, unit). None is missing: null in Parquet; an empty text,
         nan, -1 or false in HDF5.
     """
-    titles = {f"{name} [{unit}]" if unit else name: dtype for (name, unit), dtype in types.items()}
+    titles = {column_title(name, unit): dtype for (name, unit), dtype in types.items()}
     written = _parquet_columns(path, titles, {}) if suffix == ".parquet" else _plain_hdf5(path, types)
     rows: list[Sequence[Any]] = []
     with written as write:
@@ -320,9 +320,8 @@ def _plain_hdf5(path: Path, types: Mapping[tuple[str, str], str]) -> Iterator[Ca
                 parts.append(np.array([missing[dtype] if value is None else value for value in column], dtype))
 
     yield write
-    alike = Counter(name for name, _unit in types)
-    names = [name if alike[name] == 1 else f"{name} [{unit}]" for name, unit in types]
-    places = [f"columns/{name.replace('/', '|')}" for name in names]  # a slash would make a group
+    titles = [column_title(name, unit) for name, unit in types]
+    places = [f"columns/{title.replace('/', '|')}" for title in titles]  # a slash would make a group
     joined = dict(zip(places, map(np.concatenate, blocks), strict=True))
     units = {place: unit for place, (_name, unit) in zip(places, types, strict=True) if unit}
     # Else HDF5 takes texts for ASCII.
