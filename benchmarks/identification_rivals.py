@@ -13,23 +13,26 @@ are paired, from cgid's logistic regression on as many signals; a shipped model 
 part (or of those of SCENE alone), and answers the test parts, resampled to the rate of the training, with
 probabilities; nothing is unknown. MultiRocket-HYDRA says 0 or 1.
 
-The environment is that of `identification.py`; it also keeps signals, features and answers, for --reuse. Each rival is
-a separate process on one thread. Times are processor times of a busy machine: compare ratios.
+Rivals live in an environment of their own (`--environment DIR`), made if missing, by pip with its configured index; one
+that cannot be installed is left out, with the reason. It also keeps signals, features and answers, for --reuse. Each
+rival is a separate process on one thread. Times are processor times of a busy machine: compare ratios.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+import os
+import subprocess
+import venv
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from identification import ENVIRONMENT, FIRST_TEST, HERE, SEED, install, run_process
-from identification_peers import FEATURES, RIVALS, rows, timed
+from identification_peers import RIVALS, rows, timed
 from rock import limits
 from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
@@ -45,6 +48,11 @@ from cgid.measure.features import extract_array
 from cgid.scene import load_scene, synthesise
 from cgid.scene.through_beam import beam_of
 
+HERE, SEED = Path(__file__).parent, 0
+#: First of the test signals; 256 signals share random numbers.
+FIRST_TEST = 256 * 10_000
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+ENVIRONMENT = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "cgid" / "identification_peers"
 #: Samples that rivals receive of each scene: the pulse, or the first 20 ms of what a beam does.
 CUTS = {
     "reference": slice(188, 444),
@@ -77,7 +85,7 @@ def write_rivals(folder: Path, name: str, n_train: int, n_test: int) -> float:
             found.append((batch.signals[:, CUTS[name]].astype(np.float32), measured, batch.labels))
         for suffix, column in zip(("", "_features", "_labels"), zip(*found, strict=True), strict=True):
             whole = np.concatenate(column)
-            np.save(folder / f"{kind}{suffix}.npy", whole[None] if kind == "train" else whole)
+            np.save(folder / f"{kind}{suffix}.npy", whole)
     return spent / (n_train + n_test)
 
 
@@ -122,8 +130,8 @@ def write_open(folder: Path, learn: str, rate: float, parts: dict[str, list[Any]
                 features.append(measured_by(beam_in(learn), np.array(some), part.rate, part.trigger))
         for suffix, column in (("", pulses), ("_features", features)):
             whole = np.concatenate(column)
-            np.save(folder / f"{kind}{suffix}.npy", whole[None] if kind == "train" else whole)
-    np.save(folder / "train_labels.npy", labels[None])
+            np.save(folder / f"{kind}{suffix}.npy", whole)
+    np.save(folder / "train_labels.npy", labels)
 
 
 def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
@@ -137,7 +145,7 @@ def own_rivals(folder: Path, scene: str, size: int) -> Iterator[dict[str, Any]]:
         proba, seconds = timed(model.probabilities, x[measured])
         found = {"cgid as shipped": (np.array(model.labels)[proba.argmax(1)], 0.0, seconds)}
     else:
-        table, labels = (rows(folder, f"train_{kind}", 0, slice(size)) for kind in ("features", "labels"))
+        table, labels = (rows(folder, f"train_{kind}", slice(size)) for kind in ("features", "labels"))
         sound = np.isfinite(table).all(axis=1)
         linear = tuple(k for k, name in enumerate(names) if known.FEATURES[name].unit == "1")
         found = {}
@@ -186,11 +194,28 @@ def rival_process(options: argparse.Namespace, folder: Path, name: str, size: in
     answer = folder / f"{name}-{size}{f'-{options.epochs}' * bool(options.epochs)}.json"
     if options.reuse and answer.exists():
         return json.loads(answer.read_text())
-    frame = FEATURES if RIVALS[name].on_features else "whole"
     program = [options.environment / "bin" / "python", "-E", "-W", "ignore", HERE / "identification_peers.py"]
-    command = [*program, name, frame, folder, answer, "--sets", "1"]
-    command += ["--to-train", str(size), "--most", str(options.test), "--epochs", str(options.epochs), *more]
-    return {"name": name, **run_process(command, answer)}
+    command = [*program, name, folder, answer, "--to-train", str(size), "--most", str(options.test), *more]
+    command += ["--epochs", str(options.epochs)]
+    done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
+    if done.returncode:
+        return {"name": name, "error": (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]}
+    return {"features": 0.0, **json.loads(answer.read_text())}
+
+
+def install(environment: Path, packages: Iterable[str]) -> dict[str, str]:
+    """Make the environment and install what is missing; return the reason for each failure."""
+    python = environment / "bin" / "python"
+    if not python.exists():
+        venv.create(environment, with_pip=True)
+    problems = {}
+    for package in packages:
+        if subprocess.run([python, "-E", "-c", f"import sklearn, {package}"], capture_output=True).returncode:
+            command = [python, "-m", "pip", "install", "--quiet", "scikit-learn", package]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode:
+                problems[package] = (done.stderr.strip().splitlines() or ["pip failed"])[-1]
+    return problems
 
 
 def line_of(scene: str, size: int, record: dict[str, Any], truth: np.ndarray, ours: np.ndarray) -> str:

@@ -1,6 +1,6 @@
 """What struck: coverage and width of intervals of mass, radius and speed, their time, and the masses of a recording.
 
-    python benchmarks/impactor.py                          # all, some two minutes; writes impactor.png
+    python benchmarks/impactor.py                          # all, some two minutes
     python benchmarks/impactor.py --cases reference -n 2000
     python benchmarks/impactor.py --cases beams -n 1536 --seed 777000301 777000302
     python benchmarks/impactor.py --cases masses --recordings 6 --seed 777000401
@@ -16,9 +16,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,11 +31,9 @@ from cgid.impactor.columns import detection_of, matched
 from cgid.impactor.population import beam_behind
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import of_material, through_beam
-from cgid.measure.beam import nodes
 from cgid.measure.template import relative_times
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, Material
-from cgid.plots import png, require_matplotlib
 from cgid.scene import Scene, load_scene, parse_scene, record, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.impacts import blows_of
@@ -178,7 +174,7 @@ BEAMS: dict[str, dict[str, Any]] = {
 
 
 def beams(n: int) -> None:
-    """Print the coverage behind other beams, each asked with its own population, and behind one of finite elements."""
+    """Print the coverage behind other beams, each asked with its own population."""
     print("| impacts | told | mass 50 / 80 / 95 % | radius | speed | wide |\n|---|---|---|---|---|---|")
     for name, changes in BEAMS.items():
         scene = changed(**changes)
@@ -186,29 +182,6 @@ def beams(n: int) -> None:
         for seed in SEEDS:
             pulses, truth, _ = impacts(scene, n, seed)
             row(name, population.posterior(pulses), truth)
-    import independent_beam as other
-
-    beam = beam_of(load_scene("tail_beam"))
-    for variant in ("plain", "lump", "0.01 mindlin"):
-        made = other.generate(n, SEEDS[0], variant)
-        modes = other.modes_for(other.VARIANTS[variant])
-        damping = other.damping_ratios(modes.frequency, other.VARIANTS[variant].damping)
-        shape = beam.participation.shape[1:]
-        sides = (nodes(count, *beam.region[2 * axis : 2 * axis + 2]) for axis, count in enumerate(shape))
-        x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
-        at = modes.shape(x, y) * modes.shape(*(np.array([place]) for place in other.SENSOR))
-        own = replace(
-            beam,
-            poles=-2 * np.pi * modes.frequency * (damping - 1j * np.sqrt(1 - damping**2)),
-            participation=np.ascontiguousarray(at.T.reshape(-1, *shape)),
-        )
-        truth = {"mass": made["mass"], "radius": made["radius"], "speed": made["velocity"]}
-        for told, looked in (("the drawing", beam), ("its own modes", own)):
-            if told == "its own modes" and len(modes.frequency) > 400:
-                continue
-            pulses = through_beam(made["acceleration"], other.RATE, other.PRE_TRIGGER, ThroughBeam(looked))
-            found = population_of(load_scene("tail_beam")).posterior(pulses)
-            row(f"finite elements, {variant}, through {told}", found, truth)
 
 
 def row(name: str, found: ImpactorEstimates, truth: dict[str, Floats]) -> None:
@@ -298,8 +271,8 @@ def recorded(scene: Scene, seed: int) -> tuple[MeasuredPulses, dict[str, Any], N
     return MeasuredPulses.joined(parts), truth, matched(truth["time"], np.array([events[k].time for k in order]))
 
 
-def masses(path: Path, n: int, name: str = "caving") -> None:
-    """Print and draw the distribution of masses of recordings beside the truth."""
+def masses(n: int, name: str = "caving") -> None:
+    """Print the distribution of masses of recordings beside the truth."""
     scene = load_scene(name)
     start = time.process_time()
     population, detection = population_of(scene), detection_of(scene)
@@ -343,30 +316,6 @@ def masses(path: Path, n: int, name: str = "caving") -> None:
             f"| {found.total[k]:.0f} | {found.low_total[k]:.0f} to {found.high_total[k]:.0f} "
             f"| {found.probability[k]:.2f} |"
         )
-    every = [(f.total.sum(), t.sum()) for f, t, _, _ in held]
-    print("corrected over true", [f"{a / b:.3f}" for a, b in every])
-    sums = np.sum([f.total for f, *_ in held], axis=0) / np.maximum(np.sum([t for _, t, *_ in held], axis=0), 1)
-    print("corrected over true of each class, all recordings:", sums.round(2).tolist())
-    picture(path, *held[0])
-
-
-def picture(path: Path, found: Any, true: Any, own: ImpactorEstimates, hit: dict[str, Floats]) -> None:
-    from cgid.plots.answers import draw_sizes
-
-    figure = require_matplotlib()(figsize=(11, 4.4), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    draw_sizes(left, found, true)
-    left.set(title="one minute of scene caving")
-    chosen = np.flatnonzero(np.isfinite(own.median("mass")))[:150]
-    middle, (low, high) = own.median("mass")[chosen], own.interval("mass", 0.9)
-    bars = middle - low[chosen], high[chosen] - middle
-    right.errorbar(hit["mass"][chosen], middle, bars, fmt=".", lw=0.7, ms=4)
-    ends = [hit["mass"].min(), hit["mass"].max()]
-    right.plot(ends, ends, "k-", lw=0.8)
-    right.set(xscale="log", yscale="log", xlabel="true mass [kg]", ylabel="mass told, 90 % [kg]", title="150 impacts")
-    right.grid(alpha=0.3)
-    path.write_bytes(png(figure))
-    print(f"wrote {path}")
 
 
 def main() -> None:
@@ -375,7 +324,6 @@ def main() -> None:
     parser.add_argument("--cases", nargs="*", default=["reference", "tail_beam", "rock", "beams", "laws", "masses"])
     parser.add_argument("--seed", type=int, nargs="*", default=SEEDS)
     parser.add_argument("--recordings", type=int, default=5)
-    parser.add_argument("-o", type=Path, default=Path(__file__).with_suffix(".png"))
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     SEEDS[:] = asked.seed
@@ -403,7 +351,7 @@ def main() -> None:
     if "laws" in asked.cases:
         laws()
     if "masses" in asked.cases:
-        masses(asked.o, asked.recordings)
+        masses(asked.recordings)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """A model of the force on rock as it is: other laws of loss, lumps that are no spheres, noise that is not white.
 
     python benchmarks/rock.py                          # all tables, Markdown; one core, some ten minutes
-    python benchmarks/rock.py --quick                  # the same in two minutes, with errors of .02
-    python benchmarks/rock.py --shows 2 --cases thornton "pink 1 %" --model mine.npz --output rock.csv
+    python benchmarks/rock.py --shows 2 --cases thornton "pink 1 %" --signals 1024
 
 Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code with the package.
 
@@ -11,47 +10,36 @@ Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code w
    calibration and "forced" take the most probable label in spite of it, and guess where a pulse cannot be measured. The
    calibration error is over ten bins of p(coal); "by chance" is what a perfectly calibrated model would get. The
    pulses of "thornton and viscous", rock that crushes and damps, are the package's.
-3. A law left out of the training, and the model judged on it, for each law. It trains on scenes (`--rows-of`) without
-   the populations of that law, on `own`, the laws of this generator, noise of .01 to 10 %, half with sharp corners; and
-   learns where its rocks end from a scene of strangers (`--strangers-of`), without that law, too.
+3. A law left out of the training, and the model judged on it, for each law. It trains on the scene `rock`, and learns
+   where its rocks end from the scene `anything`, each without that law.
 4. Strangers of the shipped scene, and the real shocks where they stand beside the checkout: the share that is flagged.
-5. The fit of one dull impact (`rock_fit.py`), and learners beside the ceilings of their scenes.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import rock_fit
 from numpy.typing import NDArray
 from rock_pulses import CASES, LAWS, RATE, Case, Impacts, record
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
-from cgid.errors import CgidError
 from cgid.identification.answers import UNKNOWN, identify, identify_frames, suited
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
 from cgid.identification.training import train
-from cgid.measure.features import choose, extract_array
+from cgid.measure.features import extract_array
 from cgid.recordings import read_recording
 from cgid.scene import Scene, load_scene, synthesise, varied
-from cgid.signals import Batch
-from studies.ceilings.coloured import limits as limits_of
 
 Floats = NDArray[np.float64]
 Line = dict[str, Any]
-#: Source of rows that is no scene.
-OWN = "own"
 REAL_SHOCKS = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
 #: Seeds of what is judged, of learners, of the first rows with a law left out; blocks are so far apart that none meet.
 _JUDGED, _LEARNED, _LEFT_OUT, _BLOCK = 2_000_003, 1, 2000, 10_000
@@ -60,14 +48,12 @@ _AT_ONCE = 4096
 #: Share of a learner's impacts that choose its family.
 _HELD_BACK = 0.2
 _FAMILIES = ("boosting", "network", "logistic")
-#: Noises of a law's training, white, over the peak.
-_NOISES = (0.0001, 0.001, 0.01, 0.03, 0.1)
 #: Law of a case, as scenes name it.
 _KINDS = {law: law.removesuffix(" by strength") for law in LAWS}
 #: A case of table 2 whose pulses are the package's.
 BOTH = "thornton and viscous"
-#: Cases that only table 5 is about.
-_LATER = ("dull", "peers", "peers, pink 2 %")
+#: Cases of other benchmarks.
+_OTHERS = ("dull", "peers", "peers, pink 2 %")
 
 
 class Answered(NamedTuple):
@@ -135,12 +121,14 @@ class Table(NamedTuple):
     labels: NDArray[np.str_]
 
 
-def features_of(case: Case, n: int, seed: int, names: Sequence[str]) -> Table:
-    """Return the features of impacts of a case."""
-    parts = [
-        (extract_array(one.signals, RATE, names, pre_trigger=case.trigger, invalid="nan"), one.labels)
-        for one in blocks(case, n, seed)
-    ]
+def extracted(model: Model, signals: NDArray[Any], trigger: int) -> Floats:
+    """Return the features of a model of signals, nan where not measurable."""
+    return extract_array(signals, RATE, model.features, pre_trigger=trigger, invalid="nan")
+
+
+def features_of(model: Model, case: Case, n: int) -> Table:
+    """Return the features of impacts of a case to learn from."""
+    parts = [(extracted(model, one.signals, case.trigger), one.labels) for one in blocks(case, n, _LEARNED)]
     return Table(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -166,22 +154,23 @@ def accuracy(classifier: ImpactClassifier, test: Table) -> float:
     return float((right.sum() + 0.5 * (~measured).sum()) / len(measured))
 
 
-def table_of_cases(
-    model: Model, names: Sequence[str], n: int, n_learner: int, features: Sequence[str]
-) -> Iterator[Line]:
+def table_of_cases(model: Model, names: Sequence[str], n: int, n_learner: int) -> Iterator[Line]:
     """Yield the lines of table 2."""
     for name in names:
         if name == BOTH:
-            yield line_of_both_losses(model, n, n_learner, features)
-            continue
-        case = CASES[name]
-        impacts = record(case, n, _JUDGED)
-        line = {"case": name, **answered(model, impacts.signals, impacts.labels, case.trigger).figures()}
-        if n_learner:
-            family, classifier = learned(features_of(case, n_learner, _LEARNED, features))
-            own = extract_array(impacts.signals, RATE, features, pre_trigger=case.trigger, invalid="nan")
-            line |= {"learner": accuracy(classifier, Table(own, impacts.labels)), "family": family}
-        yield line
+            trigger = with_both_losses().sampling.pre_trigger
+            (signals, labels), training = (
+                signals_of(with_both_losses(), *own) for own in ((n, _JUDGED), (n_learner, 1))
+            )
+            table = Table(extracted(model, training[0], trigger), training[1])
+        else:
+            impacts, trigger = record(CASES[name], n, _JUDGED), CASES[name].trigger
+            signals, labels = impacts.signals, impacts.labels
+            table = features_of(model, CASES[name], n_learner)
+        family, classifier = learned(table)
+        own = Table(extracted(model, signals, trigger), labels)
+        figures = answered(model, signals, labels, trigger).figures()
+        yield {"case": name, **figures, "learner": accuracy(classifier, own), "family": family}
 
 
 def with_both_losses() -> Scene:
@@ -198,53 +187,7 @@ def signals_of(scene: Scene, n: int, seed: int) -> tuple[NDArray[Any], NDArray[n
     return np.concatenate([one.signals for one in batches]), np.concatenate([one.labels for one in batches])
 
 
-def line_of_both_losses(model: Model, n: int, n_learner: int, features: Sequence[str]) -> Line:
-    """Return the line of table 2 of rocks that crush and damp."""
-    scene = with_both_losses()
-    trigger = scene.sampling.pre_trigger
-    signals, labels = signals_of(scene, n, _JUDGED)
-    line = {"case": BOTH, **answered(model, signals, labels, trigger).figures()}
-    if n_learner:
-        training, truth = signals_of(scene, n_learner, _LEARNED)
-        x = extract_array(training, RATE, features, pre_trigger=trigger, invalid="nan")
-        family, classifier = learned(Table(x, truth))
-        own = extract_array(signals, RATE, features, pre_trigger=trigger, invalid="nan")
-        line |= {"learner": accuracy(classifier, Table(own, labels)), "family": family}
-    return line
-
-
 # -- a law left out ---------------------------------------------------------------------------------------
-
-
-def own_rows(n: int, names: Sequence[str]) -> dict[str, Rows]:
-    """Return rows of each law of this generator, equally many."""
-    found = {}
-    for number, kind in enumerate(dict.fromkeys(_KINDS.values())):
-        laws = tuple(law for law in LAWS if _KINDS[law] == kind)
-        shapes = (None, ("log-uniform", 0.1, 1.0))
-        cases = [
-            replace(CASES[laws[0]], laws=laws, noise=noise, curvature=shape) for noise in _NOISES for shape in shapes
-        ]
-        batches = (
-            batch_of(block, case.trigger, kind, (number * len(cases) + k) * n)
-            for k, case in enumerate(cases)
-            for block in blocks(case, n // len(cases), _LEFT_OUT + number * len(cases) + k)
-        )
-        found[kind] = measure(batches, names)
-    return found
-
-
-def batch_of(impacts: Impacts, trigger: int, source: str, first: int) -> Batch:
-    """Return impacts as a labelled batch; specimens count from `first`."""
-    return Batch(
-        signals=impacts.signals,
-        labels=impacts.labels,
-        sampling_rate=RATE,
-        unit="N",
-        pre_trigger=trigger,
-        specimen=np.arange(first, first + len(impacts.labels), dtype=np.uint64),
-        source=source,
-    )
 
 
 def law_of(scene: Scene, number: int) -> str:
@@ -260,16 +203,6 @@ def scene_rows(scene: Scene, n: int, names: Sequence[str]) -> dict[str, Rows]:
         own = tuple(one for one, its in zip(scene.populations, laws, strict=True) if its == law)
         found[law] = measure(synthesise(scene.model_copy(update={"populations": own}), n, _LEFT_OUT + number), names)
     return found
-
-
-def rows_of(sources: Sequence[str], n: int, names: Sequence[str]) -> dict[str, Rows]:
-    """Return rows by law, n of each in each source: `own`, or a scene."""
-    parts = [
-        own_rows(n, names) if source == OWN else scene_rows(load_scene(shipped.scene_path(source)), n, names)
-        for source in sources
-    ]
-    laws = dict.fromkeys(law for part in parts for law in part)
-    return {law: joined([part[law] for part in parts if law in part]) for law in laws}
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
@@ -289,16 +222,17 @@ def joined(parts: Sequence[Rows]) -> Rows:
     )
 
 
-def table_of_laws(
-    rows: dict[str, Rows], strangers: dict[str, Rows], guards: Sequence[str], n: int, family: str
-) -> Iterator[Line]:
+def table_of_laws(model: Model, n_rows: int, n: int) -> Iterator[Line]:
     """Yield the lines of table 3: what the models say of the law that they do not know, and of it when they do."""
+    guards = [name for name in model.guards if name not in model.features]
+    scenes = (load_scene(shipped.scene_path(name)) for name in ("rock", "anything"))
+    rows, strangers = (scene_rows(scene, n_rows, (*model.features, *guards)) for scene in scenes)
     impacts = {law: record(CASES[law], n, _JUDGED) for law in LAWS}
     for left_out in ("nothing", *rows):
         kept, others = ([own for law, own in part.items() if law != left_out] for part in (rows, strangers))
         with threadpool_limits(1):
             beyond = joined(others) if others else None
-            trained = train(joined(kept), guards=guards, family=family, strangers=beyond).model
+            trained = train(joined(kept), guards=guards, family=model.family, strangers=beyond).model
         for law in LAWS:
             if left_out in ("nothing", _KINDS[law]):
                 own = impacts[law]
@@ -345,136 +279,52 @@ def shock_is_flagged(model: Model, file: Path) -> bool:
     return not any(answer.in_training_range for answer in answers)
 
 
-# -- learners beside the ceiling --------------------------------------------------------------------------
-
-
 def limits() -> dict[str, Scene]:
-    """Return the scenes whose ceilings stand beside the learners of table 5, by case."""
+    """Return the scenes of some cases, for ceilings and rivals."""
     reference, peers = (load_scene(shipped.scene_path(name)) for name in ("reference", "peers"))
     populations: tuple[Any, ...] = ()
     for population, (low, high) in zip(reference.populations, ((0.15, 0.40), (0.30, 0.60)), strict=True):
         alone = reference.model_copy(update={"populations": (population,)})
         span = {"distribution": "uniform", "lowest": low, "highest": high}
         populations += varied(alone, restitution=span).populations
-    found = {
+    return {
         "dull": reference.model_copy(update={"populations": populations}),
         "peers": peers,
         "hunt-crossley": reference,
     }
-    if "noise_exponent" in type(peers.sensor).model_fields:
-        found["peers, pink 2 %"] = varied(peers, noise_exponent=1.0)
-    return found
-
-
-def table_of_learners(names: Sequence[str], n_test: int, n_ceiling: int, n_large: int, n_sets: int) -> Iterator[Line]:
-    """Yield accuracies of learners beside the ceilings: `n_large` impacts to train, for the peers sets of 1,500."""
-    scenes = limits()
-    for name, n, sets in (
-        ("dull", n_large, 1),
-        ("peers, pink 2 %", 1500, n_sets),
-        ("peers", 1500, n_sets),
-        ("hunt-crossley", n_large, 1),
-    ):
-        test = features_of(CASES[name], n_test, _JUDGED, names)
-        training = features_of(CASES[name], n * sets, _LEARNED, names)
-        found = [learned(Table(*(column[k * n : (k + 1) * n] for column in training)), k) for k in range(sets)]
-        mean = float(np.mean([accuracy(classifier, test) for _, classifier in found]))
-        line: Line = {"case": name, "to train": n, "accuracy": mean, "its s.e.": (mean * (1 - mean) / n_test) ** 0.5}
-        if name in scenes:
-            with suppress(CgidError):  # a scene that the ceiling does not cover
-                (limit,) = limits_of(scenes[name], n_ceiling, _JUDGED)
-                line |= {"ceiling": limit.accuracy, "s.e.": limit.accuracy_error, "below": limit.accuracy - mean}
-        families = [family for family, _ in found]
-        yield line | {"families": " ".join(f"{families.count(one)} {one}" for one in dict.fromkeys(families))}
 
 
 # -- output -----------------------------------------------------------------------------------------------
 
 
-def shown(value: Any) -> str:
-    """Return a value as a cell of the table."""
-    if isinstance(value, float):
-        return f"{value:.3f}" if np.isfinite(value) else "-"
-    return str(value)
-
-
-def printed(title: str, lines: Iterator[Line]) -> list[Line]:
-    """Print lines as Markdown as they come, and return them."""
+def show(title: str, lines: Iterator[Line]) -> None:
+    """Print lines as Markdown as they come."""
     print(f"\n**{title}**\n", flush=True)
-    columns: list[str] = []
-    found = []
-    for line in lines:
-        if not columns:
-            columns = list(line)
-            print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
-        print(f"| {' | '.join(shown(line.get(column, '-')) for column in columns)} |", flush=True)
-        found.append({"table": title, **line})
-    return found
-
-
-def write(path: Path, lines: list[Line]) -> None:
-    """Write one row for each figure."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("table", "line", "figure", "value"))
-        for line in lines:
-            names = [str(value) for value in line.values() if not isinstance(value, float)]
-            numbers = [(name, value) for name, value in line.items() if isinstance(value, float)]
-            writer.writerows((line["table"], ", ".join(names[1:]), name, f"{value:.6g}") for name, value in numbers)
+    for number, line in enumerate(lines):
+        if not number:
+            print(f"| {' | '.join(line)} |\n|{'---|' * len(line)}")
+        cells = (f"{value:.3f}" if isinstance(value, float) else str(value) for value in line.values())
+        print(f"| {' | '.join(cells)} |", flush=True)
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", type=Path, default=shipped.path_of("models", shipped.DEFAULT_MODEL))
-    parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4, 5), default=(2, 3, 4, 5))
-    parser.add_argument(
-        "--cases", nargs="+", choices=[*CASES, BOTH], default=[*(name for name in CASES if name not in _LATER), BOTH]
-    )
+    parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4), default=(2, 3, 4))
+    cases = [*(name for name in CASES if name not in _OTHERS), BOTH]
+    parser.add_argument("--cases", nargs="+", choices=[*CASES, BOTH], default=cases)
     parser.add_argument("--signals", type=int, default=4096, help="to judge a line on")
     parser.add_argument("--learner-signals", type=int, default=20_000, help="that a learner trains on")
-    parser.add_argument("--no-learner", action="store_true")
-    parser.add_argument("--features", nargs="+", help="of learners and of table 3; default: those of the model")
-    default = "rock" if "rock" in shipped.SCENES else OWN
-    parser.add_argument("--rows-of", nargs="+", default=[default], metavar="SCENE", help="on which table 3 trains")
-    parser.add_argument("--strangers-of", nargs="*", default=["anything"], metavar="SCENE", help="none: no strangers")
     parser.add_argument("--rows", type=int, default=10_000, help="of each law and scene in table 3")
-    parser.add_argument("--family", help="of the models in table 3; default: that of the model")
-    parser.add_argument("--draws", type=int, default=300, help="of each dull impact")
-    parser.add_argument("--quick", action="store_true", help="fewer signals everywhere")
-    parser.add_argument("--output", type=Path, help="also a CSV file of all figures")
     own = parser.parse_args()
-    if own.quick:
-        own.signals, own.learner_signals, own.rows, own.draws = 1024, 4000, 2000, 30
-    model, began, lines = Model.load(own.model), time.perf_counter(), []
-    features = choose(own.features or model.features)
-    if 2 in own.shows:
-        n_learner = 0 if own.no_learner else own.learner_signals
-        lines += printed(
-            "2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, n_learner, features)
-        )
-    if 3 in own.shows:
-        guards = [name for name in model.guards if name not in features]
-        rows, strangers = (
-            rows_of(scenes, own.rows, (*features, *guards)) for scenes in (own.rows_of, own.strangers_of)
-        )
-        laws = table_of_laws(rows, strangers, guards, own.signals, own.family or model.family)
-        lines += printed("3. A law left out of the training", laws)
-    if 4 in own.shows:
-        lines += printed("4. Strangers: share flagged", table_of_strangers(model, own.signals))
-    if 5 in own.shows:
-        dull = (
-            rock_fit.judge(e, contact, noise, own.draws)
-            for e in rock_fit.RESTITUTIONS
-            for contact in rock_fit.CONTACTS
-            for noise in rock_fit.NOISES
-        )
-        lines += printed("5. The fit of one dull impact", dull)
-        sizes = (5 * own.signals, own.signals, own.learner_signals, 2 if own.quick else 5)
-        lines += printed("5. Learners beside the ceiling", table_of_learners(features, *sizes))
-    print(f"\n{time.perf_counter() - began:.0f} s")
-    if own.output:
-        write(own.output, lines)
+    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    tables = {
+        2: ("2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, own.learner_signals)),
+        3: ("3. A law left out of the training", table_of_laws(model, own.rows, own.signals)),
+        4: ("4. Strangers: share flagged", table_of_strangers(model, own.signals)),
+    }
+    for number in own.shows:
+        show(*tables[number])
 
 
 if __name__ == "__main__":

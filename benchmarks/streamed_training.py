@@ -3,9 +3,8 @@
     python benchmarks/streamed_training.py [--signals 98304] [--room 48]
 
 One process first trains on a small dataset, so that its libraries have all the memory that they need for any data.
-From then on it may take this many MB more (RLIMIT_DATA: all writable memory, touched or not), and so may the process
-that reads HDF5 for it. It trains on a quarter of a dataset and on the whole; then, as a check of the limit, with all
-batches in memory, which must fail.
+From then on it may take this many MB more (RLIMIT_DATA: all writable memory, touched or not). It trains on a quarter of
+a dataset and on the whole; then, as a check of the limit, with all batches in memory, which must fail.
 """
 
 import argparse
@@ -50,34 +49,14 @@ def trained_within(room: int, little: Path, large: Path) -> dict[str, Any]:
 def _within(room: int, little: Path, large: Path) -> dict[str, Any]:
     """Train under the limit in this process; see the module docstring."""
     _trained(Dataset(little))
-    limited: set[int] = set()
-    _limit([os.getpid(), *_readers()], room, limited)
+    limit = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize() + room
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     data, peaks = Dataset(large), [_peak()]
     # A peak never falls, so the smaller dataset comes first.
     for batches in (_quarter(data), data.batches()):
-        _trained(_with_limited_readers(batches, room, limited))
+        _trained(batches)
         peaks.append(_peak())
-    return {"peaks": peaks, "readers": [_peak(number) for number in _readers()], "fails_at_once": not _fits(data)}
-
-
-def _readers() -> list[int]:
-    """Return the processes that read HDF5 for this one."""
-    return [int(number) for number in Path("/proc/thread-self/children").read_text().split()]
-
-
-def _limit(processes: Iterable[int], room: int, limited: set[int]) -> None:
-    """Give each process that has no limit yet this many bytes more than it holds now."""
-    for process in set(processes) - limited:
-        limit = _data(process) + room
-        resource.prlimit(process, resource.RLIMIT_DATA, (limit, limit))
-        limited.add(process)
-
-
-def _with_limited_readers(batches: Iterable[Batch], room: int, limited: set[int]) -> Iterator[Batch]:
-    """Yield batches; a reader that took the place of one whose stream was closed early is limited, too."""
-    for batch in batches:
-        _limit(_readers(), room, limited)
-        yield batch
+    return {"peaks": peaks, "fails_at_once": not _fits(data)}
 
 
 def _quarter(data: Dataset) -> Iterator[Batch]:
@@ -103,15 +82,9 @@ def _trained(batches: Iterable[Batch]) -> None:
     train(batches, features=FEATURES, guards=())
 
 
-def _data(process: int) -> int:
-    """Return the memory that counts for RLIMIT_DATA [bytes]."""
-    return int(Path(f"/proc/{process}/statm").read_text().split()[5]) * resource.getpagesize()
-
-
-def _peak(process: int | str = "self") -> int:
-    """Return the peak memory of a process [bytes]."""
-    status = Path(f"/proc/{process}/status").read_text()
-    return int(status.partition("VmHWM:")[2].split()[0]) * 1024
+def _peak() -> int:
+    """Return the peak memory of this process [bytes]."""
+    return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) * 1024
 
 
 def main() -> None:
@@ -130,7 +103,7 @@ def main() -> None:
         size = sum(file.stat().st_size for file in large.iterdir())
         found = trained_within(arguments.room * 10**6, little, large)
     before, quarter, whole = found["peaks"]
-    print(f"dataset {size / 1e6:.0f} MB, room beyond the libraries {arguments.room} MB, for each of two processes")
+    print(f"dataset {size / 1e6:.0f} MB, room beyond the libraries {arguments.room} MB")
     print("| trained on | signals | peak of the process [MB] |")
     print("|---|---|---|")
     for what, count, peak in (
@@ -141,7 +114,6 @@ def main() -> None:
         print(f"| {what} | {count} | {peak / 1e6:.0f} |")
     print(f"\na further signal takes {(whole - quarter) / (0.75 * arguments.signals):.0f} bytes of memory, and")
     print(f"{size / arguments.signals:.0f} bytes of the disk")
-    print(f"peak of the process that reads HDF5: {max(found['readers']) / 1e6:.0f} MB")
     print(f"with all batches in memory at once: {'no room' if found['fails_at_once'] else 'there was room'}")
     sys.exit(not found["fails_at_once"])
 

@@ -1,7 +1,4 @@
-"""Malicious model files, made by hand: their names and bytes.
-
-`tests/test_hostile_models.py` loads them; `benchmarks/hostile_models.py` prints the outcomes of these and of mutants.
-"""
+"""Malicious model files, made by hand and by changes to sound ones, for `tests/test_hostile_models.py`."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ import json
 import os
 import pickle
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -594,3 +592,55 @@ EXTREME: dict[str, Callable[[], bytes]] = {
     ),
     "beam of extreme numbers": _extreme_beam,
 }
+
+
+# -- changes to sound files ------------------------------------------------------------------------------
+
+#: Values that an attacker may put into the header, and into an array.
+_SAYINGS: tuple[Any, ...] = (
+    None, True, -1, 0, 1, 2, 64, 10**6, 2**63, -(2**31), 1e-320, 1e99, 1e308, float("nan"), float("inf"),
+    "", "N", "m/s^2", "coal", "\x1b[2J", "network", "boosting", "logistic", "linear", "window_centroid",
+    [], [0], [1e-9, 1e9], ["coal"], ["coal", "gangue", "stone"], ["peak_force"], ["drop_height"],
+    ["window_centroid", "window_rms"], {}, {"metrics": []}, {"metrics": {"confusion": [[1, 2], [3, 4]]}},
+)  # fmt: skip
+_NUMBERS = (0.0, -1.0, 1.0, 2.0, 1e-300, -1e99, 1e99, 1e300, np.nan, np.inf, 2.0**31 - 1, -(2.0**31), 1e6)
+_TYPES = ("f4", "f8", "i4", "i8", "u4", "?", ">f8", "S3", "c16")
+
+
+def mended(content: bytes, random: np.random.Generator) -> bytes:
+    """Change a bit of an array or of the header, and adjust the archive's checksums."""
+    with zipfile.ZipFile(io.BytesIO(content)) as stored:
+        entry = stored.infolist()[int(random.integers(len(stored.infolist())))]
+    start = entry.header_offset + 30 + len(entry.filename) + 20
+    changed = bytearray(content)
+    changed[start + int(random.integers(128, entry.file_size))] ^= 1 << int(random.integers(8))
+    checksum = struct.pack("<L", zlib.crc32(changed[start : start + entry.file_size]))
+    changed[entry.header_offset + 14 : entry.header_offset + 18] = checksum
+    named = changed.rindex(b"PK\x01\x02", 0, changed.rindex(entry.filename.encode()))
+    changed[named + 16 : named + 20] = checksum
+    return bytes(changed)
+
+
+def signed_anew(model: Model, random: np.random.Generator) -> bytes:
+    """Make one or two changes to header and arrays as an attacker would, with all checksums recomputed."""
+    header, arrays = dict(model.header), dict(model.arrays)
+    for _ in range(int(random.integers(1, 3))):
+        if random.random() < 0.4:
+            header[str(random.choice(sorted(header)))] = _SAYINGS[int(random.integers(len(_SAYINGS)))]
+        else:
+            name = str(random.choice(sorted(arrays)))
+            arrays[name] = _changed_array(arrays[name], random)
+    return written(header, arrays)
+
+
+def _changed_array(array: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    numbers = array.copy()
+    where = slice(None) if random.random() < 0.2 else int(random.integers(array.size))
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        numbers.reshape(-1)[where] = np.array(random.choice(_NUMBERS)).astype(array.dtype)
+        changes = (
+            *(numbers, numbers, array[:-1], array.ravel(), np.concatenate([array, array]), array[::-1].copy()),
+            *(random.permutation(array), array.astype(str(random.choice(_TYPES))), np.asfortranarray(array)),
+        )
+        return changes[int(random.integers(len(changes)))]

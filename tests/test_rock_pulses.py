@@ -1,10 +1,9 @@
-"""The independent impacts of `benchmarks/rock_pulses.py`, and the slow search of `benchmarks/rock_fit.py`.
+"""The independent impacts of `benchmarks/rock_pulses.py`.
 
 They judge the package, so first they are judged themselves: by closed forms, by DOP853 away from the nodes of the
 tables, and by the package's own physics, which they share nothing with.
 """
 
-import csv
 import sys
 from dataclasses import replace
 from itertools import pairwise
@@ -13,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
-from scipy.optimize import least_squares
 
-from cgid.measure.likelihood import cramer_rao_bound
+from cgid import shipped
+from cgid.identification.model import Model
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.materials import STEEL, Material
 
@@ -24,7 +23,6 @@ if str(BENCHMARKS) not in sys.path:
     sys.path.append(str(BENCHMARKS))
 
 import rock  # noqa: E402
-import rock_fit  # noqa: E402
 import rock_pulses  # noqa: E402
 from rock_pulses import CASES, LAWS, RATE, record, viscous  # noqa: E402
 
@@ -194,52 +192,6 @@ def test_anti_alias_filter_holds_what_is_far_below_its_edge():
 # -- slow search --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("e", "contact", "noise"), [(0.15, 60, 0.02), (0.2, 30, 0.02), (0.35, 60, 0.05)])
-def test_slow_search_finds_the_deepest_of_many_optima_of_scipy(e, contact, noise):
-    rng = np.random.default_rng(17)
-    table = viscous("hunt-crossley")
-    t = np.arange(400.0)
-
-    def pulse(p):
-        share = np.clip((t - p[2]) / np.exp(p[1]), 0, 1)
-        own = np.exp(-abs(p[3]))
-        share = 1 - share if p[3] > 0 else share
-        return p[0] * table.force.ev(own, 2 / np.pi * np.arcsin(np.sqrt(share)))
-
-    truth = np.array([1.0, np.log(contact), 60.4, np.log(e)])
-    bound = np.log(0.05)
-    for _ in range(3):
-        y = pulse(truth) + noise * rng.standard_normal(len(t))
-        own, penalised = rock_fit.optima(y, noise, (1.0, contact, 60.4, e), (0.0, rock_fit.FIRTH))
-        best = min(
-            (
-                least_squares(
-                    lambda p, y=y: (y - pulse(p)) / noise,
-                    [1, truth[1] + 0.3 * (truth[3] - s), truth[2], s],
-                    bounds=([0, 0, 0, bound], [9, 9, 400, -bound]),
-                    x_scale=[1, 1, contact, 1],
-                )
-                for s in np.log([0.07, 0.12, 0.2, 0.35, 0.5, 0.7, 1.2, 2.0])
-            ),
-            key=lambda found: found.cost,
-        )
-        assert own.chi_square <= 2 * best.cost + 1e-3
-        if own.chi_square > 2 * best.cost - 1e-3:  # scipy may stop in a valley that is not the deepest
-            assert own.restitution == pytest.approx(np.exp(best.x[3]), abs=5e-3)
-        assert penalised.chi_square >= own.chi_square - 1e-6
-
-
-def test_penalty_is_that_of_the_cramer_rao_bound():
-    """Minus the ln of the bound of the shape among pulses of one width, up to a constant."""
-    e = np.array([0.1, 0.15, 0.3, 0.5, 0.8, 1.0, 1.5, 3.0])
-    number = np.rint(np.log(e) / 0.005).astype(int) + 600
-    held = rock_fit.family()
-    bound = cramer_rao_bound(held.duration[number] * 1e-3, e, 0.01, 1e6)
-    expected = -np.log(bound.restitution_deviation / e)
-    assert held.penalty[number] - held.penalty[number[3]] == pytest.approx(expected - expected[3], abs=0.02)
-
-
 # -- tables -------------------------------------------------------------------------------------------------
 
 
@@ -272,23 +224,8 @@ def test_rows_of_a_scene_come_apart_by_law(reference_scene):
     assert np.bincount(both.source).tolist() == [64, 64]
 
 
-def test_own_rows_hold_each_law_equally_often():
-    rows = rock.own_rows(40, ("fitted_peak",))
-    assert list(rows) == ["hunt-crossley", "kuwabara-kono", "thornton", "walton-braun"]
-    assert all(len(own.labels) + own.left_out == 40 for own in rows.values())
-    assert len(np.unique(np.concatenate([own.group for own in rows.values()]))) > 150
-
-
-def test_table_of_two_cases_on_the_command_line(tmp_path, monkeypatch, capsys):
-    """The package's own model on the package's own law, and on one that it may not know: the learner knows it."""
-    file = tmp_path / "rock.csv"
-    cases = ["hunt-crossley", "walton-braun"]
-    sizes = ["--signals", "300", "--learner-signals", "1000"]
-    monkeypatch.setattr("sys.argv", ["rock.py", "--shows", "2", "--cases", *cases, *sizes, "--output", str(file)])
-    rock.main()
-    text = capsys.readouterr().out
-    assert [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("|")][2:] == cases
-    with file.open() as opened:
-        held = {(row["line"].split(",")[0], row["figure"]): float(row["value"]) for row in csv.DictReader(opened)}
-    assert held["hunt-crossley", "accuracy"] > 0.83
-    assert min(held[case, "learner"] for case in cases) > 0.83
+def test_learner_and_model_know_the_laws_of_two_cases():
+    model = Model.load(shipped.path_of("models", shipped.DEFAULT_MODEL))
+    lines = list(rock.table_of_cases(model, ["hunt-crossley", "walton-braun"], 300, 1000))
+    assert lines[0]["accuracy"] > 0.83
+    assert min(line["learner"] for line in lines) > 0.83

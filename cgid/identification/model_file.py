@@ -68,7 +68,7 @@ def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
             for entry in entries:
                 # Nothing unpacked can exceed the file then.
                 if entry.compress_type or entry.flag_bits & 1 or entry.file_size > len(content):
-                    raise BadData(f"array {entry.filename} must be stored uncompressed and not encrypted")
+                    raise BadData(f"array {entry.filename!r} must be stored uncompressed and not encrypted")
                 yield entry.filename.removesuffix(".npy"), _array(archive.read(entry), entry.filename)
     except BadData:
         raise
