@@ -32,8 +32,8 @@ from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
 from cgid.identification.rows import measure
 from cgid.identification.training import train
-from cgid.measure.beam import Beam, corrected, gain, nodes
-from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes
+from cgid.measure.beam import Beam, corrected, gain
+from cgid.measure.modes import Modes, NodeShapes, nodes
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
@@ -49,15 +49,12 @@ HEARD = 10e3
 def with_errors(scene: Scene, error: float, seed: int) -> Scene:
     """Return the scene with modes off by an error, dampings by 10 times as much, at most 30 %."""
     own, rng = beam_modes(scene), np.random.default_rng(seed)
-    none = np.zeros(own.frequency.size)
-    modes = LearnedModes(
-        frequency=own.frequency * np.exp(rng.normal(0, error, none.size)),
-        damping_ratio=np.clip(own.damping_ratio * np.exp(rng.normal(0, min(10 * error, 0.3), none.size)), 1e-4, 0.5),
-        participation=none + 1,
-        **dict.fromkeys(list(LEARNED_COLUMNS)[3:], none),
-    )
+    n = own.frequency.size
+    frequency = own.frequency * np.exp(rng.normal(0, error, n))
+    damping_ratio = np.clip(own.damping_ratio * np.exp(rng.normal(0, min(10 * error, 0.3), n)), 1e-4, 0.5)
+    modes = Modes.relative(frequency, damping_ratio, np.ones(n))
     content = json.loads(scene.text)
-    content["tail_beam"]["learned"] = rows_of(modes, LEARNED_COLUMNS)
+    content["tail_beam"]["learned"] = rows_of(modes)
     return parse_scene(content)
 
 
@@ -81,7 +78,8 @@ def accuracy(site: Scene, truth: Scene, n_train: int, n_test: int, seed: int) ->
 def unlearned(scene: Scene, error: float, options: argparse.Namespace) -> str:
     """Return a row: how often models that know only how far modes may be off are right on beams that are."""
     stated, cells = uncertain(scene, error), []
-    for beam in (beam_of(stated), replace(beam_of(stated), errors=None)):
+    own = beam_of(stated)
+    for beam in (own, replace(own, modes=replace(own.modes, deviation=None))):
         model: Model = train(synthesise(stated, options.signals, 1000), beam=beam).model
         right, sure, spent = [], [], 0.0
         for seed in range(options.first, options.first + options.seeds):
@@ -126,9 +124,19 @@ def plate_of(beam: Beam, variant: Any, most: int, apart: float, rng: np.random.G
         seen = shapes(*taps)
         seen += 0.05 * np.sqrt(np.mean(seen**2, axis=(1, 2), keepdims=True)) * rng.standard_normal(seen.shape)
         told = np.array([RectBivariateSpline(*taps, own)(*sides) for own in seen])
-    poles = -2 * np.pi * modes.frequency * (damping - 1j * np.sqrt(1 - damping**2))
     whole = [np.ascontiguousarray((at_sensor[:, None, None] * own)[kept]) for own in (exact, told)]
-    first, second = (replace(beam, poles=poles[kept], participation=own) for own in whole)
+    first, second = (
+        replace(
+            beam,
+            modes=Modes(
+                frequency=modes.frequency[kept],
+                damping_ratio=np.broadcast_to(damping, modes.frequency.shape)[kept],
+                at_impact=NodeShapes(own, beam.region),
+                at_sensor=np.ones((1, len(own))),
+            ),
+        )
+        for own in whole
+    )
     return first, second
 
 
@@ -215,7 +223,7 @@ def from_drawings(
     clock = time.process_time() - clock
     site = beam_of(found.scene)
     evidence = f"{found.before:.3g} / {found.after:.3g} / {found.expected:.3g}"
-    after = asked(replace(beam, poles=site.poles, participation=site.participation, region=site.region))
+    after = asked(replace(beam, modes=replace(site.modes, deviation=beam.errors)))
     return f"- | - | {evidence} | {before} | {after}", f"{clock:.0f}"
 
 
@@ -284,7 +292,7 @@ def main() -> None:
                     damping = np.log(own.damping_ratio / true.damping_ratio)[heard]
                     covered = [
                         np.mean(np.abs(error) < 1.96 * bars[heard])
-                        for error, bars in ((change, own.frequency_deviation), (damping, own.damping_ratio_deviation))
+                        for error, bars in ((change, own.deviation[0]), (damping, own.deviation[1]))
                     ]
                     size = 100 * np.abs(change)
                     text = (

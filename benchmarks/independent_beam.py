@@ -364,7 +364,7 @@ def beside(variant: Variant) -> None:
         paired = there & (alike > 0.5)
         off = 100 * (ratio[partner, columns] - 1)[paired]
         spread = "".join(f"{value:8.1f}" for value in (np.median(off), off[np.abs(off).argmax()])) if off.size else ""
-        give = (own[:, here] ** 2).mean(axis=0).sum() / (other[:, there] ** 2).mean(axis=0).sum() * theirs.modal_mass[0]
+        give = (own[:, here] ** 2).mean(axis=0).sum() / (other[:, there] ** 2).mean(axis=0).sum()
         lost = 100 * damping[(frequency >= low) & (frequency < high)]
         losses = "".join(f"{value:6.2f}" for value in np.percentile(lost, [0, 50, 100])) if lost.size else ""
         band, counts = f"{low:.0f} to {high:.0f}", f"{here.sum():5} {there.sum():5} {paired.sum():6}"

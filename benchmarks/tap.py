@@ -49,7 +49,7 @@ class Scores:
         """Add a test; every true mode takes the nearest of the modes that no other has taken."""
         frequency, damping, participation = modes
         self.tests += 1
-        apart = np.abs(np.log(test.frequency[:, None] / frequency))
+        apart = np.abs(np.log(test.modes.frequency[:, None] / frequency))
         taken = set()
         for k in np.argsort(apart.min(axis=0, initial=np.inf)):
             order = [i for i in np.argsort(apart[:, k]) if i not in taken and apart[i, k] < NEAR]
@@ -58,13 +58,23 @@ class Scores:
                 continue
             i = order[0]
             taken.add(i)
-            part = test.participation[i] / participation[k] - 1 if test.absolute else np.nan
+            part = test.modes.participation()[i] / participation[k] - 1 if test.modes.scaled else np.nan
             self.errors.append(
-                np.array([np.log(test.frequency[i] / frequency[k]), np.log(test.damping_ratio[i] / damping[k]), part])
+                np.array(
+                    [
+                        np.log(test.modes.frequency[i] / frequency[k]),
+                        np.log(test.modes.damping_ratio[i] / damping[k]),
+                        part,
+                    ]
+                )
             )
-            own = (test.frequency_deviation[i], test.damping_ratio_deviation[i], test.participation_deviation[i])
+            own = (
+                test.modes.columns["frequency_deviation"][i],
+                test.modes.columns["damping_ratio_deviation"][i],
+                test.modes.columns["participation_deviation"][i],
+            )
             self.deviations.append(np.array(own))
-        self.extra += test.frequency.size - len(taken)
+        self.extra += test.modes.frequency.size - len(taken)
 
     def row(self) -> str:
         """Return the cells of a table."""
@@ -201,9 +211,9 @@ def hammer_blow(path: str, forced: str | None) -> None:
         near = [int(np.argmin(np.abs(one.frequency - frequency))) for one in alone]
         phase, envelope = _slopes(response[:, tap.start : tap.stop], rate, frequency, damping)
         print(
-            f"| {frequency:.2f} ± {frequency * together.frequency_deviation[k]:.2g} | "
+            f"| {frequency:.2f} ± {frequency * together.modes.columns['frequency_deviation'][k]:.2g} | "
             f"{', '.join(f'{one.frequency[i]:.2f}' for one, i in zip(alone, near, strict=True))} | {phase:.2f} | "
-            f"{100 * damping:.3f} ± {100 * damping * together.damping_ratio_deviation[k]:.2g} | "
+            f"{100 * damping:.3f} ± {100 * damping * together.modes.columns['damping_ratio_deviation'][k]:.2g} | "
             f"{', '.join(f'{100 * one.damping_ratio[i]:.3f}' for one, i in zip(alone, near, strict=True))} | "
             f"{100 * envelope:.3f} |"
         )

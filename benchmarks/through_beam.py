@@ -24,8 +24,9 @@ from cgid.identification.contact import ThroughBeam
 from cgid.identification.diagnosis import CHANGED, ChannelAnswers
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
-from cgid.measure.beam import Beam, corrected, nodes
+from cgid.measure.beam import Beam, corrected
 from cgid.measure.features import extract_array
+from cgid.measure.modes import Modes, NodeShapes, nodes
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
 from cgid.scene.through_beam import beam_of, moved
@@ -258,8 +259,12 @@ def independent(model: Model, n: int, variants: Sequence[str]) -> Iterator[tuple
         at = modes.shape(x, y) * modes.shape(*(np.array([place]) for place in other.SENSOR))
         exact = replace(
             beam,
-            poles=-2 * np.pi * modes.frequency * (damping - 1j * np.sqrt(1 - damping**2)),
-            participation=np.ascontiguousarray(at.T.reshape(-1, *shape)),
+            modes=Modes(
+                frequency=modes.frequency,
+                damping_ratio=np.broadcast_to(damping, modes.frequency.shape),
+                at_impact=NodeShapes(np.ascontiguousarray(at.T.reshape(-1, *shape)), beam.region),
+                at_sensor=np.ones((1, modes.frequency.size)),
+            ),
         )
         made = other.generate(n, SEED, name)
         for told, looked in (("the model's beam", model.beam), ("its own modes", ThroughBeam(exact))):

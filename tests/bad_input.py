@@ -20,7 +20,7 @@ from scipy.io import wavfile
 from cgid import shipped
 from cgid.identification.model import Model
 from cgid.identification.training import train
-from cgid.physics.modes import LEARNED_COLUMNS
+from cgid.measure.modes import LEARNED_COLUMNS
 from cgid.scene import generate, load_scene, parse_scene, synthesise
 from cgid.scene.generation import tabulate
 from cgid.scene.plan import plan

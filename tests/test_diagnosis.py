@@ -235,10 +235,12 @@ def with_modes_off(share: float, seed: int = 1) -> Model:
     """The model of acceleration; each of its modes is off by this share in frequency, and ten times in damping."""
     assert BEAM.beam is not None
     own, random = BEAM.beam.beam, np.random.default_rng(seed)
-    size = np.abs(own.poles) * np.exp(share * random.normal(size=own.poles.size))
-    ratio = -own.poles.real / np.abs(own.poles) * np.exp(10 * share * random.normal(size=own.poles.size))
-    poles = size * (-ratio + 1j * np.sqrt(1 - ratio**2))
-    return replace(BEAM, arrays={**BEAM.arrays, **replace(own, poles=poles).arrays})
+    frequency, ratio = (
+        one * np.exp(by * random.normal(size=one.size))
+        for one, by in ((own.modes.frequency, share), (own.modes.damping_ratio, 10 * share))
+    )
+    off = replace(own, modes=replace(own.modes, frequency=frequency, damping_ratio=ratio))
+    return replace(BEAM, arrays={**BEAM.arrays, **off.arrays})
 
 
 @cache

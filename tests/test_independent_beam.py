@@ -14,9 +14,9 @@ import pytest
 from scipy import linalg, signal, sparse, stats
 from scipy.sparse.linalg import splu
 
+from cgid.measure.modes import Modes as MeasuredModes
 from cgid.physics import HalfSpace, HuntCrossley, ModalImpact, Sphere
 from cgid.physics.materials import STEEL, Material
-from cgid.physics.modes import MeasuredModes
 from cgid.physics.response import LowPass, Resonance, Response
 from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene import load_scene
@@ -174,9 +174,8 @@ def test_the_package_strikes_the_same_modes_alike(few_modes):
     measured = MeasuredModes(
         frequency=modes.frequency,
         damping_ratio=np.full(len(modes.frequency), 0.02),
-        modal_mass=np.ones(len(modes.frequency)),
-        shape_impact=shape[0],
-        shape_sensor=modes.shape(*independent_beam.SENSOR)[0],
+        at_impact=shape[0],
+        at_sensor=modes.shape(*independent_beam.SENSOR)[0],
     )
     response = Response(
         sampling_rate=independent_beam.RATE,
@@ -186,7 +185,7 @@ def test_the_package_strikes_the_same_modes_alike(few_modes):
         tolerance=1e-5,
     )
     frames = np.zeros((n, independent_beam.SAMPLES))
-    response.add_to_frames(frames, impact, made["onset"], shape * measured.shape_sensor)
+    response.add_to_frames(frames, impact, made["onset"], shape * measured.at_sensor)
     off = np.abs(made["acceleration"] - frames).max(axis=1) / np.abs(frames).max(axis=1)
     assert off.max() < 1e-3
 

@@ -27,11 +27,11 @@ from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.training import train
-from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, lagrange, nodes, points_of, respond, respond_on_average
+from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average
 from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.features import FEATURES
+from cgid.measure.modes import LEARNED_COLUMNS, lagrange, nodes
 from cgid.measure.vibration import VibrationBatch
-from cgid.physics.modes import LEARNED_COLUMNS
 from cgid.physics.response import Response
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
@@ -131,7 +131,7 @@ def test_a_blow_sounds_as_the_physics_say() -> None:
     response = Response(sampling_rate=beam.sampling_rate, modes=modes, filters=scene.sensor.filters)
     frames = np.zeros((n, 640))
     onset = random.uniform(0, TOUCH, n) / beam.sampling_rate
-    response.add_to_frames(frames, pulses, onset, modes.participation({"impact_x": x, "impact_y": y}))
+    response.add_to_frames(frames, pulses, onset, modes.participation(x, y))
     time = np.arange(beam.shapes.shape[1]) / (FINE * beam.sampling_rate) - onset[:, None]
     forces = np.stack([np.where(t > 0, pulses.force(np.maximum(t, 0))[row], 0) for row, t in enumerate(time)])
     at_modes = respond(beam, filtered(beam, forces), 640)
@@ -147,7 +147,7 @@ def test_modes_between_the_nodes() -> None:
     x, y = random.uniform(0.8, 1.5, 40), random.uniform(0.2, 1.2, 40)
 
     def true(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return modes.participation({"impact_x": x, "impact_y": y})
+        return modes.participation(x, y)
 
     size = np.abs(true(x, y)).max(axis=0)
     value, in_x, in_y = beam.weights(x, y)
@@ -300,16 +300,20 @@ ERRORS = np.tile([[0.006], [0.06], [0.02]], (1, 8))
 
 def uncertain(errors: np.ndarray) -> Inversion:
     """The small beam of eight modes with errors, (3, 8)."""
-    return Inversion(replace(eight_modes().beam, errors=errors))
+    return Inversion(with_errors(eight_modes().beam, errors))
+
+
+def with_errors(beam: Beam, errors: np.ndarray) -> Beam:
+    return replace(beam, modes=replace(beam.modes, deviation=errors))
 
 
 def drawn(inversion: Inversion, n: int, n_samples: int) -> Iterator[np.ndarray]:
     """Responses (n_modes, n_shapes, n_samples) of beams whose modes are drawn, with their participation."""
     beam, random = inversion.beam, np.random.default_rng(7)
-    size, ratio = np.abs(beam.poles), -beam.poles.real / np.abs(beam.poles)
     for _ in range(n):
-        w, z, p = np.exp(ERRORS * random.normal(size=ERRORS.shape)) * [size, ratio, np.ones(8)]
-        other = replace(beam, poles=w * (-z + 1j * np.sqrt(1 - z**2)))
+        f, z, p = np.exp(ERRORS * random.normal(size=ERRORS.shape))
+        frequency, ratio = f * beam.modes.frequency, z * beam.modes.damping_ratio
+        other = replace(beam, modes=replace(beam.modes, frequency=frequency, damping_ratio=ratio))
         yield p[:, None, None] * respond(other, inversion.forces, n_samples)
 
 
@@ -358,7 +362,7 @@ def test_tiny_errors_of_the_modes_change_nothing(monkeypatch: pytest.MonkeyPatch
     """At the beam's own rate, at another, in coloured noise and where samples are clipped."""
     monkeypatch.setattr("cgid.identification.inversion._NEGLIGIBLE", 0.0)
     batch = at_rate(25_600, 96)
-    certain, exact = ThroughBeam(replace(tail_beam().beam, errors=np.full((3, 188), 1e-6))), tail_beam()
+    certain, exact = ThroughBeam(with_errors(tail_beam().beam, np.full((3, 188), 1e-6))), tail_beam()
     loud = np.abs(batch.signals).max(axis=1, keepdims=True)
     coloured = (
         batch.signals + 0.02 * loud * np.random.default_rng(9).normal(size=batch.signals.shape).cumsum(axis=1) / 9
@@ -397,7 +401,7 @@ def test_stated_errors_of_the_modes_leave_true_deviations() -> None:
     ]
     batch = next(iter(synthesise(parse_scene(content), 96, SEED)))
     spread, apart = {}, {}
-    for name, beam in (("known", nominal), ("stated", replace(nominal, errors=errors))):
+    for name, beam in (("known", nominal), ("stated", with_errors(nominal, errors))):
         inverted, contact = ThroughBeam(beam).look(vibrations(batch))
         z = np.log(contact.peak / batch.parameters["peak_force"]) / np.sqrt(contact.covariance[:, 0, 0])
         spread[name] = np.median(np.abs(z)) / 0.6745
@@ -434,7 +438,8 @@ def test_noise_leaves_nothing_that_surely_is_unexplained() -> None:
     """On the right beam, at any noise; on one whose modes are 1 % off most blows leave much."""
     scene, rng = load_scene("tail_beam"), np.random.default_rng(1)
     own = tail_beam().beam
-    off = replace(own, poles=own.poles * np.exp(0.01 * rng.normal(size=own.poles.size)))
+    frequency = own.modes.frequency * np.exp(0.01 * rng.normal(size=own.poles.size))
+    off = replace(own, modes=replace(own.modes, frequency=frequency))
     for noise, seen in ((0.003, 0.8), (0.03, 0.3), (0.2, 0.0)):
         noisy = varied(scene, noise_density=None, range=None, bits=None, relative_noise=noise)
         batch = next(iter(synthesise(noisy, 64, 5)))

@@ -1,7 +1,6 @@
 """The response of beam and sensor chain against matrix exponentials, which know nothing of poles and residues."""
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,10 +9,11 @@ from scipy.linalg import expm
 
 from cgid.counting import counted
 from cgid.errors import InvalidValue
+from cgid.measure.modes import Modes, resonator_poles
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.driving import steps_for
 from cgid.physics.materials import STEEL, Material
-from cgid.physics.response import LowPass, Resonance, Response, resonator_poles
+from cgid.physics.response import LowPass, Resonance, Response
 from cgid.scene.impacts import TapPulses
 from cgid.scene.plan import RESPONSE_TOLERANCE as TOLERANCE
 from cgid.scene.sections import SHAPES
@@ -23,16 +23,15 @@ RATE = 25_600.0
 CHAIN = (Resonance(frequency=22e3, damping_ratio=0.04), LowPass(frequency=10_240.0, order=8))
 
 
-@dataclass(frozen=True)
-class SomeModes:
-    frequency: np.ndarray
-    damping_ratio: np.ndarray
+def modes_of(frequency, damping_ratio):
+    one = np.ones_like(frequency)
+    return Modes(frequency=frequency, damping_ratio=damping_ratio, at_impact=one, at_sensor=one)
 
 
 def some_modes(n=12, seed=1, highest=12e3):
     rng = np.random.default_rng(seed)
     frequency = np.sort(rng.uniform(60.0, highest, n))
-    return SomeModes(frequency, rng.uniform(0.005, 0.05, n))
+    return modes_of(frequency, rng.uniform(0.005, 0.05, n))
 
 
 def impacts(n, seed=0, lowest=0.1):
@@ -218,7 +217,7 @@ def test_threads_and_company_change_no_bit():
 def test_square_pulse_on_one_mode_is_the_textbook_step_response():
     frequency, zeta, force, lasts = 400.0, 0.02, 1000.0, 1e-3
     tap = TapPulses(np.array([list(SHAPES).index("square")]), np.array([force]), np.array([lasts]))
-    mode = SomeModes(np.array([frequency]), np.array([zeta]))
+    mode = modes_of(np.array([frequency]), np.array([zeta]))
     response = Response(sampling_rate=RATE, quantity="displacement", modes=mode, tolerance=1e-8)
     heard = frames_of(response, tap, np.array([0.0]), np.array([[0.25]]), 300)[0]
     w = 2 * np.pi * frequency
@@ -261,7 +260,7 @@ def test_low_pass_has_the_poles_of_butterworth(order):
 
 
 def test_resonance_on_a_mode_is_told_apart():
-    mode = SomeModes(np.array([500.0, 3000.0]), np.array([0.04, 0.04]))
+    mode = modes_of(np.array([500.0, 3000.0]), np.array([0.04, 0.04]))
     given = {"sampling_rate": RATE, "quantity": "acceleration", "modes": mode, "tolerance": 1e-6}
     on_it = Response(**given, filters=(Resonance(frequency=3000.0, damping_ratio=0.04),))
     frequencies = np.linspace(50, 10e3, 200)

@@ -20,8 +20,9 @@ from cgid.identification.question import Question
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
-from cgid.measure.beam import Beam, filtered, lagrange, respond
+from cgid.measure.beam import Beam, filtered, respond
 from cgid.measure.features import extract_array
+from cgid.measure.modes import lagrange
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
@@ -35,11 +36,15 @@ SEED, N = 2024, 60
 OFF, ON = ((0.5, 0.45), (1.1, 1.0)), ((0.5, 0.7), (1.1, 0.7))
 
 
+def heard_by(beam: Beam, at_sensor: np.ndarray) -> Beam:
+    return replace(beam, modes=replace(beam.modes, at_sensor=at_sensor))
+
+
 def of_sensors(*shares: float) -> Inversion:
     """The small beam of eight modes with sensors that hear some modes more than others."""
     order = np.arange(1, 9)
     sensors = np.stack([np.cos(share * order) for share in shares])
-    return Inversion(replace(eight_modes().beam, sensors=sensors))
+    return Inversion(heard_by(eight_modes().beam, sensors))
 
 
 def dense(inversion: Inversion, x: float, y: float) -> np.ndarray:
@@ -91,7 +96,7 @@ def test_the_samples_of_two_sensors_are_one_gaussian(louder: float) -> None:
 def test_a_sensor_twice_is_one_with_less_noise() -> None:
     """Two records of the same samples, of noise .5 and 1 / sqrt(12), tell what one of noise .25 tells."""
     one, random = eight_modes(), np.random.default_rng(5)
-    two = Inversion(replace(one.beam, sensors=np.ones((2, 8))))
+    two = Inversion(heard_by(one.beam, np.ones((2, 8))))
     places = zip(random.uniform(0.82, 0.98, 20), random.uniform(0.22, 0.38, 20), strict=True)
     blows = np.stack([dense(one, x, y)[0] @ random.normal(size=4) for x, y in places])
     own = basis(one)
@@ -117,9 +122,8 @@ def beam_at(*points: tuple[float, float]) -> ThroughBeam:
 def alone(number: int) -> ThroughBeam:
     """One of the sensors that are off the middle line."""
     beam = beam_at(*OFF).beam
-    return ThroughBeam(
-        replace(beam, participation=beam.participation * beam.shares[number][:, None, None], sensors=None)
-    )
+    one = beam.with_shapes(beam.participation * beam.shares[number][:, None, None])
+    return ThroughBeam(heard_by(one, np.ones((1, len(beam.poles)))))
 
 
 def features_of(signals: np.ndarray, batch: Batch, beam: ThroughBeam) -> np.ndarray:
@@ -238,7 +242,7 @@ def test_the_first_sensor_is_the_beam_itself() -> None:
     for number, point in enumerate(OFF):
         modes = beam_modes(moved(scene, point))
         x, y = np.array([0.9, 1.3]), np.array([0.3, 1.1])
-        true = modes.participation({"impact_x": x, "impact_y": y})
+        true = modes.participation(x, y)
         found = both.weights(x, y)[0] * both.shares[number]
         np.testing.assert_allclose(found, true, atol=1e-3 * np.abs(true).max())
 

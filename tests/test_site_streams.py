@@ -74,7 +74,7 @@ def test_each_stream_has_modes_of_its_own_where_nobody_knows_them(caving: Scene)
     nominal, modes = beam_modes(caving), [beam_modes(one) for one in variations(stated, 4, 3)]
     errors = np.log([one.frequency / nominal.frequency for one in modes])
     assert np.std(errors, axis=1) == pytest.approx(0.01, rel=0.3) and np.abs(np.corrcoef(errors)).min() < 0.2
-    assert all(one.errors is None for one in modes)
+    assert all(one.deviation is None for one in modes)
 
 
 def test_rows_are_what_the_detector_finds_with_the_truth_of_the_rock(short) -> None:

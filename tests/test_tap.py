@@ -8,7 +8,7 @@ import pytest
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.physics.modes import read_learned_modes, read_measured_modes
+from cgid.measure.modes import LEARNED_COLUMNS, read_modes
 from cgid.scene import load_scene
 from cgid.scene.impacts import beam_modes
 from cgid.shipped import scene_path
@@ -24,10 +24,17 @@ BAND = (60.0, 2000.0)
 
 def scores(test):
     """Return the errors of ln frequency and ln damping ratio of each true mode, over their stated deviations."""
-    near = np.abs(np.log(test.frequency[:, None] / FREQUENCY)).argmin(axis=0)
+    near = np.abs(np.log(test.modes.frequency[:, None] / FREQUENCY)).argmin(axis=0)
     assert np.unique(near).size == FREQUENCY.size
-    errors = np.log([test.frequency[near] / FREQUENCY, test.damping_ratio[near] / DAMPING])
-    return errors, errors / np.array([test.frequency_deviation[near], test.damping_ratio_deviation[near]]), near
+    errors = np.log([test.modes.frequency[near] / FREQUENCY, test.modes.damping_ratio[near] / DAMPING])
+    return (
+        errors,
+        errors
+        / np.array(
+            [test.modes.columns["frequency_deviation"][near], test.modes.columns["damping_ratio_deviation"][near]]
+        ),
+        near,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +45,12 @@ def hammered():
 
 def test_modes_and_participations_of_an_instrumented_hammer(hammered):
     errors, ratios, near = scores(hammered)
-    assert hammered.frequency.size == FREQUENCY.size
+    assert hammered.modes.frequency.size == FREQUENCY.size
     assert np.abs(errors[0]).max() < 1e-4
     assert np.abs(errors[1]).max() < 1e-2
     assert np.abs(ratios).max() < 4
-    np.testing.assert_allclose(hammered.participation[near], PARTICIPATION, rtol=0.01)
-    assert hammered.absolute
+    np.testing.assert_allclose(hammered.modes.participation()[near], PARTICIPATION, rtol=0.01)
+    assert hammered.modes.scaled
 
 
 @pytest.mark.long
@@ -76,10 +83,10 @@ def test_a_single_mode_is_known_as_well_as_cramer_and_rao_allow():
 def test_without_a_hammer_channel_the_poles_are_the_same(hammered):
     response, _, _ = taps(4, gap=0.7, seed=1)
     test = tap_test(response[None], RATE, band=BAND)
-    assert not test.absolute
-    assert test.participation.max() == pytest.approx(1, abs=0.2)
-    assert test.participation.min() > 0
-    np.testing.assert_allclose(test.frequency, hammered.frequency, rtol=1e-4)
+    assert not test.modes.scaled
+    assert test.modes.participation().max() == pytest.approx(1, abs=0.2)
+    assert test.modes.participation().min() > 0
+    np.testing.assert_allclose(test.modes.frequency, hammered.modes.frequency, rtol=1e-4)
 
 
 def test_flawed_taps_are_left_out_and_named():
@@ -93,7 +100,7 @@ def test_flawed_taps_are_left_out_and_named():
         assert any("double tap" in flaw for flaw in flaws.values())
         assert any("too near the next tap" in flaw for flaw in flaws.values())
         assert any(flaw == "clipped" for flaw in flaws.values())
-        assert np.abs(np.log(test.frequency[:1] / FREQUENCY[0])).max() < 1e-3
+        assert np.abs(np.log(test.modes.frequency[:1] / FREQUENCY[0])).max() < 1e-3
 
 
 @pytest.mark.long
@@ -101,22 +108,22 @@ def test_scatter_from_tap_to_tap_is_in_the_participations():
     response, force, _ = taps(8, seed=5, spread=0.05)
     test = tap_test(response[None], RATE, hammer=force, band=BAND)
     near = scores(test)[2]
-    assert 0.008 < np.median(test.participation_deviation) < 0.04
-    off = np.log(test.participation[near] / PARTICIPATION) / test.participation_deviation[near]
+    assert 0.008 < np.median(test.modes.columns["participation_deviation"]) < 0.04
+    off = np.log(test.modes.participation()[near] / PARTICIPATION) / test.modes.columns["participation_deviation"][near]
     assert np.sqrt(np.mean(off**2)) < 2
 
 
 def test_the_table_is_one_of_a_scene(hammered, tmp_path):
     path = hammered.save(tmp_path / "modes.csv")
-    modes, learned = read_measured_modes(path), read_learned_modes(path)
-    np.testing.assert_allclose(modes.participation(), hammered.participation)
-    np.testing.assert_array_equal(learned.frequency_deviation, hammered.frequency_deviation)
+    modes, learned = read_modes(path), read_modes(path, LEARNED_COLUMNS)
+    np.testing.assert_allclose(modes.participation(), hammered.modes.participation())
+    np.testing.assert_array_equal(learned.deviation, hammered.modes.deviation)
     text = scene_path("tail_beam").read_text()
     start, stop = text.index("[tail_beam]"), text.index("[sampling]")
     beam = '[tail_beam]\nmodes = "modes.csv"\nlearned = "modes.csv"\n\n'
     (tmp_path / "support.toml").write_text(text[:start] + beam + text[stop:])
     scene = load_scene(tmp_path / "support.toml")
-    np.testing.assert_allclose(beam_modes(scene).frequency, hammered.frequency)
+    np.testing.assert_allclose(beam_modes(scene).frequency, hammered.modes.frequency)
     with pytest.raises(OSError, match="--overwrite"):
         hammered.save(path)
 
@@ -132,8 +139,8 @@ def test_modes_of_a_scene_are_corrected_where_taps_say_more(hammered):
     for k in alone:
         assert np.abs(found[:, k]).min() < 1e-4
     assert not known[np.isin(own, [330, 560, 900])].any()
-    assert (modes.frequency_deviation[~known] == 0.01).all()
-    assert (modes.frequency_deviation[known] < 1e-4).all()
+    assert (modes.deviation[0][~known] == 0.01).all()
+    assert (modes.deviation[0][known] < 1e-4).all()
 
 
 def recording(path: Path, columns, titles="acceleration [m/s^2],force [N]"):

@@ -215,7 +215,8 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
     import numpy as np
 
     modes, change = found.learned, np.log(found.learned.frequency / found.start.frequency)
-    known = modes.frequency_deviation < 0.5 * found.start.frequency_deviation
+    deviation = modes.columns["frequency_deviation"]
+    known = deviation < 0.5 * found.start.columns["frequency_deviation"]
     content = {
         "scene": found.scene.name,
         "site": str(path),
@@ -223,7 +224,7 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         "n_modes": int(modes.frequency.size),
         "n_learned": int(known.sum()),
         "frequency_change": float(np.median(np.abs(change[known]))) if known.any() else None,
-        "frequency_deviation": float(np.median(modes.frequency_deviation[known])) if known.any() else None,
+        "frequency_deviation": float(np.median(deviation[known])) if known.any() else None,
         "dimensions": {
             own.name: {"before": own.before, "after": own.after, "deviation": own.deviation} for own in found.dimensions
         },

@@ -193,9 +193,9 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
     if as_json:
         print_json(content)
         return
-    unit = "1/kg" if test.absolute else "of the largest"
+    unit = "1/kg" if test.modes.scaled else "of the largest"
     say(
-        f"{path}: {counted(test.frequency.size, 'mode')} from {test.band[0]:.4g} to {test.band[1]:.5g} Hz, "
+        f"{path}: {counted(test.modes.frequency.size, 'mode')} from {test.band[0]:.4g} to {test.band[1]:.5g} Hz, "
         f"{len(test.used)} of {counted(len(test.taps), 'tap')} used, {test.duration:.3g} s of each"
     )
     for one in content["taps"]:
@@ -225,15 +225,14 @@ def _say(test: TapTest, path: Path, scene: str | None, known: Any, as_json: bool
 
 
 def _content(test: TapTest, path: Path, known: Any) -> dict[str, Any]:
-    names = ("frequency", "damping_ratio", "participation")
-    columns = [*names, *(f"{name}_deviation" for name in names)]
-    rows = zip(*(getattr(test, name).tolist() for name in columns), test.poles.orders.tolist(), strict=True)
+    columns = {**test.modes.columns, "orders": test.poles.orders}
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     return {
         "output": str(path),
         "duration": test.duration,
         "band": list(test.band),
-        "absolute": test.absolute,
+        "absolute": test.modes.scaled,
         "n_matched": None if known is None else int(known.sum()),
         "taps": [{"time": one.time, "used": not one.flaw, "flaw": one.flaw} for one in test.taps],
-        "modes": [dict(zip([*columns, "orders"], row, strict=True)) for row in rows],
+        "modes": [dict(zip(columns, row, strict=True)) for row in rows],
     }

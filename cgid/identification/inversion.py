@@ -428,12 +428,8 @@ class Inversion:
             loud = np.mean(np.square(self.beam.grid(GRID)[2], dtype=np.float64), axis=0)
         for first in range(0, n_modes, _ROWS):
             part = slice(first, first + _ROWS)
-            errors = None if self.beam.errors is None else self.beam.errors[:, part]
-            own = replace(
-                self.beam, poles=self.beam.poles[part], participation=self.beam.participation[part], errors=errors
-            )
             with np.errstate(over="ignore"):
-                mean, others = respond_on_average(own, self.forces, self.n_samples)
+                mean, others = respond_on_average(self.beam.taken(part), self.forces, self.n_samples)
                 shares = self.beam.shares.T[part, None, :, None].astype(np.float32)
                 np.multiply(self.transformed(mean)[:, :, None], shares, out=out[part])
             for other in others:
@@ -931,7 +927,7 @@ def _compressed(beam: Beam, table: Singles, share: float) -> tuple[Beam, Singles
     kept = np.cumsum(power) > share**2 * power.sum()
     mixes = mixes[:, kept][:, ::-1]
     participation = np.tensordot(mixes / np.maximum(loud, 1e-300), beam.participation, (0, 0))
-    return replace(beam, participation=participation), np.ascontiguousarray(mixes.T.astype(np.float32) @ own)
+    return beam.with_shapes(participation), np.ascontiguousarray(mixes.T.astype(np.float32) @ own)
 
 
 def _shares(power: Floats, levels: Floats) -> tuple[Singles, Singles]:

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
+from cgid.measure.modes import CORRECTED, Modes, NodeShapes, lagrange
 from cgid.validation import Floats
 
-#: What may be wrong about a mode, in logarithms.
-CORRECTED = ("frequency", "damping_ratio", "participation")
-#: Limits of a damping ratio that is corrected, and places of an average over the error of a frequency.
-_LEAST_DAMPING, _MOST_DAMPING, _DRAWS = 1e-4, 0.7, 5
+#: Places of an average over the error of a frequency.
+_DRAWS = 5
 #: Points of a contact force to a sample, and length of a table of forces [s].
 FINE, FORCE_TIME = 16, 3.9e-3
 #: Samples at the start of a table of forces, within which touch lies.
@@ -52,17 +51,12 @@ class Beam:
     Attributes
     ----------
     sampling_rate : of the recorder whose anti-alias filter `filters` describes [Hz]
-    poles : of the modes, complex, in the upper half-plane, (n_modes,) [rad/s]
-    participation : of each mode at the Chebyshev nodes (`nodes`) of the region where blows fall, including a gain,
-        (n_modes, n_x, n_y) [1/kg]
-    region : lowest and highest x, lowest and highest y, (4,) [m]
+    modes : their shapes at nodes of the region where rocks fall, times that at the sensor that hears them best and a
+        gain [1/kg]; at the sensors, (n_sensors, n_modes), the fractions of this that each hears
     filters : poles of the sensor chain, in the upper half-plane and on the real axis, (n_filter_poles,) [rad/s]
     derivatives : of the displacement: 0, 1 or 2 for displacement, velocity or acceleration
     shapes : principal shapes of contact forces, `FINE` points to a sample, before the filters, (n_shapes, n_points)
     deviations : standard deviation of the coefficient of each, for a force of peak 1, (n_shapes,)
-    sensors : shares of `participation` that each of several sensors hears, (n_sensors, n_modes); None: one hears all
-    errors : standard deviations of ln frequency, ln damping ratio and ln participation (`CORRECTED`) of modes that are
-        not known exactly, (3, n_modes); None: they are
     """
 
     #: Names of the arrays in a model file; the last may be missing.
@@ -70,25 +64,55 @@ class Beam:
     ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations", *OPTIONAL)
 
     sampling_rate: float
-    poles: NDArray[np.complex128]
-    participation: Floats
-    region: Floats
+    modes: Modes
     filters: NDArray[np.complex128]
     derivatives: int
     shapes: Floats
     deviations: Floats
-    sensors: Floats | None = None
-    errors: Floats | None = None
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles of the modes in the upper half-plane, (n_modes,) [rad/s]."""
+        return self.modes.poles
+
+    @property
+    def _nodes(self) -> NodeShapes:
+        assert isinstance(self.modes.at_impact, NodeShapes)
+        return self.modes.at_impact
+
+    @property
+    def participation(self) -> Floats:
+        """Participation of the modes at the nodes, (n_modes, n_x, n_y) [1/kg]."""
+        return self._nodes.values
+
+    @property
+    def region(self) -> Floats:
+        """Lowest and highest x, lowest and highest y, (4,) [m]."""
+        return self._nodes.region
+
+    @property
+    def errors(self) -> Floats | None:
+        """Standard deviations of ln frequency, ln damping ratio and ln participation, (3, n_modes); None if exact."""
+        return self.modes.deviation
+
+    @property
+    def shares(self) -> Floats:
+        """Fractions of `participation` that each sensor hears, (n_sensors, n_modes)."""
+        assert self.modes.at_sensor is not None
+        return self.modes.at_sensor
 
     @property
     def n_sensors(self) -> int:
         """Number of sensors, whose samples are looked at together."""
-        return 1 if self.sensors is None else len(self.sensors)
+        return len(self.shares)
 
-    @property
-    def shares(self) -> Floats:
-        """Shares of `participation` that each sensor hears, (n_sensors, n_modes)."""
-        return np.ones((1, len(self.poles))) if self.sensors is None else self.sensors
+    def with_shapes(self, participation: Floats) -> Beam:
+        """Return the beam with other participations at the nodes."""
+        return replace(self, modes=replace(self.modes, at_impact=NodeShapes(participation, self.region)))
+
+    def taken(self, part: slice | NDArray[np.intp]) -> Beam:
+        """Return the beam with some of its modes."""
+        return replace(self, modes=self.modes.taken(part))
 
     @property
     def n_samples(self) -> int:
@@ -132,8 +156,11 @@ class Beam:
             "beam.filters": np.stack([self.filters.real, self.filters.imag]),
             "beam.shapes": self.shapes,
             "beam.deviations": self.deviations,
-            **{f"beam.{name}": getattr(self, name) for name in self.OPTIONAL if getattr(self, name) is not None},
         }
+        if self.n_sensors > 1:
+            found["beam.sensors"] = self.shares
+        if self.errors is not None:
+            found["beam.errors"] = self.errors
         # A file holds no empty array.
         return {name: array for name, array in found.items() if array.size}
 
@@ -152,12 +179,23 @@ class Beam:
             validation.real(f"beam.{name}", own[name])
         if own["scalars"].shape != (2,):
             raise BadData(f"beam.scalars must be sampling rate and derivatives, got shape {own['scalars'].shape}")
+        poles, sensors = _complex("poles", own["poles"]), own.get("sensors")
+        if not (poles.imag > 0).all():
+            raise BadData("beam.poles must lie in the upper half-plane; train the model again")
+        size = np.abs(poles)
         beam = cls(
             sampling_rate=float(own["scalars"][0]),
             derivatives=own["scalars"][1].item(),
-            poles=_complex("poles", own["poles"]),
+            modes=Modes(
+                frequency=size / (2 * np.pi),
+                damping_ratio=-poles.real / size,
+                at_impact=NodeShapes(own["participation"], own["region"]),
+                at_sensor=np.ones((1, poles.size)) if sensors is None else sensors,
+                deviation=own.get("errors"),
+            ),
             filters=_complex("filters", own["filters"]),
-            **{name: own[name] for name in names if name not in ("scalars", "poles", "filters")},
+            shapes=own["shapes"],
+            deviations=own["deviations"],
         )
         beam.check()
         return replace(beam, derivatives=int(beam.derivatives))
@@ -232,30 +270,6 @@ def points_of(sampling_rate: float) -> int:
     return FINE * round(FORCE_TIME * sampling_rate)
 
 
-def nodes(n: int, lowest: float, highest: float) -> Floats:
-    """Return n Chebyshev nodes between two places, ascending; of one node, the middle."""
-    return (lowest + highest) / 2 - (highest - lowest) / 2 * np.cos(np.pi * (np.arange(n) + 0.5) / n)
-
-
-def lagrange(n: int, lowest: float, highest: float, place: Floats) -> tuple[Floats, Floats]:
-    """Return the weights of n Chebyshev nodes at places (n_places,) and their slopes, each (n_places, n).
-
-    Through Chebyshev polynomials: `f(t) = sum_j c_j T_j(t)`, with `c_j` a cosine transform of the values at the nodes.
-    """
-    half = (highest - lowest) / 2
-    if n == 1 or half == 0:
-        return np.full((place.size, n), 1 / n), np.zeros((place.size, n))
-    angle = np.pi * (np.arange(n) + 0.5) / n
-    order = np.arange(n)
-    transform = np.cos(np.outer(order, np.pi - angle)) * (2 / n)
-    transform[0] /= 2
-    t = np.clip((place - (lowest + highest) / 2) / half, -1 + 1e-12, 1 - 1e-12)
-    theta = np.arccos(t)
-    values = np.cos(np.outer(theta, order))
-    slopes = order * np.sin(np.outer(theta, order)) / np.sin(theta)[:, None] / half
-    return values @ transform, slopes @ transform
-
-
 def gain(poles: NDArray[np.complex128], frequencies: NDArray[np.floating]) -> NDArray[np.complex128]:
     """Return the gain of filters at frequencies [Hz]; 1 without any."""
     s = 2j * np.pi * frequencies
@@ -313,21 +327,10 @@ def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
 
 
 def corrected(beam: Beam, correction: Floats) -> Beam:
-    """Return a beam with corrected modes.
-
-    Parameters
-    ----------
-    beam : Beam
-    correction : ndarray, (3, n_modes)
-        Of ln frequency, ln damping ratio and ln participation (`CORRECTED`).
-    """
-    size = np.abs(beam.poles)
-    ratio = np.clip(-beam.poles.real / size * np.exp(correction[1]), _LEAST_DAMPING, _MOST_DAMPING)
-    return replace(
-        beam,
-        poles=size * np.exp(correction[0]) * (-ratio + 1j * np.sqrt(1 - ratio**2)),
-        participation=beam.participation * np.exp(correction[2])[:, None, None],
-    )
+    """Return a beam with corrections (3, n_modes) of ln frequency, ln damping ratio and ln participation."""
+    of_poles = np.concatenate([correction[:2], np.zeros_like(correction[2:])])
+    found = replace(beam, modes=beam.modes.corrected(of_poles))
+    return found.with_shapes(beam.participation * np.exp(correction[2])[:, None, None])
 
 
 def respond_on_average(beam: Beam, forces: Floats, n_samples: int) -> tuple[Floats, list[Floats]]:

@@ -19,10 +19,12 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 from threadpoolctl import threadpool_limits
 
+from cgid import validation
+from cgid.errors import InvalidValue
 from cgid.physics import _modes
 from cgid.physics.collocation import gauss
 from cgid.validation import Floats
@@ -99,10 +101,6 @@ class SineShapes:
             _modes.sine_shapes(x, y, self.along, self.across, out)
         return out
 
-    def taken(self, modes: Indices) -> SineShapes:
-        """Return the modes with these indices."""
-        return SineShapes(self.along[modes], self.across[modes])
-
 
 @dataclass(frozen=True, eq=False)
 class _Symmetry:
@@ -117,18 +115,6 @@ class _Symmetry:
     along: Indices
     across: Indices
     coefficients: Floats
-
-    def kept(self, columns: Indices, numbers: Indices) -> _Symmetry:
-        """Return the given columns with new indices, without negligible terms."""
-        coefficients = self.coefficients[:, columns]
-        terms = np.flatnonzero(np.abs(coefficients).max(axis=1, initial=0.0) > _NEGLIGIBLE)
-        more_terms, more_modes = -terms.size % 4, -columns.size % 16
-        return _Symmetry(
-            numbers,
-            np.pad(self.along[terms], (0, more_terms)),
-            np.pad(self.across[terms], (0, more_terms)),
-            np.pad(coefficients[terms], ((0, more_terms), (0, more_modes))),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +139,11 @@ class PolynomialShapes:
             table = cube.reshape(along.size, modes.size)
             # Choose the sign that makes the largest coefficient positive.
             table = table * np.sign(table[np.abs(table).argmax(axis=0), np.arange(modes.size)])
-            symmetries.append(_Symmetry(modes, along, across, table).kept(np.arange(modes.size), modes))
+            terms = np.flatnonzero(np.abs(table).max(axis=1, initial=0.0) > _NEGLIGIBLE)
+            more = (0, -terms.size % 4)
+            along, across = (np.pad(index[terms], more) for index in (along, across))
+            table = np.pad(table[terms], (more, (0, -modes.size % 16)))
+            symmetries.append(_Symmetry(modes, along, across, table))
         return cls(tuple(symmetries))
 
     def at(self, x: Floats, y: Floats) -> Floats:
@@ -166,18 +156,39 @@ class PolynomialShapes:
                 out[:, symmetry.modes] = part[:, : symmetry.modes.size]
         return out
 
-    def taken(self, modes: Indices) -> PolynomialShapes:
-        """Return the modes with these indices."""
-        place = np.full(sum(symmetry.modes.size for symmetry in self.symmetries), -1)
-        place[modes] = np.arange(modes.size)
-        symmetries = []
-        for symmetry in self.symmetries:
-            numbers = place[symmetry.modes]
-            symmetries.append(symmetry.kept(np.flatnonzero(numbers >= 0), numbers[numbers >= 0]))
-        return PolynomialShapes(tuple(symmetries))
+
+@dataclass(frozen=True, eq=False)
+class PanelShapes:
+    """Shapes over a panel, divided by the square root of the modal mass.
+
+    length, width : of the panel [m]
+    scale : 1 over the root of the modal mass [1/sqrt(kg)]
+    square : functions over the unit square, each with mean square 1/4
+    """
+
+    length: float
+    width: float
+    scale: float
+    square: SineShapes | PolynomialShapes
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Return the shapes at points [m], (..., n_modes), or raise `InvalidValue` for one off the panel."""
+        along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
+        values = self.square.at(along.ravel(), across.ravel())
+        values *= self.scale
+        return values.reshape(*along.shape, values.shape[1])
 
 
-Shapes = SineShapes | PolynomialShapes
+def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
+    """Return positions on the panel as a fraction of its side, or raise `InvalidValue`."""
+    place = validation.real(name, value, "m")
+    off = np.flatnonzero((place < 0) | (place > extent))
+    if off.size:
+        index = f" at index {off[0]}" if place.ndim else ""
+        raise InvalidValue(
+            f"{name} must lie on the beam, from 0 to {extent:g} m, got {place.ravel()[off[0]]:g} m{index}"
+        )
+    return place / extent
 
 
 @dataclass(frozen=True, eq=False)

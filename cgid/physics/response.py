@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
+from cgid.measure.modes import Modes, resonator_poles
 from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
 from cgid.validation import Complex, Floats
@@ -55,7 +56,7 @@ class Resonance:
     @property
     def poles(self) -> Complex:
         """The pole in the upper half-plane [rad/s], (1,)."""
-        return resonator_poles(np.array([self.frequency]), np.array([self.damping_ratio]))
+        return resonator_poles([self.frequency], [self.damping_ratio])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,24 +88,6 @@ class LowPass:
         return np.asarray(radius * (cosine + 1j * np.where(np.abs(sine) < 1e-9, 0.0, sine)))
 
 
-def resonator_poles(frequency: Floats, damping_ratio: Floats) -> Complex:
-    """Return `-zeta w + i w sqrt(1 - zeta^2)` [rad/s]."""
-    angular, ratio = 2 * np.pi * np.asarray(frequency), np.asarray(damping_ratio)
-    return np.asarray(angular * (-ratio + 1j * np.sqrt((1 - ratio) * (1 + ratio))))
-
-
-class Resonators(Protocol):
-    """Modes of a beam."""
-
-    @property
-    def frequency(self) -> Floats:
-        """[Hz], (n_modes,)."""
-
-    @property
-    def damping_ratio(self) -> Floats:
-        """(n_modes,)."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
     """The linear path from a contact force to a recorder.
@@ -118,7 +101,7 @@ class Response:
         Sampling rate of the recorder.
     quantity : {"force", "acceleration", "velocity", "displacement"}
         What the sensor measures: the contact force itself, or a motion of the beam.
-    modes : Modes or MeasuredModes, optional
+    modes : Modes, optional
         Modes of the beam; None for a force.
     filters : tuple of Resonance or LowPass
         Filters of the sensor and the recorder.
@@ -128,7 +111,7 @@ class Response:
 
     sampling_rate: float
     quantity: Quantity = "acceleration"
-    modes: Resonators | None = None
+    modes: Modes | None = None
     filters: tuple[Resonance | LowPass, ...] = ()
     tolerance: float = 1e-6
 
@@ -153,7 +136,7 @@ class Response:
     @cached_property
     def poles(self) -> Complex:
         """All poles in the upper half-plane and on the real axis [rad/s], those of the modes first."""
-        found = [np.empty(0, complex)] if self.modes is None else [self._mode_poles]
+        found = [np.empty(0, complex)] if self.modes is None else [self.modes.poles]
         for own in (part.poles for part in self.filters):
             taken = np.concatenate(found)
             for number, pole in enumerate(own):
@@ -161,12 +144,6 @@ class Response:
                     own[number] *= 1 + 1.01 * _APART
             found.append(own)
         return np.concatenate(found)
-
-    @cached_property
-    def _mode_poles(self) -> Complex:
-        assert self.modes is not None
-        # Equal poles (of a square plate) are harmless: each mode has its own residue.
-        return resonator_poles(self.modes.frequency, self.modes.damping_ratio)
 
     @property
     def _filter_poles(self) -> Complex:
@@ -196,7 +173,7 @@ class Response:
             return np.empty(0, complex), (fold * after)[None]
         k = DERIVATIVES[self.quantity]
         w, zeta = 2 * np.pi * self.modes.frequency, self.modes.damping_ratio
-        own = self._mode_poles
+        own = self.modes.poles
         at_modes = _power(own, k) / (2j * own.imag) * self._filtered(own)
         s = self._filter_poles[None, :]
         beam = _power(s, 2) + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
@@ -211,7 +188,7 @@ class Response:
         close.
         """
         assert self.modes is not None
-        size, k = np.abs(self._mode_poles), DERIVATIVES[self.quantity]
+        size, k = np.abs(self.modes.poles), DERIVATIVES[self.quantity]
         gain = np.abs(self._filtered(1j * size))
         return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
 
@@ -236,9 +213,9 @@ class Response:
 
         At resonance one mode of 50 kg moves as far as its damping allows, a quarter period behind the force:
 
-        >>> from cgid.physics.modes import MeasuredModes
-        >>> mode = MeasuredModes(
-        ...     frequency=[100.0], damping_ratio=[0.01], modal_mass=[50.0], shape_impact=[1.0], shape_sensor=[1.0]
+        >>> shape = np.sqrt([1 / 50.0])
+        >>> mode = Modes(
+        ...     frequency=np.array([100.0]), damping_ratio=np.array([0.01]), at_impact=shape, at_sensor=shape
         ... )
         >>> response = Response(sampling_rate=1e4, quantity="acceleration", modes=mode)
         >>> float(response.frequency_response([100.0], mode.participation())[0].imag.round(9))

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from cgid import validation
 from cgid.errors import InvalidValue
+from cgid.measure.modes import Modes
 from cgid.physics.bodies import ThinPlate
 from cgid.physics.materials import Material
-from cgid.physics.modes import Modes, on_panel
-from cgid.physics.plates import Rigidities, Shapes, SineShapes, ritz_modes
+from cgid.physics.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, on_panel, ritz_modes
 from cgid.validation import Floats
 
 #: Ends along x and y where value and slope are 0, by type of edges; None has a closed form.
@@ -279,7 +279,7 @@ def modes_of(beam: TailBeam, highest: float) -> Modes:
     """Return the modes up to a frequency [Hz]; those of the last beams are kept."""
     held = EDGES[beam.edges]
     frequency: Floats
-    shapes: Shapes
+    shapes: SineShapes | PolynomialShapes
     if held is None:
         frequency, shapes = _simply_supported(beam, highest)
     else:
@@ -288,10 +288,9 @@ def modes_of(beam: TailBeam, highest: float) -> Modes:
     return Modes(
         frequency=frequency,
         damping_ratio=np.full(frequency.size, beam.damping_ratio),
-        modal_mass=np.full(frequency.size, beam.mass / 4),
-        length=beam.length,
-        width=beam.width,
-        shapes=shapes,
+        at_impact=PanelShapes(beam.length, beam.width, 2 / math.sqrt(beam.mass), shapes),
+        # The real part of the mobility is 1/Z at every frequency, so the static compliance above w is 2 / (pi Z w).
+        residual=1 / (math.pi * math.pi * beam.impedance * frequency.max()) if frequency.size else 0.0,
     )
 
 

@@ -176,18 +176,16 @@ def modes_picture(before: Any, after: Any) -> bytes:
     upper, lower = figure.subplots(2, 1, sharex=True)
     place = before.frequency / 1e3
     change = 100 * (after.frequency / before.frequency - 1)
-    upper.fill_between(
-        place, -200 * before.frequency_deviation, 200 * before.frequency_deviation, color="0.9", label="before"
-    )
+    upper.fill_between(place, -200 * before.deviation[0], 200 * before.deviation[0], color="0.9", label="before")
     upper.axhline(0.0, color="0.6", lw=0.8)
-    upper.errorbar(place, change, 200 * after.frequency_deviation, fmt=".", color="C0", capsize=2, label="after")
+    upper.errorbar(place, change, 200 * after.deviation[0], fmt=".", color="C0", capsize=2, label="after")
     upper.set(ylabel="change of frequency [%]\n(2 std. deviations)")
     damping = 100 * before.damping_ratio
-    spread = np.exp(2 * before.damping_ratio_deviation)
+    spread = np.exp(2 * before.deviation[1])
     lower.fill_between(place, damping / spread, damping * spread, color="0.9")
     lower.plot(place, damping, color="0.6", lw=0.8)
     own = 100 * after.damping_ratio
-    bars = own - own * np.exp(-2 * after.damping_ratio_deviation), own * np.expm1(2 * after.damping_ratio_deviation)
+    bars = own - own * np.exp(-2 * after.deviation[1]), own * np.expm1(2 * after.deviation[1])
     lower.errorbar(place, own, bars, fmt=".", color="C0", capsize=2)
     lower.set(xlabel="natural frequency before [kHz]", ylabel="damping ratio [%]", yscale="log")
     for axes in (upper, lower):
@@ -204,13 +202,14 @@ def stabilisation_picture(test: Any) -> bytes:
     for wanted, colour, label in ((0, "0.8", "of this order alone"), (1, "C0", "as in the order before")):
         rows = stable == wanted
         upper.plot(frequency[rows] / 1e3, order[rows], ".", color=colour, ms=4, label=label)
-    for mode in test.frequency / 1e3:
+    modes = test.modes
+    for mode in modes.frequency / 1e3:
         upper.axvline(mode, color="C3", lw=0.6, zorder=0)
     upper.set(ylabel="order of the model in its band")
     upper.legend(fontsize="small", loc="upper right")
-    own = 100 * test.damping_ratio
-    spread = np.exp(2 * test.damping_ratio_deviation)
-    lower.errorbar(test.frequency / 1e3, own, (own - own / spread, own * spread - own), fmt=".", color="C3", capsize=2)
+    own = 100 * modes.damping_ratio
+    spread = np.exp(2 * modes.deviation[1])
+    lower.errorbar(modes.frequency / 1e3, own, (own - own / spread, own * spread - own), fmt=".", color="C3", capsize=2)
     lower.set(xlabel="frequency [kHz]", ylabel="damping ratio [%]\n(2 std. deviations)", yscale="log")
     lower.grid(alpha=0.3)
     return png(figure)

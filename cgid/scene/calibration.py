@@ -185,7 +185,7 @@ def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
     prepared = [_prepared(scene, blow) for blow in blows]
     modes = beam_modes(scene)
     points = np.array([_point(beam, blow) for blow in blows])
-    rows = modes.participation({"impact_x": points[:, 0], "impact_y": points[:, 1]})
+    rows = modes.participation(points[:, 0], points[:, 1])
     models = [_Model(scene, blow, modes, row) for blow, row in zip(prepared, rows, strict=True)]
     with threadpool_limits(1, "blas"):
         gain, delays = _aligned(models)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from cgid import validation
 from cgid.physics import free_fall_velocity
@@ -287,11 +288,11 @@ def settled(scene: Scene, settings: Mapping[str, float]) -> Scene:
 def with_drawn_modes(scene: Scene, seed: int, block: int) -> Scene:
     """Return the scene of one block with its learned modes drawn; the scene itself where these are certain or none."""
     learned = None if scene.tail_beam is None else scene.tail_beam.learned_modes
-    if learned is None or learned.deviations is None:
+    if learned is None or learned.deviation is None:
         return scene
     assert scene.tail_beam is not None
     raw = generator(seed, MODES, block).random((3, learned.frequency.size))
-    modes = learned.drawn(np.asarray(np.clip(raw, 2.0**-54, None)))
+    modes = learned.drawn(ndtri(np.clip(raw, 2.0**-54, None)))
     return scene.model_copy(update={"tail_beam": scene.tail_beam.with_learned(modes)})
 
 

@@ -5,10 +5,9 @@ Pulses come from impacts on a target or a vibrating beam, and from taps.
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 
 from cgid.counting import count
 from cgid.errors import InvalidValue
+from cgid.measure.modes import Modes
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
 from cgid.physics.coupled import ModalImpact
 from cgid.physics.laws import Dissipation
 from cgid.physics.materials import Material
-from cgid.physics.modes import MeasuredModes, Modes
 from cgid.physics.response import Response
 from cgid.physics.sampled import SampledPulses
 from cgid.physics.tail_beam import TailBeam
@@ -38,43 +37,8 @@ _MOST = 16
 # -- the beam and the recorder ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class BeamModes:
-    """The modes of a scene's tail beam, with their shapes at the sensor."""
-
-    modes: Modes | MeasuredModes
-    at_sensor: Floats  # (n_modes,)
-    errors: Floats | None = None  # (3, n_modes): deviations of ln frequency, ln damping ratio and ln participation
-
-    @property
-    def frequency(self) -> Floats:
-        """[Hz], (n_modes,)."""
-        return np.asarray(self.modes.frequency)
-
-    @property
-    def damping_ratio(self) -> Floats:
-        """(n_modes,)."""
-        return np.asarray(self.modes.damping_ratio)
-
-    @property
-    def modal_mass(self) -> Floats:
-        """[kg], (n_modes,)."""
-        return np.asarray(self.modes.modal_mass)
-
-    def shape_at(self, parameters: Mapping[str, Floats]) -> Floats:
-        """Return the shapes at the point of each blow, (n, n_modes)."""
-        if isinstance(self.modes, MeasuredModes):
-            n = len(next(iter(parameters.values())))
-            return np.broadcast_to(np.asarray(self.modes.shape_impact), (n, self.at_sensor.size))
-        return self.modes.shape(parameters["impact_x"], parameters["impact_y"])
-
-    def participation(self, parameters: Mapping[str, Floats]) -> Floats:
-        """Return the participation of each mode, seen by the sensor, in each blow, (n, n_modes) [1/kg]."""
-        return self.shape_at(parameters) * (self.at_sensor / self.modal_mass)
-
-
-def beam_modes(scene: Scene) -> BeamModes:
-    """Return the modes of a scene's tail beam in the band of its recorder; the result is cached.
+def beam_modes(scene: Scene) -> Modes:
+    """Return the modes of a scene's tail beam in the band of its recorder, with its sensor; the result is cached.
 
     Raises `InvalidValue` if there are none.
     """
@@ -87,10 +51,10 @@ _panel_modes = lru_cache(maxsize=16)(TailBeam.modes)
 
 
 @lru_cache(maxsize=16)
-def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float) -> BeamModes:
+def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float) -> Modes:
     if panel is None:
         assert section.measured is not None
-        return _learned(section, BeamModes(section.measured, np.asarray(section.measured.shape_sensor)))
+        return _learned(section, section.measured)
     assert section.sensor_point is not None
     try:
         modes = _panel_modes(panel, highest)
@@ -104,28 +68,26 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
             f"tail_beam: must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; "
             "raise sampling.sampling_rate or sensor.anti_alias.frequency, or take a larger or thinner beam"
         )
-    return _learned(section, BeamModes(modes, modes.shape(section.sensor_point.x, section.sensor_point.y)))
+    return _learned(section, modes.heard_at(section.sensor_point.x, section.sensor_point.y))
 
 
-def _learned(section: TailBeamSection, own: BeamModes) -> BeamModes:
-    """Return a beam's own modes as blows have taught them."""
+def _learned(section: TailBeamSection, own: Modes) -> Modes:
+    """Return a beam's own modes as impacts have taught them."""
     learned = section.learned_modes
     if learned is None:
         return own
-    if learned.frequency.size != own.at_sensor.size:
+    if learned.frequency.size != own.frequency.size:
         raise InvalidValue(
-            f"tail_beam.learned: must have a row for each of the {own.at_sensor.size} modes of this beam in the band "
+            f"tail_beam.learned: must have a row for each of the {own.frequency.size} modes of this beam in the band "
             f"of its recorder, got {learned.frequency.size}; calibrate again (cgid calibrate), or leave it out"
         )
-    at_sensor, errors = own.at_sensor * learned.participation, learned.deviations
-    if isinstance(own.modes, Modes):
-        modes = replace(own.modes, frequency=learned.frequency, damping_ratio=learned.damping_ratio)
-        return BeamModes(modes, at_sensor, errors)
-    order = np.argsort(learned.frequency, kind="stable")  # measured modes ascend
-    columns = {name: np.asarray(getattr(own.modes, name))[order] for name in ("modal_mass", "shape_impact")}
-    columns |= {"frequency": learned.frequency[order], "damping_ratio": learned.damping_ratio[order]}
-    measured = MeasuredModes(**columns, shape_sensor=at_sensor[order])
-    return BeamModes(measured, at_sensor[order], None if errors is None else errors[:, order])
+    return own.as_learned(learned)
+
+
+def places_of(parameters: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+    """Return x and y of each impact [m], each (n,); zeros where the modes are those of one point."""
+    nowhere = np.zeros(len(next(iter(parameters.values()))))
+    return parameters.get("impact_x", nowhere), parameters.get("impact_y", nowhere)
 
 
 @dataclass(frozen=True)
@@ -133,14 +95,14 @@ class Recorder:
     """The response of a scene's recorder; for a force, `modes` and `gain` are None."""
 
     response: Response
-    modes: BeamModes | None
+    modes: Modes | None
     gain: float | None = None
 
     def participation(self, parameters: Mapping[str, Floats]) -> Floats | None:
         """Return the participation of each mode in each blow, including the gain, (n, n_modes) [1/kg]."""
         if self.modes is None:
             return None
-        participation = self.modes.participation(parameters)
+        participation = self.modes.participation(*places_of(parameters))
         return participation if self.gain is None else self.gain * participation
 
 
@@ -228,26 +190,17 @@ def _through_modes(
 def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> ModalImpact:
     assert scene.tail_beam is not None and isinstance(scene.impact.target, TargetSection)
     modes = beam_modes(scene)
-    shape = modes.shape_at({name: column[rows] for name, column in values.items()})
+    shape = modes.shape(*places_of({name: column[rows] for name, column in values.items()}))
     order = np.argsort(modes.frequency, kind="stable")  # learned modes may have changed places
     return ModalImpact(
         target=HalfSpace(material=scene.impact.target.material),
         frequency=modes.frequency[order],
         damping_ratio=modes.damping_ratio[order],
-        compliance=(shape**2 / modes.modal_mass)[:, order],
-        residual_compliance=_residual_compliance(scene, modes.frequency.max()),
+        compliance=(shape**2)[:, order],
+        residual_compliance=modes.residual,
         tolerance=0.1 * RESPONSE_TOLERANCE,
         **_collision(scene, values, rows),
     )
-
-
-def _residual_compliance(scene: Scene, highest: float) -> float:
-    """Return the compliance of a panel from the modes above a frequency [Hz], which respond quasi-statically [m/N].
-
-    The real part of its mobility is 1/Z at every frequency, so the static compliance above w is `2 / (pi Z w)`. For
-    measured modes nothing is known above the last one.
-    """
-    return 0.0 if scene.panel is None else 1 / (math.pi * math.pi * scene.panel.impedance * highest)
 
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:

@@ -20,16 +20,9 @@ from pydantic import (
 
 from cgid import validation
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
+from cgid.measure.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.materials import Material
-from cgid.physics.modes import (
-    COLUMNS,
-    LEARNED_COLUMNS,
-    LearnedModes,
-    MeasuredModes,
-    read_learned_modes,
-    read_measured_modes,
-)
 from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import (
     LIMITS,
@@ -633,35 +626,32 @@ class TailBeamSection(Section):
         return self.modes is not None or self.coupling == "modes"
 
     @cached_property
-    def measured(self) -> MeasuredModes | None:
+    def measured(self) -> Modes | None:
         """The measured modes."""
-        if self.modes is None:
-            return None
-        return MeasuredModes(
-            **{name: np.array([getattr(row, name) for row in self.modes]) for name in ModeRow.model_fields}
-        )
+        return _modes_of(self.modes, COLUMNS)
 
     @cached_property
-    def learned_modes(self) -> LearnedModes | None:
-        """The learned modes."""
-        if self.learned is None:
-            return None
-        return LearnedModes(
-            **{name: np.array([getattr(row, name) for row in self.learned]) for name in LEARNED_COLUMNS}
-        )
+    def learned_modes(self) -> Modes | None:
+        """The learned modes, relative to the beam's own."""
+        return _modes_of(self.learned, LEARNED_COLUMNS)
 
-    def with_learned(self, modes: LearnedModes) -> TailBeamSection:
+    def with_learned(self, modes: Modes) -> TailBeamSection:
         """Return the beam with other learned modes."""
-        rows = [LearnedRow.model_construct(None, **row) for row in rows_of(modes, LEARNED_COLUMNS)]
+        rows = [LearnedRow.model_construct(None, **row) for row in rows_of(modes)]
         made = self.model_copy(update={"learned": tuple(rows)})
         made.__dict__.pop("learned_modes", None)  # a copy keeps what is cached
         return made
 
 
-def rows_of(modes: MeasuredModes | LearnedModes, columns: Iterable[str]) -> list[dict[str, float]]:
-    """Return a row for each mode."""
-    values = [np.asarray(getattr(modes, name)).tolist() for name in columns]
-    return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
+def _modes_of(rows: tuple[Any, ...] | None, columns: Iterable[str]) -> Modes | None:
+    return None if rows is None else Modes.of({name: [getattr(row, name) for row in rows] for name in columns})
+
+
+def rows_of(modes: Modes) -> list[dict[str, float]]:
+    """Return a row of `tail_beam.learned` for each mode."""
+    columns = modes.columns
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -671,7 +661,7 @@ def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:
         return content
     rows = {}
     if isinstance(beam.get("modes"), str):
-        rows["modes"] = rows_of(read_measured_modes(folder / beam["modes"]), COLUMNS)
+        rows["modes"] = rows_of_table(folder / beam["modes"], COLUMNS)
     if isinstance(beam.get("learned"), str):
-        rows["learned"] = rows_of(read_learned_modes(folder / beam["learned"]), LEARNED_COLUMNS)
+        rows["learned"] = rows_of_table(folder / beam["learned"], LEARNED_COLUMNS)
     return content | {"tail_beam": beam | rows} if rows else content

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.linalg import eigh
 
 from cgid.errors import InvalidValue
-from cgid.measure.beam import FINE, MOST_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, nodes, points_of
-from cgid.physics.modes import MeasuredModes
+from cgid.measure.beam import FINE, MOST_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
+from cgid.measure.modes import Modes, NodeShapes, nodes
 from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK, require_seed
-from cgid.scene.impacts import BeamModes, beam_modes, blows_of, draw
+from cgid.scene.impacts import beam_modes, blows_of, draw
 from cgid.scene.plan import highest_frequency, plan
 from cgid.scene.schema import Scene, parse_scene, stored_scene
 from cgid.scene.synthesis import batch_of, blocks, make_frames, require_count, require_frames
@@ -68,18 +68,17 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
     rate = scene.sampling.sampling_rate
     at_sensors = _at_sensors(scene, list(sensors))
     best = np.abs(at_sensors).max(axis=0) if len(at_sensors) > 1 else at_sensors[0]
-    participation, region = _participation(scene, replace(modes, at_sensor=best))
     beam = Beam(
         sampling_rate=rate,
-        poles=_poles(modes),
-        participation=participation,
-        region=region,
+        modes=replace(
+            modes,
+            at_impact=_at_nodes(scene, replace(modes, at_sensor=best)),
+            at_sensor=at_sensors / np.where(best == 0, 1, best) if len(at_sensors) > 1 else np.ones_like(at_sensors),
+        ),
         filters=np.concatenate([np.empty(0, complex), *(part.poles for part in chain)]),
         derivatives=DERIVATIVES[scene.sensor.quantity],
         shapes=np.zeros((0, points_of(rate))),
         deviations=np.zeros(0),
-        sensors=at_sensors / np.where(best == 0, 1, best) if len(at_sensors) > 1 else None,
-        errors=modes.errors,
     )
     forces = contact_forces(scene)
     heard = filtered(beam, forces)
@@ -93,8 +92,10 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
 def through_modes(scene: Scene, beam: Beam) -> Beam:
     """Return a beam with the modes of a scene in place of its own: those of other dimensions, without errors."""
     modes = beam_modes(scene)
-    participation, region = _participation(scene, modes)
-    return replace(beam, poles=_poles(modes), participation=participation, region=region, errors=None)
+    own = replace(
+        modes, at_impact=_at_nodes(scene, modes), at_sensor=np.ones((1, modes.frequency.size)), deviation=None
+    )
+    return replace(beam, modes=own)
 
 
 def whole_beam(scene: Scene) -> Beam:
@@ -195,7 +196,8 @@ def moved(scene: Scene, point: tuple[float, float]) -> Scene:
             "one point; leave sensors out, or give length, width, thickness and edges in place of modes"
         )
     learned = scene.tail_beam.learned_modes
-    if learned is not None and ((learned.participation != 1).any() or learned.participation_deviation.any()):
+    uncertain = learned is not None and learned.deviation is not None and learned.deviation[2].any()
+    if learned is not None and ((learned.participation() != 1).any() or uncertain):
         raise InvalidValue(
             f"scene {scene.name}: tail_beam.learned must have participations of 1 without deviation to move its "
             "sensor, those learned by blows are of one point; leave sensors out, or tail_beam.learned"
@@ -246,22 +248,14 @@ def _at_sensors(scene: Scene, points: list[tuple[float, float]]) -> Floats:
     if not 0 <= len(points) <= MOST_SENSORS:
         raise InvalidValue(f"sensors must be at most {MOST_SENSORS} points, got {len(points)}; leave some out")
     scenes = [moved(scene, point) for point in points] or [scene]
-    return np.stack([beam_modes(one).at_sensor for one in scenes])
+    return np.stack([np.asarray(beam_modes(one).at_sensor) for one in scenes])
 
 
-def _poles(modes: BeamModes) -> Any:
-    ratio = modes.damping_ratio
-    return -2 * np.pi * modes.frequency * (ratio - 1j * np.sqrt(1 - ratio**2))
-
-
-def _participation(scene: Scene, modes: BeamModes) -> tuple[Floats, Floats]:
-    """Return the participation of the modes at Chebyshev nodes of the places of blows, and the region of these."""
-    assert scene.tail_beam is not None
-    point = scene.tail_beam.impact_point
+def _at_nodes(scene: Scene, modes: Modes) -> NodeShapes:
+    """Return the participation of the modes at Chebyshev nodes of the region where rocks fall, times the gain."""
     gain = scene.sensor.gain or 1.0
-    if isinstance(modes.modes, MeasuredModes) or point is None or scene.panel is None:
-        at = modes.participation({"x": np.zeros(1)})[0] * gain
-        return at[:, None, None], np.zeros(4)
+    if scene.panel is None:
+        return NodeShapes((modes.participation() * gain)[:, None, None], np.zeros(4))
     region = _region(scene)
     sides = []
     for low, high, stiffness in zip(
@@ -273,8 +267,8 @@ def _participation(scene: Scene, modes: BeamModes) -> tuple[Floats, Floats]:
         n = int(np.ceil(_NODES_A_WAVE * wave_number * (high - low) / (2 * np.pi))) + _NODES
         sides.append(nodes(n if high > low else 1, low, high))
     x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
-    at = modes.participation({"impact_x": x, "impact_y": y}) * gain
-    return np.ascontiguousarray(at.T.reshape(-1, sides[0].size, sides[1].size)), region
+    at = modes.participation(x, y) * gain
+    return NodeShapes(np.ascontiguousarray(at.T.reshape(-1, sides[0].size, sides[1].size)), region)
 
 
 def _region(scene: Scene) -> Floats:

@@ -20,8 +20,8 @@ from cgid.identification.detection import ImpactDetector
 from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam, corrected
 from cgid.measure.colour import colour_of
+from cgid.measure.modes import Modes, text_of_table
 from cgid.measure.vibration import VibrationBatch
-from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, table_of
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, load_scene, parse_scene
 from cgid.scene.sections import rows_of
@@ -51,7 +51,7 @@ _BELOW, _BELOW_SHARE = 0.1, 0.1
 _WORST = 0.2
 #: In a stream, where many begin while earlier ones still ring.
 _WORST_OF_STREAM = 0.5
-#: A mode is silent at a sensor where its shape is below this share of its own root mean square, 1/2; a sensor on nodes
+#: A mode is silent at a sensor where its shape is below this share of its root mean square; a sensor on nodes
 #: of more than this share of the modes learns nothing. On a line of symmetry it is half.
 _SILENT, _MOST_SILENT = 0.02, 0.6
 #: A crossing counts where the learned frequencies are this many of their deviations apart.
@@ -68,7 +68,7 @@ class SiteCalibration:
         With `tail_beam.learned`, and with dimensions that were learned.
     dimensions : tuple of Dimension
         Dimensions of the beam that were learned; empty where they were taken as exact.
-    start, learned : LearnedModes
+    start, learned : Modes
         The modes before, with the deviations they were given, and after.
     n_blows : int
         Blows that were used.
@@ -83,8 +83,8 @@ class SiteCalibration:
 
     scene: Scene
     dimensions: tuple[Dimension, ...] = ()
-    start: LearnedModes
-    learned: LearnedModes
+    start: Modes
+    learned: Modes
     n_blows: int
     before: float
     after: float
@@ -102,8 +102,7 @@ class SiteCalibration:
             if isinstance(part, dict) and "path" in part:
                 part["path"] = str((self.scene.folder / part["path"]).resolve())
         head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {self.n_blows} impacts.\n"
-        columns = {name: getattr(self.learned, name) for name in LEARNED_COLUMNS}
-        texts = {table: table_of(columns), path: head + "\n".join(_toml(content)) + "\n"}
+        texts = {table: text_of_table(self.learned.columns), path: head + "\n".join(_toml(content)) + "\n"}
         write_together({place: text.encode() for place, text in texts.items()}, overwrite=overwrite)
         return path, table
 
@@ -213,7 +212,8 @@ def calibrate(
     if scene.stream is not None:  # whose rocks bounce all over the beam
         region, worst = json.loads(scene.text)["tail_beam"].get("impact_point"), _WORST_OF_STREAM
         scene = _with_beam(scene, spread=True)
-    beam = replace(beam_of(scene), errors=None)  # errors are what is learned
+    beam = beam_of(scene)
+    beam = replace(beam, modes=replace(beam.modes, deviation=None))  # deviations are what is learned
     dimensions: tuple[Dimension, ...] = ()
     with threadpool_limits(1):
         blows = prepare_blows(frames[chosen], sampling_rate, pre_trigger)
@@ -225,14 +225,9 @@ def calibrate(
         deviation = _prior(scene, start, start_error, drift, participation_error)
         found = learn(beam, blows, deviation, progress=progress)
         own = corrected(beam, found.correction)
-        learned = LearnedModes.of(
-            start.frequency * np.exp(found.correction[0]),
-            -own.poles.real / np.abs(own.poles),
-            start.participation * np.exp(found.correction[2]),
-            found.deviation,
-        )
+        learned = replace(start.corrected(found.correction), deviation=found.deviation)
         crossings = count_crossings(scene, learned)
-        site = _with_beam(scene, learned=rows_of(learned, LEARNED_COLUMNS), impact_point=region)
+        site = _with_beam(scene, learned=rows_of(learned), impact_point=region)
         after, expected = _evidence(own, blows, worst), _evidence(own, _simulated(site), worst)
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
         raise BadData(
@@ -247,7 +242,7 @@ def calibrate(
     return SiteCalibration(
         scene=site,
         dimensions=dimensions,
-        start=LearnedModes.of(start.frequency, start.damping_ratio, start.participation, deviation),
+        start=replace(start, deviation=deviation),
         learned=learned,
         n_blows=len(blows),
         before=before,
@@ -264,8 +259,7 @@ def uncertain(scene: Scene, start_error: float) -> Scene:
     check_scene(scene, scene.sampling.sampling_rate)
     start = _start(scene)
     deviation = _prior(scene, start, start_error, start_error, 0.0)
-    modes = LearnedModes.of(start.frequency, start.damping_ratio, start.participation, deviation)
-    return _with_beam(scene, learned=rows_of(modes, LEARNED_COLUMNS))
+    return _with_beam(scene, learned=rows_of(replace(start, deviation=deviation)))
 
 
 def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:
@@ -300,8 +294,9 @@ def check_scene(scene: Scene, sampling_rate: float) -> None:
             f"scene {scene.name}: sampling.sampling_rate must be more than twice the frequency of a mode to learn it, "
             f"got {rate:g} Hz and a lowest mode at {lowest:.4g} Hz; record faster"
         )
-    shape = np.abs(beam_modes(scene).at_sensor)
-    silent = shape < _SILENT * (0.5 if scene.panel is not None else shape.max())
+    shape = np.abs(np.asarray(beam_modes(scene).at_sensor))
+    # A shape's root mean square is 1 over the root of the mass.
+    silent = shape < _SILENT * (shape.max() if scene.panel is None else 1 / np.sqrt(scene.panel.mass))
     if silent.mean() > _MOST_SILENT:
         raise InvalidValue(
             f"scene {scene.name}: the sensor must hear the modes, {silent.sum()} of {silent.size} have a node at "
@@ -309,21 +304,21 @@ def check_scene(scene: Scene, sampling_rate: float) -> None:
         )
 
 
-def _start(scene: Scene) -> LearnedModes:
+def _start(scene: Scene) -> Modes:
     """Return the modes of a scene before calibration, in the order of the beam's own, without deviations."""
     assert scene.tail_beam is not None
     if scene.tail_beam.learned_modes is not None:
         return scene.tail_beam.learned_modes
     modes = beam_modes(scene)
-    return LearnedModes.of(modes.frequency, modes.damping_ratio, np.ones_like(modes.frequency))
+    return Modes.relative(modes.frequency, modes.damping_ratio, np.ones_like(modes.frequency))
 
 
-def _prior(scene: Scene, start: LearnedModes, start_error: float, drift: float, participation: float) -> Floats:
+def _prior(scene: Scene, start: Modes, start_error: float, drift: float, participation: float) -> Floats:
     """Return the prior deviations, (3, n_modes)."""
     assert scene.tail_beam is not None
     moved = start_error if scene.tail_beam.learned is None else drift
     more = np.array([moved, min(_DAMPING_A_FREQUENCY * moved, _MOST_DAMPING), participation])
-    known = [getattr(start, name) for name in list(LEARNED_COLUMNS)[3:]]
+    known = np.zeros((3, start.frequency.size)) if start.deviation is None else start.deviation
     return np.asarray(np.sqrt(np.square(known) + np.square(more)[:, None]))
 
 
@@ -369,9 +364,9 @@ def _simulated_events(site: Scene) -> Iterator[Event]:
         yield from usable_blows(detector.finish())[0]
 
 
-def count_crossings(scene: Scene, learned: LearnedModes) -> int:
+def count_crossings(scene: Scene, learned: Modes) -> int:
     """Return how many neighbours have changed places; raises `BadData` where shapes do not tell them apart."""
-    logs, deviation = np.log(learned.frequency), learned.frequency_deviation
+    logs, deviation = np.log(learned.frequency), learned.columns["frequency_deviation"]
     crossed = np.flatnonzero(np.diff(logs) < -_CERTAIN * np.hypot(deviation[1:], deviation[:-1]))
     if crossed.size and scene.panel is None:
         first, second = learned.frequency[crossed[0] : crossed[0] + 2]

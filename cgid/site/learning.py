@@ -10,14 +10,15 @@ sought alone over a wider range.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgid.identification.inversion import Inversion, Sought
-from cgid.measure.beam import CORRECTED, Beam, Singles, corrected, respond
+from cgid.measure.beam import Beam, Singles, corrected, respond
 from cgid.measure.colour import Colour
+from cgid.measure.modes import CORRECTED
 from cgid.validation import Floats
 
 #: Relative step of the difference quotients in a pole: at the end of a response, it turns the fastest mode by some
@@ -131,7 +132,7 @@ def learn(
     state = _State(beam, blows, np.maximum(deviation[kept], 1e-9), kept, progress)
     few = min(_FEW, len(blows))
     top = Inversion(beam).bins.stop / Inversion(beam).n_samples * beam.sampling_rate
-    ratio = float(np.median(-beam.poles.real / np.abs(beam.poles)))
+    ratio = float(np.median(beam.modes.damping_ratio))
     # The low modes first: with them come the places, and with these the higher modes. Errors well below the width of
     # a resonance need no such care.
     for share in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
@@ -234,7 +235,7 @@ class System:
         frequency = np.arange(bins.start, bins.stop) / self.inversion.n_samples * beam.sampling_rate
         highest = np.inf if limit is None else limit
         self.columns = np.flatnonzero(np.tile(frequency, 2) <= highest)
-        self.active = np.flatnonzero(np.abs(beam.poles) / (2 * np.pi) <= _BEYOND * highest)
+        self.active = np.flatnonzero(beam.modes.frequency <= _BEYOND * highest)
         self.found = self.inversion.invert(blows.sought(raised, limit), blows.start)
         self.root = np.sqrt(blows.weight(self.inversion)[:, self.columns]).astype(np.float32)
         samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / (blows.noise * raised)[:, None]
@@ -284,7 +285,7 @@ class System:
 
     def _responses(self, beam: Beam) -> Floats:
         """Return the responses of the active modes of another beam."""
-        return respond(replace(beam, poles=beam.poles[self.active]), self.inversion.forces, self.inversion.n_samples)
+        return respond(beam.taken(self.active), self.inversion.forces, self.inversion.n_samples)
 
     def of(self, beam: Beam) -> Singles:
         """Return the table of the active modes of another beam."""
@@ -335,7 +336,7 @@ def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -
     other modes stay and places and forces follow.
     """
     active = system.active
-    ratio = (-beam.poles.real / np.abs(beam.poles))[active]
+    ratio = beam.modes.damping_ratio[active]
     widest = min(_WIDEST * float(deviation[0].max()), _WIDEST_SHARE)
     finest = max(_FINEST * float(np.median(ratio)), widest / 60)
     shifts = np.arange(-np.ceil(widest / finest), np.ceil(widest / finest) + 1) * finest
@@ -365,7 +366,7 @@ def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -
         gains[number] = gain
     best = np.argmax(gains, axis=0)
     gain, shift = gains[best, np.arange(best.size)], shifts[best]
-    frequency = np.log(np.abs(beam.poles))
+    frequency = np.log(beam.modes.frequency)
     moved, taken = now.copy(), np.empty(0)
     for number in np.argsort(-gain):
         mode = active[number]

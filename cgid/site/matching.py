@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgid.physics.modes import LearnedModes
+from cgid.measure.modes import Modes
 from cgid.site.tapping import TapTest
 from cgid.validation import Floats
 
@@ -12,27 +12,28 @@ from cgid.validation import Floats
 _FITTING = 3.0
 
 
-def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error: float) -> tuple[LearnedModes, Floats]:
+def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error: float) -> tuple[Modes, Floats]:
     """Return the modes of a scene, corrected where taps have found them, and which of them were found, (n_modes,).
 
     Frequencies and damping ratios (n_modes,) are those of the scene, ascending; `start_error` is the relative standard
     deviation of its frequencies, its damping ratios have ten times as much. Modes keep their order. One step of the
     whole beam, such as a stiffer steel, is allowed for.
     """
-    found, own = np.log(test.frequency), np.log(frequency)
+    found, own = np.log(test.modes.frequency), np.log(frequency)
     shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error
     pairs = min(((*_aligned(found, own + shift, start_error), shift) for shift in shifts), key=lambda one: one[0])
     place = {k: i for i, k in pairs[1] if _is_sure(found, own + pairs[2], i, k, start_error)}
     mine = np.array(sorted(place), np.intp)
     theirs = np.array([place[k] for k in mine.tolist()], np.intp)
     n = own.size
-    values = np.array([frequency, damping_ratio, np.ones(n)])
+    values = np.array([frequency, damping_ratio])
     deviations = np.outer([start_error, min(10 * start_error, 0.3), 0.0], np.ones(n))
-    values[:2, mine] = np.array([test.frequency, test.damping_ratio])[:, theirs]
-    deviations[:2, mine] = np.array([test.frequency_deviation, test.damping_ratio_deviation])[:, theirs]
+    assert test.modes.deviation is not None
+    values[:, mine] = np.array([test.modes.frequency, test.modes.damping_ratio])[:, theirs]
+    deviations[:2, mine] = test.modes.deviation[:2, theirs]
     known = np.zeros(n, bool)
     known[mine] = True
-    return LearnedModes.of(values[0], values[1], values[2], deviations), known
+    return Modes.relative(values[0], values[1], np.ones(n), deviations), known
 
 
 def _aligned(found: Floats, own: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:

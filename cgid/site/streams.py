@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import InvalidValue
@@ -27,7 +28,6 @@ from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
 from cgid.identification.training import LEAST_LIMITS, Training, train
 from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
-from cgid.physics.modes import LEARNED_COLUMNS
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.stream import record
@@ -104,9 +104,9 @@ def _variation(scene: Scene, number: int, share: float, rng: np.random.Generator
     if number % 2 == 1:
         spread_over(content["tail_beam"])
     learned = None if scene.tail_beam is None else scene.tail_beam.learned_modes
-    if learned is not None and learned.deviations is not None:
-        modes = learned.drawn(rng.uniform(2.0**-54, 1, learned.deviations.shape))
-        content["tail_beam"]["learned"] = rows_of(modes, LEARNED_COLUMNS)
+    if learned is not None and learned.deviation is not None:
+        modes = learned.drawn(ndtri(rng.uniform(2.0**-54, 1, learned.deviation.shape)))
+        content["tail_beam"]["learned"] = rows_of(modes)
     return parse_scene(content | {"name": f"{scene.name}, stream {number}"})
 
 

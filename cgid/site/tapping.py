@@ -19,7 +19,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, read_cells, write_whole
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
-from cgid.physics.modes import LEARNED_COLUMNS, LearnedModes, table_of
+from cgid.measure.modes import Modes, text_of_table
 from cgid.physics.response import DERIVATIVES
 from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.terminal import counted
@@ -74,19 +74,13 @@ class Tap:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TapTest:
-    """Modes of a beam from taps; fields of modes are (n_modes,), by ascending frequency.
+    """Modes of a beam from taps.
 
     Attributes
     ----------
-    frequency : ndarray [Hz]
-        Undamped natural frequencies.
-    damping_ratio : ndarray
-    participation : ndarray [1/kg]
-        Shape at the tap times shape at the first sensor over modal mass; without a hammer, size over the largest.
-    frequency_deviation, damping_ratio_deviation, participation_deviation : ndarray
-        Standard deviations of the logarithms of these (of a participation, over its size).
-    absolute : bool
-        Whether participations are in 1/kg.
+    modes : Modes
+        With deviations, by ascending frequency. Only their participation at the first sensor is known, so that shapes
+        are those of taps next to it. Without a hammer their scale is unknown: participations are over the largest.
     taps : tuple of Tap
         In order of time.
     duration : float [s]
@@ -96,13 +90,7 @@ class TapTest:
     poles : Poles
     """
 
-    frequency: Floats
-    damping_ratio: Floats
-    participation: Floats
-    frequency_deviation: Floats
-    damping_ratio_deviation: Floats
-    participation_deviation: Floats
-    absolute: bool
+    modes: Modes
     taps: tuple[Tap, ...]
     duration: float
     band: tuple[float, float]
@@ -119,29 +107,28 @@ class TapTest:
         Only the participation is known. The shapes are 1 and 1 or -1, and the modal mass is the inverse of its size:
         right for taps next to the sensor, elsewhere a guess of the beam's compliance.
         """
-        size = np.maximum(np.abs(self.participation), _LEAST)
+        participation = self.modes.participation()
+        learned = self.modes.columns | {"participation": np.ones_like(participation)}
         columns = {
-            "frequency": self.frequency,
-            "damping_ratio": self.damping_ratio,
-            "modal_mass": 1 / size,
-            "shape_impact": np.ones(size.size),
-            "shape_sensor": np.copysign(1.0, self.participation),
-            "participation": np.ones(size.size),
-            **{name: getattr(self, name) for name in list(LEARNED_COLUMNS)[3:]},
+            "frequency": self.modes.frequency,
+            "damping_ratio": self.modes.damping_ratio,
+            "modal_mass": 1 / np.maximum(np.abs(participation), _LEAST),
+            "shape_impact": np.ones_like(participation),
+            "shape_sensor": np.copysign(1.0, participation),
+            **learned,
         }
-        scale = "in 1/kg" if self.absolute else "without a hammer over the largest: masses have no scale"
+        scale = "in 1/kg" if self.modes.scaled else "without a hammer over the largest: masses have no scale"
         return _save(path, columns, f"shape_impact shape_sensor / modal_mass is the participation, {scale}", overwrite)
 
 
-def save_learned(modes: LearnedModes, path: str | Path, *, overwrite: bool = False) -> Path:
+def save_learned(modes: Modes, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write the modes of a scene, as taps corrected them, as a table for `tail_beam.learned`."""
-    columns = {name: getattr(modes, name) for name in LEARNED_COLUMNS}
-    return _save(path, columns, "a line for each mode of the scene, in its order", overwrite)
+    return _save(path, modes.columns, "a line for each mode of the scene, in its order", overwrite)
 
 
 def _save(path: str | Path, columns: dict[str, Floats], note: str, overwrite: bool) -> Path:
     path = check_new(Path(path), "a table of modes", (".csv",), overwrite=overwrite)
-    text = f"# Written by cgid tap: {note}; deviations are those of logarithms\n{table_of(columns)}"
+    text = f"# Written by cgid tap: {note}; deviations are those of logarithms\n{text_of_table(columns)}"
     write_whole(path, text.encode(), overwrite=overwrite)
     return path
 
@@ -216,14 +203,16 @@ def tap_test(
             "moves, or change --band"
         )
     participation, own = _participation(poles, kept, force, hits, sampling_rate, DERIVATIVES[quantity])
+    root = np.sqrt(np.abs(participation))
     return TapTest(
-        frequency=poles.frequency,
-        damping_ratio=poles.damping_ratio,
-        participation=participation,
-        frequency_deviation=poles.deviation[0],
-        damping_ratio_deviation=poles.deviation[1],
-        participation_deviation=own,
-        absolute=force is not None,
+        modes=Modes(
+            frequency=poles.frequency,
+            damping_ratio=poles.damping_ratio,
+            at_impact=root,
+            at_sensor=np.copysign(root, participation),
+            deviation=np.stack([*poles.deviation, own]),
+            scaled=force is not None,
+        ),
         taps=tuple(taps),
         duration=length / sampling_rate,
         band=(low, high),

@@ -36,7 +36,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
                 "YANG2018_SPHERES",
             ),
             "cgid.physics.tail_beam": ("TailBeam", "Ribs"),
-            "cgid.physics.modes": ("Modes", "MeasuredModes", "read_measured_modes"),
+            "cgid.measure.modes": ("Modes", "read_modes"),
             "cgid.physics.response": ("Response", "Resonance", "LowPass"),
             "cgid.physics.sampled": ("SampledPulses",),
         },

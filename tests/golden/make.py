@@ -153,7 +153,7 @@ def calibrated() -> dict[str, list[float]]:
         beam = load_scene(Path(folder, "site.toml")).tail_beam
     assert beam is not None and beam.learned_modes is not None
     names = ("frequency", "damping_ratio", "frequency_deviation", "damping_ratio_deviation")
-    return {name: getattr(beam.learned_modes, name).tolist() for name in names}
+    return {name: beam.learned_modes.columns[name].tolist() for name in names}
 
 
 #: What answers.json holds, and what makes it.
