@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import sys
 from collections.abc import Callable, Iterable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +16,7 @@ from cgid.errors import InvalidValue
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+_T = TypeVar("_T")
 #: Limits of sampling rates [Hz]: no recorder exceeds them, and beyond them squares of times leave the range of floats.
 RATES = (1e-6, 1e12)
 
@@ -25,22 +28,88 @@ LONGEST_LABEL = 100
 _LABEL_SIGNS = " _.-"
 
 
-def real(name: str, value: ArrayLike, unit: str = "") -> Floats:
-    """Return `value`, a real scalar or array, as finite float64 of the same shape.
+@dataclass(frozen=True)
+class Rule:
+    """A rule of single numbers, as data: they are finite and in an interval, whose ends belong to it unless left out.
 
-    Raises `InvalidValue` if a number is not real, masked, nan or infinite; the message uses `name` and `unit`.
+    Called with a name, a real number or array, and its unit, it returns finite float64 of the same shape, or raises
+    `InvalidValue`; one sentence names all rules.
+
+    Examples
+    --------
+    >>> Rule(0, 1, without="ends")("damping_ratio", [0.1, 1.2])
+    Traceback (most recent call last):
+        ...
+    cgid.errors.InvalidValue: damping_ratio must lie between 0 and 1 (exclusive), got 1.2 at index 1
     """
-    try:
-        given = plain(name, value)
-        numbers = given.astype(np.float64) if given.dtype.kind in "fiu" else None
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InvalidValue):
-            raise
-        numbers = None
-    if numbers is None:
-        raise InvalidValue(f"{name} must be a real number or an array of them, got {shown(value)}")
-    _require(np.isfinite(numbers), name, "must be finite", numbers, unit)
-    return numbers
+
+    lowest: float = -math.inf
+    highest: float = math.inf
+    without: Literal["", "lowest", "highest", "ends"] = ""
+    unit: str = ""
+    note: str = ""
+
+    def __call__(self, name: str, value: ArrayLike, unit: str = "") -> Floats:
+        """Return the numbers, or raise `InvalidValue`."""
+        unit = unit or self.unit
+        try:
+            given = plain(name, value)
+            numbers = given.astype(np.float64) if given.dtype.kind in "fiu" else None
+        except (TypeError, ValueError) as error:
+            if isinstance(error, InvalidValue):
+                raise
+            numbers = None
+        if numbers is None:
+            raise InvalidValue(f"{name} must be a real number or an array of them, got {shown(value)}")
+        finite = np.isfinite(numbers)
+        if not finite.all():
+            raise InvalidValue(f"{name} must be finite, got {_first(~finite, numbers, unit)}")
+        inside = self.holds(numbers)
+        if not inside.all():
+            raise InvalidValue(f"{name} must {self.sentence(unit)}, got {_first(~inside, numbers, unit)}")
+        return numbers
+
+    @property
+    def limited(self) -> bool:
+        """Whether it asks for more than finite numbers."""
+        return self.lowest > -math.inf or self.highest < math.inf
+
+    def holds(self, numbers: Floats) -> NDArray[np.bool_]:
+        """Return which finite numbers meet the rule."""
+        above = numbers > self.lowest if self.without in ("lowest", "ends") else numbers >= self.lowest
+        below = numbers < self.highest if self.without in ("highest", "ends") else numbers <= self.highest
+        return np.asarray(above & below)
+
+    def sentence(self, unit: str = "") -> str:
+        """Return the rule in words, to follow "must"."""
+        unit = f" {unit}" if unit else ""
+        low, high = (str(end) if isinstance(end, int) else f"{end:g}" for end in (self.lowest, self.highest))
+        if self.highest == math.inf:
+            text = f"be above {low}" if self.without == "lowest" else f"be {low} or more"
+        elif self.without == "lowest":
+            text = f"lie above {low} and up to {high}{unit}"
+        elif self.without == "highest":
+            text = f"lie from {low} and below {high}{unit}"
+        else:
+            text = f"lie between {low} and {high}{unit}" + " (exclusive)" * (self.without == "ends")
+        return text + self.note
+
+
+real = Rule()
+positive, not_negative = Rule(0, without="lowest"), Rule(0)
+#: Sampling rates [Hz].
+rates = Rule(*RATES, unit="Hz")
+#: The range of stable isotropic solids.
+poisson_ratio = Rule(-1, 0.5, without="ends")
+#: Oscillations that decay.
+damping_ratio = Rule(0, 1, without="ends", note=", where a mode rings")
+#: Shares of a whole, and coefficients of restitution; at a restitution of 0 the damping would be infinite.
+share = restitution = Rule(0, 1, without="lowest")
+
+
+def between(name: str, value: ArrayLike, lowest: float, highest: float, unit: str = "") -> Floats:
+    """Return `value` as float64 within [lowest, highest], or raise `InvalidValue`."""
+    return Rule(lowest, highest)(name, value, unit)
 
 
 def plain(name: str, value: Any) -> NDArray[Any]:
@@ -48,7 +117,9 @@ def plain(name: str, value: Any) -> NDArray[Any]:
 
     A plain array has no mask: masked numbers would count as measured.
     """
-    masked = _masked(value)
+    if type(value) is np.ndarray:
+        return value
+    masked = 0 if type(value) in (float, int) else _masked(value)
     if masked:
         raise InvalidValue(
             f"{name} must have no masked numbers, got {masked} of {np.size(value)}; cut them out, or fill them (filled)"
@@ -69,6 +140,13 @@ def _masked(value: Any) -> int:
     return 0
 
 
+def _first(wrong: NDArray[np.bool_], numbers: Floats, unit: str) -> str:
+    """Return the first wrong number with its unit, and its index in an array."""
+    index = int(np.flatnonzero(wrong)[0])
+    place = f" at index {index}" if numbers.size > 1 else ""
+    return f"{numbers.ravel()[index]:g}{' ' + unit if unit else ''}{place}"
+
+
 def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, ArrayLike, str], Floats] = real) -> float:
     """Return `value` as one float that meets a rule, such as `positive`; raise `InvalidValue` also for an array."""
     checked = rule(name, value, unit)
@@ -77,50 +155,9 @@ def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, Arr
     return float(checked)
 
 
-def positive(name: str, value: ArrayLike, unit: str = "") -> Floats:
-    """Return `value` as finite float64 above zero, or raise `InvalidValue`."""
-    numbers = real(name, value, unit)
-    _require(numbers > 0, name, "must be above 0", numbers, unit)
-    return numbers
-
-
-def not_negative(name: str, value: ArrayLike, unit: str = "") -> Floats:
-    """Return `value` as finite float64 of zero or more, or raise `InvalidValue`."""
-    numbers = real(name, value, unit)
-    _require(numbers >= 0, name, "must be 0 or more", numbers, unit)
-    return numbers
-
-
-def between(name: str, value: ArrayLike, lowest: float, highest: float, unit: str = "") -> Floats:
-    """Return `value` as float64 within [lowest, highest], or raise `InvalidValue`."""
-    numbers = real(name, value, unit)
-    rule = f"must lie between {lowest:g} and {highest:g}{' ' + unit if unit else ''}"
-    _require((numbers >= lowest) & (numbers <= highest), name, rule, numbers, unit)
-    return numbers
-
-
-def rates(name: str, value: ArrayLike, unit: str = "Hz") -> Floats:
-    """Return sampling rates [Hz] within `RATES`, or raise `InvalidValue`."""
-    return between(name, positive(name, value, unit), *RATES, unit)
-
-
 def require_rate(sampling_rate: float) -> float:
     """Return one sampling rate [Hz] within `RATES`, or raise `InvalidValue`."""
     return number("sampling_rate", sampling_rate, "Hz", rates)
-
-
-def poisson_ratio(name: str, value: ArrayLike) -> Floats:
-    """Return Poisson's ratios as float64 within (-1, 0.5), the range of stable isotropic solids."""
-    numbers = real(name, value)
-    _require((numbers > -1) & (numbers < 0.5), name, "must lie between -1 and 0.5 (exclusive)", numbers)
-    return numbers
-
-
-def damping_ratio(name: str, value: ArrayLike) -> Floats:
-    """Return damping ratios as float64 within (0, 1): oscillations that decay."""
-    numbers = positive(name, value)
-    _require(numbers < 1, name, "must be below 1, where a mode ceases to ring", numbers)
-    return numbers
 
 
 def ascending(name: str, values: Floats, unit: str = "") -> Floats:
@@ -132,18 +169,6 @@ def ascending(name: str, values: Floats, unit: str = "") -> Floats:
             f"{name} must ascend, got {values[at + 1]:g}{unit} after {values[at]:g}{unit} at index {at + 1}; sort them"
         )
     return values
-
-
-def restitution(name: str, value: ArrayLike) -> Floats:
-    """Return coefficients of restitution as float64 within (0, 1]; at 0 the damping would be infinite."""
-    return share(name, value)
-
-
-def share(name: str, value: ArrayLike) -> Floats:
-    """Return shares of a whole as float64 within (0, 1]."""
-    numbers = real(name, value)
-    _require((numbers > 0) & (numbers <= 1), name, "must lie above 0 and up to 1", numbers)
-    return numbers
 
 
 def broadcast(**values: Floats) -> tuple[Floats, ...]:
@@ -231,6 +256,16 @@ def hold(owner: Any, *names: str) -> None:
             object.__setattr__(owner, name, held)
 
 
+def unchecked(kind: type[_T], **fields: Any) -> _T:
+    """Return a frozen dataclass of numbers that are known to be sound, without its checks and copies.
+
+    For numbers that the engine made itself, by rules that were checked at the door; arrays may not change afterwards.
+    """
+    made = object.__new__(kind)
+    vars(made).update(fields)
+    return made
+
+
 def instance(name: str, value: Any, *types: type) -> None:
     """Raise `InvalidValue` unless `value` is an instance of one of the types."""
     if not isinstance(value, types):
@@ -249,12 +284,3 @@ def shown(value: Any) -> str:
 def cut(text: str) -> str:
     """Return a text for a message, cut after 80 characters."""
     return text if len(text) <= 80 else text[:80] + "..."
-
-
-def _require(holds: NDArray[np.bool_] | bool, name: str, rule: str, values: Floats, unit: str = "") -> None:
-    if np.all(holds):
-        return
-    where = np.flatnonzero(~np.atleast_1d(holds))
-    value = np.atleast_1d(values).ravel()[where[0]]
-    place = f" at index {where[0]}" if values.size > 1 else ""
-    raise InvalidValue(f"{name} {rule}, got {value:g}{' ' + unit if unit else ''}{place}")

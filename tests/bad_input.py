@@ -273,24 +273,24 @@ _OF_ROCKS = (
     ("strength of damped rocks", "strong", 'strength = "16 MPa"', ("populations.0.strength", "hunt-crossley")),
     ("pressure of damped rocks", "pressed", 'yield_pressure = "41 MPa"', ("populations.0.yield_pressure", "left out")),
     ("viscous twice", "damped_twice", "viscous_restitution = 0.5", ("viscous_restitution", "give restitution")),
-    ("rocks of weight 0", "rare", "weight = 0", ("populations.0.weight", "greater than 0", "got 0")),
-    ("rocks of negative weight", "rarer", "weight = -1.0", ("populations.0.weight", "greater than 0", "got -1")),
+    ("rocks of weight 0", "rare", "weight = 0", ("populations.0.weight", "got 0")),
+    ("rocks of negative weight", "rarer", "weight = -1.0", ("populations.0.weight", "got -1")),
     ("rocks of weight nan", "uncertain", "weight = nan", ("populations.0.weight", "finite", "nan")),
     ("unknown loss", "lost", 'dissipation = "thorton"', ("populations.0.dissipation", "did you mean 'thornton'")),
 )
 #: The same for the first rocks of a scene that crushes: the key and its value, and the text of the error.
 _OF_CRUSHING = (
-    ("negative yield pressure", "sucking", ("yield_pressure", '"-4 MPa"'), ("above 0", "-4e+06 Pa")),
+    ("negative yield pressure", "sucking", ("yield_pressure", '"-4 MPa"'), ("'-4 MPa'",)),
     ("yield pressure nan", "vague", ("yield_pressure", "nan"), ("finite",)),
     ("yield pressure in N", "forced", ("yield_pressure", '"4 N"'), ("'4 N'", "GPa")),
-    ("strength 0", "crumbling", ("strength", "0"), ("above 0", "got 0 Pa")),
-    ("negative strength", "weak", ("strength", "-1e6"), ("above 0", "-1e+06 Pa")),
+    ("strength 0", "crumbling", ("strength", "0"), ("got 0 Pa",)),
+    ("negative strength", "weak", ("strength", "-1e6"), ("-1e+06 Pa",)),
     ("strength nan", "foggy", ("strength", "nan"), ("finite",)),
     (
         "strength that can be drawn as nothing",
         "normal",
         ("strength", '{ distribution = "normal", mean = "16 MPa", deviation = "8 MPa" }'),
-        ("above 0", "can be drawn as -", "lowest and highest"),
+        ("can be drawn as -", "lowest and highest"),
     ),
     (
         "viscous crushing",
@@ -847,7 +847,7 @@ CASES = (
         65,
         ("populations.0.yield_pressure", "missing, thornton dissipation needs it"),
     ),
-    Case("yield pressure 0", ("check", "soft.toml"), 65, ("populations.0.yield_pressure", "above 0", "got 0 Pa")),
+    Case("yield pressure 0", ("check", "soft.toml"), 65, ("populations.0.yield_pressure", "got 0 Pa")),
     *(Case(name, ("check", f"{file}.toml"), 65, says) for name, file, _, says in _OF_ROCKS),
     *(
         Case(name, ("check", f"{file}.toml"), 65, (f"populations.0.{key}", *says))
@@ -858,11 +858,11 @@ CASES = (
     Case("weight of crushing rocks", ("check", "fallen.toml"), 65, ("impact.gravity", "left out", "hunt-crossley")),
     Case("crushing on a beam", ("check", "crushed_beam.toml"), 65, ("tail_beam: must be left out", "thornton")),
     Case("restitution 1.2", ("check", "high.toml"), 65, ("populations.1.restitution", "1.2")),
-    Case("negative density", ("check", "negative.toml"), 65, ("populations.0.density", "above 0", "kg/m^3")),
+    Case("negative density", ("check", "negative.toml"), 65, ("populations.0.density", "kg/m^3")),
     Case("unknown key", ("check", "unknown.toml"), 65, ("sampling.jittter", "unknown key")),
     Case("wrong unit", ("check", "unit.toml"), 65, ("populations.0.youngs_modulus", "3.1 GHz", "GPa")),
     Case("unknown shape of a tap", ("check", "shape.toml"), 65, ("taps.0.shape", "half-sine", "'saw'")),
-    Case("tap of negative duration", ("check", "tap.toml"), 65, ("taps.0.contact_duration", "above 0", "-0.002 s")),
+    Case("tap of negative duration", ("check", "tap.toml"), 65, ("taps.0.contact_duration", "'-2 ms'")),
     Case("second hit after a length", ("check", "second.toml"), 65, ("populations.1.second_hit.delay", "'2 mm'", "ms")),
     Case("clipped above the peak", ("check", "clipped.toml"), 65, ("populations.1.clipped_at", "0.001 and 1", "1.5")),
     Case("nothing randomised", ("check", "nothing.toml"), 65, ("randomise", "at least one of sampling_rate")),
@@ -919,10 +919,12 @@ CASES = (
         "damping ratio 0",
         ("generate", "undamped.toml", "-o", "new.h5"),
         65,
-        ("tail_beam.damping_ratio", "greater than 0"),
+        ("tail_beam.damping_ratio", "between 0 and 1"),
     ),
-    Case("damping ratio negative", ("check", "driven.toml"), 65, ("tail_beam.damping_ratio", "greater than 0", "-2 %")),
-    Case("undamped mounting", ("check", "stud.toml"), 65, ("sensor.mounting.damping_ratio", "greater than 0")),
+    Case(
+        "damping ratio negative", ("check", "driven.toml"), 65, ("tail_beam.damping_ratio", "between 0 and 1", "-2 %")
+    ),
+    Case("undamped mounting", ("check", "stud.toml"), 65, ("sensor.mounting.damping_ratio", "between 0 and 1")),
     Case("ribs wider than the beam", ("check", "ribs.toml"), 65, ("ribs", "0.25 m", "1.4 m", "fewer or thinner")),
     Case("unknown edges", ("check", "edges.toml"), 65, ("tail_beam.edges", "'cantilever'", "'floating'")),
     Case("beam without thickness", ("check", "skinless.toml"), 65, ("tail_beam", "thickness", "modes in place")),
@@ -963,7 +965,7 @@ CASES = (
     Case("number of a mode missing", ("check", "gap.toml"), 65, ("gap.csv, line 3", "shape_sensor", "''")),
     Case("column of modes missing", ("check", "column.toml"), 65, ("column.csv", "'shape_sensor [1]'")),
     Case("column of modes without unit", ("check", "unitless.toml"), 65, ("unitless.csv", "'frequency [Hz]'", "unit")),
-    Case("mode without damping", ("check", "ringing.toml"), 65, ("ringing.csv, line 2", "damping_ratio", "above 0")),
+    Case("mode without damping", ("check", "ringing.toml"), 65, ("ringing.csv, line 2", "damping_ratio", "got 0")),
     Case("mode without mass", ("check", "weightless.toml"), 65, ("weightless.csv, line 2", "modal_mass", "0 kg")),
     Case("mode far too high", ("check", "ultrasound.toml"), 65, ("tail_beam.modes.0.frequency", "1e+300")),
     Case(
@@ -1081,13 +1083,13 @@ CASES = (
         "arrivals by rate and by times", ("check", "twice.toml"), 65, ("stream.arrivals", "rate or times", "not both")
     ),
     Case("arrival after the end", ("check", "late.toml"), 65, ("arrivals.times", "60 s", "70 s")),
-    Case("share above 1", ("check", "whole.toml"), 65, ("stream.mixture.gangue.3", "1.2")),
+    Case("share above 1", ("check", "whole.toml"), 65, ("stream.mixture.gangue", "1.2 at index 3")),
     Case("share missing", ("check", "row.toml"), 65, ("stream.mixture", "as many shares as times, 4", "got 3")),
     Case("share of an unknown label", ("check", "granite.toml"), 65, ("stream.mixture.granite", "coal, gangue")),
     Case("hum above half the rate", ("check", "hum.toml"), 65, ("background.hum.1.frequency", "12800 Hz", "20000 Hz")),
     Case("hum in N at an accelerometer", ("check", "hum_unit.toml"), 65, ("background.hum.1.amplitude", "0.05 N")),
     Case("noise above half the rate", ("check", "coloured.toml"), 65, ("background.coloured.frequencies", "20000 Hz")),
-    Case("noise blacker than brown", ("check", "blacker.toml"), 65, ("sensor.noise_exponent", "equal to 2", "got 3")),
+    Case("noise blacker than brown", ("check", "blacker.toml"), 65, ("sensor.noise_exponent", "got 3")),
     Case(
         "colour of no noise", ("check", "levelless.toml"), 65, ("sensor.noise_exponent", "relative_noise or absolute")
     ),

@@ -262,7 +262,7 @@ def test_the_same_address_gives_the_same_numbers():
         (
             {"hum": [{"frequency": 50, "relative_amplitude": 0}]},
             "background.hum.0.relative_amplitude",
-            "greater than 0, got 0",
+            "got 0",
         ),
         ({"coloured": {"frequencies": [10, 5], "density": [1, 1]}}, "background.coloured", "ascend"),
         ({"coloured": {"frequencies": [5, 10], "density": [1]}}, "background.coloured", "as many numbers"),

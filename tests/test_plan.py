@@ -248,7 +248,7 @@ def _refuse(*_: object, **__: object) -> None:
 #: What does the work of each stage.
 WORKERS = {
     "impacts": [
-        (curves, "damping_number"),
+        (curves, "damping_of"),
         (curves, "peak_force"),
         (curves, "peak_displacement"),
         (curves.family, "times"),
@@ -256,7 +256,7 @@ WORKERS = {
         (coupled, "solve"),
     ],
     "gravity": [(impacts, "weighed")],
-    "coupling": [(impacts, "ModalImpact")],
+    "coupling": [(impacts, "ModalContacts")],
     "pulses": [
         (_kernels, "add_to_frames"),
         (_taylor, "add_to_frames"),

@@ -296,9 +296,9 @@ def test_without_damping_nothing_dies():
 
 
 BAD = {
-    "damping_ratio must be above 0": lambda: Resonance(frequency=1e4, damping_ratio=0.0),
-    "damping_ratio must be above 0, got -0.1": lambda: Resonance(frequency=1e4, damping_ratio=-0.1),
-    "damping_ratio must be below 1": lambda: Resonance(frequency=1e4, damping_ratio=1.0),
+    "damping_ratio must .*got 0": lambda: Resonance(frequency=1e4, damping_ratio=0.0),
+    "damping_ratio must .*got -0.1": lambda: Resonance(frequency=1e4, damping_ratio=-0.1),
+    "damping_ratio must .*got 1": lambda: Resonance(frequency=1e4, damping_ratio=1.0),
     "frequency of the low-pass must be above 0": lambda: LowPass(frequency=-1.0),
     "order of the low-pass must be at most 12": lambda: LowPass(frequency=1e3, order=13),
     "modes must be left out for a force": lambda: Response(

@@ -74,10 +74,10 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
 def _preview(scene: Any, seed: int, told_as: str) -> dict[str, Any]:
     import numpy as np
 
-    from cgid.scene.draws import BLOCK, parameter_units
+    from cgid.scene.draws import BLOCK, parameter_units, require_seed
     from cgid.scene.impacts import draw
 
-    draws = [draw(scene, seed, block) for block in range(_BLOCKS)]
+    draws = [draw(scene, require_seed(seed), block) for block in range(_BLOCKS)]
     units = parameter_units(scene)
     if scene.stream is not None:
         del units["onset"]  # it belongs to a frame

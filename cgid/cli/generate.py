@@ -201,11 +201,12 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
     """Warn once if rocks of the first block exceed the range of the thin plate; blocks do not warn."""
     from cgid.physics import ThinPlate
     from cgid.physics.impact import BEYOND_THIN_PLATE, INELASTICITY_LIMIT
+    from cgid.scene.draws import require_seed
     from cgid.scene.impacts import draw
 
     if not isinstance(scene.body, ThinPlate):
         return
-    largest = draw(scene, seed, 0).inelasticity.max(initial=0.0)
+    largest = draw(scene, require_seed(seed), 0).inelasticity.max(initial=0.0)
     if largest > INELASTICITY_LIMIT:
         warn(
             f"{scene.name}: lambda of the thin plate reaches {largest:.3g}, Zener's theory holds to "

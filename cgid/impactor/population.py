@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import Any
@@ -17,10 +16,10 @@ from cgid.identification.inversion import Inverted
 from cgid.impactor.posterior import ImpactorPopulation
 from cgid.measure.beam import FINE, TOUCH, filtered, respond
 from cgid.measure.template import relative_times
-from cgid.physics import HertzRangeWarning, Impact
+from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene import Scene
-from cgid.scene.impacts import draws, impacts_by_coupling, impacts_of
+from cgid.scene.impacts import contacts_of, draws
 from cgid.scene.plan import Plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.through_beam import beam_of, whole_beam
@@ -75,9 +74,7 @@ def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulatio
     parts: list[dict[str, Floats]] = []
     blocks = _stream(scene) if scene.stream is not None else _frames(scene)
     while sum(part["radius"].size for part in parts) < wanted:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", HertzRangeWarning)
-            values, pulses = next(blocks)
+        values, pulses = next(blocks)
         parts.append(_described(values, None if plain else pulses, beam))
     held = {name: np.concatenate([part[name] for part in parts])[:wanted] for name in parts[0]}
     return ImpactorPopulation(
@@ -138,10 +135,7 @@ def _stream(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
 
 
 def _of_rocks(asked: Plan, rocks: Rocks) -> _Pulses:
-    groups = impacts_of(asked, rocks.columns, np.arange(len(rocks)))
-    return [
-        (rows, one) for own, impact in groups for rows, one, _ in impacts_by_coupling(asked, impact, rocks.columns, own)
-    ]
+    return list(contacts_of(asked, rocks.columns, np.arange(len(rocks))))
 
 
 def _described(values: Mapping[str, Any], pulses: _Pulses | None, beam: ThroughBeam | None) -> dict[str, Floats]:

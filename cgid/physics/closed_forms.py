@@ -100,7 +100,11 @@ def damping_number(restitution: ArrayLike) -> Floats:
     >>> round(float(damping_number(0.5)), 10)
     1.4327505333
     """
-    e = valid_restitution("restitution", restitution)
+    return damping_of(valid_restitution("restitution", restitution))
+
+
+def damping_of(e: Floats) -> Floats:
+    """Return the damping number for restitutions in (0, 1], without checks."""
     return 2 * inverse_langevin((1 - e) / (1 + e), 2 * e / (1 + e)) / (1 + e)
 
 

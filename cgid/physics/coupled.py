@@ -15,7 +15,7 @@ from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
 from cgid.physics.collocation import collocation
 from cgid.physics.curves import FEW_SAMPLES, Curves, Quantity, in_threads, kernel
-from cgid.physics.impact import Impact
+from cgid.physics.impact import Impact, Unchecked
 from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.validation import Floats
 
@@ -235,6 +235,10 @@ class ModalImpact(Impact):
         """Error of the energy balance over the impact energy: rebound, losses and structure less impact and fall."""
         found = 0.5 * self.restitution**2 + self._result("plate_energy") + self._result("material_loss")
         return np.asarray(2 * (found - 0.5 - self._shaped(self.curves.weight) * self._result("end_level")))
+
+
+class ModalContacts(Unchecked, ModalImpact):
+    """Impacts of the engine: `ModalImpact` without its checks."""
 
 
 @dataclass(frozen=True)

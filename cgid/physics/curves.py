@@ -23,7 +23,7 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import family
 from cgid.counting import count, counting
 from cgid.errors import InvalidValue
-from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
+from cgid.physics.closed_forms import damping_of, peak_displacement, peak_force
 from cgid.validation import Floats
 
 Quantity = Literal["force", "displacement"]
@@ -81,7 +81,7 @@ class Curves:
         count("damping_solves", np.count_nonzero(damped))
         damping = np.zeros(self.material_restitution.shape)
         if damped.any():
-            damping[damped] = damping_number(self.material_restitution[damped])
+            damping[damped] = damping_of(self.material_restitution[damped])
         return damping
 
     @cached_property

@@ -15,7 +15,15 @@ from cgid.errors import InvalidValue
 from cgid.physics import bodies
 from cgid.physics.bodies import Sphere, Target, ThinPlate
 from cgid.physics.curves import Curves, Quantity
-from cgid.physics.laws import Dissipation, Plastic, Thornton, Viscoelastic, WaltonBraun, contact_stiffness
+from cgid.physics.laws import (
+    STIFFNESS_THEORIES,
+    Dissipation,
+    Plastic,
+    Thornton,
+    Viscoelastic,
+    WaltonBraun,
+    stiffness_of,
+)
 from cgid.physics.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
 from cgid.physics.plastic_damped import damped_thornton_curves, damped_walton_braun_curves
 from cgid.validation import Floats
@@ -103,6 +111,7 @@ class Impact:
         validation.instance("sphere", self.sphere, Sphere)
         validation.instance("target", self.target, *get_args(Target))
         validation.instance("dissipation", self.dissipation, *get_args(Dissipation))
+        validation.choice("stiffness", self.stiffness, STIFFNESS_THEORIES)
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
         validation.hold(self, "velocity", "gravity")
@@ -189,7 +198,10 @@ class Impact:
             "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
             **self.dissipation.numbers(self.sphere, self.target),
         }
-        return dict(zip(named, validation.broadcast(**named), strict=True))
+        return dict(zip(named, self._broadcast(named), strict=True))
+
+    def _broadcast(self, named: dict[str, Floats]) -> tuple[Floats, ...]:
+        return validation.broadcast(**named)
 
     @property
     def _velocity(self) -> Floats:
@@ -223,7 +235,7 @@ class Impact:
     @cached_property
     def contact_stiffness(self) -> Floats:
         """K of `P = K delta^(3/2)` [N/m^(3/2)]."""
-        return _fixed(contact_stiffness(self.reduced_radius, self.reduced_modulus, self.stiffness))
+        return _fixed(stiffness_of(self.reduced_radius, self.reduced_modulus, STIFFNESS_THEORIES[self.stiffness]))
 
     @cached_property
     def length_scale(self) -> Floats:
@@ -482,6 +494,33 @@ class Impact:
 
     def _curves_of(self, leading: tuple[int, ...], index: NDArray[np.intp]) -> Curves:
         return self.curves if leading == self.reduced_mass.shape else self.curves.taken(index)
+
+
+class Unchecked:
+    """Mixed into `Impact`: a row of impacts whose numbers the engine made by rules that were checked at the door."""
+
+    def __post_init__(self) -> None:
+        """Check nothing."""
+
+    def _broadcast(self, named: dict[str, Floats]) -> tuple[Floats, ...]:
+        return tuple(np.broadcast_arrays(*named.values()))
+
+    def add_to_frames(
+        self: Any,
+        frames: NDArray[Any],
+        sampling_rate: ArrayLike,
+        onset: ArrayLike,
+        *,
+        threads: int = 1,
+        tolerance: float = 0.0,
+    ) -> None:
+        """Add the forces to frames (n, n_samples) in place, for onsets [s] (n,) and one rate [Hz] or (n,)."""
+        rate, step = np.asarray(sampling_rate), 1 / (np.asarray(sampling_rate) * self.time_scale)
+        self.curves.add_to_frames(frames, np.asarray(onset) * rate, step, self.force_scale, threads, tolerance)
+
+
+class Contacts(Unchecked, Impact):
+    """Impacts of the engine: `Impact` without its checks."""
 
 
 def _fixed(values: Floats) -> Floats:

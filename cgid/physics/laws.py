@@ -57,6 +57,11 @@ def contact_stiffness(reduced_radius: ArrayLike, reduced_modulus: ArrayLike, the
     factor = STIFFNESS_THEORIES[validation.choice("stiffness", theory, STIFFNESS_THEORIES)]
     radius = validation.positive("reduced_radius", reduced_radius, "m")
     modulus = validation.positive("reduced_modulus", reduced_modulus, "Pa")
+    return stiffness_of(radius, modulus, factor)
+
+
+def stiffness_of(radius: Floats, modulus: Floats, factor: float) -> Floats:
+    """Return K for a factor of `STIFFNESS_THEORIES`, without checks."""
     return np.asarray(factor * 4 / 3 * np.sqrt(radius) * modulus)
 
 
@@ -79,7 +84,12 @@ def free_fall_velocity(height: ArrayLike, gravity: float = STANDARD_GRAVITY) -> 
     4.4287
     """
     pull = validation.not_negative("gravity", gravity, "m/s^2")
-    return np.asarray(np.sqrt(2 * pull * validation.not_negative("height", height, "m")))
+    return speed_of_fall(validation.not_negative("height", height, "m"), pull)
+
+
+def speed_of_fall(height: Floats, gravity: float | Floats = STANDARD_GRAVITY) -> Floats:
+    """Return `free_fall_velocity` without checks."""
+    return np.asarray(np.sqrt(2 * gravity * height))
 
 
 #: Damping number D = chi v for a requested restitution e, by law. Only "exact" delivers e.

@@ -173,10 +173,15 @@ class PanelShapes:
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Return the shapes at points [m], (..., n_modes), or raise `InvalidValue` for one off the panel."""
-        along, across = validation.broadcast(x=on_panel("x", x, self.length), y=on_panel("y", y, self.width))
-        values = self.square.at(along.ravel(), across.ravel())
+        on_panel("x", x, self.length)
+        on_panel("y", y, self.width)
+        return self.inside(*validation.broadcast(x=np.asarray(x, np.float64), y=np.asarray(y, np.float64)))
+
+    def inside(self, x: Floats, y: Floats) -> Floats:
+        """Return the shapes at points of the panel, without checks."""
+        values = self.square.at(x.ravel() / self.length, y.ravel() / self.width)
         values *= self.scale
-        return values.reshape(*along.shape, values.shape[1])
+        return values.reshape(*x.shape, values.shape[1])
 
 
 def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:

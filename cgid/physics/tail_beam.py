@@ -143,8 +143,8 @@ class TailBeam:
         validation.choice("edges", self.edges, tuple(EDGES))
         for name in ("length", "width", "thickness"):
             object.__setattr__(self, name, validation.number(name, getattr(self, name), "m", validation.positive))
-        damping = validation.damping_ratio("damping_ratio", self.damping_ratio)
-        object.__setattr__(self, "damping_ratio", validation.number("damping_ratio", damping))
+        damping = validation.number("damping_ratio", self.damping_ratio, rule=validation.damping_ratio)
+        object.__setattr__(self, "damping_ratio", damping)
         # Plain floats make the beam hashable, so that its modes are computed once.
         constants = ("density", "youngs_modulus", "poisson_ratio")
         plain = {name: validation.number(f"{name} of the beam", getattr(self.material, name)) for name in constants}
@@ -180,7 +180,7 @@ class TailBeam:
         """The skin alone: the target of a short impact between two ribs."""
         return ThinPlate(material=self.material, thickness=self.thickness)
 
-    @property
+    @cached_property
     def plate(self) -> ThinPlate:
         """The panel as the target of an `Impact`: an unbounded plate with the impedance of skin and ribs.
 
@@ -222,15 +222,22 @@ class TailBeam:
         group velocity `2 sqrt(omega) (D / m)^(1/4)`, straight to an edge and back. Higher frequencies are faster: for
         an impact use its highest, about the inverse contact duration.
         """
-        omega = 2 * np.pi * validation.positive("frequency", frequency, "Hz")
+        frequency = validation.positive("frequency", frequency, "Hz")
+        along, across = on_panel("x", x, self.length), on_panel("y", y, self.width)
+        return self.echoes(*validation.broadcast(x=along, y=across, frequency=frequency))
+
+    def echoes(self, along: Floats, across: Floats, frequency: Floats) -> Floats:
+        """Return `echo_time` for places as fractions of the sides, without checks."""
+        omega = 2 * np.pi * frequency
         times = []
-        sides = (("x", x, self.length, self.rigidities.along), ("y", y, self.width, self.rigidities.across))
-        for name, value, extent, rigidity in sides:
-            place = on_panel(name, value, extent) * extent
+        for share, extent, rigidity in (
+            (along, self.length, self.rigidities.along),
+            (across, self.width, self.rigidities.across),
+        ):
+            place = share * extent
             velocity = 2 * np.sqrt(omega) * math.sqrt(math.sqrt(rigidity / self.mass_per_area))
-            place, velocity = validation.broadcast(**{name: place, "frequency": velocity})
             times.append(2 * np.minimum(place, extent - place) / velocity)
-        return np.minimum(*validation.broadcast(x=times[0], y=times[1]))
+        return np.minimum(*times)
 
     def modes(self, highest_frequency: float) -> Modes:
         """Return all modes up to a frequency [Hz], cached.

@@ -18,10 +18,9 @@ from pydantic import AfterValidator, Field, model_validator
 from cgid.errors import BadData
 from cgid.files import read_cells, require_regular
 from cgid.recordings.recording import told
-from cgid.scene.distributions import Decibel, Frequency, Ratio
-from cgid.scene.sections import Section
+from cgid.scene.distributions import Decibel, Frequency, Quantity, Section
 from cgid.units import parse
-from cgid.validation import Floats
+from cgid.validation import Floats, Rule
 
 #: The quantity of a sensor -> the dimension of its levels, and its SI unit.
 QUANTITIES = {
@@ -62,17 +61,12 @@ class ColouredNoise(Section):
     """Gaussian noise of a one-sided amplitude density, linear between its points on logarithmic axes.
 
     The density is per sqrt(Hz): "0.1 N/sqrt(Hz)", or a number in the SI unit. That of a background is 0 outside.
-
-    Parameters
-    ----------
-    frequencies : tuple of float [Hz]
-        Ascending points.
-    density : tuple of float or str
-        Density at these points.
     """
 
-    frequencies: tuple[Frequency, ...] = Field(min_length=2, max_length=100_000)
+    frequencies: Annotated[tuple[float, ...], Quantity.of("frequency")] = Field(min_length=2, max_length=100_000)
+    """Ascending points."""
     density: tuple[Sensed, ...]
+    """Density at these points."""
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
@@ -151,20 +145,14 @@ class HumLine(Section):
     """A sine of fixed frequency and amplitude, such as the mains (50 or 60 Hz) and each of its multiples.
 
     Its phase is drawn for each signal.
-
-    Parameters
-    ----------
-    frequency : float [Hz]
-        Frequency of the sine.
-    amplitude : float or str, optional
-        Amplitude, in the unit of the sensor's quantity; either this or `relative_amplitude`.
-    relative_amplitude : float, optional
-        Amplitude over the largest sample of each signal; for a force over the true peak. Not for a stream.
     """
 
     frequency: Frequency
+    """Frequency of the sine."""
     amplitude: Sensed | None = None
-    relative_amplitude: Ratio | None = Field(default=None, gt=0, le=1e6)
+    """Amplitude, in the unit of the sensor's quantity; either this or `relative_amplitude`."""
+    relative_amplitude: Annotated[float, Quantity("ratio", Rule(0, 1e6, without="lowest"))] | None = None
+    """Amplitude over the largest sample of each signal; for a force over the true peak. Not for a stream."""
 
     @model_validator(mode="after")
     def _one_amplitude(self) -> Self:
@@ -182,23 +170,16 @@ class RecordedBackground(Section):
 
     The signal-to-noise ratio compares the median peak of the scene's impacts (first hits, drawn by the weights of the
     populations) with the root mean square of the background.
-
-    Parameters
-    ----------
-    path : str
-        A recording, relative to the scene file.
-    signal_to_noise : float [dB]
-        Level of the impacts over the background.
-    sampling_rate : float, optional [Hz]
-        Where the recording does not say it.
-    channel : str, optional
-        Name or number of the channel.
     """
 
     path: str = Field(min_length=1, max_length=4096)
+    """A recording, relative to the scene file."""
     signal_to_noise: Decibel
+    """Level of the impacts over the background."""
     sampling_rate: Frequency | None = None
+    """Where the recording does not say it."""
     channel: str | None = None
+    """Name or number of the channel."""
 
     def file(self, folder: Path) -> Path:
         """Return the file in a folder; raises `NoInput`, or `BadData` for a pipe, a device or too large a file."""
@@ -209,21 +190,14 @@ class RecordedBackground(Section):
 
 
 class BackgroundSection(Section):
-    """Signals recorded in addition to impacts; at least one of its parts.
-
-    Parameters
-    ----------
-    hum : tuple of HumLine
-        Sines, such as the mains.
-    coloured : ColouredNoise, optional
-        Noise of a given spectrum.
-    recorded : RecordedBackground, optional
-        A recording that is mixed in.
-    """
+    """Signals recorded in addition to impacts; at least one of its parts."""
 
     hum: tuple[HumLine, ...] = Field(default=(), max_length=1000)
+    """Sines, such as the mains."""
     coloured: ColouredNoise | None = None
+    """Noise of a given spectrum."""
     recorded: RecordedBackground | None = None
+    """A recording that is mixed in."""
 
     @model_validator(mode="after")
     def _something(self) -> Self:

@@ -1,4 +1,4 @@
-"""The numbers of a scene file: their units and limits, and the distributions that they are drawn from.
+"""The numbers of a scene file: their units and rules, and the distributions that they are drawn from.
 
 A number is `"3.1 GPa"` or, in the SI unit, `3.1e9`. All distributions are drawn by inversion of their distribution
 function: one uniform number gives one value, so values do not depend on how many are drawn at once.
@@ -6,16 +6,21 @@ function: one uniform number gives one value, so values do not depend on how man
 
 from __future__ import annotations
 
+import inspect
+import math
 from abc import abstractmethod
-from functools import partial
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self, cast, get_args, get_origin
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, model_validator
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, Strict, model_validator
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema, core_schema
 from scipy.special import ndtr, ndtri
 
 from cgid.units import DIMENSIONS, parse
-from cgid.validation import Floats
+from cgid.validation import Floats, Rule, positive, real, shown
 
 #: Dimension -> lowest and highest value in SI units: wider than any real impact, but no formula overflows within them.
 LIMITS: dict[str, tuple[float, float]] = {
@@ -31,38 +36,127 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 
 
-def _reader(dimension: str) -> BeforeValidator:
-    return BeforeValidator(partial(parse, dimension=dimension))
+@dataclass(frozen=True)
+class Quantity:
+    """What a key of a scene file is, as metadata of its type: its dimension, if it may have a unit, and its rule.
+
+    It reads a number, a list of numbers, or a distribution, all of whose values must meet the rule.
+    """
+
+    dimension: str = ""
+    rule: Rule = real
+
+    @classmethod
+    def of(cls, dimension: str) -> Self:
+        """Return a quantity within the `LIMITS` of its dimension."""
+        return cls(dimension, Rule(*LIMITS[dimension]))
+
+    @property
+    def unit(self) -> str:
+        """The SI unit; empty for none."""
+        return next(iter(DIMENSIONS[self.dimension])) if self.dimension else ""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Read the unit before pydantic sees the value, and check the rule after it."""
+        read = None
+        if self.dimension:
+            read = parse if source is float else _list_in_si if get_origin(source) is tuple else _in_si
+
+        def validate(content: Any, handle: Callable[[Any], Any]) -> Any:
+            if read is not None and not (source is float and type(content) is float):
+                value = handle(read(content, self.dimension))
+            else:
+                value = handle(content)
+            self._require(value, content)
+            return value
+
+        return core_schema.no_info_wrap_validator_function(validate, handler(source))
+
+    def _require(self, value: Any, content: Any) -> None:
+        """Raise `ValueError` unless a number, all numbers of a list, or all that can be drawn meet the rule."""
+        drawn = isinstance(value, _Distribution)
+        try:
+            numbers = np.atleast_1d(np.asarray(value.extremes if drawn else value, np.float64))
+        except OverflowError:  # a whole number of hundreds of digits
+            raise ValueError(f"must {self.rule.sentence(self.unit)}, got {shown(value)}") from None
+        for index in np.flatnonzero(~self.rule.holds(numbers))[:1]:
+            wrong, unit = float(numbers[index]), f" {self.unit}" if self.unit else ""
+            text = f", got {wrong:.6g}{unit}"
+            if isinstance(content, str):
+                text = f", got {shown(content)}"
+            elif isinstance(value, tuple):
+                text += f" at index {index}"
+            elif drawn and not isinstance(value, Constant):
+                text = f", it can be drawn as {wrong:.3g}{unit}; give it lowest and highest, or other parameters"
+            raise ValueError(f"must {self.rule.sentence(self.unit)}{text}")
 
 
-def _limits(dimension: str) -> Any:
-    lowest, highest = LIMITS[dimension]
-    return Field(ge=lowest, le=highest)
+def _list_in_si(content: Any, dimension: str) -> Any:
+    if not isinstance(content, list | tuple) or all(type(item) in (int, float) for item in content):
+        return content
+    return [_si(f"index {number} ", item, dimension) for number, item in enumerate(content)]
 
 
-Density = Annotated[float, _reader("density"), _limits("density")]
-Modulus = Annotated[float, _reader("modulus"), _limits("modulus")]
-Length = Annotated[float, _reader("length"), _limits("length")]
-Frequency = Annotated[float, _reader("frequency"), _limits("frequency")]
-Mass = Annotated[float, _reader("mass"), _limits("mass")]
+def quantity_of(field: FieldInfo) -> Quantity | None:
+    """Return what the numbers of a key are; None for a section or a text."""
+    return next((one for one in _metadata(field) if isinstance(one, Quantity)), None)
+
+
+def _metadata(field: Any) -> Iterator[Any]:
+    yield from getattr(field, "metadata", getattr(field, "__metadata__", ()))
+    for part in get_args(getattr(field, "annotation", field)):
+        yield from _metadata(part)
+
+
+Density = Annotated[float, Quantity.of("density")]
+Modulus = Annotated[float, Quantity.of("modulus")]
+Length = Annotated[float, Quantity.of("length")]
+Frequency = Annotated[float, Quantity.of("frequency")]
+Mass = Annotated[float, Quantity.of("mass")]
+Acceleration = Annotated[float, Quantity.of("acceleration")]
+Speed = Annotated[float, Quantity.of("speed")]
 #: A level in the unit of the sensor's quantity, parsed by `cgid.scene.sensor`.
-Level = Annotated[float, Field(ge=0, le=LIMITS["force"][1])]
-Acceleration = Annotated[float, _reader("acceleration"), _limits("acceleration")]
+Level = Annotated[float, Quantity(rule=Rule(0, LIMITS["force"][1]))]
 #: Shortest recording [s].
 SHORTEST_RECORDING = 1e-3
-#: A time in a recording, and its duration: at most a day.
-Moment = Annotated[float, _reader("time"), Field(ge=0, le=86_400)]
-Duration = Annotated[float, _reader("time"), Field(ge=SHORTEST_RECORDING, le=86_400)]
+_DAY = 86_400
+#: Times in a recording, and its duration: at most a day.
+Moments = Annotated[tuple[float, ...], Field(min_length=1, max_length=100_000), Quantity("time", Rule(0, _DAY))]
+Duration = Annotated[float, Quantity("time", Rule(SHORTEST_RECORDING, _DAY))]
 #: Angle to the horizontal [rad], less than vertical.
-Inclination = Annotated[float, _reader("angle"), Field(ge=0, le=1.5)]
-Speed = Annotated[float, _reader("speed"), _limits("speed")]
-Decibel = Annotated[float, _reader("decibel"), Field(ge=-200, le=200)]
-#: A frequency of events, which may be 0.
-Rate = Annotated[float, _reader("frequency"), Field(ge=0, le=LIMITS["frequency"][1])]
+Inclination = Annotated[float, Quantity("angle", Rule(0, 1.5))]
+Decibel = Annotated[float, Quantity("decibel", Rule(-200, 200))]
 #: A dimensionless number; strings and booleans are rejected.
 Number = Annotated[float, Strict()]
 Whole = Annotated[int, Strict()]
-Ratio = Annotated[float, _reader("ratio")]
+#: A number without a unit, or in per cent.
+Share = Annotated[float, Quantity("ratio", Rule(0, 1))]
+DampingRatio = Annotated[float, Quantity("ratio", Rule(0, 1, without="ends"))]
+
+
+class Section(BaseModel):
+    """A section of the file: no unknown keys, no nan. Text below a key describes it in docs, errors and reference."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Add the keys to the docstring."""
+        lines = []
+        for name, field in cls.model_fields.items():
+            quantity, optional = quantity_of(field), "" if field.is_required() else "optional "
+            unit = f"[{quantity.unit}]" if quantity is not None and quantity.unit else ""
+            if field.description:
+                lines += [f"{name} : {optional}{unit}".rstrip(" :"), f"    {field.description}"]
+        own = inspect.cleandoc(vars(cls).get("__doc__") or "")
+        cls.__doc__ = "\n".join([own, "", "Parameters", "----------", *lines])
+
+    @property
+    def distributions(self) -> dict[str, Distribution]:
+        """The distributions among its keys."""
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: cast("Distribution", value) for name, value in values.items() if isinstance(value, _Distribution)}
+
 
 # ---- distributions ---------------------------------------------------------------------------------------------------
 
@@ -70,9 +164,7 @@ Ratio = Annotated[float, _reader("ratio")]
 SMALLEST_UNIFORM, LARGEST_UNIFORM = 2.0**-54, 1 - 2.0**-53
 
 
-class _Distribution(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
+class _Distribution(Section):
     @abstractmethod
     def quantile(self, uniform: Floats) -> Floats:
         """Return the quantiles at these probabilities."""
@@ -86,16 +178,11 @@ class _Distribution(BaseModel):
 
 
 class Constant(_Distribution):
-    """Always the same value.
-
-    Parameters
-    ----------
-    value : float
-        The value.
-    """
+    """Always the same value."""
 
     distribution: Literal["constant"] = "constant"
     value: float
+    """The value."""
 
     def quantile(self, uniform: Floats) -> Floats:
         """Return the value itself."""
@@ -106,6 +193,7 @@ class _Weighted(_Distribution):
     """One of several, with weights (equal by default)."""
 
     weights: tuple[Number, ...] | None = None
+    """How often each is drawn, relative to the others; equal by default."""
 
     @property
     @abstractmethod
@@ -132,18 +220,11 @@ class _Weighted(_Distribution):
 
 
 class Choice(_Weighted):
-    """One of several values, with weights (equal by default).
-
-    Parameters
-    ----------
-    values : tuple of float
-        The values.
-    weights : tuple of float, optional
-        How often each is drawn, relative to the others.
-    """
+    """One of several values, with weights (equal by default)."""
 
     distribution: Literal["choice"]
     values: tuple[float, ...] = Field(min_length=1)
+    """The values."""
 
     @property
     def _among(self) -> tuple[str, int]:
@@ -159,9 +240,15 @@ class Choice(_Weighted):
         return min(self.values), max(self.values)
 
 
+#: Above 0.
+_Positive = Annotated[float, Quantity(rule=positive)]
+
+
 class _Bounded(_Distribution):
     lowest: float
+    """Lower bound."""
     highest: float
+    """Upper bound."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -171,15 +258,7 @@ class _Bounded(_Distribution):
 
 
 class Uniform(_Bounded):
-    """Uniform between two bounds.
-
-    Parameters
-    ----------
-    lowest : float
-        Lower bound.
-    highest : float
-        Upper bound.
-    """
+    """Uniform between two bounds."""
 
     distribution: Literal["uniform"]
 
@@ -189,15 +268,7 @@ class Uniform(_Bounded):
 
 
 class LogUniform(_Bounded):
-    """The logarithm is uniform between two bounds.
-
-    Parameters
-    ----------
-    lowest : float
-        Lower bound.
-    highest : float
-        Upper bound.
-    """
+    """The logarithm is uniform between two bounds."""
 
     distribution: Literal["log-uniform"]
 
@@ -220,7 +291,9 @@ class _Truncatable(_Distribution):
     """A distribution that may be truncated to its bounds."""
 
     lowest: float | None = None
+    """Values below are not drawn."""
     highest: float | None = None
+    """Values above are not drawn."""
 
     @abstractmethod
     def _cumulative(self, value: float) -> float: ...
@@ -252,23 +325,13 @@ class _Truncatable(_Distribution):
 
 
 class Normal(_Truncatable):
-    """Gaussian; as "truncated-normal" between a lowest and a highest value.
-
-    Parameters
-    ----------
-    mean : float
-        Mean before truncation.
-    deviation : float
-        Standard deviation before truncation.
-    lowest : float, optional
-        Values below are not drawn.
-    highest : float, optional
-        Values above are not drawn.
-    """
+    """Gaussian; as "truncated-normal" between a lowest and a highest value."""
 
     distribution: Literal["normal", "truncated-normal"]
     mean: float
-    deviation: float = Field(gt=0)
+    """Mean before truncation."""
+    deviation: _Positive
+    """Standard deviation before truncation."""
 
     @model_validator(mode="after")
     def _bounds_fit_name(self) -> Self:
@@ -286,23 +349,13 @@ class Normal(_Truncatable):
 
 
 class Lognormal(_Truncatable):
-    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`.
-
-    Parameters
-    ----------
-    median : float
-        Median before truncation.
-    sigma : float
-        Standard deviation of the natural logarithm.
-    lowest : float, optional
-        Values below are not drawn.
-    highest : float, optional
-        Values above are not drawn.
-    """
+    """The logarithm is Gaussian, with standard deviation `sigma`; half of the draws lie below `median`."""
 
     distribution: Literal["lognormal"]
-    median: float = Field(gt=0)
-    sigma: Number = Field(gt=0)
+    median: _Positive
+    """Median before truncation."""
+    sigma: Annotated[Number, Quantity(rule=positive)]
+    """Standard deviation of the natural logarithm."""
 
     def _cumulative(self, value: float) -> float:
         return float(ndtr(np.log(value / self.median) / self.sigma)) if value > 0 else 0.0
@@ -315,22 +368,13 @@ class RosinRammler(_Truncatable):
     """Rosin & Rammler (1933): the share below x is `1 - exp(-(x / characteristic)^uniformity)`.
 
     The law was found for the *mass* that passes a sieve; here it applies to the number of impacts.
-
-    Parameters
-    ----------
-    characteristic : float
-        Value below which 63 % of the draws lie.
-    uniformity : float
-        The higher, the narrower the distribution.
-    lowest : float, optional
-        Values below are not drawn.
-    highest : float, optional
-        Values above are not drawn.
     """
 
     distribution: Literal["rosin-rammler"]
-    characteristic: float = Field(gt=0)
-    uniformity: Number = Field(gt=0)
+    characteristic: _Positive
+    """Value below which 63 % of the draws lie."""
+    uniformity: Annotated[Number, Quantity(rule=positive)]
+    """The higher, the narrower the distribution."""
 
     def _cumulative(self, value: float) -> float:
         return float(-np.expm1(-np.power(max(value, 0.0) / self.characteristic, self.uniformity)))
@@ -346,18 +390,11 @@ Single = Annotated[
 
 
 class Mixed(_Weighted):
-    """One of several distributions, with weights (equal by default), such as 0 for half and uniform for the others.
-
-    Parameters
-    ----------
-    parts : tuple of distribution
-        The distributions; a plain number is one that always gives that number.
-    weights : tuple of float, optional
-        How often each is drawn from, relative to the others.
-    """
+    """One of several distributions, with weights (equal by default), such as 0 for half and uniform for the others."""
 
     distribution: Literal["mixed"]
     parts: tuple[Single, ...] = Field(min_length=1, max_length=64)
+    """The distributions; a plain number is one that always gives that number."""
 
     @property
     def _among(self) -> tuple[str, int]:
@@ -385,11 +422,6 @@ class Mixed(_Weighted):
 _MEASURED = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic")
 
 
-def measured(dimension: str) -> BeforeValidator:
-    """Return a validator that converts the units of a distribution to SI; a bare number becomes a constant."""
-    return BeforeValidator(partial(_in_si, dimension=dimension))
-
-
 def _in_si(content: Any, dimension: str) -> Any:
     if isinstance(content, BaseModel):
         return content
@@ -415,6 +447,8 @@ def _in_si(content: Any, dimension: str) -> Any:
 
 
 def _si(key: str, value: Any, dimension: str) -> Any:
+    if type(value) is float and math.isfinite(value):
+        return value
     try:
         if isinstance(value, list):
             return tuple(parse(item, dimension) for item in value)
@@ -429,35 +463,6 @@ Distribution = Annotated[
 ]
 #: The names in a scene file; the paths of errors omit them.
 DISTRIBUTION_NAMES = (
-    "constant",
-    "choice",
-    "uniform",
-    "log-uniform",
-    "normal",
-    "truncated-normal",
-    "lognormal",
-    "mixed",
+    *("constant", "choice", "uniform", "log-uniform", "normal", "truncated-normal", "lognormal", "mixed"),
     "rosin-rammler",
 )
-
-
-def measured_within(dimension: str) -> AfterValidator:
-    """Return a validator that keeps a distribution above 0 and within the `LIMITS` of its dimension."""
-    lowest, highest = LIMITS[dimension]
-    unit = next(iter(DIMENSIONS[dimension]))
-    return within(lowest, highest, f"must be above 0, within {lowest:g} and {highest:g} {unit}", unit)
-
-
-def within(lowest: float, highest: float, rule: str, unit: str = "") -> AfterValidator:
-    """Return a validator that rejects a distribution with possible values outside `lowest..highest`."""
-
-    def check(distribution: _Distribution) -> _Distribution:
-        low, high = distribution.extremes
-        if not (lowest <= low and high <= highest):
-            value = high if lowest <= low else low
-            drawn = "got" if isinstance(distribution, Constant) else "it can be drawn as"
-            cure = "" if isinstance(distribution, Constant) else "; give it lowest and highest, or other parameters"
-            raise ValueError(f"{rule}, {drawn} {value:.3g}{' ' + unit if unit else ''}{cure}")
-        return distribution
-
-    return AfterValidator(check)

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from cgid import validation
-from cgid.physics import free_fall_velocity
+from cgid.physics.laws import speed_of_fall
 from cgid.physics.materials import YIELD_OVER_STRENGTH
 from cgid.scene.background import BackgroundSection, HumLine
+from cgid.scene.distributions import Section, quantity_of
 from cgid.scene.schema import HUM_FREQUENCY, Scene
-from cgid.scene.sections import DISSIPATIONS, SHAPES, Population, Tap
+from cgid.scene.sections import DISSIPATIONS, SHAPES, Population, RandomiseSection, Tap
 from cgid.scene.sensor import AntiAlias
 from cgid.validation import Floats
 
@@ -45,57 +46,34 @@ _LATER = {
     LUMPS: tuple(LUMP),
     VISCOUS: ("viscous_restitution",),
 }
-#: The columns of settings drawn for a whole block; append new ones.
-_OF_BLOCKS = (
-    "sampling_rate",
-    "relative_noise",
-    "bandwidth",
-    "noise_exponent",
-    "hum",
-    "hum_frequency",
-    "relative_range",
-    "bits",
-    "anti_alias_frequency",
-)
-
-#: Those that are settings of a sensor as they are drawn.
+#: Drawn settings that are settings of a sensor as they are.
 _OF_SENSOR = ("relative_noise", "noise_exponent", "relative_range")
+
+
+def _units(section: type[Section], *names: str) -> dict[str, str]:
+    """Return the units of keys that are drawn."""
+    units = {name: quantity.unit for name in names if (quantity := quantity_of(section.model_fields[name]))}
+    return {name: unit or "1" for name, unit in units.items()}
+
 
 #: The stored parameters of every scene and their units.
 PARAMETER_UNITS = {
-    "density": "kg/m^3",
-    "youngs_modulus": "Pa",
-    "poisson_ratio": "1",
-    "radius": "m",
-    "restitution": "1",
-    "drop_height": "m",
-    "velocity": "m/s",
+    **_units(Population, *FALL, "velocity"),
     "onset": "s",
-    "peak_force": "N",
-    "contact_duration": "s",
+    **_units(Tap, *_LATER[TAPS]),
 }
 #: Parameters of some scenes; the sampling rate is not among them, because each batch states its own.
 _MORE_UNITS = {
-    **dict.fromkeys(LUMP, "1"),
-    "yield_pressure": "Pa",
-    "strength": "Pa",
-    "viscous_restitution": "1",
+    **_units(Population, *LUMP, "yield_pressure", "strength", "viscous_restitution"),
     "second_hit_delay": "s",
     "second_hit_ratio": "1",
-    "clipped_at": "1",
+    **_units(Population, "clipped_at"),
 }
 POINT_UNITS = {"impact_x": "m", "impact_y": "m"}
 #: Settings of the sensor that a scene may draw for each block.
-RANDOMISED_UNITS = {
-    "relative_noise": "1",
-    "bandwidth": "Hz",
-    "noise_exponent": "1",
-    "hum": "1",
-    "hum_frequency": "Hz",
-    "relative_range": "1",
-    "bits": "1",
-    "anti_alias_frequency": "Hz",
-}
+RANDOMISED_UNITS = _units(
+    RandomiseSection, *(name for name in RandomiseSection.model_fields if name != "sampling_rate")
+)
 #: A low-pass with an edge above this share of the sampling rate counts as unlimited: the transition of a bandwidth,
 #: half as wide as its frequency, reaches beyond the band of the frame.
 UNLIMITED = 0.45
@@ -107,8 +85,8 @@ def require_seed(seed: int) -> int:
 
 
 def generator(seed: int, purpose: int, block: int, recording: int = 0) -> np.random.Generator:
-    """Return the generator of one address; raises as `require_seed`. `recording` is the number within a stream."""
-    key = np.array([require_seed(seed), purpose], np.uint64)
+    """Return the generator of one address; `recording` is the number within a stream."""
+    key = np.array([seed, purpose], np.uint64)
     # The lower two words of the counter count the numbers drawn.
     counter = np.array([0, 0, recording, block], np.uint64)
     return np.random.Generator(np.random.Philox(key=key, counter=counter))
@@ -225,7 +203,7 @@ def quantities_of(
             number = numbers[_SHARED.get(name, name)]
             values[name][rows] = law.quantile(number[rows])
     fell = np.isfinite(values["drop_height"])
-    values["velocity"][fell] = free_fall_velocity(values["drop_height"][fell])
+    values["velocity"][fell] = speed_of_fall(values["drop_height"][fell])
     if "strength" in values:
         crushes = np.isfinite(values["strength"])
         values["yield_pressure"][crushes] = YIELD_OVER_STRENGTH * values["strength"][crushes]
@@ -244,7 +222,8 @@ def settings_of(scene: Scene, seed: int, block: int) -> dict[str, float]:
     """Return the randomised settings of one block by name, nan for a low-pass that is off."""
     if scene.randomise is None:
         return {}
-    numbers = dict(zip(_OF_BLOCKS, uniforms(seed, block, len(_OF_BLOCKS), RANDOMISED)[:, :1], strict=True))
+    names = RandomiseSection.model_fields
+    numbers = dict(zip(names, uniforms(seed, block, len(names), RANDOMISED)[:, :1], strict=True))
     values = {name: float(law.quantile(numbers[name])[0]) for name, law in scene.randomise.laws.items()}
     sampling_rate = values.get("sampling_rate", scene.sampling.sampling_rate)
     for name in ("bandwidth", "anti_alias_frequency"):

@@ -17,19 +17,21 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
-from cgid.physics.coupled import ModalImpact
+from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
+from cgid.physics.coupled import ModalContacts, ModalImpact
+from cgid.physics.impact import Contacts
 from cgid.physics.laws import Dissipation
 from cgid.physics.materials import Material
+from cgid.physics.plates import PanelShapes
 from cgid.physics.response import Response
 from cgid.physics.sampled import SampledPulses
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene.draws import LUMP, PARTICLE, at_once, drawn_block
-from cgid.scene.extremes import unwarned, weighed
+from cgid.scene.extremes import weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
-from cgid.scene.sections import DISSIPATIONS, SHAPES, TailBeamSection, TargetSection
-from cgid.validation import Floats
+from cgid.scene.sections import DISSIPATIONS, SHAPES, TailBeamSection
+from cgid.validation import Floats, unchecked
 
 #: Most blocks that are drawn at once.
 _MOST = 16
@@ -90,6 +92,12 @@ def places_of(parameters: Mapping[str, Floats]) -> tuple[Floats, Floats]:
     return parameters.get("impact_x", nowhere), parameters.get("impact_y", nowhere)
 
 
+def _shapes(modes: Modes, parameters: Mapping[str, Floats]) -> Floats:
+    """Return the shapes at the place of each impact, which the scene has checked to be on the beam, (n, n_modes)."""
+    x, y = places_of(parameters)
+    return modes.at_impact.inside(x, y) if isinstance(modes.at_impact, PanelShapes) else modes.shape(x, y)
+
+
 @dataclass(frozen=True)
 class Recorder:
     """The response of a scene's recorder; for a force, `modes` and `gain` are None."""
@@ -102,7 +110,7 @@ class Recorder:
         """Return the participation of each mode in each blow, including the gain, (n, n_modes) [1/kg]."""
         if self.modes is None:
             return None
-        participation = self.modes.participation(*places_of(parameters))
+        participation = _shapes(self.modes, parameters) * self.modes.at_sensor
         return participation if self.gain is None else self.gain * participation
 
 
@@ -150,7 +158,7 @@ def impact_of(asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp])
     scene = asked.scene
     parts = _collision(scene, values, rows)
     if not asked.runs("gravity"):
-        return Impact(target=scene.body, **parts)
+        return Contacts(target=scene.body, **parts)
     return weighed(scene.impact, target=scene.body, **parts)
 
 
@@ -171,6 +179,15 @@ def impacts_by_coupling(
         yield modal, make_modal(modal), make_modal
 
 
+def contacts_of(
+    asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp]
+) -> Iterator[tuple[NDArray[np.intp], Impact | ModalImpact]]:
+    """Yield groups of rows of one law and one coupling, and their impacts."""
+    for own, impact in impacts_of(asked, values, rows):
+        for group, contacts, _ in impacts_by_coupling(asked, impact, values, own):
+            yield group, contacts
+
+
 def _through_modes(
     asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
@@ -183,17 +200,17 @@ def _through_modes(
         return np.ones(rows.size, bool)
     assert scene.panel is not None
     lasts = impact.contact_duration
-    echo = scene.panel.echo_time(values["impact_x"][rows], values["impact_y"][rows], 1 / lasts)
+    x, y = values["impact_x"][rows] / scene.panel.length, values["impact_y"][rows] / scene.panel.width
+    echo = scene.panel.echoes(x, y, 1 / lasts)
     return np.asarray((echo < lasts) & (impact.inelasticity > NEGLIGIBLE_ECHO))
 
 
 def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> ModalImpact:
-    assert scene.tail_beam is not None and isinstance(scene.impact.target, TargetSection)
     modes = beam_modes(scene)
-    shape = modes.shape(*places_of({name: column[rows] for name, column in values.items()}))
+    shape = _shapes(modes, {name: column[rows] for name, column in values.items()})
     order = np.argsort(modes.frequency, kind="stable")  # learned modes may have changed places
-    return ModalImpact(
-        target=HalfSpace(material=scene.impact.target.material),
+    return ModalContacts(
+        target=scene.impact.body,
         frequency=modes.frequency[order],
         damping_ratio=modes.damping_ratio[order],
         compliance=(shape**2)[:, order],
@@ -205,14 +222,12 @@ def _modal_impact_of(scene: Scene, values: Mapping[str, Floats], rows: NDArray[n
 
 def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> dict[str, Any]:
     """Return the arguments of an impact except its target."""
-    asked = {name: values[name][rows] for name in (*PARTICLE, "velocity")}
-    material = Material(
-        density=asked["density"], youngs_modulus=asked["youngs_modulus"], poisson_ratio=asked["poisson_ratio"]
-    )
+    *of_material, radius = PARTICLE
+    material = unchecked(Material, **{name: values[name][rows] for name in of_material})
     shape = {name: values[name][rows] for name in LUMP if name in values}
     return {
-        "sphere": Sphere(material=material, radius=asked["radius"], **shape),
-        "velocity": asked["velocity"],
+        "sphere": unchecked(Sphere, material=material, radius=values[radius][rows], **shape),
+        "velocity": values["velocity"][rows],
         "stiffness": scene.impact.stiffness,
         "dissipation": _dissipation(scene, values, rows),
     }
@@ -227,12 +242,12 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
     if key is None:
         return Elastic()
     if name == "thornton":
-        return Thornton(yield_pressure=values[key][rows], viscous_restitution=_viscous(values, rows))
+        return unchecked(Thornton, yield_pressure=values[key][rows], viscous_restitution=_viscous(values, rows))
     if name == "walton-braun":
-        return WaltonBraun(restitution=values[key][rows], viscous_restitution=_viscous(values, rows))
+        return unchecked(WaltonBraun, restitution=values[key][rows], viscous_restitution=_viscous(values, rows))
     if name == "kuwabara-kono":
-        return Viscoelastic(restitution=values[key][rows])
-    return HuntCrossley(restitution=values[key][rows], law=scene.impact.law)
+        return unchecked(Viscoelastic, restitution=values[key][rows])
+    return unchecked(HuntCrossley, restitution=values[key][rows], law=scene.impact.law)
 
 
 def _viscous(values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Floats | None:
@@ -379,17 +394,16 @@ def blows_of(asked: Plan, seed: int, block: int, n_blocks: int = 1) -> Blows:
     drawn = drawn_block(asked.scene, seed, block, n_blocks)
     here, values = asked.for_block(drawn.scene), drawn.values
     strikes: list[Strike] = []
-    with unwarned():
-        groups = list(impacts_of(here, values, drawn.fallen))
-        for own, impact in groups if here.runs("pulses") else ():
-            for rows, pulses, pulses_of in impacts_by_coupling(here, impact, values, own):
-                strikes += _strikes(here, pulses, pulses_of, rows, values)
-                # Store the delivered values; the requested restitution may differ.
-                for name in STORED:
-                    values[name][rows] = getattr(pulses, name)
-        if here.runs("taps"):
-            tapped = partial(_taps, drawn.shapes, values)
-            strikes += _strikes(here, tapped(drawn.tapped), tapped, drawn.tapped, values)
+    groups = list(impacts_of(here, values, drawn.fallen))
+    for own, impact in groups if here.runs("pulses") else ():
+        for rows, pulses, pulses_of in impacts_by_coupling(here, impact, values, own):
+            strikes += _strikes(here, pulses, pulses_of, rows, values)
+            # Store the delivered values; the requested restitution may differ.
+            for name in STORED:
+                values[name][rows] = getattr(pulses, name)
+    if here.runs("taps"):
+        tapped = partial(_taps, drawn.shapes, values)
+        strikes += _strikes(here, tapped(drawn.tapped), tapped, drawn.tapped, values)
     return Blows(drawn.labels, values, drawn.specimen, tuple(strikes), here, tuple(impact for _, impact in groups))
 
 

@@ -70,8 +70,6 @@ def add_noise(
 
 #: Largest denominator of the ratio of two sampling rates.
 _LARGEST_TERM = 10_000
-#: Half width of the resampling filter in periods of the lower rate, and beta of its Kaiser window.
-_HALF_PERIODS, _KAISER = 10, 5.0
 #: Blocks of 256 rocks used for the median peak of a scene.
 _REFERENCE_BLOCKS = 4
 #: A blow has passed its peak within this many samples.
@@ -277,25 +275,6 @@ def _age(path: Path) -> int:
         return 0  # reading the file reports the error
 
 
-def _resampling_filter(factor: int) -> Floats:
-    """Return the low-pass for the band common to both sampling rates: a Kaiser-windowed sinc, as scipy's default."""
-    half = _HALF_PERIODS * factor
-    place = np.arange(-half, half + 1.0)
-    angle = np.pi * place / factor
-    taps = np.where(place == 0, 1.0, np.sin(angle) / np.where(place == 0, 1.0, angle))
-    taps *= _bessel_i0(_KAISER * np.sqrt(1 - (place / half) * (place / half)))
-    return np.asarray(taps / taps.sum())
-
-
-def _bessel_i0(x: Floats) -> Floats:
-    """Return the modified Bessel function of order 0 by its series, for x up to about 10."""
-    term, total = np.ones_like(x), np.ones_like(x)
-    for k in range(1, 40):
-        term = term * (x / (2 * k)) * (x / (2 * k))
-        total = total + term
-    return total
-
-
 @lru_cache(maxsize=4)
 def _unit_recording(
     path: Path, age: int, given_rate: float | None, channel: str | None, sampling_rate: float
@@ -318,8 +297,7 @@ def _unit_recording(
         )
     samples -= samples.mean()
     if ratio != 1:
-        taps = _resampling_filter(max(ratio.numerator, ratio.denominator))
-        samples = scipy.signal.resample_poly(samples, ratio.numerator, ratio.denominator, window=taps)
+        samples = scipy.signal.resample_poly(samples, ratio.numerator, ratio.denominator)
         samples -= samples.mean()
     level = np.sqrt(np.mean(samples * samples))
     if not level > 0:

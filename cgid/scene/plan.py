@@ -107,7 +107,16 @@ class Plan:
     @cached_property
     def decisions(self) -> dict[str, Decision]:
         """The decision for each stage, in processing order."""
-        return {stage: decide(self) for stage, decide in STAGES.items()}
+        return {stage: self._decision(stage) for stage in STAGES}
+
+    def _decision(self, stage: str) -> Decision:
+        if stage not in self._decided:
+            self._decided[stage] = _decide(self, stage)
+        return self._decided[stage]
+
+    @cached_property
+    def _decided(self) -> dict[str, Decision]:
+        return {}
 
     def runs(self, stage: str) -> bool:
         """Return whether a stage runs.
@@ -121,7 +130,7 @@ class Plan:
         -------
         bool
         """
-        return self.decisions[stage].runs
+        return self._decision(stage).runs
 
     @property
     def responds(self) -> bool:
@@ -298,49 +307,36 @@ def highest_frequency(scene: Scene) -> float:
     )
 
 
-# -- one decision per stage -------------------------------------------------------------------------------
-
-_NO_IMPACTS = Decision(False, "no populations: taps have no law of impact")
-_NO_SIGNALS = Decision(False, "no signals are asked for")
-_NO_SENSOR = Decision(False, "no sensed signals are asked for")
-_ONLY_DRAWN = Decision(False, "only what is drawn is asked for")
-_OFF = Decision(False, "off")
+# -- one decision per stage: what the scene asks for, and what an output must have for it to run ----------
 
 
-def _arrivals(asked: Plan) -> Decision:
+def _arrivals(asked: Plan) -> str:
     stream = asked.scene.stream
-    if stream is None:
-        return Decision(False, "the scene is no stream")
-    if asked.kind != "recordings":
-        return Decision(False, "no recordings are asked for")
+    assert stream is not None  # it needs one
     how = "Poisson" if stream.arrivals.rate is not None else "listed"
     mixture = "" if stream.mixture is None else ", the mixture changes"
-    return Decision(True, f"{how}, {stream.duration:g} s{mixture}")
+    return f"{how}, {stream.duration:g} s{mixture}"
 
 
-def _impacts(asked: Plan) -> Decision:
+def _impacts(asked: Plan) -> str:
     scene = asked.scene
-    if not scene.populations:
-        return _NO_IMPACTS
-    if not asked.quantities:
-        return _ONLY_DRAWN
     if isinstance(scene.body, ThinPlate) or scene.tail_beam is not None:
-        return Decision(True, "integrated: a plate or beam that gives way leaves no closed form")
-    if _gravity(asked).runs:
-        return Decision(True, "closed forms, integrated where gravity is felt")
+        return "integrated: a plate or beam that gives way leaves no closed form"
+    if asked.runs("gravity"):
+        return "closed forms, integrated where gravity is felt"
     integrated = "kuwabara-kono impacts integrated one by one" * ("kuwabara-kono" in scene.dissipations)
     if scene.plastic:
         names = ", ".join(dict.fromkeys(scene.dissipations))
-        rest = "; those of other laws as if alone" * scene.mixes_laws + f", {integrated}" * bool(integrated)
+        others = "; those of other laws as if alone" * scene.mixes_laws + f", {integrated}" * bool(integrated)
         both = any(population.viscous_restitution is not None for population in scene.populations)
         both_ways = ", times of those with viscous loss by quadrature" * both
         pulses = f"pulses of {' and '.join(scene.plastic)} in three branches"
-        return Decision(True, f"{names}: closed forms; {pulses}{both_ways}{rest}")
+        return f"{names}: closed forms; {pulses}{both_ways}{others}"
     if integrated:
-        return Decision(True, integrated)
+        return integrated
     if _damps_beyond(scene):
-        return Decision(True, f"integrated where law {scene.impact.law} damps beyond the table of pulses")
-    return Decision(True, "closed forms and the table of pulses are exact here")
+        return f"integrated where law {scene.impact.law} damps beyond the table of pulses"
+    return "closed forms and the table of pulses are exact here"
 
 
 def _damps_beyond(scene: Scene) -> bool:
@@ -352,83 +348,63 @@ def _damps_beyond(scene: Scene) -> bool:
     return bool(delivered < LOWEST_RESTITUTION)
 
 
-def _gravity(asked: Plan) -> Decision:
+def _gravity(asked: Plan) -> str | Decision:
     section = asked.scene.impact
     if section.gravity is None:
-        return _OFF
-    if not asked.scene.populations:
-        return _NO_IMPACTS
-    if not asked.quantities:
-        return _ONLY_DRAWN
+        return ""
     bound, limit = largest_error(section, asked.scene.body, asked.scene.populations), tolerance_of(section)
     if bound <= limit:
         return Decision(False, f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}", bound)
     if np.isinf(bound):
-        return Decision(True, "no bound is known on a thin plate")
+        return "no bound is known on a thin plate"
     return Decision(True, f"for each impact with 2.4 g L / (v^2 e) above {limit:g}", limit)
 
 
-def _coupling(asked: Plan) -> Decision:
+def _coupling(asked: Plan) -> str | Decision:
     beam = asked.scene.tail_beam
     if beam is None:
         return Decision(False, "the scene has no tail beam")
-    if not asked.scene.populations:
-        return _NO_IMPACTS
-    if not asked.quantities:
-        return _ONLY_DRAWN
     if beam.coupling == "impedance":
         return Decision(False, "coupling impedance: the beam as an endless plate")
     if beam.modes is not None:
-        return Decision(True, "every impact through the modes: those of a table have no impedance")
+        return "every impact through the modes: those of a table have no impedance"
     if beam.coupling == "modes":
-        return Decision(True, "coupling modes: every impact through them")
-    return Decision(
-        True,
-        "coupling auto: through the modes where waves come back from an edge during contact and lambda is above "
-        f"{NEGLIGIBLE_ECHO:g}, else as an endless plate",
-        NEGLIGIBLE_ECHO,
-    )
+        return "coupling modes: every impact through them"
+    why = "coupling auto: through the modes where waves come back from an edge during contact and lambda is above "
+    return Decision(True, f"{why}{NEGLIGIBLE_ECHO:g}, else as an endless plate", NEGLIGIBLE_ECHO)
 
 
-def _rebounds(asked: Plan) -> Decision:
-    arriving, stream = _arrivals(asked), asked.scene.stream
-    if stream is None or not arriving.runs:
-        return arriving
+def _rebounds(asked: Plan) -> str | Decision:
+    stream = asked.scene.stream
+    assert stream is not None
     if stream.rebounds is None:
         return Decision(False, "off: no rock bounces")
-    most, least = stream.rebounds.most, stream.rebounds.least_speed
-    return Decision(True, f"by formula, {most} rebounds at most, none slower than {least:g} m/s")
+    return f"by formula, {stream.rebounds.most} rebounds at most, none slower than {stream.rebounds.least_speed:g} m/s"
 
 
-def _pulses(asked: Plan) -> Decision:
-    if not asked.signals:
-        return _NO_SIGNALS
-    return Decision(True, "samples in contact only") if asked.scene.populations else _NO_IMPACTS
+def _pulses(_: Plan) -> str:
+    return "samples in contact only"
 
 
-def _taps(asked: Plan) -> Decision:
-    if not asked.scene.taps:
-        return Decision(False, "the scene has none")
-    return Decision(True, "samples in contact only") if asked.signals else _NO_SIGNALS
+def _taps(asked: Plan) -> str | Decision:
+    return "samples in contact only" if asked.scene.taps else Decision(False, "the scene has none")
 
 
-def _second_hits(asked: Plan) -> Decision:
-    if all(source.second_hit is None for source in asked.scene.sources):
-        return _OFF
-    return Decision(True, "the same pulse once more, delay and ratio are drawn") if asked.signals else _NO_SIGNALS
+def _second_hits(asked: Plan) -> str:
+    some = any(source.second_hit is not None for source in asked.scene.sources)
+    return "the same pulse once more, delay and ratio are drawn" * some
 
 
 def _tail_beam(asked: Plan) -> Decision:
     scene = asked.scene
     if scene.tail_beam is None:
         return Decision(False, "the scene has none")
-    if not asked.sensed:
-        return _NO_SENSOR
     if scene.sensor.quantity == "force":
         return Decision(False, "the sensor feels the force: no mode is heard")
-    if scene.panel is None:
-        modes = f"the {len(scene.tail_beam.modes or ())} modes of the table"
+    if scene.tail_beam.modes is not None:
+        modes = f"the {len(scene.tail_beam.modes)} modes of the table"
     else:
+        assert scene.panel is not None
         # The asymptotic modal density: a plan solves nothing.
         highest = highest_frequency(scene)
         number = max(round(scene.panel.modal_density * highest), 1)
@@ -437,62 +413,53 @@ def _tail_beam(asked: Plan) -> Decision:
     return Decision(True, why, RESPONSE_TOLERANCE)
 
 
-def _sensor_chain(asked: Plan) -> Decision:
+def _sensor_chain(asked: Plan) -> str | Decision:
     sensor = asked.scene.sensor
-    drawn = asked.scene.draws("anti_alias_frequency")
-    if not sensor.filters and not drawn:
-        return _OFF
-    if not asked.sensed:
-        return _NO_SENSOR
-    if drawn:
+    if asked.scene.draws("anti_alias_frequency"):
         mounting = "" if sensor.mounting is None else f"mounting {sensor.mounting.frequency:g} Hz, "
         return Decision(True, f"{mounting}anti-alias drawn for each block", RESPONSE_TOLERANCE)
+    if not sensor.filters:
+        return ""
     parts = {"mounting": sensor.mounting, "anti-alias": sensor.anti_alias}
     on = ", ".join(f"{name} {part.frequency:g} Hz" for name, part in parts.items() if part is not None)
     return Decision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
 
 
-def _rest_of_frames(asked: Plan) -> Decision:
-    sensor = asked.scene.sensor
-    if not asked.signals:
-        return _NO_SIGNALS
+def _rest_of_frames(asked: Plan) -> str | Decision:
+    scene, sensor = asked.scene, asked.scene.sensor
     if asked.kept:
-        return Decision(True, "whole signals are asked for")
+        return "whole signals are asked for"
     if kind_of(asked.features) != "pulse":
-        return Decision(True, "a vibration is measured all through the frame")
+        return "a vibration is measured all through the frame"
     if not allow_truncation(asked.features):
         everywhere = [name for name in asked.features if FEATURES[name].whole_frame]
-        return Decision(True, f"{', '.join(everywhere)} looks at samples far from the pulse")
+        return f"{', '.join(everywhere)} looks at samples far from the pulse"
     if sensor.quantity != "force" or sensor.filters:
-        return Decision(True, "what is heard of a blow through a beam or a filter rings on")
-    if asked.scene.background is not None:
-        return Decision(True, "a background may stand out anywhere")
+        return "what is heard of a blow through a beam or a filter rings on"
+    if scene.background is not None:
+        return "a background may stand out anywhere"
     if sensor.coloured:
-        return Decision(True, "coloured noise is made of whole frames")
-    drawn = [name for name in ("noise_exponent", "hum", "anti_alias_frequency") if asked.scene.draws(name)]
+        return "coloured noise is made of whole frames"
+    drawn = [name for name in ("noise_exponent", "hum", "anti_alias_frequency") if scene.draws(name)]
     if drawn:
-        return Decision(True, f"for each block whose {' or '.join(drawn)} needs it")
-    if sensor.relative_noise * FAINT > 1 and not asked.scene.draws("relative_noise"):
-        return Decision(True, f"a pulse below {FAINT:g} times the noise is looked for in all the frame")
+        return f"for each block whose {' or '.join(drawn)} needs it"
+    if sensor.relative_noise * FAINT > 1 and not scene.draws("relative_noise"):
+        return f"a pulse below {FAINT:g} times the noise is looked for in all the frame"
     return Decision(False, "no asked feature looks there; made for the signals where that is not certain")
 
 
-def _bandwidth(asked: Plan) -> Decision:
-    if not asked.sensed:
-        return _NO_SENSOR
-    drawn, edge = asked.scene.draws("bandwidth"), asked.scene.sensor.bandwidth
-    if edge is None and not drawn:
-        return _OFF
-    return Decision(True, f"{'drawn for each block' if drawn else f'{edge:g} Hz'}; always whole frames")
+def _bandwidth(asked: Plan) -> str:
+    edge = asked.scene.sensor.bandwidth
+    if asked.scene.draws("bandwidth"):
+        return "drawn for each block; always whole frames"
+    return "" if edge is None else f"{edge:g} Hz; always whole frames"
 
 
-def _noise(asked: Plan) -> Decision:
-    if not asked.sensed:
-        return _NO_SENSOR
+def _noise(asked: Plan) -> str:
     if not asked.scene.sensor.noisy and not asked.scene.draws("relative_noise"):
-        return _OFF
-    whole = "whole frames" if _rest_of_frames(asked).runs else "up to the last sample that a feature looks at"
-    return Decision(True, f"{_colour(asked)}{whole}")
+        return ""
+    whole = asked.runs("rest of the frames")
+    return _colour(asked) + ("whole frames" if whole else "up to the last sample that a feature looks at")
 
 
 def _colour(asked: Plan) -> str:
@@ -507,62 +474,71 @@ def _colour(asked: Plan) -> str:
     return f"{shape}, flat below {least}{rate / (asked.scene.sampling.samples or CHUNK):.4g} Hz; "
 
 
-def _background(asked: Plan) -> Decision:
-    section, drawn = asked.scene.background, asked.scene.draws("hum")
-    if section is None and not drawn:
-        return _OFF
-    if not asked.sensed:
-        return _NO_SENSOR
+def _background(asked: Plan) -> str:
+    section = asked.scene.background
     on = [name for name in ("hum", "coloured", "recorded") if section is not None and getattr(section, name)]
-    on += ["hum drawn for each block"] * drawn
-    return Decision(True, f"{', '.join(on)}; always whole frames")
+    on += ["hum drawn for each block"] * asked.scene.draws("hum")
+    return ", ".join(on) + "; always whole frames" * bool(on)
 
 
-def _clipping(asked: Plan) -> Decision:
-    if all(source.clipped_at is None for source in asked.scene.sources):
-        return _OFF
-    return Decision(True, "clipped_at is drawn") if asked.sensed else _NO_SENSOR
+def _clipping(asked: Plan) -> str:
+    return "clipped_at is drawn" * any(source.clipped_at is not None for source in asked.scene.sources)
 
 
-def _digitising(asked: Plan) -> Decision:
-    sensor = asked.scene.sensor
+def _digitising(asked: Plan) -> str:
     names = ("offset", "drift", "range", "relative_range", "bits")
     drawn = [name for name in names if asked.scene.draws(name)]
-    parts = {name: getattr(sensor, name) for name in names if name not in drawn}
+    parts = {name: getattr(asked.scene.sensor, name) for name in names if name not in drawn}
     on = [f"{name} {value:g}" for name, value in parts.items() if value]
-    on += [f"{' and '.join(drawn)} drawn for each block"] if drawn else []
-    if not on:
-        return _OFF
-    return Decision(True, ", ".join(on)) if asked.sensed else _NO_SENSOR
+    return ", ".join(on + [f"{' and '.join(drawn)} drawn for each block"] * bool(drawn))
 
 
-def _measuring(asked: Plan) -> Decision:
+def _measuring(asked: Plan) -> str | Decision:
     names = asked.features
-    if asked.kind != "features":
+    if not names:
         return Decision(False, "no features are asked for")
     listed = ", ".join(names) if len(names) <= _MOST_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
     fitted = "a fit" if any(FEATURES[name].fitted for name in names) else "no fit"
     spectral = any(FEATURES[name].spectral for name in names if FEATURES[name].kind == "pulse")
-    return Decision(True, f"{listed}; {fitted}, {'spectra' if spectral else 'no spectra'}")
+    return f"{listed}; {fitted}, {'spectra' if spectral else 'no spectra'}"
 
 
-#: Every stage in processing order.
-STAGES: Mapping[str, Callable[[Plan], Decision]] = {
-    "arrivals": _arrivals,
-    "impacts": _impacts,
-    "gravity": _gravity,
-    "coupling": _coupling,
-    "rebounds": _rebounds,
-    "pulses": _pulses,
-    "taps": _taps,
-    "second hits": _second_hits,
-    "tail beam": _tail_beam,
-    "sensor chain": _sensor_chain,
-    "rest of the frames": _rest_of_frames,
-    "bandwidth": _bandwidth,
-    "noise": _noise,
-    "background": _background,
-    "clipping": _clipping,
-    "offset, range and bits": _digitising,
-    "features": _measuring,
+#: What a stage may need, and what is said where that is missing.
+_NEEDS: Mapping[str, tuple[Callable[[Plan], bool], str]] = {
+    "rocks": (lambda asked: bool(asked.scene.populations), "no populations: taps have no law of impact"),
+    "results": (lambda asked: bool(asked.quantities), "only what is drawn is asked for"),
+    "signals": (lambda asked: asked.signals, "no signals are asked for"),
+    "sensor": (lambda asked: asked.sensed, "no sensed signals are asked for"),
+    "stream": (lambda asked: asked.scene.stream is not None, "the scene is no stream"),
+    "recordings": (lambda asked: asked.kind == "recordings", "no recordings are asked for"),
 }
+#: Every stage in processing order: what it needs, and whether a scene asks for it, and why (a text alone: yes; none:
+#: it is off).
+STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
+    "arrivals": ("stream recordings", _arrivals),
+    "impacts": ("rocks results", _impacts),
+    "gravity": ("rocks results", _gravity),
+    "coupling": ("rocks results", _coupling),
+    "rebounds": ("stream recordings", _rebounds),
+    "pulses": ("signals rocks", _pulses),
+    "taps": ("signals", _taps),
+    "second hits": ("signals", _second_hits),
+    "tail beam": ("sensor", _tail_beam),
+    "sensor chain": ("sensor", _sensor_chain),
+    "rest of the frames": ("signals", _rest_of_frames),
+    "bandwidth": ("sensor", _bandwidth),
+    "noise": ("sensor", _noise),
+    "background": ("sensor", _background),
+    "clipping": ("sensor", _clipping),
+    "offset, range and bits": ("sensor", _digitising),
+    "features": ("", _measuring),
+}
+
+
+def _decide(asked: Plan, stage: str) -> Decision:
+    needs, decide = STAGES[stage]
+    for has, otherwise in (_NEEDS[need] for need in needs.split()):
+        if not has(asked):
+            return Decision(False, otherwise)
+    found = decide(asked)
+    return found if isinstance(found, Decision) else Decision(bool(found), found or "off")

@@ -21,7 +21,7 @@ from cgid.files import parse_toml, read_regular
 from cgid.physics.bodies import Target
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection, with_spectrum
-from cgid.scene.distributions import DISTRIBUTION_NAMES
+from cgid.scene.distributions import DISTRIBUTION_NAMES, Section, quantity_of
 from cgid.scene.extremes import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
     DISSIPATIONS,
@@ -31,7 +31,6 @@ from cgid.scene.sections import (
     Population,
     RandomiseSection,
     SamplingSection,
-    Section,
     TailBeamSection,
     Tap,
     TargetSection,
@@ -51,45 +50,30 @@ _MOST_MISTAKES = 20
 
 
 class Scene(Section):
-    """A complete scene; see `load_scene`.
-
-    Parameters
-    ----------
-    name : str
-        Name of the scene, which datasets and model cards carry.
-    description : str
-        What the scene is, for readers.
-    impact : ImpactSection
-        The laws of the impact and the target.
-    sampling : SamplingSection
-        How signals are sampled.
-    sensor : Sensor
-        The sensor; without it an exact recorder of the force.
-    tail_beam : TailBeamSection, optional
-        The beam that the rocks hit and a sensor of motion sits on.
-    randomise : RandomiseSection, optional
-        Settings that are drawn instead of fixed.
-    populations : tuple of Population
-        The rocks that fall.
-    taps : tuple of Tap
-        Pulses of a prescribed shape, such as those of a hammer.
-    stream : StreamSection, optional
-        One long recording of many rocks, instead of a frame for each impact.
-    background : BackgroundSection, optional
-        Hum, noise or a recording that is added to the signals.
-    """
+    """A complete scene; see `load_scene`."""
 
     name: str = Field(min_length=1, max_length=64)
+    """Name of the scene, which datasets and model cards carry."""
     description: str = ""
+    """What the scene is, for readers."""
     impact: ImpactSection
+    """The laws of the impact and the target."""
     sampling: SamplingSection
+    """How signals are sampled."""
     sensor: Sensor = Sensor()
+    """The sensor; without it an exact recorder of the force."""
     tail_beam: TailBeamSection | None = None
+    """The beam that the rocks hit and a sensor of motion sits on."""
     randomise: RandomiseSection | None = None
+    """Settings that are drawn instead of fixed."""
     populations: tuple[Population, ...] = Field(default=(), max_length=64)
+    """The rocks that fall."""
     taps: tuple[Tap, ...] = Field(default=(), max_length=64)
+    """Pulses of a prescribed shape, such as those of a hammer."""
     stream: StreamSection | None = None
+    """One long recording of many rocks, instead of a frame for each impact."""
     background: BackgroundSection | None = None
+    """Hum, noise or a recording that is added to the signals."""
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
@@ -224,7 +208,7 @@ class Scene(Section):
             return self.panel.plate
         return self.impact.body
 
-    @property
+    @cached_property
     def dissipations(self) -> tuple[str, ...]:
         """How the rocks of each population lose energy."""
         return tuple(population.dissipation or self.impact.dissipation for population in self.populations)
@@ -234,12 +218,12 @@ class Scene(Section):
         """The dissipations among them whose contacts unload on another path."""
         return tuple(name for name in PLASTIC if name in self.dissipations)
 
-    @property
+    @cached_property
     def mixes_laws(self) -> bool:
         """Whether populations differ in their dissipation."""
         return len(set(self.dissipations)) > 1
 
-    @property
+    @cached_property
     def sources(self) -> tuple[Population | Tap, ...]:
         """Populations and taps, in the order used for drawing one."""
         return (*self.populations, *self.taps)
@@ -398,10 +382,11 @@ def _lines(entry: Any) -> list[str]:
 
 def _message(entry: Any) -> str:
     if entry["type"] == "extra_forbidden":
-        hint = suggestion(entry["loc"][-1], _keys_at(entry["loc"][:-1]))
+        keys = [key for section in _sections_at(entry["loc"][:-1]) for key in section.model_fields]
+        hint = suggestion(entry["loc"][-1], keys)
         return f"unknown key{hint or '; look for a misspelling, or take it out'}"
     if entry["type"] == "missing":
-        return "is missing"
+        return f"is missing{_description(entry['loc'])}"
     if entry["type"] in ("too_short", "too_long"):
         context = entry["ctx"]
         least, bound = ("at least", "min_length") if entry["type"] == "too_short" else ("at most", "max_length")
@@ -418,13 +403,24 @@ def _message(entry: Any) -> str:
     return text
 
 
-def _keys_at(location: Sequence[int | str]) -> list[str]:
-    """Return the keys of a section; of all distributions, where it is one."""
+def _description(location: Sequence[int | str]) -> str:
+    """Return what a key is, for the end of a message."""
+    name, fields = location[-1], [one.model_fields for one in _sections_at(location[:-1])]
+    field = next((one[str(name)] for one in fields if name in one), None)
+    if field is None or not field.description:
+        return ""
+    quantity = quantity_of(field)
+    unit = f" [{quantity.unit}]" if quantity is not None and quantity.unit else ""
+    return f": {field.description.split('. ')[0].rstrip('.')}{unit}"
+
+
+def _sections_at(location: Sequence[int | str]) -> list[type[BaseModel]]:
+    """Return the section at a path; all distributions, where it is one."""
     sections: list[type[BaseModel]] = [Scene]
     for part in location:  # numbers of rows and names of alternatives are no keys
-        kinds = [one.model_fields[part].annotation for one in sections if part in one.model_fields]
-        sections = [section for kind in kinds for section in _sections_in(kind)] or sections
-    return [key for section in sections for key in section.model_fields]
+        types = [one.model_fields[part].annotation for one in sections if part in one.model_fields]
+        sections = [section for annotation in types for section in _sections_in(annotation)] or sections
+    return sections
 
 
 def _sections_in(annotation: Any) -> list[type[BaseModel]]:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     SerializerFunctionWrapHandler,
     model_serializer,
     model_validator,
 )
+from pydantic_core import CoreSchema, core_schema
 
 from cgid import validation
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
@@ -27,6 +28,7 @@ from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import (
     LIMITS,
     Acceleration,
+    DampingRatio,
     Density,
     Distribution,
     Frequency,
@@ -34,13 +36,13 @@ from cgid.scene.distributions import (
     Mass,
     Modulus,
     Number,
-    Ratio,
+    Quantity,
+    Section,
+    Share,
     Whole,
-    measured,
-    measured_within,
-    within,
+    quantity_of,
 )
-from cgid.validation import Floats
+from cgid.validation import Floats, Rule, poisson_ratio
 
 #: Force over its peak against time over the duration, strictly between 0 and 1. The order defines their indices.
 SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
@@ -67,6 +69,8 @@ ON_SOLID_GROUND = (*PLASTIC, "kuwabara-kono")
 #: Sharpest corner and flattest side of a rock over its radius, and the least share of its mass in a blow: wider than
 #: any lump.
 CURVATURES, LEAST_MASS = (1e-3, 10.0), 1e-2
+#: Most rows of a table of modes.
+_MOST_MODES = 10_000
 
 if TYPE_CHECKING:
     Law = str
@@ -78,139 +82,93 @@ else:
     Shape = Literal[*SHAPES]
 
 
-def _between(lowest: float, highest: float, usual: str = "") -> Any:
-    return within(lowest, highest, f"must lie between {lowest:g} and {highest:g}{usual}")
-
-
-_Force = Annotated[Distribution, measured("force"), measured_within("force")]
-_Time = Annotated[Distribution, measured("time"), measured_within("time")]
-_Frequency = Annotated[Distribution, measured("frequency"), measured_within("frequency")]
-_Pressure = Annotated[Distribution, measured("modulus"), measured_within("modulus")]
-_Length = Annotated[Distribution, measured("length"), measured_within("length")]
-
-
-class Section(BaseModel):
-    """A section of the file: no unknown keys, no nan."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+_Density = Annotated[Distribution, Quantity.of("density")]
+_Force = Annotated[Distribution, Quantity.of("force")]
+_Time = Annotated[Distribution, Quantity.of("time")]
+_Frequency = Annotated[Distribution, Quantity.of("frequency")]
+_Pressure = Annotated[Distribution, Quantity.of("modulus")]
+_Length = Annotated[Distribution, Quantity.of("length")]
+_Speed = Annotated[Distribution, Quantity.of("speed")]
+_Factor = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1e3))]
+_Clipped = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1))]
+_Restitution = Annotated[Distribution, Quantity("ratio", Rule(LOWEST_RESTITUTION, HIGHEST_RESTITUTION))]
+_Poisson = Annotated[Distribution, Quantity("ratio", poisson_ratio)]
+_Curvature = Annotated[Distribution, Quantity("ratio", Rule(*CURVATURES, note=" and is 1 for a sphere"))]
+_MassInBlow = Annotated[Distribution, Quantity("ratio", Rule(LEAST_MASS, 1, note=" and is 1 for a central blow"))]
+_Relative = Annotated[Distribution, Quantity("ratio", Rule(0, 1e6))]
+_Range = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1e6))]
+_Exponent = Annotated[Distribution, Quantity("ratio", Rule(-1, 2))]
+_Bits = Annotated[Distribution, Quantity("ratio", Rule(2, 32))]
 
 
 class SecondHit(Section):
-    """A repetition of the pulse, `delay` after touch and `ratio` times as high; the two may overlap.
-
-    Parameters
-    ----------
-    delay : distribution [s]
-        Time from the first touch to the second.
-    ratio : distribution
-        Height of the second pulse over that of the first.
-    """
+    """A repetition of the pulse, `delay` after touch and `ratio` times as high; the two may overlap."""
 
     delay: _Time
-    ratio: Annotated[Distribution, measured("ratio"), _between(1e-3, 1e3)]
+    """Time from the first touch to the second."""
+    ratio: _Factor
+    """Height of the second pulse over that of the first."""
 
 
 class _Source(Section):
     """Base of populations and taps."""
 
-    _DRAWN: ClassVar[tuple[str, ...]] = ()
-
     label: Annotated[str, AfterValidator(partial(validation.label, "label"))]
-    weight: Number = Field(default=1.0, gt=0, le=1e9)
+    """Class, such as "coal": 1 to 100 letters, digits, blanks, `_`, `.` or `-`; "unknown" is reserved."""
+    weight: Annotated[Number, Quantity(rule=Rule(0, 1e9, without="lowest"))] = 1.0
+    """How often this source is drawn, relative to the others."""
     second_hit: SecondHit | None = None
-    clipped_at: Annotated[Distribution, measured("ratio"), _between(1e-3, 1.0)] | None = None
+    """The pulse comes a second time."""
+    clipped_at: _Clipped | None = None
+    """Share of the peak at which the pulse is clipped, as by a sensor whose range is too small."""
 
-    @property
+    @cached_property
     def laws(self) -> dict[str, Distribution]:
         """The distributions of this section, by the name of the drawn quantity."""
-        found = {name: getattr(self, name) for name in (*self._DRAWN, "clipped_at")}
-        if self.second_hit is not None:
-            found |= {"second_hit_delay": self.second_hit.delay, "second_hit_ratio": self.second_hit.ratio}
-        return {name: law for name, law in found.items() if law is not None}
+        again = {} if self.second_hit is None else self.second_hit.distributions
+        return self.distributions | {f"second_hit_{name}": law for name, law in again.items()}
 
 
 class Population(_Source):
-    """Particles of one kind and how they fall; several populations may share a label.
-
-    Parameters
-    ----------
-    label : str
-        Class of the rocks, such as "coal": 1 to 100 letters, digits, blanks, `_`, `.` or `-`; "unknown" is reserved.
-    weight : float
-        How often this population is drawn, relative to the others.
-    second_hit : SecondHit, optional
-        The pulse comes a second time.
-    clipped_at : distribution, optional
-        Share of the peak at which the pulse is clipped, as by a sensor whose range is too small.
-    dissipation : str, optional
-        How these rocks lose energy, instead of `impact.dissipation`. Populations of one label may differ in it: then
-        their weights say how often each law applies.
-    density : distribution [kg/m^3]
-        Density of the rock.
-    youngs_modulus : distribution [Pa]
-        Young's modulus of the rock.
-    poisson_ratio : distribution
-        Poisson's ratio of the rock.
-    radius : distribution [m]
-        Radius of the rock, a sphere, or of the sphere of equal mass.
-    curvature : distribution, optional
-        Radius of curvature where the rock touches, over its radius: below 1 at a corner, above 1 on a flat side; left
-        out for a sphere.
-    effective_mass : distribution, optional
-        Mass that takes part in the blow, over the mass of the rock: below 1 where it touches beside its centre and
-        turns aside; left out for a central blow.
-    restitution : distribution, optional
-        Rebound speed over impact speed that the rock alone would have; for hunt-crossley, walton-braun and
-        kuwabara-kono dissipation.
-    yield_pressure : distribution, optional [Pa]
-        Contact pressure at which the rock crushes; for thornton dissipation.
-    strength : distribution, optional [Pa]
-        Uniaxial compressive strength of the rock, instead of `yield_pressure`, which is 1.6 times as high.
-    viscous_restitution : distribution, optional
-        Rebound speed over impact speed that a viscous loss alone would leave, for rocks that lose energy in both ways:
-        beside `yield_pressure` or `strength` of thornton dissipation, or `restitution` of walton-braun dissipation.
-    drop_height : distribution, optional [m]
-        How far the rock falls; either this or `velocity`.
-    velocity : distribution, optional [m/s]
-        Impact speed; either this or `drop_height`.
-    """
-
-    _DRAWN = (
-        "density",
-        "youngs_modulus",
-        "poisson_ratio",
-        "radius",
-        "curvature",
-        "effective_mass",
-        "restitution",
-        "yield_pressure",
-        "strength",
-        "viscous_restitution",
-        "drop_height",
-        "velocity",
-    )
+    """Particles of one kind and how they fall; several populations may share a label."""
 
     dissipation: Loss | None = None
-    density: Annotated[Distribution, measured("density"), measured_within("density")]
+    """How these rocks lose energy, instead of `impact.dissipation`. Populations of one label may differ in it:
+    then their weights say how often each law applies.
+    """
+    density: _Density
+    """Density of the rock."""
     youngs_modulus: _Pressure
-    poisson_ratio: Annotated[
-        Distribution, measured("ratio"), within(-1 + 1e-9, 0.5 - 1e-9, "must lie between -1 and 0.5")
-    ]
+    """Young's modulus of the rock."""
+    poisson_ratio: _Poisson
+    """Poisson's ratio of the rock."""
     radius: _Length
-    curvature: Annotated[Distribution, measured("ratio"), _between(*CURVATURES, " and is 1 for a sphere")] | None = None
-    effective_mass: (
-        Annotated[Distribution, measured("ratio"), _between(LEAST_MASS, 1.0, " and is 1 for a central blow")] | None
-    ) = None
-    restitution: (
-        Annotated[Distribution, measured("ratio"), _between(LOWEST_RESTITUTION, HIGHEST_RESTITUTION)] | None
-    ) = None
+    """Radius of the rock, a sphere, or of the sphere of equal mass."""
+    curvature: _Curvature | None = None
+    """Radius of curvature where the rock touches, over its radius: below 1 at a corner, above 1 on a flat side;
+    left out for a sphere.
+    """
+    effective_mass: _MassInBlow | None = None
+    """Mass that takes part in the blow, over the mass of the rock: below 1 where it touches beside its centre
+    and turns aside; left out for a central blow.
+    """
+    restitution: _Restitution | None = None
+    """Rebound speed over impact speed that the rock alone would have; for hunt-crossley, walton-braun and
+    kuwabara-kono dissipation.
+    """
     yield_pressure: _Pressure | None = None
+    """Contact pressure at which the rock crushes; for thornton dissipation."""
     strength: _Pressure | None = None
-    viscous_restitution: (
-        Annotated[Distribution, measured("ratio"), _between(LOWEST_RESTITUTION, HIGHEST_RESTITUTION)] | None
-    ) = None
+    """Uniaxial compressive strength of the rock, instead of `yield_pressure`, which is 1.6 times as high."""
+    viscous_restitution: _Restitution | None = None
+    """Rebound speed over impact speed that a viscous loss alone would leave, for rocks that lose energy in both
+    ways: beside `yield_pressure` or `strength` of thornton dissipation, or `restitution` of walton-braun
+    dissipation.
+    """
     drop_height: _Length | None = None
-    velocity: Annotated[Distribution, measured("speed"), measured_within("speed")] | None = None
+    """How far the rock falls; either this or `velocity`."""
+    velocity: _Speed | None = None
+    """Impact speed; either this or `drop_height`."""
 
     @model_validator(mode="after")
     def _one_way_to_fall(self) -> Self:
@@ -220,96 +178,62 @@ class Population(_Source):
 
 
 class Tap(_Source):
-    """Pulses of a prescribed shape, such as those of a hammer.
-
-    Parameters
-    ----------
-    label : str
-        Class of the taps; the same rule as for populations.
-    weight : float
-        How often this tap is drawn, relative to the other sources.
-    second_hit : SecondHit, optional
-        The pulse comes a second time.
-    clipped_at : distribution, optional
-        Share of the peak at which the pulse is clipped.
-    shape : str
-        Force over its peak against time over the duration.
-    peak_force : distribution [N]
-        Largest force.
-    contact_duration : distribution [s]
-        Time from touch to separation.
-    """
-
-    _DRAWN = ("peak_force", "contact_duration")
+    """Pulses of a prescribed shape, such as those of a hammer."""
 
     shape: Shape
+    """Force over its peak against time over the duration."""
     peak_force: _Force
+    """Largest force."""
     contact_duration: _Time
+    """Time from touch to separation."""
 
 
 class TargetSection(Section):
-    """The target: an elastic half space, or a thin plate if it has a thickness; `target = "rigid"` for a rigid wall.
-
-    Parameters
-    ----------
-    density : float [kg/m^3]
-        Density of the target.
-    youngs_modulus : float [Pa]
-        Young's modulus of the target.
-    poisson_ratio : float
-        Poisson's ratio of the target.
-    thickness : float, optional [m]
-        Makes the target a thin plate that no wave returns in; left out where there is a tail beam.
-    """
+    """The target: an elastic half space, or a thin plate if it has a thickness; `target = "rigid"` for a rigid wall."""
 
     density: Density = 7850.0
+    """Density of the target."""
     youngs_modulus: Modulus
-    poisson_ratio: Ratio = Field(gt=-1, lt=0.5)
+    """Young's modulus of the target."""
+    poisson_ratio: Annotated[float, Quantity("ratio", poisson_ratio)]
+    """Poisson's ratio of the target."""
     thickness: Length | None = None
+    """Makes the target a thin plate that no wave returns in; left out where there is a tail beam."""
 
-    @property
+    @cached_property
     def material(self) -> Material:
         """The material of the target."""
         return Material(**self.model_dump(exclude={"thickness"}))
 
-    @property
+    @cached_property
     def body(self) -> HalfSpace | ThinPlate:
         """The target as a body."""
-        return (
-            HalfSpace(material=self.material)
-            if self.thickness is None
-            else ThinPlate(material=self.material, thickness=self.thickness)
-        )
+        if self.thickness is None:
+            return HalfSpace(material=self.material)
+        return ThinPlate(material=self.material, thickness=self.thickness)
 
 
 class ImpactSection(Section):
-    """The laws of the impact.
-
-    Parameters
-    ----------
-    stiffness : str
-        Theory of the contact stiffness; there is no default.
-    dissipation : str
-        How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), as a
-        bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). The last three need a half space or
-        a rigid wall, and no gravity. Rocks that crush, or are bilinear, may also have a `viscous_restitution`.
-    law : str
-        For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is asked
-        for; the published factors deliver another one.
-    target : TargetSection or "rigid"
-        What is hit: an elastic body, or a wall that does not yield.
-    gravity : float, optional [m/s^2]
-        Weight of the rock during contact; left out for none.
-    gravity_tolerance : float, optional
-        Weight is ignored for every impact that it changes by less than this share.
-    """
+    """The laws of the impact."""
 
     stiffness: Literal["hertz", "rigid-sphere", "series"]
+    """Theory of the contact stiffness; there is no default."""
     dissipation: Loss
+    """How the rock loses energy: not at all, by hysteretic damping, by crushing where it touches (thornton), as
+    a bilinear spring (walton-braun), or as a viscoelastic sphere (kuwabara-kono). The last three need a half
+    space or a rigid wall, and no gravity. Rocks that crush, or are bilinear, may also have a
+    `viscous_restitution`.
+    """
     law: Law = "exact"
+    """For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is
+    asked for; the published factors deliver another one.
+    """
     target: TargetSection | Literal["rigid"]
+    """What is hit: an elastic body, or a wall that does not yield."""
     gravity: Acceleration | None = None
-    gravity_tolerance: Ratio | None = Field(default=None, ge=0, le=0.1)
+    """Weight of the rock during contact; left out for none."""
+    gravity_tolerance: Annotated[float, Quantity("ratio", Rule(0, 0.1))] | None = None
+    """Weight is ignored for every impact that it changes by less than this share."""
 
     @model_validator(mode="after")
     def _law_applies(self) -> Self:
@@ -324,25 +248,16 @@ class ImpactSection(Section):
 
 
 class SamplingSection(Section):
-    """How frames are sampled; for a stream, which has no frames, only the sampling rate.
-
-    Parameters
-    ----------
-    sampling_rate : float [Hz]
-        Samples per second.
-    samples : int
-        Length of a frame; required, except in a stream, where it is left out.
-    pre_trigger : int
-        Samples before touch; required, except in a stream, where it is left out.
-    jitter : float
-        Touch falls anywhere within this part of a sample.
-    """
+    """How frames are sampled; for a stream, which has no frames, only the sampling rate."""
 
     sampling_rate: Frequency
-    # 0 for a stream; required for frames.
-    samples: Whole = Field(default=0, ge=16, le=2**20)
-    pre_trigger: Whole = Field(default=0, ge=2)
-    jitter: Number = Field(default=1.0, ge=0, le=1)
+    """Samples per second."""
+    samples: Annotated[Whole, Quantity(rule=Rule(16, 2**20))] = 0
+    """Length of a frame; required, except in a stream, where it is left out."""
+    pre_trigger: Annotated[Whole, Quantity(rule=Rule(2))] = 0
+    """Samples before touch; required, except in a stream, where it is left out."""
+    jitter: Annotated[Number, Quantity(rule=Rule(0, 1))] = 1.0
+    """Touch falls anywhere within this part of a sample."""
 
     @model_serializer(mode="wrap")
     def _without_frames(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -370,40 +285,32 @@ class SamplingSection(Section):
 
 
 class RandomiseSection(Section):
-    """Settings drawn for each block of 256 signals, in place of the fixed values of `sampling` or `sensor`.
+    """Settings drawn for each block of 256 signals, in place of the fixed values of `sampling` or `sensor`."""
 
-    Parameters
-    ----------
-    sampling_rate : distribution, optional [Hz]
-        Drawn in place of `sampling.sampling_rate`.
-    relative_noise : distribution, optional
-        Drawn in place of `sensor.relative_noise`.
-    bandwidth : distribution, optional [Hz]
-        Drawn in place of `sensor.bandwidth`; off above 0.45 of the sampling rate.
-    noise_exponent : distribution, optional
-        Drawn in place of `sensor.noise_exponent`; 0 is white noise.
-    hum : distribution, optional
-        Amplitude over the largest sample of each signal, for a force over the true peak, of a sine that is added to
-        the background; 0 is none.
-    hum_frequency : distribution, optional [Hz]
-        Its frequency, 50 Hz when left out.
-    relative_range : distribution, optional
-        Drawn in place of `sensor.relative_range`: below 1 the pulses are clipped.
-    bits : distribution, optional
-        Drawn in place of `sensor.bits`, and rounded to a whole number.
-    anti_alias_frequency : distribution, optional [Hz]
-        Drawn in place of `sensor.anti_alias.frequency`, of order 8 when left out; off above 0.45 of the sampling rate.
-    """
+    # The order of the keys is that of their random numbers: append new ones.
 
     sampling_rate: _Frequency | None = None
-    relative_noise: Annotated[Distribution, measured("ratio"), _between(0.0, 1e6)] | None = None
+    """Drawn in place of `sampling.sampling_rate`."""
+    relative_noise: _Relative | None = None
+    """Drawn in place of `sensor.relative_noise`."""
     bandwidth: _Frequency | None = None
-    noise_exponent: Annotated[Distribution, measured("ratio"), _between(-1.0, 2.0)] | None = None
-    hum: Annotated[Distribution, measured("ratio"), _between(0.0, 1e6)] | None = None
+    """Drawn in place of `sensor.bandwidth`; off above 0.45 of the sampling rate."""
+    noise_exponent: _Exponent | None = None
+    """Drawn in place of `sensor.noise_exponent`; 0 is white noise."""
+    hum: _Relative | None = None
+    """Amplitude over the largest sample of each signal, for a force over the true peak, of a sine that is added
+    to the background; 0 is none.
+    """
     hum_frequency: _Frequency | None = None
-    relative_range: Annotated[Distribution, measured("ratio"), _between(1e-3, 1e6)] | None = None
-    bits: Annotated[Distribution, measured("ratio"), _between(2, 32)] | None = None
+    """Its frequency, 50 Hz when left out."""
+    relative_range: _Range | None = None
+    """Drawn in place of `sensor.relative_range`: below 1 the pulses are clipped."""
+    bits: _Bits | None = None
+    """Drawn in place of `sensor.bits`, and rounded to a whole number."""
     anti_alias_frequency: _Frequency | None = None
+    """Drawn in place of `sensor.anti_alias.frequency`, of order 8 when left out; off above 0.45 of the sampling
+    rate.
+    """
 
     @model_validator(mode="after")
     def _something(self) -> Self:
@@ -413,158 +320,179 @@ class RandomiseSection(Section):
             raise ValueError("hum_frequency must come with hum, its amplitude; give that, too, or leave it out")
         return self
 
-    @property
+    @cached_property
     def laws(self) -> dict[str, Distribution]:
         """The distributions of this section, by the name of the drawn setting."""
-        found = {name: getattr(self, name) for name in type(self).model_fields}
-        return {name: law for name, law in found.items() if law is not None}
+        return self.distributions
 
 
-_PLACE = within(0.0, LIMITS["length"][1], f"must lie between 0 and {LIMITS['length'][1]:g} m", "m")
-_Place = Annotated[Distribution, measured("length"), _PLACE]
-
+_Place = Annotated[Distribution, Quantity("length", Rule(0, LIMITS["length"][1]))]
 # Shapes may have any scale; the modal mass includes it.
-_SHAPE = Field(ge=-1e6, le=1e6)
+_ShapeValue = Annotated[Number, Quantity(rule=Rule(-1e6, 1e6))]
 
 
 class ImpactPoint(Section):
-    """The point of impact: x along the length from the held edge, y along the width.
-
-    Parameters
-    ----------
-    x : distribution [m]
-        Along the length, from the held edge.
-    y : distribution [m]
-        Over the width.
-    """
+    """The point of impact: x along the length from the held edge, y along the width."""
 
     x: _Place
+    """Along the length, from the held edge."""
     y: _Place
+    """Over the width."""
 
 
 class SensorPoint(Section):
-    """The position of the sensor.
+    """The position of the sensor."""
 
-    Parameters
-    ----------
-    x : float [m]
-        Along the length, from the held edge.
-    y : float [m]
-        Over the width.
-    """
-
-    x: Annotated[Length, Field(ge=0)]
-    y: Annotated[Length, Field(ge=0)]
+    x: Length
+    """Along the length, from the held edge."""
+    y: Length
+    """Over the width."""
 
 
 class RibsSection(Section):
-    """Longitudinal ribs under the skin.
+    """Longitudinal ribs under the skin."""
 
-    Parameters
-    ----------
-    number : int
-        Number of ribs, evenly spaced over the width.
-    depth : float [m]
-        Depth of a rib, perpendicular to the skin.
-    thickness : float [m]
-        Thickness of a rib.
-    """
-
-    number: Whole = Field(ge=1, le=100)
+    number: Annotated[Whole, Quantity(rule=Rule(1, 100))]
+    """Number of ribs, evenly spaced over the width."""
     depth: Length
+    """Depth of a rib, perpendicular to the skin."""
     thickness: Length
+    """Thickness of a rib."""
 
 
-class ModeRow(Section):
-    """A mode measured in a tap test.
-
-    Parameters
-    ----------
-    frequency : float [Hz]
-        Natural frequency.
-    damping_ratio : float
-        Share of critical damping.
-    modal_mass : float [kg]
-        Modal mass, consistent with the scale of the shapes.
-    shape_impact : float
-        Shape of the mode where the rocks hit.
-    shape_sensor : float
-        Shape of the mode where the sensor sits.
-    """
-
+class _Mode(Section):
     frequency: Frequency
-    damping_ratio: Ratio = Field(gt=0, lt=1)
+    """Natural frequency."""
+    damping_ratio: DampingRatio
+    """Share of critical damping."""
+
+
+class ModeRow(_Mode):
+    """A mode measured in a tap test."""
+
     modal_mass: Mass
-    shape_impact: Annotated[Number, _SHAPE]
-    shape_sensor: Annotated[Number, _SHAPE]
+    """Modal mass, consistent with the scale of the shapes."""
+    shape_impact: _ShapeValue
+    """Shape of the mode where the rocks hit."""
+    shape_sensor: _ShapeValue
+    """Shape of the mode where the sensor sits."""
 
 
-_DEVIATION = Field(default=0.0, ge=0, le=1)
+class LearnedRow(_Mode):
+    """A mode of the beam as impacts have taught it: `cgid calibrate`. Each block of 256 signals draws its modes."""
+
+    participation: Annotated[Number, Quantity(rule=Rule(0, 1e6, without="lowest"))] = 1.0
+    """Factor of the participation of the beam's own mode."""
+    frequency_deviation: Share = 0.0
+    """Standard deviation of the logarithm of the frequency."""
+    damping_ratio_deviation: Share = 0.0
+    """Standard deviation of the logarithm of the damping ratio."""
+    participation_deviation: Share = 0.0
+    """Standard deviation of the logarithm of the participation."""
 
 
-class LearnedRow(Section):
-    """A mode of the beam as blows have taught it: `cgid calibrate`.
+class Table:
+    """The rows of a table as columns, (n_rows,) each; equal to another and hashable by its numbers."""
 
-    Parameters
-    ----------
-    frequency : float [Hz]
-        Natural frequency.
-    damping_ratio : float
-        Share of critical damping.
-    participation : float
-        Factor of the participation of the beam's own mode.
-    frequency_deviation, damping_ratio_deviation, participation_deviation : float
-        Standard deviations of their logarithms: each block of 256 signals draws its modes with them.
-    """
+    def __init__(self, columns: Mapping[str, Floats]) -> None:
+        self.columns = columns
 
-    frequency: Frequency
-    damping_ratio: Ratio = Field(gt=0, lt=1)
-    participation: Number = Field(default=1.0, gt=0, le=1e6)
-    frequency_deviation: Annotated[Ratio, _DEVIATION]
-    damping_ratio_deviation: Annotated[Ratio, _DEVIATION]
-    participation_deviation: Annotated[Ratio, _DEVIATION]
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.columns[name]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Table) and self._identity == other._identity
+
+    def __hash__(self) -> int:
+        return hash(self._identity)
+
+    @property
+    def _identity(self) -> tuple[tuple[str, bytes], ...]:
+        return tuple((name, column.tobytes()) for name, column in self.columns.items())
+
+    def rows(self) -> list[dict[str, float]]:
+        """Return a mapping for each row, as a scene file has it."""
+        values = zip(*(column.tolist() for column in self.columns.values()), strict=True)
+        return [dict(zip(self.columns, row, strict=True)) for row in values]
+
+
+@dataclass(frozen=True)
+class TableOf:
+    """Metadata of a list of rows, which it reads column by column; row by row only to name what is wrong in them."""
+
+    row: type[Section]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of a `Table`."""
+        serial = core_schema.plain_serializer_function_ser_schema(Table.rows)
+        return core_schema.no_info_wrap_validator_function(self._read, handler(source), serialization=serial)
+
+    def _read(self, content: Any, row_by_row: Callable[[Any], tuple[Section, ...]]) -> Table:
+        columns = content.columns if isinstance(content, Table) else self._columns(content)
+        if columns is None:
+            rows = row_by_row(content)
+            columns = {name: np.array([getattr(row, name) for row in rows]) for name in self.row.model_fields}
+        return Table(columns)
+
+    def _columns(self, content: Any) -> dict[str, Floats] | None:
+        """Return the columns of numbers in SI units that meet their rules; None for any other content."""
+        fields = self.row.model_fields
+        if not isinstance(content, list) or not 1 <= len(content) <= _MOST_MODES:
+            return None
+        if not all(isinstance(row, dict) and row.keys() <= fields.keys() for row in content):
+            return None
+        columns = {}
+        for name, field in fields.items():
+            values, quantity = [row.get(name, field.default) for row in content], quantity_of(field)
+            if quantity is None or not all(type(value) in (int, float) and abs(value) < 1e300 for value in values):
+                return None
+            columns[name] = np.array(values, np.float64)
+            if not quantity.rule.holds(columns[name]).all():
+                return None
+        return columns
+
+
+if TYPE_CHECKING:
+    ModeTable = Table
+    LearnedTable = Table
+else:
+    _SIZE = Field(min_length=1, max_length=_MOST_MODES)
+    ModeTable = Annotated[tuple[ModeRow, ...], _SIZE, TableOf(ModeRow)]
+    LearnedTable = Annotated[tuple[LearnedRow, ...], _SIZE, TableOf(LearnedRow)]
 
 
 class TailBeamSection(Section):
-    """A rectangular panel, stiffened or not, or modes measured in a tap test.
-
-    Parameters
-    ----------
-    length : float [m]
-        Length of the panel, from the held edge.
-    width, thickness : float [m]
-        Width and thickness of the panel.
-    edges : str
-        How the edges are held: all four simply supported or clamped, or one edge clamped.
-    damping_ratio : float
-        Share of critical damping of every mode.
-    ribs : RibsSection, optional
-        Ribs under the panel, along its length.
-    impact_point : ImpactPoint
-        Where rocks hit the panel.
-    sensor_point : SensorPoint
-        Where the sensor sits.
-    modes : tuple of ModeRow
-        Instead of a panel, modes measured in a tap test, with ascending frequencies; in a file `modes = "modes.csv"`
-        reads them from a table.
-    learned : tuple of LearnedRow, optional
-        What blows have taught of the modes of the panel, or of those measured, one row for each in their order; in a
-        file `learned = "site-modes.csv"` reads them from a table, as `cgid calibrate` writes it.
-    coupling : str
-        How the beam yields under a rock: as an infinite thin plate, through its modes, or whichever applies.
-    """
+    """A rectangular panel, stiffened or not, or modes measured in a tap test."""
 
     length: Length | None = None
+    """Length of the panel, from the held edge."""
     width: Length | None = None
+    """Width of the panel."""
     thickness: Length | None = None
+    """Thickness of the panel."""
     edges: Literal["simply-supported", "clamped", "cantilever"] | None = None
-    damping_ratio: Annotated[Ratio, Field(gt=0, lt=1)] | None = None
+    """How the edges are held: all four simply supported or clamped, or one edge clamped."""
+    damping_ratio: DampingRatio | None = None
+    """Share of critical damping of every mode."""
     ribs: RibsSection | None = None
+    """Ribs under the panel, along its length."""
     impact_point: ImpactPoint | None = None
+    """Where rocks hit the panel."""
     sensor_point: SensorPoint | None = None
-    modes: tuple[ModeRow, ...] | None = Field(default=None, min_length=1, max_length=10_000)
-    learned: tuple[LearnedRow, ...] | None = Field(default=None, min_length=1, max_length=10_000)
+    """Where the sensor sits."""
+    modes: ModeTable | None = None
+    """Instead of a panel, modes measured in a tap test, with ascending frequencies; in a file `modes =
+    "modes.csv"` reads them from a table.
+    """
+    learned: LearnedTable | None = None
+    """What blows have taught of the modes of the panel, or of those measured, one row for each in their order;
+    in a file `learned = "site-modes.csv"` reads them from a table, as `cgid calibrate` writes it.
+    """
     coupling: Literal["auto", "impedance", "modes"] = "auto"
+    """How the beam yields under a rock: as an infinite thin plate, through its modes, or whichever applies."""
 
     @model_validator(mode="after")
     def _panel_or_table(self) -> Self:
@@ -577,22 +505,20 @@ class TailBeamSection(Section):
             raise ValueError(f"must have either modes or a panel, and not both; take out {', '.join(given)}")
         if self.modes is not None and self.coupling == "impedance":
             raise ValueError("coupling must be auto or modes where the modes are measured: a table has no impedance")
-        self._require_ascending()
-        self._require_audible()
+        self._require_modes()
         self._require_on_panel()
         return self
 
-    def _require_ascending(self) -> None:
-        rows = self.modes or ()
-        for number in range(1, len(rows)):
-            if rows[number].frequency < rows[number - 1].frequency:
-                raise ValueError(
-                    f"modes must be sorted by frequency, row {number + 1} has {rows[number].frequency:g} Hz after "
-                    f"{rows[number - 1].frequency:g} Hz; sort them"
-                )
-
-    def _require_audible(self) -> None:
-        if self.modes is not None and not any(row.shape_impact * row.shape_sensor for row in self.modes):
+    def _require_modes(self) -> None:
+        if self.modes is None:
+            return
+        frequency = self.modes["frequency"]
+        for row in np.flatnonzero(np.diff(frequency) < 0)[:1] + 1:
+            raise ValueError(
+                f"modes must be sorted by frequency, row {row + 1} has {frequency[row]:g} Hz after "
+                f"{frequency[row - 1]:g} Hz; sort them"
+            )
+        if not (self.modes["shape_impact"] * self.modes["shape_sensor"]).any():
             raise ValueError(
                 "modes must hold one whose shape is not 0 both where the rocks hit and where the sensor sits; "
                 "there is none, and nothing would be heard"
@@ -628,30 +554,23 @@ class TailBeamSection(Section):
     @cached_property
     def measured(self) -> Modes | None:
         """The measured modes."""
-        return _modes_of(self.modes, COLUMNS)
+        return None if self.modes is None else Modes.of(self.modes.columns)
 
     @cached_property
     def learned_modes(self) -> Modes | None:
         """The learned modes, relative to the beam's own."""
-        return _modes_of(self.learned, LEARNED_COLUMNS)
+        return None if self.learned is None else Modes.of(self.learned.columns)
 
     def with_learned(self, modes: Modes) -> TailBeamSection:
         """Return the beam with other learned modes."""
-        rows = [LearnedRow.model_construct(None, **row) for row in rows_of(modes)]
-        made = self.model_copy(update={"learned": tuple(rows)})
-        made.__dict__.pop("learned_modes", None)  # a copy keeps what is cached
+        made = self.model_copy(update={"learned": Table(modes.columns)})
+        made.__dict__["learned_modes"] = modes  # a copy keeps what is cached
         return made
-
-
-def _modes_of(rows: tuple[Any, ...] | None, columns: Iterable[str]) -> Modes | None:
-    return None if rows is None else Modes.of({name: [getattr(row, name) for row in rows] for name in columns})
 
 
 def rows_of(modes: Modes) -> list[dict[str, float]]:
     """Return a row of `tail_beam.learned` for each mode."""
-    columns = modes.columns
-    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-    return [dict(zip(columns, row, strict=True)) for row in rows]
+    return Table(modes.columns).rows()
 
 
 def with_table(content: dict[str, Any], folder: Path) -> dict[str, Any]:

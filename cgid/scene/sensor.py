@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import Any, Literal, Self
+from functools import lru_cache
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
 from cgid.measure.filters import SENSOR_TAPER, fft_filter
 from cgid.physics.response import LowPass, Resonance
 from cgid.scene.background import QUANTITIES, ColouredNoise
-from cgid.scene.distributions import Frequency, Level, Number, Ratio, Whole
-from cgid.scene.sections import Section
+from cgid.scene.distributions import LIMITS, DampingRatio, Frequency, Level, Number, Quantity, Section, Whole
 from cgid.units import parse
-from cgid.validation import Floats
+from cgid.validation import Floats, Rule
 
 #: The keys in the unit of the quantity -> suffix of the name of their dimension.
 _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "", "offset": "", "drift": " per time"}
+#: An offset, or its change: of either sign.
+_Shift = Annotated[Number, Quantity(rule=Rule(-1e15, 1e15))]
 #: Lowest full scale that follows from a peak.
 _LEAST_SCALE = 1e-25
 #: Samples of a recording that share one address: the longest period of a stream's coloured noise.
@@ -26,33 +28,21 @@ CHUNK = 1 << 16
 
 
 class Mounting(Section):
-    """The resonance of a sensor on its mounting: a stud at 30 kHz, a magnet at 7 kHz.
-
-    Parameters
-    ----------
-    frequency : float [Hz]
-        Resonance frequency.
-    damping_ratio : float
-        Share of critical damping.
-    """
+    """The resonance of a sensor on its mounting: a stud at 30 kHz, a magnet at 7 kHz."""
 
     frequency: Frequency
-    damping_ratio: Ratio = Field(default=0.05, gt=0, lt=1)
+    """Resonance frequency."""
+    damping_ratio: DampingRatio = 0.05
+    """Share of critical damping."""
 
 
 class AntiAlias(Section):
-    """The Butterworth low-pass before the converter; `frequency` is its -3 dB point.
-
-    Parameters
-    ----------
-    frequency : float [Hz]
-        -3 dB point.
-    order : int
-        Order of the filter.
-    """
+    """The Butterworth low-pass before the converter; `frequency` is its -3 dB point."""
 
     frequency: Frequency
-    order: Whole = Field(default=8, ge=1, le=12)
+    """-3 dB point."""
+    order: Annotated[Whole, Quantity(rule=Rule(1, 12))] = 8
+    """Order of the filter."""
 
 
 class Sensor(Section):
@@ -61,63 +51,52 @@ class Sensor(Section):
     The order is that of a measuring chain: mounting, anti-alias filter or bandwidth, gain, noise, offset and drift,
     range, bits. Each stage is off when left out. Levels are in the unit of the quantity, as numbers or strings with a
     unit.
-
-    Parameters
-    ----------
-    quantity : {"force", "acceleration", "velocity", "displacement"}
-        The contact force, or the motion of the tail beam at the sensor.
-    mounting : Mounting, optional
-        Resonance that amplifies nearby frequencies.
-    anti_alias : AntiAlias, optional
-        Causal low-pass; it delays the signal.
-    bandwidth : float, optional
-        Half-amplitude frequency of a zero-phase low-pass [Hz], with a raised-cosine transition half as wide; excludes
-        `anti_alias`.
-    gain : float, optional
-        Factor of a motion of the beam, negative for an inverted sensor. `calibrated` fits it to recordings where the
-        beam is known by its dimensions. It does not change how the beam yields to a rock.
-    relative_noise : float
-        Standard deviation of the noise over the largest sample of each signal; for a force over the true peak.
-    absolute_noise : float
-        Standard deviation of the noise.
-    noise_density : float
-        White noise per sqrt(Hz); its standard deviation is this times sqrt(sampling rate / 2). The noises add in power.
-    noise_exponent : float, optional
-        Makes relative and absolute noise coloured: its power per Hz falls with frequency to the power of this. 0 is
-        white, 1 pink, 2 brown. It is flat below one period of the frame, in a stream of 65,536 samples; the standard
-        deviation of the noise is the stated one.
-    noise_spectrum : ColouredNoise, optional
-        The same by a measured spectrum, scaled to the stated standard deviation; or the name of a CSV file beside the
-        scene file with columns `frequency [Hz]` and `density [N/sqrt(Hz)]`, in any unit per sqrt(Hz). It must reach
-        from one period of the frame (or 65,536 samples), below which it is flat, to half the sampling rate.
-    offset : float, optional
-        Constant shift.
-    drift : float, optional
-        Change of the offset per second, from the first sample on.
-    range : float, optional
-        Full scale: samples are clipped at +- this value.
-    relative_range : float, optional
-        Full scale over the largest sample of each signal before the noise, for a force over the true peak: below 1 it
-        is clipped. Excludes `range`; not for a stream.
-    bits : int, optional
-        Resolution of the converter over its full scale; needs `range` or `relative_range`.
     """
 
     quantity: Literal["force", "acceleration", "velocity", "displacement"] = "force"
+    """The contact force, or the motion of the tail beam at the sensor."""
     mounting: Mounting | None = None
+    """Resonance that amplifies nearby frequencies."""
     anti_alias: AntiAlias | None = None
-    relative_noise: Ratio = Field(default=0.0, ge=0, le=1e6)
+    """Causal low-pass; it delays the signal."""
+    relative_noise: Annotated[float, Quantity("ratio", Rule(0, 1e6))] = 0.0
+    """Standard deviation of the noise over the largest sample of each signal; for a force over the true peak."""
     absolute_noise: Level = 0.0
+    """Standard deviation of the noise."""
     noise_density: Level | None = None
-    noise_exponent: Number | None = Field(default=None, ge=-1, le=2)
+    """White noise per sqrt(Hz); its standard deviation is this times sqrt(sampling rate / 2). The noises add in
+    power.
+    """
+    noise_exponent: Annotated[Number, Quantity(rule=Rule(-1, 2))] | None = None
+    """Makes relative and absolute noise coloured: its power per Hz falls with frequency to the power of this. 0
+    is white, 1 pink, 2 brown. It is flat below one period of the frame, in a stream of 65,536 samples; the
+    standard deviation of the noise is the stated one.
+    """
     noise_spectrum: ColouredNoise | None = None
+    """The same by a measured spectrum, scaled to the stated standard deviation; or the name of a CSV file beside
+    the scene file with columns `frequency [Hz]` and `density [N/sqrt(Hz)]`, in any unit per sqrt(Hz). It must
+    reach from one period of the frame (or 65,536 samples), below which it is flat, to half the sampling rate.
+    """
     bandwidth: Frequency | None = None
-    gain: Number | None = Field(default=None, ge=-1e9, le=1e9)
-    offset: Number | None = Field(default=None, ge=-1e15, le=1e15)
-    drift: Number | None = Field(default=None, ge=-1e15, le=1e15)
-    range: Level | None = Field(default=None, ge=1e-9)
-    relative_range: Ratio | None = Field(default=None, ge=1e-3, le=1e6)
-    bits: Whole | None = Field(default=None, ge=2, le=32)
+    """Half-amplitude frequency of a zero-phase low-pass [Hz], with a raised-cosine transition half as wide;
+    excludes `anti_alias`.
+    """
+    gain: Annotated[Number, Quantity(rule=Rule(-1e9, 1e9))] | None = None
+    """Factor of a motion of the beam, negative for an inverted sensor. `calibrated` fits it to recordings where
+    the beam is known by its dimensions. It does not change how the beam yields to a rock.
+    """
+    offset: _Shift | None = None
+    """Constant shift."""
+    drift: _Shift | None = None
+    """Change of the offset per second, from the first sample on."""
+    range: Annotated[float, Quantity(rule=Rule(*LIMITS["force"]))] | None = None
+    """Full scale: samples are clipped at +- this value."""
+    relative_range: Annotated[float, Quantity("ratio", Rule(1e-3, 1e6))] | None = None
+    """Full scale over the largest sample of each signal before the noise, for a force over the true peak: below
+    1 it is clipped. Excludes `range`; not for a stream.
+    """
+    bits: Annotated[Whole, Quantity(rule=Rule(2, 32))] | None = None
+    """Resolution of the converter over its full scale; needs `range` or `relative_range`."""
 
     @field_validator(*_LEVELS, mode="before")
     @classmethod
@@ -188,12 +167,7 @@ class Sensor(Section):
     @property
     def filters(self) -> tuple[Resonance | LowPass, ...]:
         """The filters with poles: mounting and anti-alias."""
-        parts: list[Resonance | LowPass] = []
-        if self.mounting is not None:
-            parts.append(Resonance(**self.mounting.model_dump()))
-        if self.anti_alias is not None:
-            parts.append(LowPass(**self.anti_alias.model_dump()))
-        return tuple(parts)
+        return _filters(self.mounting, self.anti_alias)
 
     @property
     def noisy(self) -> bool:
@@ -246,6 +220,16 @@ class Sensor(Section):
             np.multiply(np.rint(frames / step), step, out=frames)
             highest = full - step
         np.clip(frames, -full, highest, out=frames)
+
+
+@lru_cache(maxsize=16)
+def _filters(mounting: Mounting | None, anti_alias: AntiAlias | None) -> tuple[Resonance | LowPass, ...]:
+    parts: list[Resonance | LowPass] = []
+    if mounting is not None:
+        parts.append(Resonance(**mounting.model_dump()))
+    if anti_alias is not None:
+        parts.append(LowPass(**anti_alias.model_dump()))
+    return tuple(parts)
 
 
 def clip(frames: NDArray[np.floating], level: Floats) -> None:

@@ -15,8 +15,7 @@ from cgid.errors import InvalidValue
 from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene.draws import LUMP, PARAMETER_UNITS, POINT_UNITS, require_seed
-from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Recorder, impacts_by_coupling, impacts_of, recorder_of
+from cgid.scene.impacts import Recorder, contacts_of, recorder_of
 from cgid.scene.noise import Background, add_noise, background_of, colour_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
@@ -125,10 +124,7 @@ def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | 
     if not len(rocks):
         return delivered
     everyone = np.arange(len(rocks))
-    with unwarned():
-        groups = impacts_of(asked, rocks.columns, everyone)
-        parts = [part for own, one in groups for part in impacts_by_coupling(asked, one, rocks.columns, own)]
-    for rows, pulses, _ in parts:
+    for rows, pulses in contacts_of(asked, rocks.columns, everyone):
         own = rocks.taken(rows)
         if recorder is None:
             _add_forces(asked, axis, pulses, own["time"])

@@ -6,29 +6,18 @@ from itertools import pairwise
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, model_validator
 
-from cgid.scene.distributions import Duration, Inclination, Moment, Rate, Ratio, Speed, Whole
-from cgid.scene.sections import Population, Section
+from cgid.scene.distributions import LIMITS, Duration, Inclination, Moments, Quantity, Section, Speed, Whole
+from cgid.scene.sections import Population
 from cgid.scene.sensor import Sensor
 from cgid.units import parse
-from cgid.validation import Floats
+from cgid.validation import Floats, Rule
 
-#: Most rows of a table in a scene file.
-_MOST_ROWS = 100_000
 #: Lowest bandwidth over the sampling rate; it spreads every impact over some 65,000 samples.
 _LEAST_BAND = 1 / 512
 #: Tolerance of the sum of shares.
 _SHARE_TOLERANCE = 1e-9
-
-
-def _not_empty(times: tuple[float, ...]) -> tuple[float, ...]:
-    if not times:
-        raise ValueError("must hold at least 1 time, got none")
-    return times
-
-
-_Times = Annotated[tuple[Moment, ...], Field(max_length=_MOST_ROWS), AfterValidator(_not_empty)]
 
 
 def _require_ascending(times: tuple[float, ...]) -> None:
@@ -38,18 +27,12 @@ def _require_ascending(times: tuple[float, ...]) -> None:
 
 
 class RateTable(Section):
-    """Rocks per second: linear between the times, constant before the first and after the last.
+    """Rocks per second: linear between the times, constant before the first and after the last."""
 
-    Parameters
-    ----------
-    times : tuple of float [s]
-        Ascending times.
-    values : tuple of float [Hz]
-        Rate at these times.
-    """
-
-    times: _Times
-    values: tuple[Rate, ...]
+    times: Moments
+    """Ascending times."""
+    values: Annotated[tuple[float, ...], Quantity("frequency", Rule(0, LIMITS["frequency"][1]))]
+    """Rate at these times."""
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
@@ -69,18 +52,12 @@ def _read_rate(content: Any) -> Any:
 
 
 class ArrivalsSection(Section):
-    """Arrivals of rocks: random (a Poisson process) with a rate, or at given times.
-
-    Parameters
-    ----------
-    rate : float or RateTable, optional [Hz]
-        Rocks per second: a number, or a table over time.
-    times : tuple of float, optional [s]
-        Times of arrival, instead of a rate.
-    """
+    """Arrivals of rocks: random (a Poisson process) with a rate, or at given times."""
 
     rate: Annotated[RateTable, BeforeValidator(_read_rate)] | None = None
-    times: _Times | None = None
+    """Rocks per second: a number, or a table over time."""
+    times: Moments | None = None
+    """Times of arrival, instead of a rate."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -96,17 +73,13 @@ class MixtureSection(Section):
 
     Shares are linear between the times, constant before the first and after the last. Labels without a row divide the
     rest by the weights of their populations.
-
-    Parameters
-    ----------
-    times : tuple of float [s]
-        Ascending times at which the shares of labels are given.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, tuple[Annotated[Ratio, Field(ge=0, le=1)], ...]]
+    __pydantic_extra__: dict[str, Annotated[tuple[float, ...], Quantity("ratio", Rule(0, 1))]]
 
-    times: _Times
+    times: Moments
+    """Ascending times at which the shares of labels are given."""
 
     @property
     def shares(self) -> dict[str, tuple[float, ...]]:
@@ -150,42 +123,27 @@ class MixtureSection(Section):
 
 
 class ReboundsSection(Section):
-    """Rocks are followed for at most this many rebounds, and while their normal speed is at least this.
+    """Rocks are followed for at most this many rebounds, and while their normal speed is at least this."""
 
-    Parameters
-    ----------
-    most : int
-        Rebounds of a rock after which it is no longer followed.
-    least_speed : float [m/s]
-        Normal speed below which a rock is no longer followed.
-    """
-
-    most: Whole = Field(default=5, ge=1, le=1000)
+    most: Annotated[Whole, Quantity(rule=Rule(1, 1000))] = 5
+    """Rebounds of a rock after which it is no longer followed."""
     least_speed: Speed = 0.1
+    """Normal speed below which a rock is no longer followed."""
 
 
 class StreamSection(Section):
-    """One long recording of a stream of rocks.
-
-    Parameters
-    ----------
-    duration : float [s]
-        Length of the recording.
-    arrivals : ArrivalsSection
-        When rocks arrive.
-    mixture : MixtureSection, optional
-        How the shares of the labels change; without it the weights of the populations hold.
-    rebounds : ReboundsSection, optional
-        How rocks bounce down the beam; without it each rock hits once.
-    inclination : float [rad]
-        Slope of the beam, down which rocks bounce.
-    """
+    """One long recording of a stream of rocks."""
 
     duration: Duration
+    """Length of the recording."""
     arrivals: ArrivalsSection
+    """When rocks arrive."""
     mixture: MixtureSection | None = None
+    """How the shares of the labels change; without it the weights of the populations hold."""
     rebounds: ReboundsSection | None = None
+    """How rocks bounce down the beam; without it each rock hits once."""
     inclination: Inclination = 0.0
+    """Slope of the beam, down which rocks bounce."""
 
     @model_validator(mode="after")
     def _arrivals_inside(self) -> Self:

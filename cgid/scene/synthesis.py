@@ -15,8 +15,7 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
-from cgid.scene.extremes import unwarned
-from cgid.scene.impacts import Blows, blows_of, impacts_by_coupling, impacts_of
+from cgid.scene.impacts import Blows, blows_of, contacts_of
 from cgid.scene.noise import HIGHEST_NOISE, add_sensor_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene, load_scene
@@ -222,11 +221,9 @@ def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
     for name in asked.quantities:
         values[name] = drawn.values[name].copy() if name in OF_TAPS else np.full(n, np.nan)
     if here.runs("impacts") and drawn.fallen.size:
-        with unwarned():
-            for own, impact in impacts_of(here, drawn.values, drawn.fallen):
-                for rows, impacts, _ in impacts_by_coupling(here, impact, drawn.values, own):
-                    for name in asked.quantities:
-                        values[name][rows] = getattr(impacts, name)
+        for rows, contacts in contacts_of(here, drawn.values, drawn.fallen):
+            for name in asked.quantities:
+                values[name][rows] = getattr(contacts, name)
     return Rows(
         labels=drawn.labels[part],
         specimen=drawn.specimen[part],

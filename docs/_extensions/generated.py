@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -105,27 +104,6 @@ def commands() -> str:
 # -- keys of scenes -----------------------------------------------------------------------------------
 
 
-def _nonlocals(function: Any) -> dict[str, Any]:
-    """Return what a validator was built with: keywords of a partial, or the names it closes over."""
-    if isinstance(function, partial):
-        return {**_nonlocals(function.func), **function.keywords}
-    if not inspect.isfunction(function):
-        return {}
-    found = dict(inspect.getclosurevars(function).nonlocals)
-    for value in list(found.values()):
-        if inspect.isfunction(value):
-            found = {**_nonlocals(value), **found}
-    return found
-
-
-def _metadata(annotation: Any) -> list[Any]:
-    """Return all metadata of an annotation and of the types inside."""
-    own = list(getattr(annotation, "__metadata__", ()))
-    return (
-        own + [found for inner in get_args(annotation) for found in _metadata(inner)] if get_args(annotation) else own
-    )
-
-
 def _sections(annotation: Any) -> list[type[BaseModel]]:
     """Return the sections and distributions that an annotation names."""
     if inspect.isclass(annotation) and not get_args(annotation):
@@ -160,61 +138,29 @@ def _is_distribution(section: Any) -> bool:
     return bool(sections) and all("distribution" in one.model_fields for one in sections)
 
 
-def _bounds(metadata: list[Any]) -> str:
-    """Return the limits of a number."""
-    found: dict[str, Any] = {}
-    for entry in metadata:
-        for part in [entry, *getattr(entry, "metadata", ())]:
-            for name in ("gt", "ge", "lt", "le", "min_length", "max_length"):
-                if getattr(part, name, None) is not None:
-                    found.setdefault(name, getattr(part, name))  # those of the key itself come first
-        built = _nonlocals(getattr(entry, "func", None))
-        if "lowest" in built and "highest" in built:
-            found = {"ge": built["lowest"], "le": built["highest"]} | found
-    signs = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
-    words = [f"{sign} {_written(found[name])}" for name, sign in signs.items() if name in found]
-    if "max_length" in found:
-        words.append(f"at most {found['max_length']} of them" if found.get("min_length") != 1 else "")
-    return " ".join(word for word in words if word)
+def _rule(field: FieldInfo) -> str:
+    """Return the unit of a number, its rule, and how many there may be."""
+    from cgid.scene.distributions import quantity_of
+
+    quantity, words = quantity_of(field), ""
+    if quantity is not None:
+        rule = quantity.rule.sentence().removeprefix("lie ").removeprefix("be ")
+        words = (
+            f" \\[{escaped(quantity.unit)}\\]" if quantity.unit else ""
+        ) + f", {escaped(rule)}" * quantity.rule.limited
+    most = [one.max_length for one in field.metadata if hasattr(one, "max_length")]
+    return words + "".join(f", at most {number} of them" for number in most)
 
 
-def _written(number: float) -> str:
-    return str(number) if isinstance(number, int) else f"{number:g}"
-
-
-def _unit(metadata: list[Any]) -> str:
-    """Return the SI unit of a number, with the other units in which it may be written."""
-    from cgid.units import DIMENSIONS
-
-    for entry in metadata:
-        dimension = _nonlocals(getattr(entry, "func", None)).get("dimension")
-        if dimension in DIMENSIONS:
-            return next(iter(DIMENSIONS[dimension]))
-    return ""
-
-
-def described(section: type[BaseModel]) -> dict[str, str]:
-    """Return the descriptions of a section's keys, from its docstring and those of its bases."""
-    found: dict[str, str] = {}
-    for base in section.__mro__:
-        text = NumpyDocString(inspect.cleandoc(base.__doc__ or "")) if issubclass(base, BaseModel) else {}
-        for entry in [*text.get("Parameters", []), *text.get("Attributes", [])]:
-            for name in entry.name.split(", "):
-                found.setdefault(name, " ".join(entry.desc) or entry.type)
-    return found
-
-
-def _row(name: str, field: FieldInfo, descriptions: dict[str, str]) -> list[str]:
-    annotation, metadata = field.annotation, [*field.metadata, *_metadata(field.annotation)]
-    unit, bounds = _unit(metadata), _bounds(metadata)
-    kind = _plain(annotation) + (f" \\[{escaped(unit)}\\]" if unit else "") + (f", {bounds}" if bounds else "")
+def _row(name: str, field: FieldInfo) -> list[str]:
+    kind = _plain(field.annotation) + _rule(field)
     if field.is_required():
         default = "required"
     elif field.default in (None, PydanticUndefined) or field.default == () or isinstance(field.default, BaseModel):
         default = "-"
     else:
         default = coded(f'"{field.default}"' if isinstance(field.default, str) else f"{field.default}".lower())
-    return [coded(name), kind, default, escaped(descriptions.get(name, ""))]
+    return [coded(name), kind, default, escaped(field.description or "")]
 
 
 def _walk(section: type[BaseModel], path: str) -> Iterable[tuple[str, type[BaseModel]]]:
@@ -249,7 +195,7 @@ def scene_keys() -> str:
     """Return every key of a scene file, section by section."""
     parts = []
     for path, section in scene_sections():
-        rows = [_row(name, field, described(section)) for name, field in section.model_fields.items()]
+        rows = [_row(name, field) for name, field in section.model_fields.items()]
         title = coded(f"[{path}]") if path else "At the top"
         parts.append(f"## {title}\n\n{_first_paragraphs(section)}\n\n{table(_SCENE_HEADER, rows)}")
     return "\n".join(parts)
@@ -261,7 +207,7 @@ def scene_distributions() -> str:
     for section in distributions():
         names = get_args(section.model_fields["distribution"].annotation)
         fields = {name: field for name, field in section.model_fields.items() if name != "distribution"}
-        rows = [_row(name, field, described(section)) for name, field in fields.items()]
+        rows = [_row(name, field) for name, field in fields.items()]
         title = ", ".join(coded(f'"{name}"') for name in names)
         parts.append(f"### {title}\n\n{_first_paragraphs(section)}\n\n{table(_SCENE_HEADER, rows)}")
     return "\n".join(parts)
