@@ -17,7 +17,6 @@ from cgid.counting import count, counted, counting
 from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.measure.features import FEATURES, extract_array, extract_truncated
-from cgid.measure.modes import Modes
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
@@ -30,7 +29,7 @@ from cgid.physics.tail_beam import TailBeam
 from cgid.scene import Scene, impacts, load_scene, synthesis, synthesise
 from cgid.scene.extremes import GRAVITY_TOLERANCE, weighed
 from cgid.scene.generation import tabulate
-from cgid.scene.impacts import TapPulses, beam_modes, draw
+from cgid.scene.impacts import Recorder, TapPulses, beam_modes, draw
 from cgid.scene.plan import NEGLIGIBLE_ECHO, QUANTITIES, RESPONSE_TOLERANCE, STAGES, Decision, Plan, plan
 from cgid.scene.sensor import Sensor
 from cgid.scene.stream import record
@@ -264,7 +263,7 @@ WORKERS = {
         (ModalCurves, "add_to_frames"),
     ],
     "taps": [(TapPulses, "add_to_frames")],
-    "tail beam": [(Modes, "participation")],
+    "tail beam": [(Recorder, "participation")],
     "bandwidth": [(Sensor, "limit_band")],
     "noise": [(synthesis, "add_sensor_noise")],
     "background": [(synthesis, "background_of")],

@@ -108,7 +108,7 @@ class Recorder:
 
     def participation(self, parameters: Mapping[str, Floats]) -> Floats | None:
         """Return the participation of each mode in each blow, including the gain, (n, n_modes) [1/kg]."""
-        if self.modes is None:
+        if self.modes is None or self.modes.at_sensor is None:
             return None
         participation = _shapes(self.modes, parameters) * self.modes.at_sensor
         return participation if self.gain is None else self.gain * participation
