@@ -1,13 +1,12 @@
 """One executor for parallel work: in this process, in several processes, or on a cluster.
 
-joblib distributes the parts on this machine, dask.distributed on a cluster. Each result depends only on the common
-data and its part, not on the worker. Processes are started anew and never forked, also on Windows (not tested).
+joblib distributes the parts, by its own backend for dask on a cluster. Each result depends only on the common data and
+its part, not on the worker. Processes are started anew and never forked, also on Windows (not tested).
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import platform
 import re
 import signal
@@ -20,7 +19,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
-from itertools import islice
 from typing import Any, TypeVar
 
 from cgid import validation
@@ -30,8 +28,6 @@ from cgid.errors import ClusterFailed, InvalidValue, optional
 PATIENCE = 10.0
 #: Wait this long without any worker [s]: a dead one may be restarted.
 DESERTED = 60.0
-#: Count the workers again after this time [s]: a cluster may grow.
-_RECOUNT = 1.0
 #: Most processes on this machine.
 MAX_JOBS = 1024
 #: Up to this size the common data go with each part and survive the loss of any worker; larger data are sent once to
@@ -91,7 +87,40 @@ class Workers:
             for part in parts:
                 yield function(common, part)
             return
-        yield from (self._here if self.client is None else self._on_cluster)(function, common, parts, ordered)
+        import joblib
+
+        executor: dict[str, Any] = {"n_jobs": self.jobs}
+        versions, given = None, common
+        if self.client is not None:
+            executor = {"backend": _cluster_backend(self.client)}
+            versions, given = _versions(), self._sent(common)
+        failures: list[BaseException] = []
+        # A list goes with its part; other arguments joblib may leave on one worker, with which they would be lost.
+        tasks = (joblib.delayed(_do)([versions, function, given, part]) for part in _until_failure(parts, failures))
+        way = "generator" if ordered else "generator_unordered"
+        results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
+        try:
+            for result in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
+                yield result
+            if failures:
+                raise failures[0]
+        except Exception as error:
+            if failed := _cluster_failed(error):
+                raise failed from error
+            raise
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # joblib warns of cancelled work, which is intended
+                results.close()
+
+    def _sent(self, common: Any) -> Any:
+        """Return what stands for the common data in each part of a cluster's work."""
+        import cloudpickle
+
+        if len(cloudpickle.dumps(common)) <= _SMALL:
+            return common
+        # With a hash as key, dask would confuse the data with those of an earlier run that it is deleting.
+        return self.client.scatter(common, broadcast=True, hash=False)
 
     def each_in_step(
         self, function: Callable[[Common, Part], Result], common: Common, parts: Iterable[Part]
@@ -103,7 +132,7 @@ class Workers:
         if self.alone:
             yield from self.each(function, common, parts)
             return
-        from concurrent.futures import BrokenExecutor, Future
+        from concurrent.futures import Future
 
         from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
@@ -111,110 +140,85 @@ class Workers:
         running: deque[Future[Result]] = deque()
         try:
             for part in parts:
-                running.append(executor.submit(_do, function, common, part))
+                running.append(executor.submit(_do, [None, function, common, part]))
                 if len(running) > 2 * self.jobs:
                     yield running.popleft().result()
             while running:
                 yield running.popleft().result()
-        except BrokenExecutor as error:
-            raise _lost() from error
+        except Exception as error:
+            if failed := _cluster_failed(error):
+                raise failed from error
+            raise
         finally:
             # Killing the workers instead would race with the thread that hands out the parts.
             for future in running:
                 future.cancel()
             executor.shutdown(wait=True)
 
-    def _here(self, function: Any, common: Any, parts: Iterable[Any], ordered: bool) -> Generator[Any, None, None]:
-        """Run the parts in processes of this machine."""
-        from concurrent.futures import BrokenExecutor
 
-        import joblib
+def _cluster_backend(client: Any) -> Any:
+    """Return joblib's backend for dask, mended: alone it waits for ever for a part that dask has given up.
 
-        failures: list[BaseException] = []
-        tasks = (joblib.delayed(_do)(function, common, part) for part in _until_failure(parts, failures))
-        way = "generator" if ordered else "generator_unordered"
-        results = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as=way)(tasks)
-        try:
-            for result in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
-                yield result
-            if failures:
-                raise failures[0]
-        except BrokenExecutor as error:
-            raise _lost() from error
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # joblib warns of cancelled work, which is intended
-                results.close()
+    `tests/test_cluster.py` shows this.
+    """
+    import asyncio
+    from concurrent.futures import CancelledError
 
-    def _on_cluster(
-        self, function: Any, common: Any, parts: Iterable[Any], ordered: bool
-    ) -> Generator[Any, None, None]:
-        """Run the parts on the cluster; keep twice as many submitted as it has threads."""
-        import asyncio
-        from concurrent.futures import CancelledError
+    from joblib._dask import DaskDistributedBackend
 
-        import cloudpickle
-        from distributed.scheduler import KilledWorker
+    class Backend(DaskDistributedBackend):  # type: ignore[misc]
+        def start_call(self) -> None:
+            super().start_call()
+            self.waiting = set[Any]()
+            self.client.loop.add_callback(self._give_up_without_workers)
 
-        given = common
-        if len(cloudpickle.dumps(common)) > _SMALL:
-            # With a hash as key, dask would confuse the data with those of an earlier run that it is deleting.
-            given = self.client.scatter(common, broadcast=True, hash=False)
-        versions, rest, running = _versions(), iter(parts), list[Any]()
-        most, counted = 2, -math.inf
-        try:
-            while True:
-                if time.monotonic() - counted > _RECOUNT:
-                    most, counted = max(2, 2 * self._threads()), time.monotonic()
-                for part in islice(rest, max(0, most - len(running))):
-                    running.append(self.client.submit(_do_alike, versions, function, given, part, pure=False))
-                if not running:
-                    return
-                done = self._first_done(running[:1] if ordered else running)
-                running.remove(done)
-                yield done.result()
-        except KilledWorker as error:
-            raise ClusterFailed(
-                "cluster: several workers have died of the same part, as they do where memory is short; give them more "
-                "of it, fewer threads, or ask for smaller shards"
-            ) from error
-        except (CancelledError, asyncio.CancelledError) as error:
-            raise ClusterFailed(
-                "cluster: the scheduler is lost, or has dropped the work; start it, and go on (--resume)"
-            ) from error
-        finally:
-            with suppress(OSError, TimeoutError, RuntimeError):
-                self.client.cancel(running)
+        async def _give_up_without_workers(self) -> None:
+            seen = time.monotonic()
+            while self._continue and time.monotonic() - seen < DESERTED:
+                with suppress(OSError, RuntimeError, TimeoutError):
+                    seen = time.monotonic() if await self.client.scheduler.ncores() else seen
+                await asyncio.sleep(min(1.0, DESERTED / 4))
+            for future in list(self.waiting if self._continue else ()):
+                future.set_exception(CancelledError(f"no worker is left since {DESERTED:g} s"))
 
-    def _threads(self) -> int:
-        """Return the number of threads of the cluster; 0 if the connection is lost, which is reported elsewhere."""
-        with suppress(OSError, RuntimeError, TimeoutError):
-            return sum(self.client.ncores().values())
-        return 0
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            with suppress(OSError, RuntimeError, TimeoutError):
+                n_jobs = int(super().effective_n_jobs(n_jobs))
+            return max(2, n_jobs)  # for one thread joblib would do the work in this process
 
-    def _first_done(self, running: list[Any]) -> Any:
-        """Return the first part that has finished or failed; raises `ClusterFailed` if no worker is left."""
-        from distributed import wait
+        def submit(self, func: Any, callback: Any = None) -> Any:
+            future = super().submit(func, callback)
+            self.waiting.add(future)
+            future.add_done_callback(self.waiting.discard)
+            # joblib passes on what a part returns or raises, but not that dask has given it up.
+            future.add_done_callback(lambda done: callback(done.exception()) if done.exception() else None)
+            return future
 
-        seen = time.monotonic()
-        while True:
-            with suppress(TimeoutError), self.client.as_current():
-                wait(running, timeout=min(1.0, DESERTED / 4), return_when="FIRST_COMPLETED")
-            done = next((part for part in running if part.done()), None)
-            if done is not None:
-                return done
-            if self._threads():
-                seen = time.monotonic()
-            if time.monotonic() - seen > DESERTED:
-                raise ClusterFailed(
-                    f"cluster: no worker is left since {DESERTED:g} s; start some, and go on with --resume"
-                )
+        def abort_everything(self, ensure_ready: bool = True) -> None:
+            left = list(self._results)
+            super().abort_everything(ensure_ready)
+            with suppress(OSError, RuntimeError, TimeoutError):
+                self.client.cancel(left)
+
+    return Backend(client=client, wait_for_workers_timeout=0)
 
 
-def _lost() -> ClusterFailed:
-    return ClusterFailed(
-        "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
-    )
+def _cluster_failed(error: Exception) -> ClusterFailed | None:
+    """Return what the loss of workers or of a scheduler means; None for the error of a part."""
+    from concurrent.futures import BrokenExecutor, CancelledError
+
+    if isinstance(error, BrokenExecutor):
+        reason = "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
+    elif type(error).__name__ == "KilledWorker":  # dask is an extra
+        reason = (
+            "cluster: several workers have died of the same part, as they do where memory is short; give them more of "
+            "it, fewer threads, or ask for smaller shards"
+        )
+    elif isinstance(error, CancelledError):
+        reason = f"cluster: the scheduler or all workers are lost ({error}); start some, and go on with --resume"
+    else:
+        return None
+    return ClusterFailed(reason)
 
 
 #: The executor that uses only this process.
@@ -299,17 +303,18 @@ def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iter
         failures.append(error)
 
 
-def _do_alike(expected: dict[str, str], function: Any, common: Any, part: Any) -> Any:
-    """Do a part on a worker; check its versions again, because it may have joined after the first check."""
-    _require_alike(expected, _versions(), platform.node())
-    return _do(function, common, part)
+def _do(task: list[Any]) -> Any:
+    """Do a part on a worker of this machine or, given the versions, of a cluster, which may have joined it later."""
+    import joblib
 
-
-def _do(function: Any, common: Any, part: Any) -> Any:
+    versions, function, common, part = task
+    if versions is not None:
+        _require_alike(versions, _versions(), platform.node())
     # Ctrl-C reaches every process of the group; only the parent handles it.
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return function(common, part)
+    with joblib.parallel_config(backend="sequential"):  # a part is not spread over the cluster once more
+        return function(common, part)
 
 
 @contextmanager

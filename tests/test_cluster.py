@@ -17,6 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
+from distributed.scheduler import KilledWorker
+from joblib._dask import DaskDistributedBackend
+from joblib.parallel import BatchedCalls
 
 from cgid import workers as cluster
 from cgid.cli.main import run
@@ -273,6 +276,28 @@ def test_jobs_and_a_scheduler_exclude_each_other(capsys: pytest.CaptureFixture[s
         pass
 
 
+def test_workers_that_never_come_back_are_told(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Client, "wait_for_workers", lambda *_, **__: None)
+    monkeypatch.setattr(cluster, "DESERTED", 0.2)
+    with workers(scheduler=nobody) as crew, pytest.raises(ClusterFailed):
+        list(crew.each(positive, "radius", range(3, 9)))
+
+
+@pytest.mark.long
+def test_ctrl_c_on_a_cluster_leaves_whole_shards_alone(reference_scene: Scene, address: str, tmp_path: Path) -> None:
+    def interrupt(_: int) -> None:
+        raise KeyboardInterrupt
+
+    asked: dict[str, Any] = {"n_signals": 400, "seed": 4, "shard_signals": 20}
+    with pytest.raises(KeyboardInterrupt):
+        generate(reference_scene, tmp_path / "data", **asked, scheduler=address, progress=interrupt)
+    n_shards = len(list((tmp_path / "data").glob("shard-*.h5")))
+    assert 1 <= n_shards < 20
+    generate(reference_scene, tmp_path / "data", **asked, resume=True)
+    generate(reference_scene, tmp_path / "whole", **asked)
+    assert sums(tmp_path / "data") == sums(tmp_path / "whole")
+
+
 # ---- last, for the processes that take the place of dead ones must load everything anew ------------------------------
 
 
@@ -299,4 +324,22 @@ def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: st
         pytest.raises(ClusterFailed, match="several workers have died of the same"),
     ):
         list(crew.each(fatal, f"{tmp_path}|99", range(6)))
+    two_workers.scheduler.allowed_failures = 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("mended", [False, True])
+def test_joblib_alone_does_not_hear_of_a_part_that_is_given_up(
+    two_workers: Any, address: str, tmp_path: Path, mended: bool
+) -> None:
+    """So it waits for ever. When this fails joblib does, and our own backend can go."""
+    two_workers.scheduler.allowed_failures = 0
+    told: list[Any] = []
+    with Client(address, set_as_default=False) as client:
+        backend = cluster._cluster_backend(client) if mended else DaskDistributedBackend(client=client)
+        backend.start_call()
+        batch = BatchedCalls([(fatal, (f"{tmp_path}|99", 1), {})], (None, 1))
+        assert isinstance(backend.submit(batch, told.append).exception(timeout=60), KilledWorker)
+        backend.stop_call()
+    assert [type(one) for one in told] == [KilledWorker] * mended
     two_workers.scheduler.allowed_failures = 3
