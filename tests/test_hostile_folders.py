@@ -71,13 +71,6 @@ def _content(content):
     return lambda folder: (folder / "description.json").write_bytes(content())
 
 
-def _many_listed(folder):
-    _changed(lambda content: content.update(shard_signals=10**5, n_signals=10**5 * 500))(folder)
-    lines = (folder / "SHA256SUMS").read_text().splitlines(keepends=True)
-    lines += [f"{'0' * 64}  shard-{number:05d}.h5\n" for number in range(1, 500)]
-    (folder / "SHA256SUMS").write_text("".join(lines))
-
-
 HOSTILE = {
     "a pipe for the description": lambda folder: _pipe(folder, "description.json"),
     "a pipe for the sums": lambda folder: _pipe(folder, "SHA256SUMS"),
@@ -113,10 +106,8 @@ HOSTILE = {
     "a kind with escapes": _field("format", "\x1b[2J\n"),
     "a shard of 10^400 signals": _shard_of(10**400),
     "a shard of 2^61 signals": _shard_of(1 << 61),
-    "a shard of a gigabyte that is not there": _shard_of(1 << 20),
     "2^60 shards": _changed(lambda content: content.update(shard_signals=1, n_signals=1 << 60)),
     "300,000 shards": _changed(lambda content: content.update(shard_signals=1, n_signals=300_000)),
-    "five hundred shards of 100 MB that are not there": _many_listed,
 }
 
 
@@ -130,7 +121,6 @@ def test_a_hostile_folder_does_no_harm(made, name, tmp_path, capsys):
     folder = tmp_path / "folder"
     shutil.copytree(made, folder)
     HOSTILE[name](folder)
-    stored = sum(file.lstat().st_blocks for file in folder.iterdir())
     for command in (["info"], ["verify"], ["verify", "--repair"]):
         if "--repair" not in command:
             tracemalloc.start()
@@ -142,8 +132,6 @@ def test_a_hostile_folder_does_no_harm(made, name, tmp_path, capsys):
         told = capsys.readouterr()
         assert len(told.err.splitlines()) <= 1
         assert "\x1b" not in told.out + told.err
-    # What is repaired takes little more than there was.
-    assert sum(file.lstat().st_blocks for file in folder.iterdir()) <= stored + 1024
 
 
 def test_a_link_to_a_file_outside_is_not_followed_and_its_target_stays(tmp_path, capsys):

@@ -169,19 +169,25 @@ def _read(path: str, reading: dict[str, Any]) -> tuple[RecordingFile, int]:
 
 
 def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
-    from cgid.errors import BadData
+    from cgid.errors import BadData, CgidError
     from cgid.store.verification import verify as find
 
     found = find(path)
-    left = found.damage
     lines = [_line(finding.file, finding.problem, finding.what) for finding in found.findings]
+    left, told = found.damage, ""
     if repair and any(finding.problem != "foreign" for finding in found.findings):
-        repairs = _repaired(found, scene)
-        lines = [
-            _line(one.finding.file, one.finding.problem, one.finding.what) | {"repaired": one.done, "told": one.told}
-            for one in repairs
-        ] + [line for line in lines if line["problem"] == "foreign"]
-        left = tuple(one.finding for one in repairs if one.finding.harmful and not one.done)
+        from cgid.scene.repair import repair as make_again
+
+        try:
+            with progress_bar(None, "values", "reading") as progress:
+                make_again(found, scene, progress)
+        except CgidError as error:
+            told = str(error)
+        after = find(path)
+        still, left = {finding.file for finding in after.findings}, after.damage
+        for line, finding in zip(lines, found.findings, strict=True):
+            if finding.problem != "foreign":
+                line |= {"repaired": finding.file not in still, "told": told if finding.file in still else "made again"}
     _tell(path, found.kind, found.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
@@ -189,13 +195,6 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
         if all(finding.problem == "unfinished" for finding in left):
             cure = "go on with cgid generate ... --resume"
         raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {cure}")
-
-
-def _repaired(found: Any, scene: Any) -> list[Any]:
-    from cgid.scene.repair import repair
-
-    with progress_bar(None, "values", "reading") as progress:
-        return list(repair(found, scene, progress))
 
 
 def _line(file: Path, problem: str, what: str) -> dict[str, Any]:

@@ -38,8 +38,8 @@ from cgid.store.dataset import describe_dataset, shard_content
 from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION
 from cgid.store.folder import Description
 from cgid.store.hdf5 import ShardPlan, library, require
-from cgid.store.run import begun, check_output, is_single_file, require_description
-from cgid.workers import Workers, workers
+from cgid.store.run import Run, begun, check_output, is_single_file, require_description
+from cgid.workers import ALONE, Workers, workers
 
 #: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
@@ -132,48 +132,41 @@ def generate(
     require(validation.choice("compression", compression, COMPRESSIONS))
     path = check_output(output, FORMAT, overwrite or resume)
     next(synthesise(scene, 1, seed))  # raises errors of the scene or the seed before anything is written
-    plan = shard_plan(
-        scene,
-        {"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed, compression),
-        validation.choice("dtype", dtype, ("float32", "float64")),
-        compression,
-    )
     if n_signals > MOST_SIGNALS:
         raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
-    description = describe_dataset(path, plan, n_signals, shard_signals)
+    validation.choice("dtype", dtype, ("float32", "float64"))
+    plan, description = planned(path, scene, seed, n_signals, shard_signals, dtype, compression)
     single = is_single_file(path)
     # More workers than shards or processors would only cost memory.
     jobs = min(jobs, description.n_files, os.cpu_count() or 1)
     # The workers come first, so that a missing cluster is reported before anything is written.
     with workers(jobs, scheduler) as crew, begun(path, description, overwrite=overwrite, resume=resume) as run:
-        names = [path.name] if single else description.names
-        missing = [_Shard(names[number], **description.part(number)) for number in run.missing]
-        n_missing = sum(shard.n_signals for shard in missing)
+        n_missing = sum(description.part(number)["n_signals"] for number in run.missing)
         if not single and compression == "none":
-            replaced = sum((path / shard.file).stat().st_size for shard in missing if (path / shard.file).exists())
-            size = plan.size(n_missing) - replaced
+            files = [path / description.names[number] for number in run.missing]
+            size = plan.size(n_missing) - sum(file.stat().st_size for file in files if file.exists())
             require_room(path, path.parent, size, "signals", "make room, or fewer signals")
         if progress is not None and n_missing < n_signals:
             progress(n_signals - n_missing)
-        work = _Work(
-            scene=scene,
-            seed=seed,
-            plan=described(plan, description),
-            place=path.parent if single else path,
-            digest=None if single else description.sha256,
-            overwrite=overwrite or not single,
-        )
-        with closing(_write_shards(work, missing, crew, progress)) as written:
-            for shard in written:
-                run.add(shard.file, shard.sha256)
-                if progress is not None and not crew.alone:
-                    progress(shard.n_signals)
+        make_shards(run, scene, seed, plan, run.missing, crew, progress, overwrite=overwrite or not single)
     return path
 
 
-def described(plan: ShardPlan, description: Description) -> ShardPlan:
-    """Return the plan of shards that carry the digest of their description."""
-    return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256})
+def planned(
+    path: Path, scene: Scene, seed: int, n_signals: int, shard_signals: int, dtype: str, compression: str
+) -> tuple[ShardPlan, Description]:
+    """Return the plan of the shards of a dataset and its description; raises as `describe_dataset`."""
+    attributes = {"format": FORMAT, "schema_version": SCHEMA_VERSION} | attributes_of(scene, seed, compression)
+    plan = ShardPlan(
+        n_samples=scene.sampling.samples,
+        dtype=dtype,
+        label_width=max(len(label.encode()) for label in scene.labels),
+        parameter_units=parameter_units(scene),
+        attributes=in_order(attributes),
+        compression=compression,
+    )
+    description = describe_dataset(path, plan, n_signals, shard_signals)
+    return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256}), description
 
 
 def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[str, Any]:
@@ -201,18 +194,6 @@ def _processor() -> str:
     found = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found") or ["baseline"]
     kernels = {str(library.get("architecture")) for library in threadpool_info() if library["user_api"] == "blas"}
     return f"instructions {found[-1]}, BLAS {'/'.join(sorted(kernels)) or 'unknown'}"
-
-
-def shard_plan(scene: Scene, attributes: Mapping[str, Any], dtype: str, compression: str) -> ShardPlan:
-    """Return the plan of the shards of a dataset with these root attributes."""
-    return ShardPlan(
-        n_samples=scene.sampling.samples,
-        dtype=dtype,
-        label_width=max(len(label.encode()) for label in scene.labels),
-        parameter_units=parameter_units(scene),
-        attributes=in_order(attributes),
-        compression=compression,
-    )
 
 
 def in_order(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -248,21 +229,37 @@ class _Work:
     overwrite: bool
 
 
-def _write_shards(
-    work: _Work, shards: list[_Shard], crew: Workers, progress: Callable[[int], object] | None
-) -> Generator[_Written, None, None]:
-    """Make and write these shards; yield what is to be known of each when it is done.
+def make_shards(
+    run: Run,
+    scene: Scene,
+    seed: int,
+    plan: ShardPlan,
+    missing: Sequence[int],
+    crew: Workers = ALONE,
+    progress: Callable[[int], object] | None = None,
+    *,
+    overwrite: bool = True,
+) -> None:
+    """Make the missing shards of a run, given by their numbers, and list their sums.
 
     Cluster workers write into the same folder under the same name; when cancelled, they finish their current shard.
     """
-    if crew.alone:
-        yield from _write_in_turn(work, shards, progress)
-        return
-    with closing(crew.each(_write_one, _anywhere(work), shards, ordered=False)) as written:
+    place, digest = (run.output.parent, None) if run.is_single else (run.output, run.description.sha256)
+    names = [run.output.name] if run.is_single else run.description.names
+    shards = [_Shard(names[number], **run.description.part(number)) for number in missing]
+    work = _Work(scene=scene, seed=seed, plan=plan, place=place, digest=digest, overwrite=overwrite)
+    parts = (
+        _write_in_turn(work, shards, progress)
+        if crew.alone
+        else crew.each(_write_one, _anywhere(work), shards, ordered=False)
+    )
+    with closing(parts) as written:
         for shard in written:
             if crew.elsewhere:
-                _require_shared(work.place / shard.file, shard.n_bytes)
-            yield shard
+                _require_shared(place / shard.file, shard.n_bytes)
+            run.add(shard.file, shard.sha256)
+            if progress is not None and not crew.alone:
+                progress(shard.n_signals)
 
 
 def _anywhere(work: _Work) -> _Work:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +22,7 @@ from cgid.scene.stream import impact_units, joined, parts_of_recording
 from cgid.store.description import DIGEST, LARGEST_RECORDING, RECORDING_FORMAT
 from cgid.store.folder import Description, describe, sha256_of
 from cgid.store.hdf5 import RecordingPlan, writing
-from cgid.store.run import begun, check_output, is_single_file
+from cgid.store.run import Run, begun, check_output, is_single_file
 from cgid.terminal import counted
 
 #: Memory for the truth of an impact, including sorting and writing [bytes],
@@ -136,43 +136,47 @@ def generate_recordings(
     require_capacity(scene, dtype)
     background_of(scene)
     path = check_output(path, RECORDING_FORMAT, overwrite or resume)
-    plan = recording_plan(scene, attributes_of(scene, seed), dtype)
-    description = describe_recordings(plan, n_recordings)
+    plan, description = planned(scene, seed, n_recordings, dtype)
     single = is_single_file(path)
     with begun(path, description, overwrite=overwrite, resume=resume) as run:
         if progress is not None and len(run.missing) < n_recordings:
             progress((n_recordings - len(run.missing)) * plan.n_samples)
-        files = {number: path if single else path / description.names[number] for number in run.missing}
-        replaced = 0 if single else sum(file.stat().st_size for file in files.values() if file.exists())
-        size = len(files) * plan.size - replaced
+        files = [] if single else [path / description.names[number] for number in run.missing]
+        size = len(run.missing) * plan.size - sum(file.stat().st_size for file in files if file.exists())
         require_room(path, path.parent, size, "samples", "make room, or a shorter recording")
-        plan = described(plan, description)
-        for number, file in files.items():
-            write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite or not single)
-            if not single:
-                run.add(file.name, sha256_of(file))
+        make_recordings(run, scene, seed, plan, run.missing, progress, overwrite=overwrite or not single)
     return path
 
 
-def describe_recordings(plan: RecordingPlan, n_recordings: int) -> Description:
-    """Return the description of recordings."""
-    return describe(RECORDING_FORMAT, n_recordings=n_recordings, **vars(plan))
-
-
-def described(plan: RecordingPlan, description: Description) -> RecordingPlan:
-    """Return the plan of recordings that carry the digest of their description."""
-    return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256})
-
-
-def recording_plan(scene: Scene, attributes: Mapping[str, Any], dtype: str) -> RecordingPlan:
-    """Return the plan of recordings of a scene with these root attributes."""
-    return RecordingPlan(
+def planned(scene: Scene, seed: int, n_recordings: int, dtype: str) -> tuple[RecordingPlan, Description]:
+    """Return the plan of recordings and the description of their folder."""
+    plan = RecordingPlan(
         n_samples=samples_of(scene),
         dtype=dtype,
         sampling_rate=scene.sampling.sampling_rate,
         unit=scene.sensor.unit,
-        attributes=in_order(attributes),
+        attributes=in_order(attributes_of(scene, seed)),
     )
+    description = describe(RECORDING_FORMAT, n_recordings=n_recordings, **vars(plan))
+    return replace(plan, attributes={**plan.attributes, DIGEST: description.sha256}), description
+
+
+def make_recordings(
+    run: Run,
+    scene: Scene,
+    seed: int,
+    plan: RecordingPlan,
+    missing: Sequence[int],
+    progress: Callable[[int], object] | None = None,
+    *,
+    overwrite: bool = True,
+) -> None:
+    """Make the missing recordings of a run, given by their numbers, and list their sums."""
+    for number in missing:
+        file = run.output if run.is_single else run.output / run.description.names[number]
+        write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite)
+        if not run.is_single:
+            run.add(file.name, sha256_of(file))
 
 
 def write_recording(

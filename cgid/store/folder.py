@@ -39,9 +39,8 @@ MAX_FILES = 300_000
 _STEMS = {FORMAT: "shard", RECORDING_FORMAT: "recording"}
 #: HDF5's counts are smaller.
 _LARGEST_COUNT = 1 << 63
-#: Largest text file [bytes], mostly for the scene, and additional bytes per file in its folder.
+#: Largest text file [bytes], mostly for the scene, and its most values; and what each file in its folder adds.
 _ROOM, _ROOM_OF_FILE = 16 << 20, 4096
-#: The same for JSON values.
 _VALUES, _VALUES_OF_FILE = 100_000, 100
 
 
@@ -254,7 +253,7 @@ def read_folder(path: Path) -> Folder:
         return _of_manifest(path, _json(text, path / MANIFEST))
     if (path / JOURNAL).exists():
         raise BadData(f"{path}: an earlier cgid has not finished it ({JOURNAL}); generate it again with --overwrite")
-    raise BadData(f"{path}: must have a {DESCRIPTION}, it has none; see cgid verify, or generate it again")
+    raise BadData(f"{path}: must have a {DESCRIPTION}, it has none; cgid generate ... --resume writes it again")
 
 
 def _of_manifest(path: Path, content: dict[str, Any]) -> Folder:
@@ -294,30 +293,26 @@ def names_of(kind: str) -> re.Pattern[str]:
 def read_text(file: Path) -> bytes | None:
     """Return the content of a text file in a folder, None if it does not exist.
 
-    The size limit grows with the number of files in the folder: 100 MB of JSON would take gigabytes of memory. Raises
-    `BadData` for a link, a pipe or the like, or a file that is too large; `NoInput` if it cannot be read but may be
-    sound.
+    Its limits grow with the number of files beside it: 100 MB of JSON would take gigabytes of memory. Raises `BadData`
+    for what is larger, a link, a pipe or the like; `NoInput` if it cannot be read but may be sound.
     """
     try:
         about = file.lstat()
-        if not stat.S_ISREG(about.st_mode):
-            raise BadData(
-                f"{file}: must be a regular file of its folder, it is a link, a pipe or the like; generate it again"
-            )
         n_files = sum(1 for _ in file.parent.iterdir())
-        limit = _ROOM + n_files * _ROOM_OF_FILE
+        is_sound = stat.S_ISREG(about.st_mode) and about.st_size <= _ROOM + n_files * _ROOM_OF_FILE
         content = b""
-        if about.st_size <= limit:
+        if is_sound:
             with file.open("rb") as stream:
-                content = stream.read(about.st_size + 1)  # no more: `read` allocates the requested size
+                content = stream.read(about.st_size)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         raise NoInput(f"{file}: cannot be read ({error.strerror}); see to its permissions, or to the disk") from None
-    if max(about.st_size, len(content)) > limit:
-        raise BadData(f"{file}: must be at most {limit >> 20} MiB beside {n_files} files; it is not what cgid wrote")
-    if sum(content.count(sign) for sign in (b",", b"[", b"{", b"\n")) > _VALUES + n_files * _VALUES_OF_FILE:
-        raise BadData(f"{file}: says more than {n_files} files beside it bear out; it is not what cgid wrote")
+    if not is_sound or sum(map(content.count, (b",", b"[", b"{", b"\n"))) > _VALUES + n_files * _VALUES_OF_FILE:
+        raise BadData(
+            f"{file}: must be a regular file and say no more than {n_files} files beside it bear out; "
+            "generate it again"
+        )
     return content
 
 

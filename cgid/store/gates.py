@@ -50,20 +50,20 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return ""
     if chunk_bytes(item) > _LARGEST_CHUNK:
         return f"has chunks of more than {_LARGEST_CHUNK >> 20} MiB"
-    filters = filters_of(item)
-    for code, _, _, label in filters:
+    filters = codes_of(item)
+    for code in filters:
         if not _is_unpacked(code):
-            return f"is packed by filter {code} ({label.decode(errors='replace')}), which is not unpacked here"
+            return f"is packed by filter {code}, which is not unpacked here"
     try:
-        return _index_fault(item, file_size, [code for code, *_ in filters])
+        return _index_fault(item, file_size, filters)
     except DAMAGE:
         return "has a damaged index of chunks"
 
 
-def filters_of(item: h5py.Dataset) -> list[Any]:
-    """Return the filters of a dataset, each with its HDF5 number first."""
+def codes_of(item: h5py.Dataset) -> list[int]:
+    """Return HDF5's numbers of the filters of a dataset."""
     creation = item.id.get_create_plist()
-    return [creation.get_filter(index) for index in range(creation.get_nfilters())]
+    return [creation.get_filter(index)[0] for index in range(creation.get_nfilters())]
 
 
 def missing_chunks(item: h5py.Dataset) -> str:
@@ -210,7 +210,7 @@ def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best
     if key in _found_sound:
         return
     # Our own files are read in batches, whatever size they declare.
-    if any(code in _WITH_PLUGIN for code, *_ in filters_of(dataset)):
+    if not _WITH_PLUGIN.keys().isdisjoint(codes_of(dataset)):
         best_ratio = max(best_ratio, _BEST_RATIO_OF_SILENCE)
     fault = storage_fault(dataset, about.st_size, best_ratio) or missing_chunks(dataset)
     if fault:

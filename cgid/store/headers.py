@@ -30,6 +30,8 @@ from cgid.validation import RATES
 
 #: Labels and names are shorter [bytes].
 _WIDEST_TEXT = 4096
+#: Most damaged chunks of one dataset that are named.
+_MAX_CHUNKS = 4
 #: Recordings and tables are uncompressed: they declare no more bytes than are stored.
 _UNPACKED = 1.0
 #: Noun, version, main datasets (the most important first) and the group of columns of each kind of file.
@@ -93,6 +95,11 @@ def table_header(file: h5py.File, source: str) -> dict[str, Any]:
         "units": {name.removeprefix("columns/"): unit for name, unit in list(units.items())[2:]},
         "n_rows": n_rows,
     }
+
+
+def header_of(file: h5py.File, source: str, kind: str) -> Any:
+    """Return the checked header of a file of this kind; raises as `shard_header`."""
+    return {FORMAT: shard_header, RECORDING_FORMAT: recording_header, TABLE_FORMAT: table_header}[kind](file, source)
 
 
 def _root(file: h5py.File, source: str, form: str) -> dict[str, Any]:
@@ -168,21 +175,20 @@ def _part(dataset: h5py.Dataset, part: slice, path: Path) -> NDArray[Any]:
     return values
 
 
-def damaged_rows(file: h5py.File, kind: str, source: str) -> dict[str, list[tuple[int, int]]]:
-    """Return the unreadable rows of each dataset of a file with sound headers, (first, after the last) of each run."""
+def damaged_rows(file: h5py.File, kind: str, source: str) -> str:
+    """Describe the unreadable chunks of a file with sound headers, "" if there are none."""
     _, _, names, group = _KINDS[kind]
     columns = members(file, group, source) if file.id.links.exists(group.encode()) else []
-    damaged: dict[str, list[tuple[int, int]]] = {}
+    damaged = []
     for name in (*names, *(f"{group}/{column}" for column in columns)):
         dataset = plain_dataset(file, name, source)
-        step = dataset.chunks[0] if dataset.chunks else max(len(dataset), 1)
+        step, chunks = dataset.chunks[0] if dataset.chunks else max(len(dataset), 1), []
         for first in range(0, len(dataset), step):
             try:
                 dataset[first : first + step]
             except DAMAGE:
-                runs, stop = damaged.setdefault(name, []), min(first + step, len(dataset))
-                if runs and runs[-1][1] == first:
-                    runs[-1] = (runs[-1][0], stop)
-                else:
-                    runs.append((first, stop))
-    return damaged
+                chunks.append(f"{first} to {min(first + step, len(dataset)) - 1}")
+        if chunks:
+            more = [f"{len(chunks) - _MAX_CHUNKS} more chunks"] if len(chunks) > _MAX_CHUNKS else []
+            damaged.append(f"{name} {', '.join(chunks[:_MAX_CHUNKS] + more)}")
+    return f"{'; '.join(damaged)} do not fit their checksum" if damaged else ""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cgid.errors import BadData, CannotCreate, WriteFailed
 from cgid.files import clear_half_written, looking_at, write_whole
-from cgid.store.description import is_hdf5
+from cgid.store.description import DIGEST, is_hdf5
 from cgid.store.folder import (
     DESCRIPTION,
     JOURNAL,
@@ -44,17 +44,24 @@ class Run:
     missing : numbers of the files still to be made
     """
 
-    def __init__(self, output: Path, description: Description, sums: dict[str, str] | None) -> None:
-        self.description, self._output, self._sums = description, output, sums
+    def __init__(self, output: Path, description: Description, sums: dict[str, str] | None, is_made: bool = False):
+        self.description, self.output, self._sums = description, output, sums
         names = description.names
-        self.missing = [number for number, name in enumerate(names) if sums is None or name not in sums]
+        self.missing = [number for number, name in enumerate(names) if sums is not None and name not in sums]
         self._listing = -1
-        if sums is not None:
-            write_whole(output / SUMS, self._text())
-            try:
-                self._listing = os.open(output / SUMS, os.O_WRONLY | os.O_APPEND)
-            except OSError as error:
-                raise CannotCreate(f"{output / SUMS}: cannot be written ({error.strerror})") from None
+        if sums is None:
+            self.missing = [] if is_made else [0]
+            return
+        write_whole(output / SUMS, self._text())
+        try:
+            self._listing = os.open(output / SUMS, os.O_WRONLY | os.O_APPEND)
+        except OSError as error:
+            raise CannotCreate(f"{output / SUMS}: cannot be written ({error.strerror})") from None
+
+    @property
+    def is_single(self) -> bool:
+        """Whether the output is one file, without sums."""
+        return self._sums is None
 
     def _text(self) -> bytes:
         sums = self._sums or {}
@@ -72,7 +79,7 @@ class Run:
             os.fsync(self._listing)
         except OSError as error:
             raise WriteFailed(
-                f"{self._output / SUMS}: writing failed ({error.strerror}); free some space, then go on with --resume"
+                f"{self.output / SUMS}: writing failed ({error.strerror}); free some space, then go on with --resume"
             ) from None
         self._sums[name] = sha256
 
@@ -80,7 +87,7 @@ class Run:
         """Bring the sums into the order of the files, which several processes finish in any; raises `WriteFailed`."""
         self.close()
         if self._sums is not None and list(self._sums) != self.description.names:
-            write_whole(self._output / SUMS, self._text())
+            write_whole(self.output / SUMS, self._text())
 
     def close(self) -> None:
         """Close the listing; Windows cannot replace an open file."""
@@ -89,14 +96,9 @@ class Run:
             self._listing = -1
 
     def abandon(self) -> None:
-        """Remove half-written files, and the folder if nothing is finished; finished files stay for resuming."""
+        """Close the sums and remove half-written files; finished files stay for resuming."""
         self.close()
-        clear(self._output, names_of(self.description.kind), only_parts=True)
-        with contextlib.suppress(OSError):
-            if {path.name for path in self._output.iterdir()} <= {DESCRIPTION, SUMS, LOCK}:
-                for name in (SUMS, DESCRIPTION, LOCK):
-                    (self._output / name).unlink(missing_ok=True)
-                self._output.rmdir()
+        clear(self.output, names_of(self.description.kind), only_parts=True)
 
 
 @contextmanager
@@ -109,23 +111,35 @@ def begun(output: Path, description: Description, *, overwrite: bool = False, re
     """
     if is_single_file(output):
         clear_half_written(output)
-        is_made = resume and output.exists() and _is_made(output, description, overwrite)
-        run = Run(output, description, None)
-        run.missing = [] if is_made else [0]
-        yield run
+        yield Run(output, description, None, resume and output.exists() and _is_made(output, description, overwrite))
         return
+    is_new = not output.exists()
     try:
         output.mkdir(exist_ok=True)
     except OSError as error:
         raise CannotCreate(f"{output}: cannot be written ({error.strerror}); choose another place") from None
     with locked(output):
-        run = _started(output, description, overwrite, resume)
+        is_empty = _names(output) <= {LOCK}
         try:
-            yield run
-            run.finish()
+            run = _started(output, description, overwrite, resume)
+            try:
+                yield run
+                run.finish()
+            except BaseException:
+                run.abandon()
+                raise
         except BaseException:
-            run.abandon()
+            with contextlib.suppress(OSError):  # nothing is left of a run that has finished nothing
+                if is_empty and _names(output) <= {DESCRIPTION, SUMS, LOCK}:
+                    for name in (SUMS, DESCRIPTION, LOCK):
+                        (output / name).unlink(missing_ok=True)
+                    if is_new:
+                        output.rmdir()
             raise
+
+
+def _names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
 
 
 @contextmanager
@@ -210,18 +224,23 @@ def check_output(output: str | Path, kind: str, overwrite: bool = False) -> Path
 
 def _is_made(output: Path, description: Description, overwrite: bool) -> bool:
     """Return whether a single file is whole and follows from the description; raise if not, unless `overwrite`."""
-    found = examine_file(output)
+    kind, fault, about = examine_file(output)
     if overwrite:
-        return not found.fault and found.description == description
-    if not found.kind and not is_hdf5(output):
-        raise BadData(f"{output}: is there and is no {description.kind}; choose another name")
-    if found.kind not in ("", description.kind):
-        raise BadData(
-            f"{output}: is there and is no {description.kind}; choose another name, or replace it with --overwrite"
-        )
-    if found.fault or found.description is None:
+        return not fault and about.get(DIGEST) == description.sha256
+    if kind not in ("", description.kind) or not is_hdf5(output):
+        cure = ", or replace it with --overwrite" if kind else ""
+        raise BadData(f"{output}: is there and is no {description.kind}; choose another name{cure}")
+    if fault:
         raise BadData(f"{output}: is there and is not whole; make it again with --overwrite, without --resume")
-    require_same(output, found.description.content, description.content)
+    if about.get(DIGEST) != description.sha256:
+        required = {**description.content["attributes"], **description.content}
+        # In this order, because all else is told by the versions and the scene.
+        names = ("seed", "n_signals", "dtype", "compression", "scene_name", "scene_sha256", "versions")
+        name = next((name for name in names if about.get(name, required.get(name)) != required.get(name)), "n_samples")
+        raise CannotCreate(
+            f"{output}: {name} must be that of the file that is there, {about.get(name, 'another')!s:.80}, got "
+            f"{required.get(name, 'another')!s:.80}; choose another name, or replace it with --overwrite"
+        )
     return True
 
 
@@ -269,21 +288,16 @@ def _is_resumed(output: Path, description: Description, overwrite: bool) -> bool
 
 def _whole(output: Path, description: Description) -> dict[str, str]:
     """Return the sums of the files in a folder that are whole."""
-    folder = Folder(
-        path=output,
-        description=description,
-        sums=read_sums(output, description.sha256),
-        digest=description.sha256,
-    )
+    listed, there = read_sums(output, description.sha256), _names(output)
+    folder = Folder(path=output, description=description, sums=listed, digest=description.sha256)
     sums = {}
     for number, name in enumerate(description.names):
-        path = output / name
-        if path.is_file() and not path.is_symlink():
-            listed = folder.sums.get(name)
-            if listed is None and not why_not_whole(folder, number):
-                sums[name] = sha256_of(path)
-            elif listed is not None and has_sum(path, listed):
-                sums[name] = listed
+        if name not in there or not (path := output / name).is_file() or path.is_symlink():
+            continue
+        if name not in listed and not why_not_whole(folder, number):
+            sums[name] = sha256_of(path)
+        elif name in listed and has_sum(path, listed[name]):
+            sums[name] = listed[name]
     return sums
 
 
