@@ -215,7 +215,10 @@ def _cluster_failed(error: Exception) -> ClusterFailed | None:
             "it, fewer threads, or ask for smaller shards"
         )
     elif isinstance(error, CancelledError):
-        reason = f"cluster: the scheduler or all workers are lost ({error}); start some, and go on with --resume"
+        reason = (
+            f"cluster: the scheduler or all workers are lost ({getattr(error, 'reason', error)}); start some, and go on "
+            "with --resume"
+        )
     else:
         return None
     return ClusterFailed(reason)

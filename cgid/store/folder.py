@@ -310,8 +310,7 @@ def read_text(file: Path) -> bytes | None:
         raise NoInput(f"{file}: cannot be read ({error.strerror}); see to its permissions, or to the disk") from None
     if not is_sound or sum(map(content.count, (b",", b"[", b"{", b"\n"))) > _VALUES + n_files * _VALUES_OF_FILE:
         raise BadData(
-            f"{file}: must be a regular file and say no more than {n_files} files beside it bear out; "
-            "generate it again"
+            f"{file}: must be a regular file and say no more than {n_files} files beside it bear out; generate it again"
         )
     return content
 

@@ -79,7 +79,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
         {
             "cgid.store": None,
             "cgid.store.verification": ("Verified", "verify"),
-            "cgid.scene.repair": ("Repair", "repair"),
+            "cgid.scene.repair": ("repair",),
             "cgid.store.dataset": ("export",),
         },
     ),
