@@ -216,8 +216,8 @@ def _cluster_failed(error: Exception) -> ClusterFailed | None:
         )
     elif isinstance(error, CancelledError):
         reason = (
-            f"cluster: the scheduler or all workers are lost ({getattr(error, 'reason', error)}); start some, and go on "
-            "with --resume"
+            f"cluster: the scheduler or all workers are lost ({getattr(error, 'reason', error)}); start some, and "
+            "go on with --resume"
         )
     else:
         return None
