@@ -27,7 +27,7 @@ from cgid.identification.detection import find_impacts
 from cgid.identification.estimation import cramer_rao_bound, estimate
 from cgid.identification.events import frames_alike
 from cgid.impactor import ImpactorEstimates, MeasuredPulses, population_of, size_distribution
-from cgid.impactor.columns import detection_of, matched
+from cgid.impactor.columns import detection_of, match_times
 from cgid.impactor.population import beam_behind
 from cgid.impactor.posterior import QUANTITIES
 from cgid.impactor.recognition import of_material, through_beam
@@ -268,7 +268,7 @@ def recorded(scene: Scene, seed: int) -> tuple[MeasuredPulses, dict[str, Any], N
         looked = through_beam(frames, first.sampling_rate, first.pre_trigger, beam_behind(scene), first.detection_limit)
         parts.append(looked)
         order += numbers
-    return MeasuredPulses.joined(parts), truth, matched(truth["time"], np.array([events[k].time for k in order]))
+    return MeasuredPulses.joined(parts), truth, match_times(truth["time"], np.array([events[k].time for k in order]))
 
 
 def masses(n: int, name: str = "caving") -> None:

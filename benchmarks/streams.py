@@ -23,8 +23,8 @@ import numpy as np
 from cgid import plots, shipped
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.question import EVIDENCE, Question
-from cgid.identification.share import CavingWatch, Share, Turn
+from cgid.identification.prediction_settings import EVIDENCE, PredictionSettings
+from cgid.identification.share import CavingWatch, Share, Switch
 from cgid.identification.stream import identify_blocks
 from cgid.scene import Scene, load_scene, parse_scene
 from cgid.scene.stream import record
@@ -53,14 +53,14 @@ class Stream:
         signal, truth = record(scene, seed, number)
         first = truth["bounce"] == 0
         begun = time.process_time()
-        steps = identify_blocks([signal.samples[None]], signal.sampling_rate, model, ("1",), Question())
+        steps = identify_blocks([signal.samples[None]], signal.sampling_rate, model, ("1",), PredictionSettings())
         answers = [answer for step in steps for answer in step.answers]
         cost = (time.process_time() - begun) / len(answers)
         return cls(answers, truth["time"][first], truth["label"][first] == "gangue", cost)
 
-    def watched(self, model: Model, **settings: Any) -> list[Share | Turn]:
+    def watched(self, model: Model, **settings: Any) -> list[Share | Switch]:
         """Return shares and turns, as `cgid monitor` says them."""
-        watch = CavingWatch(model, ("1",), Question(**settings))
+        watch = CavingWatch(model, ("1",), PredictionSettings(**settings))
         return watch.feed(self.answers, DURATION) + watch.finish(DURATION)
 
     def shares(self, model: Model, length: float) -> Iterator[tuple[Share, float]]:
@@ -70,9 +70,9 @@ class Stream:
                 own = self.gangue[(self.time > share.start) & (self.time <= share.time)]
                 yield share, float(own.mean())
 
-    def turns(self, model: Model, **settings: Any) -> list[Turn]:
+    def turns(self, model: Model, **settings: Any) -> list[Switch]:
         """Return the turns with windows of 10 s, each second."""
-        return [one for one in self.watched(model, share_step=1.0, **settings) if isinstance(one, Turn)]
+        return [one for one in self.watched(model, share_step=1.0, **settings) if isinstance(one, Switch)]
 
     def drawn(self, until: float) -> tuple[float, float]:
         """Return the recovery of coal and the share of gangue among all rocks drawn until a time [s]."""

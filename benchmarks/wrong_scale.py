@@ -23,7 +23,7 @@ from cgid.identification.answers import Answer, answers_from
 from cgid.identification.card import table
 from cgid.identification.diagnosis import Diagnosis
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import Rows, measure
 from cgid.measure.features import FEATURES
 from cgid.scene import load_scene, synthesise
@@ -76,7 +76,7 @@ class World:
         inputs = [np.where(self.scaled, factor * rows, rows) for rows in self.inputs]
         rate = self.model.sampling_rates[0]
         return [
-            list(answers_from(rows, guards, self.model, Question(), rate))
+            list(answers_from(rows, guards, self.model, PredictionSettings(), rate))
             for rows, guards in zip(inputs, self.guards, strict=True)
         ]
 

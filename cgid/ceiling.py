@@ -158,7 +158,7 @@ def ceiling(
         The integration does not cover the scene, it has a single label, or `n_signals` is out of range.
     """
     scene = load_scene(scene)
-    check_asked(scene)
+    require_supported(scene)
     if rule := uncovered(scene):
         raise InvalidValue(
             f"scene {scene.name}: the Bayes limit needs {rule}; cgid.ceiling.learner bounds it from below"
@@ -201,7 +201,7 @@ def ceilings(
     return tuple(_by_label(scene, np.concatenate(truth), np.concatenate(part), weights) for part in evidence)
 
 
-def check_asked(scene: Scene) -> None:
+def require_supported(scene: Scene) -> None:
     """Raise `InvalidValue` if a scene has no ceiling of any kind: no single impacts, or a single label."""
     problems = (
         (scene.stream is not None, "a frame for each impact, this one is a stream; take [stream] out"),
@@ -308,17 +308,17 @@ class _Knowledge:
         """Return the log probability of each signal."""
         peak_offset: Any = 0.0
         time_offset: Any = -np.log(batch.sampling_rate)
-        own = np.zeros(len(batch))
+        log_evidence = np.zeros(len(batch))
         if self.speed is not None:
             # P0 ~ v^(6/5), T0 ~ v^(-1/5)
             peak_offset, time_offset = -1.2 * log_speed, time_offset + 0.2 * log_speed
             edges, density = self.speed
             cell = np.clip(np.searchsorted(edges, log_speed[:, 0], side="right") - 1, 0, len(density) - 1)
             inside = (log_speed[:, 0] >= edges[0]) & (log_speed[:, 0] <= edges[-1])
-            own = np.log(np.where(inside, np.maximum(density[cell], 1e-12), 1e-12))
+            log_evidence = np.log(np.where(inside, np.maximum(density[cell], 1e-12), 1e-12))
         # A fit that misses its pulse gives nan, which `_by_label` replaces by the weights.
         with np.errstate(invalid="ignore"):
-            return np.asarray(own + self.prior.evidence(along, peak_offset, time_offset))
+            return np.asarray(log_evidence + self.prior.evidence(along, peak_offset, time_offset))
 
 
 def _population_alone(scene: Scene, index: int) -> str:
@@ -339,23 +339,25 @@ def _draws(text: str, n_draws: int) -> dict[str, Floats]:
 
 def _joined(batches: Iterator[Batch], n_rows: int) -> Iterator[Batch]:
     """Yield the batches joined to at least this many signals, because larger batches are faster."""
-    held: list[Batch] = []
+    pending: list[Batch] = []
     for batch in batches:
-        held.append(batch)
-        if sum(map(len, held)) >= n_rows:
-            yield _one(held)
-            held = []
-    if held:
-        yield _one(held)
+        pending.append(batch)
+        if sum(map(len, pending)) >= n_rows:
+            yield _one(pending)
+            pending = []
+    if pending:
+        yield _one(pending)
 
 
-def _one(held: list[Batch]) -> Batch:
+def _one(pending: list[Batch]) -> Batch:
     return replace(
-        held[0],
-        signals=np.concatenate([batch.signals for batch in held]),
-        labels=np.concatenate([batch.labels for batch in held]),
-        specimen=np.concatenate([batch.specimen for batch in held]),
-        parameters={name: np.concatenate([batch.parameters[name] for batch in held]) for name in held[0].parameters},
+        pending[0],
+        signals=np.concatenate([batch.signals for batch in pending]),
+        labels=np.concatenate([batch.labels for batch in pending]),
+        specimen=np.concatenate([batch.specimen for batch in pending]),
+        parameters={
+            name: np.concatenate([batch.parameters[name] for batch in pending]) for name in pending[0].parameters
+        },
     )
 
 
@@ -367,8 +369,8 @@ def _profiles(scene: Scene, batch: Batch, along: Along, knowledge: list[_Knowled
     bounds = [k.prior.shape_bounds for k in knowledge]
     if min(high - low for low, high in bounds) > _NARROW:
         bounds = [(min(low for low, _ in bounds), max(high for _, high in bounds))] * len(bounds)
-    found = {(low, high): along(scene, batch, low, high, n_nodes) for low, high in set(bounds)}
-    return [found[bound] for bound in bounds]
+    profiles = {(low, high): along(scene, batch, low, high, n_nodes) for low, high in set(bounds)}
+    return [profiles[bound] for bound in bounds]
 
 
 def _in_white_noise(scene: Scene, batch: Batch, lowest: float, highest: float, n_nodes: int) -> Profile:
@@ -487,7 +489,7 @@ def learner(
     from threadpoolctl import threadpool_limits
 
     scene = load_scene(scene)
-    check_asked(scene)
+    require_supported(scene)
     if scene.sensor.quantity != "force":
         raise InvalidValue(f"scene {scene.name}: the learner needs a sensor of force, it has {scene.sensor.quantity}")
     validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from functools import wraps
 from importlib import import_module
-from typing import Any
+from typing import Any, TypeVar
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
@@ -36,3 +39,19 @@ def renamed_attribute(old: str, new: str) -> Any:
         return getattr(self, new)
 
     return property(read)
+
+
+def renamed_arguments(**names: str) -> Callable[[F], F]:
+    """Return a decorator of a function that also takes keyword arguments by former names (old=new)."""
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def called(*arguments: Any, **keywords: Any) -> Any:
+            for old in [name for name in keywords if name in names]:
+                warn_renamed(f"{function.__name__}({old}=...)", f"{names[old]}=")
+                keywords[names[old]] = keywords.pop(old)
+            return function(*arguments, **keywords)
+
+        return called  # type: ignore[return-value]
+
+    return decorate

@@ -36,7 +36,7 @@ MOST_NUMBERS = 1 << 20
 _SINGLE = (1e-37, 1e37)
 #: Standard deviations from the middle of the training of the rows that a file tests itself with.
 _TESTED = (-1.5, -0.75, 0.0, 0.75, 1.5)
-_LONGEST_LINE = 116
+_MAX_LINE_LENGTH = 116
 #: Tables that stay double in single precision.
 _ALWAYS_DOUBLE = ("cgid_coverages", "set_limits", "test_probabilities", "band_edges")
 
@@ -98,12 +98,12 @@ def require_small(model: Model) -> None:
 
 def _values(model: Model) -> list[tuple[str, str, str]]:
     """Return name, unit and definition of each value of an impact."""
-    found = []
+    values = []
     for name in (*model.inputs, *model.guards):
         feature = FEATURES[name.partition(" of channel ")[0]] if name not in model.known else None
         unit = KNOWN[name] if feature is None else feature.unit_for(model.unit)
-        found.append((name, unit, "known besides the signal" if feature is None else feature.definition))
-    return found
+        values.append((name, unit, "known besides the signal" if feature is None else feature.definition))
+    return values
 
 
 def _heading(model: Model) -> str:
@@ -117,7 +117,7 @@ def _heading(model: Model) -> str:
         f"Labels  {', '.join(f'{k}: {label}' for k, label in enumerate(model.labels))}",
         "",
         "Values of an impact, in this order; name [unit], definition:",
-        *(f"  {k:3d}  {name} [{unit}], {told}" for k, (name, unit, told) in enumerate(_values(model))),
+        *(f"  {k:3d}  {name} [{unit}], {definition}" for k, (name, unit, definition) in enumerate(_values(model))),
         "",
         *_missing(model),
         "",
@@ -129,7 +129,7 @@ def _heading(model: Model) -> str:
         "cc -std=c99 -O2 -DCGID_MAIN FILE.c -lm  a program that answers to the rows of a CSV",
         "Other files declare what is here by #define CGID_HEADER and #include of this file. Never use -ffast-math.",
     ]
-    wrapped = [textwrap.wrap(line, _LONGEST_LINE - 3, subsequent_indent=" " * 8) or [""] for line in lines]
+    wrapped = [textwrap.wrap(line, _MAX_LINE_LENGTH - 3, subsequent_indent=" " * 8) or [""] for line in lines]
     return "/* " + "\n".join(f" * {line}".rstrip() for part in wrapped for line in map(_comment, part))[3:] + "\n */\n"
 
 
@@ -286,9 +286,9 @@ def _answer(model: Model) -> str:
     if model.beam is not None:
         low, high = LOWEST_SHARE * low, 1e300
     ones = ", ".join("1" for _ in model.labels)
-    own = _part("answer", ones=ones, lowest=repr(0.99 * low), highest=repr(1.01 * high))
+    text = _part("answer", ones=ones, lowest=repr(0.99 * low), highest=repr(1.01 * high))
     measuring = _part("body of measure") if _bands(model) is not None else ""
-    return own + (_part("body of sets") if model.conformal is not None else "") + measuring
+    return text + (_part("body of sets") if model.conformal is not None else "") + measuring
 
 
 # -- C as text --------------------------------------------------------------------------------------------
@@ -302,8 +302,8 @@ def _part(name: str, **filled: object) -> str:
 @cache
 def _parts() -> dict[str, str]:
     text = (resources.files("cgid") / "export_c.c").read_text(encoding="ascii")
-    _, *found = re.split(r"^//: (.+)\n", text, flags=re.MULTILINE)
-    return dict(zip(found[::2], found[1::2], strict=True))
+    _, *parts = re.split(r"^//: (.+)\n", text, flags=re.MULTILINE)
+    return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
 def _comment(text: str) -> str:
@@ -329,7 +329,7 @@ def _table(name: str, array: NDArray[Any]) -> str:
     if not array.ndim:
         return f"static const {kind} {name} = {_number(array.item())};\n"
     text = ", ".join(map(_number, array.ravel().tolist()))
-    lines = textwrap.fill(text, _LONGEST_LINE, initial_indent="    ", subsequent_indent="    ")
+    lines = textwrap.fill(text, _MAX_LINE_LENGTH, initial_indent="    ", subsequent_indent="    ")
     return f"{'' if public else 'static '}const {kind} {name}[{array.size}] = {{\n{lines}\n}};\n"
 
 

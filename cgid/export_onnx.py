@@ -43,16 +43,16 @@ class _Graph:
         self.nodes.append(self._helper.make_node(operator, names, [result], **attributes))
         return result
 
-    def whole(self, values: Any) -> str:
+    def integer(self, values: Any) -> str:
         """Return the name of a constant of whole numbers."""
         return self.constant(values, np.int64)
 
     def columns(self, values: str, numbers: Iterable[int]) -> str:
-        return self("Gather", values, self.whole(list(numbers)), axis=1)
+        return self("Gather", values, self.integer(list(numbers)), axis=1)
 
     def sums(self, values: str) -> str:
         """Return the sum of each row, (n, 1)."""
-        return self("ReduceSum", values, self.whole([1]), keepdims=1)
+        return self("ReduceSum", values, self.integer([1]), keepdims=1)
 
 
 def onnx_bytes(model: Model) -> bytes:
@@ -104,15 +104,15 @@ def _answer(graph: _Graph, model: Model) -> None:
     # Infinity times zero is no number, either.
     sums = graph.sums(graph("Concat", "values", probabilities, axis=1))
     finite = graph("Not", graph("IsNaN", graph("Mul", sums, 0.0)))
-    known = graph("And", graph("Squeeze", finite, graph.whole([1])), graph("LessOrEqual", novelty, 1.0))
+    known = graph("And", graph("Squeeze", finite, graph.integer([1])), graph("LessOrEqual", novelty, 1.0))
     best = graph("ArgMax", probabilities, axis=1, keepdims=0)
-    graph("Where", known, best, graph.whole(-1), name="label")
+    graph("Where", known, best, graph.integer(-1), name="label")
 
 
 def _standardised(graph: _Graph, values: str, standardiser: Standardiser) -> str:
     logarithms = graph("Log", graph("Max", values, standardiser.floor))
-    chosen = graph("Where", graph.constant(standardiser.logarithmic, np.bool_), logarithms, values)
-    return graph("Div", graph("Sub", chosen, standardiser.mean), standardiser.scale)
+    scaled = graph("Where", graph.constant(standardiser.logarithmic, np.bool_), logarithms, values)
+    return graph("Div", graph("Sub", scaled, standardiser.mean), standardiser.scale)
 
 
 def _novelty(graph: _Graph, model: Model, x: str) -> str:
@@ -131,24 +131,26 @@ def _novelty(graph: _Graph, model: Model, x: str) -> str:
         guards = graph.columns("values", range(n, n + len(model.guards)))
         parts.append(graph("ReduceMax", graph("Div", guards, np.array(model.guard_limits)), axes=[1], keepdims=1))
     if model.contrast is not None:
-        own = model.contrast
+        contrast = model.contrast
         measured = graph.columns("values", [*range(len(model.features)), *range(n, n + len(model.guards))])
-        standardised, arrays = _standardised(graph, measured, own.standardiser), own.scorer.arrays
-        by_network = isinstance(own.scorer, Network)
+        standardised, arrays = _standardised(graph, measured, contrast.standardiser), contrast.scorer.arrays
+        by_network = isinstance(contrast.scorer, Network)
         score = _layers(graph, standardised, arrays) if by_network else _line(graph, standardised, arrays)
-        parts.append(graph("Exp", graph("Min", graph("Div", graph("Sub", score, own.limit), own.SCALE), 100.0)))
+        parts.append(
+            graph("Exp", graph("Min", graph("Div", graph("Sub", score, contrast.limit), contrast.SCALE), 100.0))
+        )
         doubtful.append(parts[-1])
     # Run times differ in the largest of numbers and nan.
     odd = graph("IsNaN", graph("Sum", *doubtful) if len(doubtful) > 1 else doubtful[0])
     largest = graph("Max", *parts) if len(parts) > 1 else parts[0]
-    return graph("Squeeze", graph("Where", odd, np.inf, largest), graph.whole([1]), name="novelty")
+    return graph("Squeeze", graph("Where", odd, np.inf, largest), graph.integer([1]), name="novelty")
 
 
 # -- the scores of the families, (n, n_scores) ------------------------------------------------------------
 
 
 def _linear(graph: _Graph, x: str, model: Model) -> str:
-    return _line(graph, x, _own(model))
+    return _line(graph, x, _arrays(model))
 
 
 def _logistic(graph: _Graph, x: str, model: Model) -> str:
@@ -158,10 +160,10 @@ def _logistic(graph: _Graph, x: str, model: Model) -> str:
 
 
 def _network(graph: _Graph, x: str, model: Model) -> str:
-    return _layers(graph, x, _own(model))
+    return _layers(graph, x, _arrays(model))
 
 
-def _own(model: Model) -> dict[str, NDArray[Any]]:
+def _arrays(model: Model) -> dict[str, NDArray[Any]]:
     return {name.removeprefix("family."): array for name, array in model.arrays.items()}
 
 
@@ -178,12 +180,12 @@ def _layers(graph: _Graph, x: str, arrays: Mapping[str, NDArray[Any]]) -> str:
 
 def _boosting(graph: _Graph, x: str, model: Model) -> str:
     """Descend all trees at once, as `Boosting.scores`: a leaf is its own child."""
-    a = _own(model)
-    children = [graph.whole(a[name]) for name in ("left", "right")]
-    n_rows = graph("Gather", graph("Shape", x), graph.whole([0]))
-    node = graph("Expand", graph.whole(a["roots"][None]), graph("Concat", n_rows, graph.whole([1]), axis=0))
+    a = _arrays(model)
+    children = [graph.integer(a[name]) for name in ("left", "right")]
+    n_rows = graph("Gather", graph("Shape", x), graph.integer([0]))
+    node = graph("Expand", graph.integer(a["roots"][None]), graph("Concat", n_rows, graph.integer([1]), axis=0))
     for _ in range(_depth(a)):
-        value = graph("GatherElements", x, graph("Gather", graph.whole(a["feature"]), node), axis=1)
+        value = graph("GatherElements", x, graph("Gather", graph.integer(a["feature"]), node), axis=1)
         below = graph("LessOrEqual", value, graph("Gather", a["threshold"], node))
         left, right = (graph("Gather", child, node) for child in children)
         node = graph("Where", below, left, right)

@@ -62,8 +62,8 @@ def whole_file(
         try:
             temporary.open("xb").close()  # a plain open applies the user's umask
         except OSError as error:
-            cure = "free some space" if error.errno in FULL else "choose an existing folder you may write to"
-            raise CannotCreate(f"{path}: cannot be created ({error.strerror}); {cure}") from None
+            hint = "free some space" if error.errno in FULL else "choose an existing folder you may write to"
+            raise CannotCreate(f"{path}: cannot be created ({error.strerror}); {hint}") from None
         yield temporary
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
@@ -84,9 +84,9 @@ def whole_file(
                 f"{path}: has come into being meanwhile; choose another name or say --overwrite"
             ) from None
         if isinstance(error, OSError):
-            cure = "free some space" if error.errno in {*FULL, None} else "choose another place, or see to the disk"
+            hint = "free some space" if error.errno in {*FULL, None} else "choose another place, or see to the disk"
             raise WriteFailed(
-                f"{path}: writing failed ({error.strerror or error}); nothing was left behind, {cure}"
+                f"{path}: writing failed ({error.strerror or error}); nothing was left behind, {hint}"
             ) from None
         raise
     sync_folder(path.parent)
@@ -177,7 +177,7 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
 def _restored(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
     """Keep an existing file, and restore it if an error follows its replacement by the file in `made`."""
     old = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-    had, kept = path.is_file(), False
+    had, is_kept = path.is_file(), False
     try:
         if had:
             _second_name(path, old)
@@ -188,10 +188,10 @@ def _restored(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
             if path.stat().st_ino == made.get(path):
                 old.replace(path) if had else path.unlink()
         except OSError:
-            kept = had  # keep the old file if it cannot be restored
+            is_kept = had  # keep the old file if it cannot be restored
         raise
     finally:
-        if not kept:
+        if not is_kept:
             _remove(old)
 
 

@@ -236,8 +236,8 @@ class TrainingStream:
             places = takewhile(lambda place: place < n, places)
         # More processes than processors would only cost memory.
         with (
-            executor(min(self.workers, os.cpu_count() or 1)) as crew,
-            closing(crew.each_in_step(_batches, self, places)) as made,
+            executor(min(self.workers, os.cpu_count() or 1)) as pool,
+            closing(pool.each_in_step(_batches, self, places)) as made,
         ):
             for batches in made:
                 yield from batches
@@ -311,14 +311,14 @@ def stream(
     )
 
 
-def _batches(asked: TrainingStream, place: int) -> list[TrainingBatch]:
+def _batches(settings: TrainingStream, place: int) -> list[TrainingBatch]:
     """Return the batches that one worker makes at a time, from the signal at this place of the stream on."""
-    size = asked.batch_size
+    size = settings.batch_size
     n = size * max(_AT_ONCE // size, 1)
-    if asked.n_signals is not None:
-        n = min(n, asked.n_signals - place)
-    made = list(synthesise(asked.scene, n, asked.seed, first=asked.first + place))
-    names = np.array(asked.labels)
+    if settings.n_signals is not None:
+        n = min(n, settings.n_signals - place)
+    made = list(synthesise(settings.scene, n, settings.seed, first=settings.first + place))
+    names = np.array(settings.labels)
     signals = np.concatenate([batch.signals for batch in made])
     labels = np.searchsorted(names, np.concatenate([batch.labels for batch in made])).astype(np.int64)
     rates = [np.full(len(batch), batch.sampling_rate) for batch in made]

@@ -24,7 +24,7 @@ from cgid.files import looking_at, write_whole
 
 #: Waiting time for an answer [s], and rate from which on the rest must arrive [bytes/s].
 PATIENCE, MIN_RATE = 30.0, 5e3
-_CURE = "check the connection, or give --mirror with the address of a copy"
+_HINT = "check the connection, or give --mirror with the address of a copy"
 #: Where GitHub serves files of a commit.
 _GITHUB = "https://raw.githubusercontent.com"
 
@@ -156,7 +156,7 @@ def fetch(
         with looking_at(path):
             there = path.exists()
         if there:
-            _check_kept(path, file)
+            _check_cached(path, file)
         else:
             content = _downloaded(f"{base}/{quote(file.path)}", file)
             try:
@@ -185,7 +185,7 @@ def _require_address(base: str) -> None:
         raise InvalidValue(f"mirror must be an address that begins with https:// or http://, got {base!r}")
 
 
-def _check_kept(path: Path, file: PublicFile) -> None:
+def _check_cached(path: Path, file: PublicFile) -> None:
     """Raise `CannotCreate` if the existing file is another one."""
     if not path.is_file() or path.stat().st_size != file.size or _sum(path.read_bytes()) != file.sha256:
         raise CannotCreate(f"{path}: exists already and is not the public file; move it, or choose another folder")
@@ -198,22 +198,22 @@ def _sum(content: bytes) -> str:
 def _downloaded(address: str, file: PublicFile) -> bytes:
     """Return a file, or raise `NoInput` if it takes too long: a server may send a byte now and then for days."""
     timeout = PATIENCE + file.size / MIN_RATE
-    found: list[bytes | Exception] = []
+    results: list[bytes | Exception] = []
 
     def transfer() -> None:
         try:
-            found.append(_transferred(address, file))
+            results.append(_transferred(address, file))
         except Exception as error:
-            found.append(error)
+            results.append(error)
 
     thread = Thread(target=transfer, daemon=True)  # names, handshakes and headers have no limit of their own
     thread.start()
     thread.join(timeout)
-    if not found:
-        raise NoInput(f"{address}: {file.size} bytes must arrive within {timeout:.3g} s, they do not; {_CURE}")
-    if isinstance(found[0], Exception):
-        raise found[0]
-    return found[0]
+    if not results:
+        raise NoInput(f"{address}: {file.size} bytes must arrive within {timeout:.3g} s, they do not; {_HINT}")
+    if isinstance(results[0], Exception):
+        raise results[0]
+    return results[0]
 
 
 def _transferred(address: str, file: PublicFile) -> bytes:
@@ -222,13 +222,13 @@ def _transferred(address: str, file: PublicFile) -> bytes:
             content = bytes(answer.read(file.size + 1))  # no more, whatever a server sends
     except HTTPError as error:
         error.close()
-        told = f"the server answers {error.code} {validation.cut(str(error.reason))}"
-        raise NoInput(f"{address}: cannot be downloaded, {told}; {_CURE}") from None
+        answer = f"the server answers {error.code} {validation.cut(str(error.reason))}"
+        raise NoInput(f"{address}: cannot be downloaded, {answer}; {_HINT}") from None
     except http.client.IncompleteRead as error:
         content = error.partial
     except (OSError, URLError, http.client.HTTPException, ValueError) as error:
         reason = getattr(error, "reason", None) or error
-        raise NoInput(f"{address}: cannot be downloaded: {validation.cut(str(reason))}; {_CURE}") from None
+        raise NoInput(f"{address}: cannot be downloaded: {validation.cut(str(reason))}; {_HINT}") from None
     if len(content) < file.size:
         raise BadData(f"{address}: must hold {file.size} bytes, {len(content)} arrived: cut off; run the command again")
     if len(content) != file.size or _sum(content) != file.sha256:

@@ -22,7 +22,7 @@ from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
-from cgid.identification.share import FEWEST_IMPACTS, Share, Turn
+from cgid.identification.share import FEWEST_IMPACTS, Share, Switch
 from cgid.measure.overview import Overview
 from cgid.plots import (
     COLOURS,
@@ -41,7 +41,7 @@ from cgid.terminal import counted, printable
 from cgid.validation import UNKNOWN
 
 #: Longest list of names that is written in full.
-_MOST_NAMES = 8
+_MAX_NAMES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class Report:
         In order of time.
     shares : sequence of Share
         Gangue shares over sliding windows.
-    turns : sequence of Turn
+    turns : sequence of Switch
         When the window should be shut or opened.
     threshold : float or None
         Share of gangue above which further caving costs more than it brings.
@@ -81,7 +81,7 @@ class Report:
     channels: Sequence[Channel]
     answers: Sequence[Answer]
     shares: Sequence[Share] = ()
-    turns: Sequence[Turn] = ()
+    turns: Sequence[Switch] = ()
     threshold: float | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
     unit_of_decision: str = "impact"
@@ -111,7 +111,7 @@ class Report:
             yield f"{share.share:.0%}" if share.n_impacts else "-", f"gangue at the end ({interval}{where})"
 
     @property
-    def has_course(self) -> bool:
+    def has_time_history(self) -> bool:
         """Whether the share of some channel is known at two or more times."""
         return bool(self._followed)
 
@@ -122,8 +122,8 @@ class Report:
 
     def times_of_shares(self) -> dict[str, NDArray[np.float64]]:
         """Return the times of the answers of channels whose share has a course, if they are enough for a decision."""
-        found = {name: np.array([one.time for one in self.answers if one.channel == name]) for name in self._followed}
-        return {name: times for name, times in found.items() if len(times) >= FEWEST_IMPACTS}
+        times = {name: np.array([one.time for one in self.answers if one.channel == name]) for name in self._followed}
+        return {name: one for name, one in times.items() if len(one) >= FEWEST_IMPACTS}
 
 
 def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:
@@ -166,15 +166,15 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
 
 def _listed(names: Sequence[str]) -> str:
     """Join the names; shorten a long list."""
-    if len(names) <= _MOST_NAMES:
+    if len(names) <= _MAX_NAMES:
         return ", ".join(names)
-    return f"{', '.join(names[: _MOST_NAMES // 2])} and {len(names) - _MOST_NAMES // 2} others"
+    return f"{', '.join(names[: _MAX_NAMES // 2])} and {len(names) - _MAX_NAMES // 2} others"
 
 
 #: File name endings of a report.
 ENDINGS = (".html", ".htm")
 #: Most rows of a table; more make browsers slow.
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 _DPI = 130
 
 
@@ -249,7 +249,7 @@ def _section(report: Report) -> Iterator[str]:
     yield '<ul class="tiles">'
     yield from (f"<li><strong>{_text(figure)}</strong> {_text(what)}</li>" for figure, what in report.tiles())
     yield "</ul>"
-    yield from _turns(report)
+    yield from _switches(report)
     yield '<div class="facts">'
     yield from _facts("Recording", report.recording)
     yield from _facts("Model", report.model)
@@ -274,18 +274,19 @@ def _next_steps(report: Report) -> Iterator[str]:
     yield "</div>"
 
 
-def _turns(report: Report) -> Iterator[str]:
+def _switches(report: Report) -> Iterator[str]:
     many = len({share.channel for share in report.shares}) > 1
-    for turn in report.turns:
-        where = f", channel {turn.share.channel}" if many else ""
-        what, side = ("Shut the window", "above") if turn.shut else ("Going on pays again", "below")
+    for switch in report.turns:
+        where = f", channel {switch.share.channel}" if many else ""
+        what, side = ("Shut the window", "above") if switch.shut else ("Going on pays again", "below")
         limit = "" if report.threshold is None else f" that it is {side} the limit of {report.threshold:.0%}"
-        told = (
-            f"{what} at {turn.time:.2f} s{where}: share of gangue {turn.share.share:.0%} "
-            f"({turn.share.low:.0%} to {turn.share.high:.0%}), {turn.evidence:.1%} sure{limit}; going on is expected "
-            f"to cost {turn.cost:+.2g} coal a rock"
+        text = (
+            f"{what} at {switch.time:.2f} s{where}: share of gangue {switch.share.share:.0%} "
+            f"({switch.share.low:.0%} to {switch.share.high:.0%}), {switch.evidence:.1%} sure{limit}; going on is "
+            "expected "
+            f"to cost {switch.cost:+.2g} coal a rock"
         )
-        yield f'<p class="turn">{_text(told)}</p>'
+        yield f'<p class="turn">{_text(text)}</p>'
 
 
 def _facts(title: str, facts: Mapping[str, str]) -> Iterator[str]:
@@ -298,7 +299,7 @@ def _pictures(report: Report) -> Iterator[str]:
     figure = overview_figure(report.overview, report.channels, title="", marks=list(_marks(report)))
     what = f"Each {report.unit_of_decision} by its label, waveform, spectrogram and mean spectrum"
     yield _figure(figure, f"{what} of each channel." if len(report.channels) > 1 else f"{what}.")
-    if report.has_course:
+    if report.has_time_history:
         shares = share_figure(report.shares, report.turns, report.overview.duration, threshold=report.threshold)
         yield _figure(shares, "Share of gangue over a sliding window, with its interval.")
     times = report.times_of_shares()
@@ -331,7 +332,7 @@ def _figure(figure: Any, caption: str) -> str:
 
 def _table(report: Report) -> Iterator[str]:
     """Yield the table of answers, without the columns that do not apply to this recording."""
-    answers = report.answers[:MOST_ROWS]
+    answers = report.answers[:MAX_ROWS]
     has_ends = any(answer.end == answer.end for answer in answers)
     has_sets = any(answer.prediction_set is not None for answer in answers)
     labels = list(dict.fromkeys(label for answer in answers for label in answer.probabilities))

@@ -12,7 +12,7 @@ from typing import Literal
 from cgid.errors import NoInput
 
 #: Most files of a folder that are looked at for a suggestion.
-_MOST_FILES = 10_000
+_MAX_FILES = 10_000
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
 DROP_HEIGHT_MODEL = "default-drop-height.npz"
@@ -91,7 +91,7 @@ def _chosen(
     try:
         if path.exists():
             return path
-        there = [str(path.with_name(one.name)) for one in islice(path.parent.iterdir(), _MOST_FILES)]
+        there = [str(path.with_name(one.name)) for one in islice(path.parent.iterdir(), _MAX_FILES)]
     except (OSError, ValueError):  # whoever opens it says what is wrong
         return path
     others = [name for name in there if name.endswith(ending)]

@@ -201,9 +201,11 @@ class Batch:
 
     def __repr__(self) -> str:
         labels, counts = np.unique(self.labels, return_counts=True)
-        told = ", ".join(f"{label} {count}" for label, count in zip(labels.tolist(), counts.tolist(), strict=True))
+        counted_labels = ", ".join(
+            f"{label} {count}" for label, count in zip(labels.tolist(), counts.tolist(), strict=True)
+        )
         size = f"{len(self)} signals of {self.signals.shape[-1]} samples"
-        return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {told})"
+        return f"Batch({size} at {self.sampling_rate:g} Hz [{self.unit}]: {counted_labels})"
 
     def drop_heights(self) -> Floats | None:
         """Return the drop height of each rock [m]; None if the batch does not store it.

@@ -196,8 +196,8 @@ def suggestion(given: Any, known: Iterable[str]) -> str:
     >>> suggestion("Gange", ["coal", "gangue"]), suggestion("steel", ["coal", "gangue"])
     ("; did you mean 'gangue'?", '')
     """
-    found = similar(given, known) if isinstance(given, str) else []
-    return f"; did you mean {found[0]!r}?" if found else ""
+    matches = similar(given, known) if isinstance(given, str) else []
+    return f"; did you mean {matches[0]!r}?" if matches else ""
 
 
 def similar(given: str, known: Iterable[str], n: int = 1, cutoff: float = 0.7) -> list[str]:
@@ -237,13 +237,13 @@ def count(name: str, value: Any) -> int:
 def whole(name: str, value: Any, lowest: int, highest: int | None = None) -> int:
     """Return `value` as an integer within [lowest, highest], or raise `InvalidValue`."""
     try:
-        found = operator.index(value)
+        number = operator.index(value)
     except TypeError:
-        found = lowest - 1
-    if _masked(value) or found < lowest or (highest is not None and found > highest):
+        number = lowest - 1
+    if _masked(value) or number < lowest or (highest is not None and number > highest):
         limits = f"of {lowest} or more" if highest is None else f"between {lowest} and {highest}"
         raise InvalidValue(f"{name} must be a whole number {limits}, got {shown(value)}")
-    return found
+    return number
 
 
 def hold(owner: Any, *names: str) -> None:
@@ -251,9 +251,9 @@ def hold(owner: Any, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
         if np.ndim(value):
-            held = np.array(value)
-            held.setflags(write=False)
-            object.__setattr__(owner, name, held)
+            array = np.array(value)
+            array.setflags(write=False)
+            object.__setattr__(owner, name, array)
 
 
 def unchecked(kind: type[_T], **fields: Any) -> _T:

@@ -484,7 +484,7 @@ def test_weights_whiten_the_noise():
     """Noise of a known autoregression has the same power at every frequency once it is weighed."""
     from scipy.signal import lfilter
 
-    from cgid.measure.colour import ORDER, Colour
+    from cgid.measure.ar_noise import ORDER, ARNoise
 
     rng, own = np.random.default_rng(2), np.zeros(ORDER)
     own[:2] = 1.2, -0.5
@@ -492,7 +492,7 @@ def test_weights_whiten_the_noise():
     beam = beam_of(panel())
     inversion = Inversion(beam)
     level = np.full(400, noise.std())
-    colour = Colour(np.tile(own, (400, 1)), np.full(400, 3.0))
+    colour = ARNoise(np.tile(own, (400, 1)), np.full(400, 3.0))
     part = noise[:, 1000 : 1000 + inversion.n_samples]
     blows = Blows(part, np.zeros((400, 2), np.intp), level, colour)
     power = np.square(inversion.transformed(part / level[:, None])).mean(axis=0)

@@ -24,7 +24,7 @@ from joblib.parallel import BatchedCalls
 from cgid import workers as cluster
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
-from cgid.identification.grouped import Candidate, Lesson, choose_candidate, final, judge
+from cgid.identification.grouped import Candidate, TrainingSet, choose_candidate, cross_validate, final
 from cgid.identification.rows import Rows, measure
 from cgid.scene import Scene, generate, synthesise
 from cgid.scene import generation as shards
@@ -112,11 +112,11 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
         group=group,
     )
     candidates = [Candidate(name=name, features=(name,), family="linear") for name in rows.names]
-    lesson = Lesson(rows=rows, candidates=candidates, weights=None, seed=0)
+    training_set = TrainingSet(rows=rows, candidates=candidates, weights=None, seed=0)
 
     def learned(crew: Workers) -> list[Any]:
-        judged, choice = judge(lesson, crew=crew), choose_candidate(lesson, crew)
-        limit = final(lesson, choice, crew).neighbourhood_.limit
+        judged, choice = cross_validate(training_set, workers=crew), choose_candidate(training_set, crew)
+        limit = final(training_set, choice, crew).neighbourhood_.limit
         return [judged.probabilities.tolist(), judged.chosen, choice, limit]
 
     with workers(scheduler=address) as far:

@@ -19,7 +19,7 @@ from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.families import softmax
 from cgid.identification.metrics import calibration_error_by_chance, evaluate_sets, reliability
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.training import FEWEST_CALIBRATION_SPECIMENS, Training, hold_out, set_apart, train
 from cgid.scene import Scene, synthesise
 
@@ -251,7 +251,9 @@ def test_an_impact_is_rejected_unless_its_set_is_a_single_label(trained: Trained
     seen = set()
     for coverage in (0.7, 0.97):
         for before, after in zip(
-            plain, identify_frames(*arguments, Question(coverage=coverage), pre_trigger=batch.pre_trigger), strict=True
+            plain,
+            identify_frames(*arguments, PredictionSettings(coverage=coverage), pre_trigger=batch.pre_trigger),
+            strict=True,
         ):
             assert after.probabilities == before.probabilities
             assert after.prediction_set is not None
@@ -283,9 +285,9 @@ def test_coverage_survives_the_file(trained: Trained, tmp_path: Path) -> None:
 
 def test_costs_and_coverage_do_not_mix() -> None:
     with pytest.raises(InvalidValue, match="together"):
-        Question(costs={"coal": 2.0}, coverage=0.9)
+        PredictionSettings(costs={"coal": 2.0}, coverage=0.9)
     with pytest.raises(InvalidValue, match="--coverage"):
-        Question(class_conditional=True)
+        PredictionSettings(class_conditional=True)
 
 
 def test_predict_rejects_and_counts(trained: Trained, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

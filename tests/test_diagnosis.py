@@ -23,7 +23,7 @@ from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
 from cgid.identification.diagnosis import ChannelAnswers, Hint
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
@@ -95,7 +95,7 @@ def hint_of(
     samples: np.ndarray, rate: float, model: Model, options: tuple[str, ...] = (), **fields: object
 ) -> Hint | None:
     hints = Hints(model, rate, "my file.csv", options)
-    for step in identify_blocks([samples[None]], rate, model, ("1",), Question(**fields)):
+    for step in identify_blocks([samples[None]], rate, model, ("1",), PredictionSettings(**fields)):
         hints.add(step.answers, step.upside_down)
     return hints.hint()
 
@@ -169,7 +169,7 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     samples = of_the_trained_beam(3)
     model = of_levels()
     hints = Hints(model, 2 * BEAM_RATE, "x.csv", ("--rate", "51200", "--unit", "g"), ("--mass", "2"))
-    for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), Question()):
+    for step in identify_blocks([samples[None]], 2 * BEAM_RATE, model, ("1",), PredictionSettings()):
         # Only those outside of the training: at this rate about half of them are.
         hints.add([answer for answer in step.answers if answer.novelty > 1])
     hint = hints.hint()
@@ -194,7 +194,9 @@ def test_coverage_that_no_label_reaches(beam: np.ndarray) -> None:
 def test_only_the_channels_that_need_it_are_named() -> None:
     force = stream(LABELS, 0.05)
     hints = Hints(PULSES, RATE, "two.csv")
-    for step in identify_blocks([np.stack([force, np.minimum(force, 2000)])], RATE, PULSES, ("a", "b"), Question()):
+    for step in identify_blocks(
+        [np.stack([force, np.minimum(force, 2000)])], RATE, PULSES, ("a", "b"), PredictionSettings()
+    ):
         hints.add(step.answers)
     hint = hints.hint()
     assert hint is not None

@@ -9,10 +9,10 @@ from scipy import stats
 from cgid import family
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.estimation import Prior, cramer_rao_bound, estimate, posterior
-from cgid.measure.excerpts import strongest_run
 from cgid.measure.features import extract_array
 from cgid.measure.filters import fft_filter
 from cgid.measure.fit import MODEL_ERROR, Start, fit_pulses
+from cgid.measure.fit_samples import strongest_run
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import curve, pulse_and_slopes, relative_times, shape_deviation
 from cgid.scene import load_scene, parse_scene, synthesise

@@ -72,7 +72,7 @@ def test_what_rings_after_a_force_is_strange(share):
     tone = share * pulse.max() * np.sin(np.pi * after / duration) * (after > 0)
     seen = PulseBatch((pulse + tone)[None], rate, pre_trigger=250)
     assert seen.ringing[0] == pytest.approx(share / np.sqrt(2), rel=0.05)
-    assert (seen.remainder.unexplained[0] > MOST_UNEXPLAINED) == (share / np.sqrt(2) > MOST_RINGING)
+    assert (seen.residual.unexplained[0] > MOST_UNEXPLAINED) == (share / np.sqrt(2) > MOST_RINGING)
 
 
 def test_hum_and_noise_do_not_ring():

@@ -163,7 +163,7 @@ def test_large_models_answer_in_parts_as_in_whole(monkeypatch):
         inputs = np.exp(np.random.default_rng(2).normal(size=(40, 2))) * [2e4, 3e-4]
         whole = model.probabilities(inputs), model.novelty(inputs)
         with monkeypatch.context() as patched:
-            patched.setattr("cgid.identification.model._MOST_HELD", 7)
+            patched.setattr("cgid.identification.model._MAX_BLOCK", 7)
             parts = model.probabilities(inputs), model.novelty(inputs)
         np.testing.assert_allclose(parts[0], whole[0], rtol=1e-12)
         np.testing.assert_allclose(parts[1], whole[1], rtol=1e-12)

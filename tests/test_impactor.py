@@ -16,7 +16,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.estimation import estimate
 from cgid.impactor import Detection, MeasuredPulses, estimate_impactors, population_of, size_distribution
-from cgid.impactor.columns import matched
+from cgid.impactor.columns import match_times
 from cgid.impactor.population import beam_behind, fit_through_beam
 from cgid.impactor.posterior import LEVELS, QUANTITIES
 from cgid.impactor.recognition import forces, of_material, through_beam
@@ -470,4 +470,4 @@ def test_predict_says_where_nothing_is_known(tmp_path, capsys):
 
 def test_matched_takes_each_found_impact_once():
     true, found = np.array([0.1, 0.2, 0.201, 0.5]), np.array([0.1003, 0.2012, 0.2013, 0.9])
-    assert matched(true, found).tolist() == [0, -1, 1, -1]
+    assert match_times(true, found).tolist() == [0, -1, 1, -1]

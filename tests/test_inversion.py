@@ -27,8 +27,8 @@ from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.training import train
+from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average
-from cgid.measure.colour import ORDER, Colour, colour_of
 from cgid.measure.features import FEATURES
 from cgid.measure.modes import LEARNED_COLUMNS, lagrange, nodes
 from cgid.measure.vibration import VibrationBatch
@@ -261,7 +261,7 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     assert found["evidence"][0] * inversion.n_samples == pytest.approx(gained, rel=1e-3)
 
 
-def sought(colour: Colour, noise: np.ndarray) -> Sought:
+def sought(colour: ARNoise, noise: np.ndarray) -> Sought:
     return Sought(np.zeros((len(noise), 1)), noise, colour.coefficients, colour.innovation).by_sensor()
 
 
@@ -271,7 +271,7 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     inversion, n = tail_beam().inversion, 128
     frequency = np.arange(inversion.bins.start, inversion.bins.stop) / inversion.n_samples
     true = np.abs(signal.freqz([1.0], [1.0, -rho], 2 * np.pi * frequency)[1]) ** 2
-    known = Colour(np.zeros((1, ORDER)), np.ones(1))
+    known = ARNoise(np.zeros((1, ORDER)), np.ones(1))
     known.coefficients[0, 0] = rho
     noise = np.array([1 / np.sqrt(1 - rho**2)])
     weight, exponent = inversion._weights(sought(known, noise))
@@ -281,14 +281,14 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     drawn = np.random.default_rng(5).normal(size=(n, 2048))
     frames = signal.lfilter([1.0], [1.0, -rho], drawn)
     quiet, fresh = frames[:, 200:712], frames[:, -640:]
-    colour = colour_of(quiet, np.full(n, 512.0), np.zeros(n))
+    colour = ar_noise_of(quiet, np.full(n, 512.0), np.zeros(n))
     sizes = np.std(quiet, axis=1)
     weight, _ = inversion._weights(sought(colour, sizes))
     white = inversion.transformed(fresh / sizes[:, None]) * np.sqrt(weight)
     by_frequency = np.sqrt(np.mean(white**2, axis=0)).reshape(2, -1)
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.1)
     assert np.abs(by_frequency - 1).mean() < 0.12
-    white_noise = Colour(np.zeros((1, ORDER)), np.ones(1))
+    white_noise = ARNoise(np.zeros((1, ORDER)), np.ones(1))
     assert (inversion._weights(sought(white_noise, np.ones(1)))[0] == 1).all()
 
 

@@ -299,9 +299,9 @@ def test_inbox_that_is_full_makes_the_stream_wait() -> None:
     iterator = iter(inbox)
     total = next(iterator).shape[1]
     deadline = time.monotonic() + 60
-    while not inbox.held_up and time.monotonic() < deadline:
+    while not inbox.is_held_up and time.monotonic() < deadline:
         time.sleep(0.01)
-    assert inbox.held_up
+    assert inbox.is_held_up
     for part in iterator:
         total += part.shape[1]
     assert total == 8 * block.shape[1]
@@ -310,7 +310,7 @@ def test_inbox_that_is_full_makes_the_stream_wait() -> None:
 class Clock:
     """A stream whose delay is set by hand."""
 
-    held_up = False
+    is_held_up = False
 
     def __init__(self) -> None:
         self.behind = 0.0
@@ -321,7 +321,7 @@ def test_delay_is_said_when_it_grows_and_when_it_is_over(capsys: pytest.CaptureF
     for behind in (0.2, 0.9, 1.5, 1.8, 2.9, 3.1, 2.0, 0.8, 0.3, 0.2):
         inbox.behind = behind
         delay.see(inbox)
-    inbox.behind, inbox.held_up = 0.9, True
+    inbox.behind, inbox.is_held_up = 0.9, True
     delay.see(inbox)
     delay.see(inbox)
     out, err = capsys.readouterr()

@@ -220,7 +220,7 @@ def test_broker_that_dies_and_comes_back(outputs, broker, said, monkeypatch) -> 
 
 @pytest.mark.parametrize("how", ["away", "refuses", pytest.param("hangs", marks=pytest.mark.long)])
 def test_broker_that_is_of_no_use_is_one_line(how, outputs, broker, said, monkeypatch) -> None:
-    monkeypatch.setattr(mqtt, "_PATIENCE", 0.5)
+    monkeypatch.setattr(mqtt, "_TIMEOUT", 0.5)
     monkeypatch.setattr(mqtt, "_GRACE", 0.2)
     port = broker("allow_anonymous false").port if how == "refuses" else free_port()
     with socket.socket() as silent:
@@ -609,7 +609,7 @@ def test_command_gets_the_turn(outputs, said, tmp_path) -> None:
 
 
 def test_command_that_fails_or_hangs_is_one_line(outputs, said, monkeypatch) -> None:
-    monkeypatch.setattr(command, "LONGEST_RUN", 0.3)
+    monkeypatch.setattr(command, "MAX_RUN_TIME", 0.3)
     own = outputs(on_shut=f'"{sys.executable}" -c "raise SystemExit(3)"', on_open="sleep 60")
     own(turn("shut", 1.0))
     own(turn("open", 2.0))

@@ -183,9 +183,9 @@ def test_colours_are_told_apart_by_everybody() -> None:
 
 
 def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
-    from cgid.identification.share import ShareWindow, Shutting
+    from cgid.identification.share import ShareWindow, ShutDecision
 
-    window, rule = ShareWindow(20.0), Shutting(3.0)
+    window, rule = ShareWindow(20.0), ShutDecision(3.0)
     shares, turns = [], []
     for time in range(1, 60):
         window.add(time, 0.02 if time < 30 else 0.98)
@@ -203,14 +203,14 @@ def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
 
 def test_the_curve_of_the_operators_is_that_of_a_slow_count() -> None:
     """One share that rises in steps, and two channels, of which the second never shuts."""
-    from cgid.identification.share import Share, Turn
+    from cgid.identification.share import Share, Switch
 
     def share(time: float, mean: float, channel: str) -> Share:
         own = {"start": time - 10.0, "share": mean, "low": 0.0, "high": 1.0, "n_impacts": 20, "mean": mean}
         return Share(time=time, channel=channel, **own)
 
     rises = [share(10.0 * k, level, "1") for k, level in enumerate((0.1, 0.1, 0.5, 0.9, 0.9), start=1)]
-    turn = Turn(time=31.0, shut=True, cost=0.1, evidence=0.96, share=rises[2])
+    turn = Switch(time=31.0, shut=True, cost=0.1, evidence=0.96, share=rises[2])
     times = {"1": np.arange(0.25, 50, 0.5), "2": np.arange(0.5, 50, 1.0)}
     figure = drawn_figure(times, [*rises, *(replace(one, channel="2", mean=0.2) for one in rises)], [turn])
     (axes,) = figure.axes

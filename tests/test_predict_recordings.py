@@ -19,8 +19,8 @@ from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
-from cgid.identification.question import Question
-from cgid.identification.share import CavingWatch, Share, Turn
+from cgid.identification.prediction_settings import PredictionSettings
+from cgid.identification.share import CavingWatch, Share, Switch
 from cgid.identification.stream import identify_blocks, identify_recording, independence, model_blocks
 from cgid.identification.windows import RunningVote, measure_windows
 from cgid.recordings import open_recording, read_recording
@@ -73,8 +73,8 @@ def test_answers_of_a_short_recording_are_those_of_its_signals(two_channels: Pat
 def test_blocks_and_batches_change_nothing(two_channels: Path, default_model: Model, length: int, batch: int) -> None:
     samples = np.load(two_channels)[:, :48_000].astype(float)
     blocks = [samples[:, first : first + length] for first in range(0, samples.shape[1], length)]
-    steps = list(identify_blocks(blocks, RATE, default_model, ("a", "b"), Question(batch=batch)))
-    whole = identify_blocks([samples], RATE, default_model, ("a", "b"), Question())
+    steps = list(identify_blocks(blocks, RATE, default_model, ("a", "b"), PredictionSettings(batch=batch)))
+    whole = identify_blocks([samples], RATE, default_model, ("a", "b"), PredictionSettings())
     expected = [answer for step in whole for answer in step.answers]
     found = [answer for step in steps for answer in step.answers]
     assert [(a.time, a.channel, a.label, a.end) for a in found] == [
@@ -111,10 +111,10 @@ def test_wrong_quantity_is_said_before_anything_is_read(tmp_path: Path, default_
     np.save(tmp_path / "v.npy", np.zeros(100))
     recording = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="J")
     with pytest.raises(BadData, match=r"v.npy: the quantity must be the model's, force \[N\], got energy \[J\]"):
-        model_blocks(recording, default_model, [0], Question())
+        model_blocks(recording, default_model, [0], PredictionSettings())
     volts = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="V")
     with pytest.raises(MissingOption, match=r"v.npy: the samples are a voltage \[V\], .* --sensitivity '10.2 mV/g'"):
-        model_blocks(volts, default_model, [0], Question())
+        model_blocks(volts, default_model, [0], PredictionSettings())
 
 
 def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Model) -> None:
@@ -122,7 +122,7 @@ def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Mod
     rng = np.random.default_rng(0)
     samples = np.stack([force, rng.normal(0, 25, force.size), np.full(force.size, 3.0)])
     for blocks in ([samples], np.array_split(samples, 7, axis=1)):
-        steps = list(identify_blocks(blocks, RATE, default_model, ("1", "2", "3"), Question(), "x"))
+        steps = list(identify_blocks(blocks, RATE, default_model, ("1", "2", "3"), PredictionSettings(), "x"))
         assert {answer.channel for step in steps for answer in step.answers} == {"1"}
         silent = [message for step in steps for message in step.silent]
         assert [message.split(":")[0] for message in silent] == ["x channel 2", "x channel 3"]
@@ -136,7 +136,7 @@ def test_memory_does_not_grow_with_the_recording(default_model: Model) -> None:
     def peak(n_pieces: int) -> tuple[int, int]:
         """Return the memory that answers took [bytes], and how many there were."""
         tracemalloc.start()
-        steps = identify_blocks([piece] * n_pieces, RATE, default_model, ("1",), Question(batch=8))
+        steps = identify_blocks([piece] * n_pieces, RATE, default_model, ("1",), PredictionSettings(batch=8))
         count = sum(len(step.answers) for step in steps)
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
@@ -162,7 +162,7 @@ def noises(n_windows: int = 12) -> np.ndarray:
 def test_windows_are_answered_by_their_vote(n_channels: int) -> None:
     model, samples = window_model(n_channels), noises()
     starts = np.arange(0, samples.shape[1] - 800 + 1, 400)
-    question = Question(vote_time=0.3)
+    question = PredictionSettings(vote_time=0.3)
     blocks = [samples[:, first : first + 1000] for first in range(0, samples.shape[1], 1000)]
     found = [a for s in identify_blocks(blocks, 8000.0, model, ("l", "r"), question) for a in s.answers]
     groups = [("l+r", slice(0, 2))] if n_channels == 2 else [("l", slice(0, 1)), ("r", slice(1, 2))]
@@ -184,7 +184,7 @@ def test_windows_are_answered_by_their_vote(n_channels: int) -> None:
 
 def test_windows_without_a_vote_stand_alone() -> None:
     model, samples = window_model(), noises()
-    step, _ = identify_blocks([samples[:1]], 8000.0, model, ("1",), Question(vote_time=0.0))
+    step, _ = identify_blocks([samples[:1]], 8000.0, model, ("1",), PredictionSettings(vote_time=0.0))
     assert [a.label for a in step.answers if a.end <= 0.6] == ["coal"] * 11
     assert [a.label for a in step.answers if a.time >= 0.6] == ["gangue"] * 11
 
@@ -192,9 +192,9 @@ def test_windows_without_a_vote_stand_alone() -> None:
 def test_windows_of_silence_are_unknown_and_have_no_vote() -> None:
     model, samples = window_model(hop_time=0.1), noises()[:1]
     samples[:, 1600:3200] = 0.0
-    step, _ = identify_blocks([samples], 8000.0, model, ("1",), Question(vote_time=0.2))
+    step, _ = identify_blocks([samples], 8000.0, model, ("1",), PredictionSettings(vote_time=0.2))
     other, _ = identify_blocks(
-        [np.delete(samples, np.s_[1600:3200], 1)], 8000.0, model, ("1",), Question(vote_time=0.2)
+        [np.delete(samples, np.s_[1600:3200], 1)], 8000.0, model, ("1",), PredictionSettings(vote_time=0.2)
     )
     assert [a.label for a in step.answers[2:4]] == ["unknown"] * 2
     assert "silent" in step.answers[2].problem
@@ -205,12 +205,12 @@ def test_windows_of_silence_are_unknown_and_have_no_vote() -> None:
 
 def test_a_model_of_two_channels_asks_for_two() -> None:
     with pytest.raises(BadData, match="channels must be 2, which this model looks at together, got 3"):
-        list(identify_blocks([noises()], 8000.0, window_model(2), ("1", "2", "3"), Question()))
+        list(identify_blocks([noises()], 8000.0, window_model(2), ("1", "2", "3"), PredictionSettings()))
 
 
 def test_votes_that_overlap_count_less() -> None:
-    assert independence(window_model(), Question(vote_time=0.0)) == pytest.approx(0.5)
-    assert independence(window_model(), Question(vote_time=0.5)) == pytest.approx(0.1)
+    assert independence(window_model(), PredictionSettings(vote_time=0.0)) == pytest.approx(0.5)
+    assert independence(window_model(), PredictionSettings(vote_time=0.5)) == pytest.approx(0.1)
 
 
 def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -218,21 +218,21 @@ def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys:
     duller = run_of[:, 2:] + run_of[:, 1:-1] + run_of[:, :-2]
     model = window_model(hop_time=0.1, references={"left": run_of[:, 2:], "right": duller})
     white = np.random.default_rng(9).normal(0, 0.1, (1, 8000))
-    plain, _ = identify_blocks([white], 8000.0, model, ("1",), Question(vote_time=0.0))
-    *heard, last = identify_blocks([white], 8000.0, model, ("1",), Question(vote_time=0.0, sensors=("left",)))
+    plain, _ = identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(vote_time=0.0))
+    *heard, last = identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(vote_time=0.0, sensors=("left",)))
     windows = white.reshape(10, 1, 800)
     table = measure_windows(windows, 8000.0, model.features, model.equalisation("left"))
     expected = model.novelty(table)
     assert [a.novelty for a in heard[0].answers] == pytest.approx(expected, rel=1e-9)
     assert [a.novelty for a in plain.answers] != pytest.approx(expected, rel=0.05)
     assert last.warnings == ()
-    *_, last = identify_blocks([white], 8000.0, model, ("1",), Question(sensors=("right",)), "x.wav")
+    *_, last = identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(sensors=("right",)), "x.wav")
     (warning,) = last.warnings
     assert "x.wav: sensor right must be within 3 dB of its reference run, it is " in warning
     with pytest.raises(InvalidValue, match="sensor must be one of 'left', 'right', got 'top'"):
-        list(identify_blocks([white], 8000.0, model, ("1",), Question(sensors=("top",))))
+        list(identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(sensors=("top",))))
     with pytest.raises(InvalidValue, match=r"sensor must be one, got 2 \(.*\); leave some out"):
-        list(identify_blocks([white], 8000.0, model, ("1",), Question(sensors=("left", "right"))))
+        list(identify_blocks([white], 8000.0, model, ("1",), PredictionSettings(sensors=("left", "right"))))
 
     (tmp_path / "m.npz").write_bytes(model.to_bytes())
     wavfile.write(tmp_path / "n.wav", 8000, white[0].astype(np.float32))
@@ -257,7 +257,7 @@ def test_a_stream_without_a_quiet_moment_is_said_once_and_answered() -> None:
             samples[start : start + ring.size] += ring * rng.lognormal(0, 0.5)
         for size in (1000, 300_000):
             blocks = [samples[None, first : first + size] for first in range(0, samples.size, size)]
-            steps = list(identify_blocks(blocks, rate, model, ("1",), Question(), "loud"))
+            steps = list(identify_blocks(blocks, rate, model, ("1",), PredictionSettings(), "loud"))
             told[n_impacts, size] = [warning for step in steps for warning in step.warnings]
             assert sum(len(step.answers) for step in steps) > 5
     assert told[12, 1000] == told[12, 300_000] == []
@@ -280,7 +280,7 @@ def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None
     rng = np.random.default_rng(2)
     times = np.sort(rng.uniform(0, 30, 400))
     answers = answers_at(times, np.clip(rng.normal(times / 30, 0.2), 0, 1))
-    settings = Question(share_time=6.0, share_step=2.0, dilution_cost=1.5)
+    settings = PredictionSettings(share_time=6.0, share_step=2.0, dilution_cost=1.5)
 
     def told(portion: int) -> list:
         watch = CavingWatch(default_model, ("1",), settings)
@@ -293,7 +293,7 @@ def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None
     whole = told(400)
     assert told(1) == whole
     shares = [one for one in whole if isinstance(one, Share)]
-    turns = [one for one in whole if isinstance(one, Turn)]
+    turns = [one for one in whole if isinstance(one, Switch)]
     assert [share.time for share in shares] == pytest.approx(np.arange(2.0, 31.0, 2.0))
     assert [turn.shut for turn in turns] == [True]
     first_over = next(share for share in shares if share.above >= 0.95)
@@ -304,7 +304,7 @@ def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) ->
     strange = [
         Answer(time=k / 10, label="unknown", probabilities={"coal": 0.0, "gangue": 1.0}, novelty=1.5) for k in range(20)
     ]
-    watch = CavingWatch(default_model, ("1",), Question(share_time=5.0, share_step=5.0))
+    watch = CavingWatch(default_model, ("1",), PredictionSettings(share_time=5.0, share_step=5.0))
     (share,) = watch.feed([*answers_at(np.array([0.05]), np.array([0.02])), *strange], 5.0)
     assert (share.n_impacts, share.n_unknown) == (1, 20)
 
@@ -323,7 +323,7 @@ def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) ->
 )
 def test_settings_of_shares_are_checked(settings, says, default_model: Model) -> None:
     with pytest.raises(InvalidValue, match=says):
-        CavingWatch(default_model, ("1",), Question(**settings))
+        CavingWatch(default_model, ("1",), PredictionSettings(**settings))
 
 
 # -- the command ------------------------------------------------------------------------------------------
@@ -544,7 +544,7 @@ def test_info_of_a_long_recording_is_that_of_a_short_one(
 ) -> None:
     found = []
     for most in (1 << 24, 0):
-        monkeypatch.setattr("cgid.cli.info.MAX_HELD", most)
+        monkeypatch.setattr("cgid.cli.info.MAX_SAMPLES", most)
         assert run(["info", str(two_channels), "--rate", str(RATE), "--unit", "N", "--json"]) == 0
         (row,) = lines_of(capsys)
         found.append(row)

@@ -5,10 +5,10 @@ import pytest
 from scipy import linalg, optimize
 
 from cgid.identification.estimation import cramer_rao_bound, estimate
-from cgid.measure.colour import ORDER, Colour, colour_of
+from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.features import extract_array, extract_truncated
 from cgid.measure.fit import MODEL_ERROR
-from cgid.measure.remainder import N_SHAPES
+from cgid.measure.residual import N_SHAPES
 from cgid.measure.search import NODES
 from cgid.measure.template import SHAPES_PATH, TEMPLATE_PATH, curve, pulse_and_slopes, relative_times
 from tests import few, naive
@@ -145,7 +145,7 @@ def test_white_noise_stays_white_and_pink_noise_is_recognised(samples):
     rng = np.random.default_rng(44)
     for noise, low, high in ((rng.normal(size=(2000, samples)), 0, 0.015), (pink(400, samples, rng), 0.8, 1)):
         n = len(noise)
-        assert low <= len(colour_of(noise, np.full(n, float(samples)), np.full(n, 1e-3)).rows) / n <= high
+        assert low <= len(ar_noise_of(noise, np.full(n, float(samples)), np.full(n, 1e-3)).rows) / n <= high
 
 
 def test_whitening_is_that_of_the_dense_covariance():
@@ -162,7 +162,7 @@ def test_whitening_is_that_of_the_dense_covariance():
     expected = linalg.solve_triangular(linalg.cholesky(covariance, lower=True), curves[0].T, lower=True).T
     padded = np.zeros((1, ORDER))
     padded[0, :4] = coefficients
-    found = Colour(padded, np.ones(1)).whitened(curves, np.array([0]))
+    found = ARNoise(padded, np.ones(1)).whitened(curves, np.array([0]))
     assert found[0, :, ORDER:] == pytest.approx(expected[:, ORDER:], abs=1e-9)
     assert (found[0, :, :ORDER] == 0).all()
 

@@ -28,10 +28,10 @@ from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier, ShrunkenDiscriminant
 from cgid.identification.grouped import (
     Candidate,
-    Lesson,
+    TrainingSet,
     choose_candidate,
+    cross_validate,
     in_blocks_of_time,
-    judge,
     leave_groups_out,
     require_groups,
     smallest_as_good,
@@ -622,8 +622,8 @@ def rows_of(labels: np.ndarray, group: np.ndarray, features: np.ndarray) -> Rows
     return Rows(names=names, features=features, labels=labels, group=group, source=group, slicing=Slicing(by="window"))
 
 
-def lesson_of(rows: Rows, candidates: list[Candidate]) -> Lesson:
-    return Lesson(rows=rows, candidates=candidates, weights=None, seed=0)
+def lesson_of(rows: Rows, candidates: list[Candidate]) -> TrainingSet:
+    return TrainingSet(rows=rows, candidates=candidates, weights=None, seed=0)
 
 
 def test_each_group_is_left_out_once_and_as_a_whole() -> None:
@@ -656,7 +656,7 @@ def test_few_rows_of_each_label_are_folds_enough() -> None:
     labels, group = np.repeat(["a", "b"], 12), np.arange(24)
     rows = rows_of(labels, group, np.random.default_rng(3).normal(size=(24, 3)) + 5.0 * (labels == "a")[:, None])
     candidate = Candidate(name="all", features=rows.names, family="linear")
-    answers = judge(lesson_of(rows, [candidate])).probabilities
+    answers = cross_validate(lesson_of(rows, [candidate])).probabilities
     assert (np.unique(labels)[np.argmax(answers, axis=1)] == labels).mean() > 0.9
 
 
@@ -676,7 +676,7 @@ def test_who_knows_the_recordings_by_heart_gains_nothing() -> None:
     places = generator.normal(size=(12, 6))
     rows = rows_of(labels, group, places[group] + 0.01 * generator.normal(size=(240, 6)))
     candidate = Candidate(name="all", features=rows.names, family="linear")
-    probabilities = judge(lesson_of(rows, [candidate])).probabilities
+    probabilities = cross_validate(lesson_of(rows, [candidate])).probabilities
     hits = np.unique(labels)[np.argmax(probabilities, axis=1)] == labels
     assert hits.mean() < 0.75
     leaked = ImpactClassifier("linear", linear=tuple(range(6))).fit(rows.features[::2], labels[::2])
@@ -696,7 +696,7 @@ def test_what_judges_has_no_part_in_what_is_chosen(monkeypatch: pytest.MonkeyPat
         return fit(self, X, y)
 
     monkeypatch.setattr(ImpactClassifier, "fit", watched)
-    judge(lesson_of(rows, [Candidate(name=str(k), features=rows.names, family="linear") for k in range(2)]))
+    cross_validate(lesson_of(rows, [Candidate(name=str(k), features=rows.names, family="linear") for k in range(2)]))
     # For each group: two candidates without each of the five others, then the best without the group alone.
     assert len(seen) == 6 * (2 * 5 + 1)
     for one in range(6):
@@ -724,7 +724,9 @@ def test_what_was_always_right_is_not_certain() -> None:
     labels = np.where(np.arange(60) % 2, "a", "b")
     features = np.random.default_rng(4).normal(size=(60, 2)) + 8.0 * (labels == "a")[:, None]
     rows = rows_of(labels, group, features)
-    probabilities = judge(lesson_of(rows, [Candidate(name="all", features=rows.names, family="linear")])).probabilities
+    probabilities = cross_validate(
+        lesson_of(rows, [Candidate(name="all", features=rows.names, family="linear")])
+    ).probabilities
     assert (np.unique(labels)[np.argmax(probabilities, axis=1)] == labels).all()
     assert 0.2 / 62 < probabilities.min(axis=1).mean() < 5 / 62
 

@@ -10,18 +10,21 @@ import h5py
 import numpy as np
 import pytest
 
+import cgid
 from cgid.cli.help import RENAMED
 from cgid.cli.main import cli, run
 from cgid.cli.table import written_table
 from cgid.errors import BadData
-from cgid.identification.answers import Answer
+from cgid.identification.answers import Answer, identify
 from cgid.identification.manifest import read_manifest
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.site.tapping import read_times
 
 ROOT = Path(__file__).parents[1]
 #: Former Python name -> the present one.
 OBJECTS = {
     "cgid.strikers": "cgid.estimate_impactors",
+    "cgid.identification.question.Question": "cgid.identification.prediction_settings.PredictionSettings",
     "cgid.striker.StrikerColumns": "cgid.impactor.ImpactorColumns",
     "cgid.striker.StrikerPopulation": "cgid.impactor.ImpactorPopulation",
     "cgid.striker.Strikers": "cgid.impactor.ImpactorEstimates",
@@ -47,6 +50,16 @@ def test_objects() -> None:
 def test_a_name_that_never_was() -> None:
     with pytest.raises(AttributeError, match="beaters"):
         importlib.import_module("cgid.striker").beaters  # noqa: B018
+
+
+def test_arguments() -> None:
+    signal = cgid.read_recording(ROOT / "datasets" / "sample.csv")[0]
+    model, settings = cgid.load_model(), PredictionSettings(costs={"gangue": 9.0})
+    expected = [answer.label for answer in identify(signal, model, settings=settings)]
+    assert expected != [answer.label for answer in identify(signal, model)]
+    with pytest.warns(FutureWarning, match="settings"):
+        found = [answer.label for answer in identify(signal, model, question=settings)]
+    assert found == expected
 
 
 def test_attribute() -> None:

@@ -24,7 +24,7 @@ from cgid.errors import CannotCreate
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
-from cgid.identification.share import Share, ShareWindow, Shutting
+from cgid.identification.share import Share, ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
 from cgid.plots import Mark
 from cgid.recordings import open_recording
@@ -60,7 +60,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     answers.append(
         Answer(time=0.49, label="unknown", probabilities={}, novelty=float("nan"), problem="too <short>", cut=True)
     )
-    window, rule = ShareWindow(0.2), Shutting()
+    window, rule = ShareWindow(0.2), ShutDecision()
     shares, turns = [], []
     for one in answers:
         window.add(one.time, one.probabilities.get("gangue", float("nan")))
@@ -225,7 +225,7 @@ def test_many_recordings_are_one_page(report: Report) -> None:
 
 @pytest.mark.usefixtures("undrawn")
 def test_long_tables_say_that_they_end(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "MOST_ROWS", 7)
+    monkeypatch.setattr(page, "MAX_ROWS", 7)
     text = report_page([report])
     assert "The first 7 of 30" in text and len(Page(text).rows) == 8
 

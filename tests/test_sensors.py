@@ -16,7 +16,7 @@ from cgid.identification.answers import Answer, identify, identify_frames
 from cgid.identification.contact import ThroughBeam, clipped_samples
 from cgid.identification.inversion import Inversion, Inverted, Sought
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
@@ -36,7 +36,7 @@ SEED, N = 2024, 60
 OFF, ON = ((0.5, 0.45), (1.1, 1.0)), ((0.5, 0.7), (1.1, 0.7))
 
 
-def heard_by(beam: Beam, at_sensor: np.ndarray) -> Beam:
+def sensors_for(beam: Beam, at_sensor: np.ndarray) -> Beam:
     return replace(beam, modes=replace(beam.modes, at_sensor=at_sensor))
 
 
@@ -44,7 +44,7 @@ def of_sensors(*shares: float) -> Inversion:
     """The small beam of eight modes with sensors that hear some modes more than others."""
     order = np.arange(1, 9)
     sensors = np.stack([np.cos(share * order) for share in shares])
-    return Inversion(heard_by(eight_modes().beam, sensors))
+    return Inversion(sensors_for(eight_modes().beam, sensors))
 
 
 def dense(inversion: Inversion, x: float, y: float) -> np.ndarray:
@@ -96,7 +96,7 @@ def test_the_samples_of_two_sensors_are_one_gaussian(louder: float) -> None:
 def test_a_sensor_twice_is_one_with_less_noise() -> None:
     """Two records of the same samples, of noise .5 and 1 / sqrt(12), tell what one of noise .25 tells."""
     one, random = eight_modes(), np.random.default_rng(5)
-    two = Inversion(heard_by(one.beam, np.ones((2, 8))))
+    two = Inversion(sensors_for(one.beam, np.ones((2, 8))))
     places = zip(random.uniform(0.82, 0.98, 20), random.uniform(0.22, 0.38, 20), strict=True)
     blows = np.stack([dense(one, x, y)[0] @ random.normal(size=4) for x, y in places])
     own = basis(one)
@@ -123,7 +123,7 @@ def alone(number: int) -> ThroughBeam:
     """One of the sensors that are off the middle line."""
     beam = beam_at(*OFF).beam
     one = beam.with_shapes(beam.participation * beam.shares[number][:, None, None])
-    return ThroughBeam(heard_by(one, np.ones((1, len(beam.poles)))))
+    return ThroughBeam(sensors_for(one, np.ones((1, len(beam.poles)))))
 
 
 def features_of(signals: np.ndarray, batch: Batch, beam: ThroughBeam) -> np.ndarray:
@@ -298,7 +298,7 @@ def test_a_recording_of_sensors_together() -> None:
 
     def answers(samples: np.ndarray, length: int) -> list[Answer]:
         blocks = (samples[:, first : first + length] for first in range(0, samples.shape[1], length))
-        return [one for s in identify_blocks(blocks, 25600.0, model, names, Question()) for one in s.answers]
+        return [one for s in identify_blocks(blocks, 25600.0, model, names, PredictionSettings()) for one in s.answers]
 
     found = answers(recording, 1 << 20)
     assert [answer.channel for answer in found] == ["left+right"] * 6
@@ -308,7 +308,7 @@ def test_a_recording_of_sensors_together() -> None:
     assert np.median(np.abs(apart)) < 0.05
     assert np.mean([answer.label == "unknown" for answer in answers(recording[::-1], 1 << 20)]) > 0.8
     with pytest.raises(BadData, match="channels must be 2, which this model looks at together, got 1"):
-        list(identify_blocks(iter([recording[:1]]), 25600.0, model, ["left"], Question()))
+        list(identify_blocks(iter([recording[:1]]), 25600.0, model, ["left"], PredictionSettings()))
     one = Signal(samples=recording[0], sampling_rate=25600.0, unit="m/s^2")
     with pytest.raises(BadData, match="channels must be 2, one for each sensor"):
         identify(one, model)

@@ -12,15 +12,15 @@ from scipy import stats
 from scipy.integrate import quad
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.confusion import Confusion, Heard
-from cgid.identification.question import Question
+from cgid.identification.confusion import Confusion, StreamAnswers
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import (
     FEWEST_IMPACTS,
-    Believed,
     CavingWatch,
+    NoConfusion,
     Share,
     ShareWindow,
-    Shutting,
+    ShutDecision,
     trained_share,
 )
 
@@ -29,7 +29,7 @@ SEPARATION = 1.5
 
 
 def share_of(probabilities, trained_share=0.5, confusion=None, **settings) -> Share:
-    window = ShareWindow(1e6, answers=confusion or Believed(trained_share=trained_share), **settings)
+    window = ShareWindow(1e6, answers=confusion or NoConfusion(trained_share=trained_share), **settings)
     for time, probability in enumerate(probabilities):
         window.add(float(time), probability)
     return window.at(float(len(probabilities)))
@@ -176,7 +176,7 @@ def test_settings_that_make_no_window(length, settings, says) -> None:
     with pytest.raises(InvalidValue, match=says):
         ShareWindow(length, **settings)
     with pytest.raises(InvalidValue, match="trained_share must lie between 0 and 1"):
-        Believed(trained_share=1.0)
+        NoConfusion(trained_share=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +194,7 @@ def futures() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("dilution_cost", [0.5, 1.0, 3.0])
 def test_expected_cost_is_what_going_on_does_cost(futures, dilution_cost: float) -> None:
     found, coming = futures
-    rule = Shutting(dilution_cost)
+    rule = ShutDecision(dilution_cost)
     said = np.array([rule.cost(state(share)) for share in found])
     cost = dilution_cost * coming - (1 - coming)
     for part in np.array_split(np.argsort(said), 8):
@@ -211,7 +211,7 @@ def test_no_other_threshold_costs_less(futures, dilution_cost: float) -> None:
         return float(np.where(found > threshold, 0.0, cost).mean())
 
     others = [paid(threshold) for threshold in np.linspace(0.02, 0.98, 97)]
-    own = paid(Shutting(dilution_cost).threshold)
+    own = paid(ShutDecision(dilution_cost).threshold)
     assert own < min(others) + 2e-3
     assert own < paid(0.0) - 0.02  # better than never to draw
     assert own < paid(1.0) - 0.02  # and than to draw all
@@ -222,7 +222,7 @@ def state(share: float, n_impacts: int = 50, time: float = 1.0, above: float = 0
 
 
 def test_turns_are_said_when_they_are_sure_and_the_last_one_was_held() -> None:
-    rule = Shutting(1.0, evidence=0.9, hold=2.0)
+    rule = ShutDecision(1.0, evidence=0.9, hold=2.0)
     above = [0.2, 0.89, 0.91, 0.05, 0.05, 0.99, 0.99, 0.5, 0.1]
     turns = [rule.watch(state(0.6, time=float(k), above=a)) for k, a in enumerate(above)]
     assert [(t.time, t.shut) for t in turns if t] == [(2.0, True), (4.0, False), (6.0, True), (8.0, False)]
@@ -231,7 +231,7 @@ def test_turns_are_said_when_they_are_sure_and_the_last_one_was_held() -> None:
 
 
 def test_few_impacts_decide_nothing() -> None:
-    rule = Shutting(3.0)
+    rule = ShutDecision(3.0)
     assert rule.watch(state(0.9, FEWEST_IMPACTS - 1, above=0.99)) is None
     assert rule.watch(state(float("nan"), 0, above=float("nan"))) is None
     assert rule.watch(state(0.9, FEWEST_IMPACTS, above=0.99)).shut
@@ -243,7 +243,7 @@ def test_a_share_near_the_threshold_does_not_flap() -> None:
     _, probabilities = drawn(rng, 0.5, 40_000)
     turns = []
     for settings in ({"evidence": 0.5}, {"evidence": 0.95, "hold": 10.0}):
-        window, rule, found = ShareWindow(10.0), Shutting(1.0, **settings), 0
+        window, rule, found = ShareWindow(10.0), ShutDecision(1.0, **settings), 0
         for k in range(1000):
             for n in range(40):
                 window.add(k * 5 + n / 8, probabilities[40 * k + n])
@@ -263,7 +263,7 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
         times = np.sort(rng.uniform(0, 60, int(rate * 60)))
         share = 1 / (1 + np.exp(-(times - middle) / 4))
         gangue, probabilities = drawn(rng, share, times.size)
-        rule, shut_at = Shutting(dilution_cost, evidence=0.5), 60.0
+        rule, shut_at = ShutDecision(dilution_cost, evidence=0.5), 60.0
         window = ShareWindow(5.0, threshold=rule.threshold)
         place = 0
         for end in np.arange(1.0, 61.0):
@@ -297,7 +297,7 @@ def test_caving_window_is_shut_close_to_the_best_time() -> None:
 )
 def test_settings_that_make_no_rule(settings, says: str) -> None:
     with pytest.raises(InvalidValue, match=says):
-        Shutting(*settings)
+        ShutDecision(*settings)
 
 
 # -- a model that makes mistakes, and says which ----------------------------------------------------------
@@ -318,7 +318,7 @@ def confusion_of(rng, n_streams=60, n_rocks=300, **settings) -> Confusion:
         gangue = rng.random(n_rocks) < share
         logits, second, rock = answered(rng, gangue, **settings)
         counts = int(np.sum(~gangue)), int(np.sum(gangue))
-        streams.append(Heard(logits=logits, second=second, time=rock * 0.2, n_rocks=counts, share=share))
+        streams.append(StreamAnswers(logits=logits, second=second, time=rock * 0.2, n_rocks=counts, share=share))
     found = Confusion.of_streams(streams)
     assert found is not None
     return found
@@ -350,7 +350,7 @@ def test_streams_that_differ_widen_the_interval() -> None:
         logits, second, rock = answered(rng, gangue)
         counts = int(np.sum(~gangue)), int(np.sum(gangue))
         logits += rng.normal(0, 0.4)  # a day of its own
-        streams.append(Heard(logits=logits, second=second, time=rock * 0.2, n_rocks=counts, share=share))
+        streams.append(StreamAnswers(logits=logits, second=second, time=rock * 0.2, n_rocks=counts, share=share))
     found = Confusion.of_streams(streams)
     assert found is not None
     assert found.scatter > 3 * confusion_of(rng).scatter
@@ -372,7 +372,7 @@ def test_every_rock_twice_is_known_from_the_scatter() -> None:
             logits, second, rock = answered(rng, gangue, bounces=False)
             own = {"logits": np.repeat(logits, times), "second": np.repeat(second, times)}
             counts = int(np.sum(~gangue)), int(np.sum(gangue))
-            streams.append(Heard(**own, time=np.repeat(rock, times) * 0.2, n_rocks=counts, share=share))
+            streams.append(StreamAnswers(**own, time=np.repeat(rock, times) * 0.2, n_rocks=counts, share=share))
         found = Confusion.of_streams(streams)
         assert found is not None
         return found
@@ -448,7 +448,7 @@ def answer(time: float, channel: str = "1") -> Any:
 
 
 def watched(answers: list[Any], untils: list[float], **settings: float) -> list[Share]:
-    watch = CavingWatch(MODEL, ["1", "2"], Question(**settings))
+    watch = CavingWatch(MODEL, ["1", "2"], PredictionSettings(**settings))
     told: list[Any] = []
     for last, until in zip([-1.0, *untils], untils, strict=False):
         told += watch.feed([one for one in answers if last < one.time <= until], until)

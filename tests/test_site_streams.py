@@ -12,7 +12,7 @@ from cgid import shipped
 from cgid.errors import InvalidValue
 from cgid.identification.confusion import LEAST_SCATTER
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
 from cgid.identification.share import CavingWatch, Share
 from cgid.identification.stream import identify_blocks
@@ -142,7 +142,7 @@ def test_training_on_streams_gives_a_share_that_covers(caving: Scene) -> None:
         content["stream"]["mixture"] = {"times": [0.0], "gangue": [share]}
         signal, truth = record(parse_scene(content), 77, number)
         first = truth["bounce"] == 0
-        question = Question(share_step=10.0)
+        question = PredictionSettings(share_step=10.0)
         steps = identify_blocks([signal.samples[None]], signal.sampling_rate, training.model, ("1",), question)
         answers = [answer for step in steps for answer in step.answers]
         unknown += [answer.label == "unknown" for answer in answers]

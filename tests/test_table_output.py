@@ -21,7 +21,7 @@ from cgid.cli.main import run
 from cgid.cli.table import ENDINGS, TableOutput, numbers
 from cgid.errors import BadData
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.stream import identify_recording
 from cgid.recordings import open_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
@@ -96,9 +96,9 @@ def test_windows_sets_and_datasets_have_their_own_columns(tmp_path: Path, datase
 
 def test_models_of_other_columns_are_refused() -> None:
     lines = AnswerLines(False)
-    lines.begin("a.wav", Model.load(ROOT / "models" / "default.npz"), Question())
+    lines.begin("a.wav", Model.load(ROOT / "models" / "default.npz"), PredictionSettings())
     with pytest.raises(BadData, match=r"b.wav: .* its model has end_s, too"):
-        lines.begin("b.wav", window_model(), Question())
+        lines.begin("b.wav", window_model(), PredictionSettings())
 
 
 def test_monitor_prints_a_table_even_of_silence() -> None:

@@ -22,13 +22,13 @@ from cgid.errors import InvalidValue
 from cgid.files import read_cells
 from cgid.identification.answers import identify_frames
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, measure
 from cgid.identification.share import CavingWatch, Share
 from cgid.identification.stream import identify_blocks
 from cgid.identification.training import train
 from cgid.scene import synthesise
-from cgid.scene.through_beam import whole_beam
+from cgid.scene.through_beam import full_beam
 from cgid.signals import Batch
 from cgid.site.streams import finished, rows_of_streams
 
@@ -166,7 +166,7 @@ def trained(folder: Path) -> Predictions:
     parts, labels = parts_of(folder, "train"), Truth.read(folder).frames
     streams = all_sets()["caving-constant"]
     models = {name: train(_batches(parts[name], labels[name])).model for name in ("reference", "peers")}
-    beam, names = whole_beam(streams.scene), (*BEAM_FEATURES, *BEAM_GUARDS)
+    beam, names = full_beam(streams.scene), (*BEAM_FEATURES, *BEAM_GUARDS)
     seed, n = TRAIN_SEED + streams.number, len(parts[streams.name].signals)
     # The very streams of the training part: the same scenes, seed and numbers.
     heard = rows_of_streams([streams.stream(seed, number)[0] for number in range(n)], seed, names, beam)
@@ -200,7 +200,7 @@ def _answered(model: Model, part: Part) -> Frames | Streams:
 
 def _watched(model: Model, signal: NDArray[Any], rate: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the shares of the windows of a stream, and whether it is shut at their ends, as `cgid monitor` says."""
-    question = Question(share_time=float(WINDOW), share_step=1.0)
+    question = PredictionSettings(share_time=float(WINDOW), share_step=1.0)
     steps = identify_blocks([np.array(signal)[None]], rate, model, ("1",), question)
     watch = CavingWatch(model, ("1",), question)
     said = watch.feed([answer for step in steps for answer in step.answers], float(TIMES[-1]))

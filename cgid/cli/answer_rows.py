@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.diagnosis import Hint
     from cgid.identification.model import Model
-    from cgid.identification.question import Question
-    from cgid.identification.share import Share, Turn
+    from cgid.identification.prediction_settings import PredictionSettings
+    from cgid.identification.share import Share, Switch
     from cgid.identification.stream import Step
 
 #: Version of the lines that --json prints: since 2 each has a kind; since 3 the source is the file alone, and instead
@@ -80,7 +80,7 @@ class AnswerLines:
         self._clock, self._listener = clock, listener
         self._table, self._datasets = table or TableOutput(), datasets
 
-    def begin(self, source: str, model: Model, question: Question) -> None:
+    def begin(self, source: str, model: Model, settings: PredictionSettings) -> None:
         """Set the columns; raises `BadData` if earlier rows have other ones."""
         from cgid.errors import BadData
 
@@ -88,9 +88,9 @@ class AnswerLines:
             return
         columns = answer_columns(
             model,
-            sets=question.coverage is not None,
+            sets=settings.coverage is not None,
             datasets=self._datasets,
-            impactors=question.impactors is not None,
+            impactors=settings.impactors is not None,
         )
         if lacking := self._table.begin(columns):
             raise BadData(
@@ -101,7 +101,7 @@ class AnswerLines:
     def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:
         """Print the answer for an impact or a window; `more` are its number in its channel, its index or its truth."""
         probabilities = dict(answer.probabilities)
-        held = None if answer.prediction_set is None else list(answer.prediction_set)
+        labels = None if answer.prediction_set is None else list(answer.prediction_set)
         row = {
             "channel": answer.channel,
             "label": answer.label,
@@ -115,28 +115,28 @@ class AnswerLines:
         if self.as_json or self._listener is not None:
             likely = max(probabilities, key=lambda label: probabilities[label], default=None)
             row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
-            more = {"in_training_range": answer.in_training_range, "prediction_set": held}
+            more = {"in_training_range": answer.in_training_range, "prediction_set": labels}
             if answer.impactor is not None:
                 more["impactor"] = {one.title: answer.impactor.get(one.name) for one in impactor_columns()}
             self._line(kind, source, row | more)
         if not self.as_json:
             row |= {"source": source, "time_s": answer.time, "end_s": answer.end}
             row |= {f"p_{label}": probability for label, probability in probabilities.items()}
-            struck = answer.impactor or {}
-            row |= {column.title: struck.get(column.name) for column in impactor_columns()}
-            self._table.add(row | {"prediction_set": "+".join(held or ())})
+            estimates = answer.impactor or {}
+            row |= {column.title: estimates.get(column.name) for column in impactor_columns()}
+            self._table.add(row | {"prediction_set": "+".join(labels or ())})
 
     def share(self, source: str, name: str, share: Share) -> None:
         """Print the gangue share of a window of a source, or of its channel as `name`."""
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
-        told = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
+        fraction = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
         content = {"from_s": share.start, "to_s": share.time, **_estimate(share)}
         content |= {"impacts": share.n_impacts, "unknown": share.n_unknown}
         answers = counted(share.n_impacts, "answer") + unknown
         span = f"from {share.start:.6g} to {share.time:.6g} s"
-        self._note("share", source, f"{name}: gangue share {told} {span}, {answers}", content)
+        self._note("share", source, f"{name}: gangue share {fraction} {span}, {answers}", content)
 
-    def turn(self, source: str, name: str, turn: Turn, dilution_cost: float) -> None:
+    def turn(self, source: str, name: str, turn: Switch, dilution_cost: float) -> None:
         """Print that going on costs more than shutting, or less again."""
         word, side = ("SHUT", "above") if turn.shut else ("OPEN", "below")
         share, limit = turn.share, 1 / (1 + dilution_cost)
@@ -232,9 +232,9 @@ class RecordingTally:
 
 
 #: Most rows that wait for a measurable one.
-_MOST_HELD = 1000
+_MAX_PENDING = 1000
 #: Up to this many silent channels are named one by one.
-_MOST_SILENT = 3
+_MAX_SILENT_LISTED = 3
 
 
 class RecordingRows:
@@ -249,14 +249,14 @@ class RecordingRows:
         source: str,
         model: Model,
         channels: Sequence[str],
-        question: Question,
+        settings: PredictionSettings,
         lines: AnswerLines,
         *,
         keep: bool = False,
         always: bool = False,
         hints: Hints | None = None,
     ) -> None:
-        from cgid.identification.share import CavingWatch, Turn
+        from cgid.identification.share import CavingWatch, Switch
         from cgid.identification.stream import answering_channels, independence
 
         self.source, self.lines, self._model = source, lines, model
@@ -265,20 +265,20 @@ class RecordingRows:
         self.channels = answering_channels(model, channels)
         self.answers: list[Answer] = []
         self.shares: list[Share] = []
-        self.turns: list[Turn] = []
-        self._keep, self._always, self._turn, self._question = keep, always, Turn, question
+        self.turns: list[Switch] = []
+        self._keep, self._always, self._turn, self._settings = keep, always, Switch, settings
         self._numbers: Counter[str] = Counter()
         self._hints = hints
         self.hint: Hint | None = None
         self.level: str | None = None
         self._measured = always
         self._silent: tuple[str, ...] = ()
-        self._held_answers: list[Answer] = []
-        self._held_shares: list[Share | Turn] = []
+        self._pending_answers: list[Answer] = []
+        self._pending_shares: list[Share | Switch] = []
         self._watch: CavingWatch | None = None
         self.threshold: float | None = None
-        if question.asks_for_shares or question.separates_gangue(model):
-            self._watch = CavingWatch(model, self.channels, question, independence(model, question))
+        if settings.asks_for_shares or settings.separates_gangue(model):
+            self._watch = CavingWatch(model, self.channels, settings, independence(model, settings))
             self.threshold = self._watch.threshold
 
     def feed(self, step: Step) -> None:
@@ -288,8 +288,8 @@ class RecordingRows:
         if self._keep:
             self.answers += answers
         self._measured = self._measured or any(answer.probabilities for answer in answers)
-        self._held_answers += answers
-        if self._measured or len(self._held_answers) > _MOST_HELD:
+        self._pending_answers += answers
+        if self._measured or len(self._pending_answers) > _MAX_PENDING:
             self._print_answers()
         if self._watch is not None:
             self._print_shares(self._watch.feed(answers, step.until))
@@ -310,17 +310,19 @@ class RecordingRows:
         """
         from cgid.errors import BadData
 
-        self.lines.begin(self.source, self._model, self._question)  # the head of an empty table
+        self.lines.begin(self.source, self._model, self._settings)  # the head of an empty table
         silent = self._silent
         if silent and not self.tally.total and not self._always:
             raise BadData(silent[0])
-        for message in silent[:_MOST_SILENT]:
+        for message in silent[:_MAX_SILENT_LISTED]:
             self.lines.warning(self.source, message)
-        if len(silent) > _MOST_SILENT:
-            more = f"{self.source}: and {counted(len(silent) - _MOST_SILENT, 'more channel')} without {self.kind}s"
+        if len(silent) > _MAX_SILENT_LISTED:
+            more = (
+                f"{self.source}: and {counted(len(silent) - _MAX_SILENT_LISTED, 'more channel')} without {self.kind}s"
+            )
             self.lines.warning(self.source, more)
         if not self._measured and self.tally.total:
-            first = self._held_answers[0] if self._held_answers else None
+            first = self._pending_answers[0] if self._pending_answers else None
             more = f" (and so for all {self.tally.total} {self.kind}s)" if self.tally.total > 1 else ""
             problem = first.problem if first else "nothing in it can be measured"
             raise BadData(f"{self.name(first.channel) if first else self.source}: {problem}{more}")
@@ -353,24 +355,24 @@ class RecordingRows:
         return self.source if channel == "1" and len(self.channels) == 1 else f"{self.source} channel {channel}"
 
     def _print_answers(self) -> None:
-        if self._held_answers:
-            self.lines.begin(self.source, self._model, self._question)
-        for answer in self._held_answers:
+        if self._pending_answers:
+            self.lines.begin(self.source, self._model, self._settings)
+        for answer in self._pending_answers:
             self._numbers[answer.channel] += 1
             self.lines.answer(self.source, answer, self.kind, **{self.kind: self._numbers[answer.channel]})
-        self._held_answers = []
+        self._pending_answers = []
 
-    def _print_shares(self, more: Iterable[Share | Turn]) -> None:
+    def _print_shares(self, more: Iterable[Share | Switch]) -> None:
         """Print shares and turns; a recording of one impact has none unless an option asks for them."""
-        self._held_shares += more
-        if not (self._always or self._question.asks_for_shares or self.tally.total > 1):
+        self._pending_shares += more
+        if not (self._always or self._settings.asks_for_shares or self.tally.total > 1):
             return
-        for one in self._held_shares:
+        for one in self._pending_shares:
             if isinstance(one, self._turn):
                 self.turns += [one] * self._keep
-                self.lines.turn(self.source, self.name(one.share.channel), one, self._question.cost_of_dilution)
+                self.lines.turn(self.source, self.name(one.share.channel), one, self._settings.cost_of_dilution)
                 continue
             self.shares += [one] * self._keep
             if one.n_impacts or self._always or (one.n_unknown and self.lines.as_json):
                 self.lines.share(self.source, self.name(one.channel), one)
-        self._held_shares = []
+        self._pending_shares = []

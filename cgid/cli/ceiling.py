@@ -41,12 +41,12 @@ def ceiling(scene: str, n_signals: int, seed: int, drop_height: bool, n_training
     measured signals bounds the limit from below. Acceleration needs the study: python -m studies.ceilings.
     """
     from cgid.ceiling import ceiling as limit_of
-    from cgid.ceiling import check_asked, check_training, uncovered, untrusted
+    from cgid.ceiling import check_training, require_supported, uncovered, untrusted
     from cgid.ceiling import learner as learner_of
     from cgid.scene import load_scene
 
     loaded = load_scene(scene)
-    check_asked(loaded)
+    require_supported(loaded)
     if loaded.sensor.quantity != "force":
         raise click.UsageError(
             f"{loaded.name}: SCENE must measure force, it measures {loaded.sensor.quantity}; in a checkout of cgid "
@@ -76,17 +76,17 @@ def ceiling(scene: str, n_signals: int, seed: int, drop_height: bool, n_training
                 "roc_area": {label: limit.roc_area(label) for label in limit.labels},
             }
         if n_training is not None:
-            found = learner_of(loaded, n_training, n_signals, seed, drop_height_known=drop_height, progress=progress)
+            learner = learner_of(loaded, n_training, n_signals, seed, drop_height_known=drop_height, progress=progress)
             content["learner"] = {
-                "n_training": n_training, "accuracy": found.accuracy, "accuracy_error": found.accuracy_error
+                "n_training": n_training, "accuracy": learner.accuracy, "accuracy_error": learner.accuracy_error
             }  # fmt: skip
     if as_json:
         print_json(content)
     else:
-        _say(content)
+        _report(content)
 
 
-def _say(content: dict[str, Any]) -> None:
+def _report(content: dict[str, Any]) -> None:
     known = "known" if content["drop_height_known"] else "not known"
     say(f"{content['scene']}: {counted(content['n_signals'], 'signal')}, drop height {known}")
     if content["kind"] == "limit":

@@ -53,13 +53,13 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     if loaded.stream is None:
         say(f"frames: {samples} samples at {rate}, {samples * 4} bytes a signal in float32")
     else:
-        told = ", ".join(f"{name} {value:.6g}" for name, value in preview["stream"].items())
-        say(f"recording at {rate}: {told}")
+        summary = ", ".join(f"{name} {value:.6g}" for name, value in preview["stream"].items())
+        say(f"recording at {rate}: {summary}")
     if preview["tail_beam"]:
         say("tail beam: " + ", ".join(f"{name} {value:.4g}" for name, value in preview["tail_beam"].items()))
     if loaded.sensor.coloured:
-        asked = plan(loaded, "frames" if loaded.stream is None else "recordings")
-        say(f"noise: {asked.decisions['noise'].why}")
+        synthesis_plan = plan(loaded, "frames" if loaded.stream is None else "recordings")
+        say(f"noise: {synthesis_plan.decisions['noise'].why}")
     for name, (low, high) in drawn.items():
         say(f"drawn for each block of 256 signals: {name} {low:g} to {high:g}")
     say("share of the labels: " + ", ".join(f"{k} {v:.3f}" for k, v in preview["labels"].items()))
@@ -71,7 +71,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
         warn(f"{share:.2%} of the impacts {text}")
 
 
-def _preview(scene: Any, seed: int, told_as: str) -> dict[str, Any]:
+def _preview(scene: Any, seed: int, name: str) -> dict[str, Any]:
     import numpy as np
 
     from cgid.scene.draws import BLOCK, parameter_units, require_seed
@@ -100,7 +100,7 @@ def _preview(scene: Any, seed: int, told_as: str) -> dict[str, Any]:
         },
         "remarks": {},
         "warnings": {},
-        told_as: {text: share for text, share in shares.items() if share > 0},
+        name: {text: share for text, share in shares.items() if share > 0},
     }
 
 
@@ -111,13 +111,13 @@ def _tail_beam(scene: Any) -> dict[str, float]:
     if scene.tail_beam is None:
         return {}
     frequency = beam_modes(scene).frequency
-    told = {"modes": float(frequency.size), "lowest [Hz]": frequency[0], "highest [Hz]": frequency[-1]}
+    summary = {"modes": float(frequency.size), "lowest [Hz]": frequency[0], "highest [Hz]": frequency[-1]}
     if scene.panel is None:
-        return told
-    told |= {"mass [kg]": scene.panel.mass, "impedance [kg/s]": scene.panel.impedance}
+        return summary
+    summary |= {"mass [kg]": scene.panel.mass, "impedance [kg/s]": scene.panel.impedance}
     if scene.panel.ribs is not None:
-        told["ribs may be smeared up to [Hz]"] = scene.panel.highest_smeared_frequency
-    return told
+        summary["ribs may be smeared up to [Hz]"] = scene.panel.highest_smeared_frequency
+    return summary
 
 
 def _randomised(scene: Any) -> dict[str, tuple[float, float]]:
@@ -134,7 +134,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
     """Return the share of the pulses that each warning concerns."""
     import numpy as np
 
-    from cgid.measure.pulses import WANTED_SAMPLES
+    from cgid.measure.pulses import RECOMMENDED_SAMPLES
     from cgid.physics.impact import BEYOND_THIN_PLATE, HERTZ_LIMIT, INELASTICITY_LIMIT
 
     strain = np.concatenate([d.strain for d in draws])
@@ -145,8 +145,8 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
         f"pass the range of the thin plate (lambda above {INELASTICITY_LIMIT:g}): {BEYOND_THIN_PLATE}": (
             inelasticity > INELASTICITY_LIMIT
         ),
-        f"have fewer than {WANTED_SAMPLES} samples on the contact; raise sampling_rate": (
-            (values["contact_duration"] * sampling_rate < WANTED_SAMPLES) & (scene.sensor.quantity == "force")
+        f"have fewer than {RECOMMENDED_SAMPLES} samples on the contact; raise sampling_rate": (
+            (values["contact_duration"] * sampling_rate < RECOMMENDED_SAMPLES) & (scene.sensor.quantity == "force")
         ),
         "last beyond the end of the frame and are cut off; raise samples": (
             (end * sampling_rate > scene.sampling.samples - 1) & (scene.stream is None)

@@ -45,19 +45,24 @@ def correct_model(
         rows = record(manifest, slicing=slicing, reading=reading, model=model, progress=progress)
     for warning in rows.warnings:
         warn(warning)
-    found = correct(model, rows)
-    training = Training(found.model, dict(found.after), found.labels, found.probabilities, None)
-    written = write_model(training, path, plots=plots, further=[correction_section(found.model.training["correction"])])
-    told = found.model.training["correction"]
+    correction = correct(model, rows)
+    training = Training(correction.model, dict(correction.after), correction.labels, correction.probabilities, None)
+    written = write_model(
+        training, path, plots=plots, further=[correction_section(correction.model.training["correction"])]
+    )
+    summary = correction.model.training["correction"]
     if as_json:
-        print_json({"model": str(path), "advice": advice(found), **told})
+        print_json({"model": str(path), "advice": advice(correction), **summary})
     else:
-        say(f"accuracy {accuracy_text(told)} on this site, each of {told['n']} impacts judged by what the others teach")
-        say(f"before {accuracy_text(told['before'])}")
-        say(f"moved {found.shift}")
-        if told["n_unknown"]:
-            say(f"unknown {told['n_unknown']} more, outside of the training of the model: they teach nothing")
-        for line in advice(found):
+        say(
+            f"accuracy {accuracy_text(summary)} on this site, each of {summary['n']} impacts judged by what the "
+            "others teach"
+        )
+        say(f"before {accuracy_text(summary['before'])}")
+        say(f"moved {correction.shift}")
+        if summary["n_unknown"]:
+            say(f"unknown {summary['n_unknown']} more, outside of the training of the model: they teach nothing")
+        for line in advice(correction):
             say(f"cgid: hint: {line}", err=True)
         then = f"cgid predict FILE --model {shlex.quote(str(path))}"
         say(f"wrote {', '.join(map(str, written))}; now {then}", err=True)

@@ -104,7 +104,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
         raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
     recording = reading.recording(file)
     unit = unit_of(recording)
-    found = _found(recording, unit, reading)
+    events = _find_impacts(recording, unit, reading)
     for warning in recording.warnings:
         warn(warning)
     chain = {name: ";".join(values) for name, values in reading.chain.items() if values}
@@ -119,7 +119,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
         "format": reading.format or "",
     }
     rate, before = recording.sampling_rate, 0.0
-    for event, following in zip(found, [*found[1:], None], strict=True):
+    for event, following in zip(events, [*events[1:], None], strict=True):
         start = max(event.time - _BEFORE, (before + event.time) / 2 if before else 0.0)
         end = event.end / rate
         if following is not None:
@@ -137,7 +137,7 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
         }
 
 
-def _found(recording: RecordingFile, unit: str, reading: Reading) -> list[Event]:
+def _find_impacts(recording: RecordingFile, unit: str, reading: Reading) -> list[Event]:
     """Return the impacts of a recording, joint over its channels; raises `BadData` if there is none."""
     from cgid.identification.detection import ImpactDetector
     from cgid.measure.features import kind_for
@@ -151,13 +151,13 @@ def _found(recording: RecordingFile, unit: str, reading: Reading) -> list[Event]
         joint=True,
         gaps=True,
     )
-    found: list[Event] = []
+    events: list[Event] = []
     for block in recording.blocks_with_gaps(joint=True):
-        found += detector.feed(-block if reading.invert else block)
-    found += detector.finish()
-    if not found:
+        events += detector.feed(-block if reading.invert else block)
+    events += detector.finish()
+    if not events:
         raise BadData(f"{recording.source}: {detector.why_silent(unit=unit)}")
-    return found
+    return events
 
 
 def _peak(event: Event) -> Any:

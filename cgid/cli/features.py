@@ -18,7 +18,7 @@ from cgid.terminal import counted
 #: Version of the lines that --json prints: since 2 the source is the file alone, beside the channel or the index.
 FEATURES_VERSION = 2
 #: Up to this many unmeasurable impacts or channels, and left-out columns, are named one by one.
-_MOST_REPORTED = 3
+_MAX_REPORTED = 3
 
 
 @click.command(
@@ -56,9 +56,9 @@ def features(
 
     if not (files or as_list):
         raise click.UsageError("give at least one FILE, or --list for the table of features")
-    chosen = None if names is None else choose([name.strip() for name in names.split(",")])
+    selected = None if names is None else choose([name.strip() for name in names.split(",")])
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
-    rows = _Rows(table, as_json, not keep_baseline, chosen, datasets=any(map(is_dataset, files)))
+    rows = _Rows(table, as_json, not keep_baseline, selected, datasets=any(map(is_dataset, files)))
 
     def treat(path: str) -> None:
         if reading.wants_whole_dataset(path):
@@ -75,9 +75,9 @@ def features(
 
 def _warn(problems: list[str], source: str, what: str) -> None:
     """Print the first problems, and how many more impacts or channels have one."""
-    for problem in problems[:_MOST_REPORTED]:
+    for problem in problems[:_MAX_REPORTED]:
         warn(problem)
-    more = len(problems) - _MOST_REPORTED
+    more = len(problems) - _MAX_REPORTED
     if more > 0:
         warn(f"{source}: and {counted(more, f'more {what}')} cannot be measured")
 
@@ -121,19 +121,21 @@ class _Rows:
         signals = reading.signals(path)
         for warning in signals[0].warnings:
             warn(warning)
-        found: list[tuple[Signal, list[Column], list[_Impact]]] = []
+        results: list[tuple[Signal, list[Column], list[_Impact]]] = []
         errors: list[BadData] = []
         for signal in signals:
             try:
-                found.append((signal, *self._measured(signal, reading.dead_time)))
+                results.append((signal, *self._measured(signal, reading.dead_time)))
             except BadData as error:
                 errors.append(error)
-        columns = [column for _, own, _ in found for column in own]
+        columns = [column for _, its_columns, _ in results for column in its_columns]
         if columns or not self.table.columns:
             self._begin(path, columns or self._expected(signals[0]))
-        for signal, own, impacts in found:
+        for signal, its_columns, impacts in results:
             try:
-                self._print_channel(signal, own, impacts, {} if reading.index is None else {"index": reading.index})
+                self._print_channel(
+                    signal, its_columns, impacts, {} if reading.index is None else {"index": reading.index}
+                )
             except BadData as error:
                 errors.append(error)
         if len(errors) == len(signals):
@@ -148,7 +150,7 @@ class _Rows:
 
         dataset = Dataset(path)
         kind = kind_for(dataset.quantity)
-        chosen = _chosen(self.names, kind, dataset.sampling_rate, dataset.header.n_samples)
+        selected = _selected_features(self.names, kind, dataset.sampling_rate, dataset.header.n_samples)
         through = None
         if any(FEATURES[name].beam for name in self.names or ()) or (self.names is None and kind == "vibration"):
             from cgid.identification.contact import ThroughBeam
@@ -156,18 +158,18 @@ class _Rows:
 
             beam, why = shared_beam([dataset])
             more = () if beam is None or self.names else tuple(name for name in FEATURES if FEATURES[name].beam)
-            chosen, through = chosen + more, None if beam is None else ThroughBeam(beam)
+            selected, through = selected + more, None if beam is None else ThroughBeam(beam)
             if not self.as_json and self.names is None:
                 say(f"{path}: features of the samples{' and of the contact force' * bool(more)}, {why}", err=True)
-        columns = _columns(dataset.quantity, dataset.unit, chosen)
+        columns = _columns(dataset.quantity, dataset.unit, selected)
         self._begin(path, columns)
-        self._say_of(path, dataset.sampling_rate, counted(len(dataset), "signal"))
+        self._report(path, dataset.sampling_rate, counted(len(dataset), "signal"))
         number = unmeasured = 0
         for batch in dataset.batches():
             values = extract_array(
                 -batch.signals if invert else batch.signals,
                 batch.sampling_rate,
-                chosen,
+                selected,
                 pre_trigger=batch.pre_trigger,
                 remove_baseline=self.remove_baseline,
                 invalid="nan",
@@ -207,17 +209,17 @@ class _Rows:
         events = find_impacts(signal, kind=kind, dead_time=dead_time)
         # All frames of a recording allow the same features, except the first, which may be shorter.
         shortest = min(event.signal.samples.size for event in events)
-        chosen = _chosen(self.names, kind, signal.sampling_rate, shortest)
+        selected = _selected_features(self.names, kind, signal.sampling_rate, shortest)
         impacts = []
         for event in events:
             part, problem = event.signal, event.problem
-            values = [float("nan")] * len(chosen)
+            values = [float("nan")] * len(selected)
             try:
                 if not problem:
                     values = extract_array(
                         part.samples,
                         part.sampling_rate,
-                        chosen,
+                        selected,
                         pre_trigger=part.pre_trigger,
                         remove_baseline=self.remove_baseline,
                         detection_limit=event.detection_limit,
@@ -225,14 +227,14 @@ class _Rows:
             except BadData as error:
                 problem = str(error)
             impacts.append((event.time, values, problem))
-        return _columns(signal.quantity, signal.unit, chosen), impacts
+        return _columns(signal.quantity, signal.unit, selected), impacts
 
     def _print_channel(
         self, signal: Signal, columns: list[Column], impacts: list[_Impact], index: dict[str, int]
     ) -> None:
         """Print the impacts of a channel; raises `BadData` if none of them could be measured."""
         n_impacts = counted(len(impacts), "impact")
-        self._say_of(signal.name, signal.sampling_rate, n_impacts)
+        self._report(signal.name, signal.sampling_rate, n_impacts)
         failed = []
         for number, (time, values, problem) in enumerate(impacts, start=1):
             about = {"impact": number, "time_s": time, "sampling_rate_hz": signal.sampling_rate}
@@ -250,23 +252,23 @@ class _Rows:
         """
         if self.as_json:
             return
-        own = tuple(dict.fromkeys(columns))
+        new_columns = tuple(dict.fromkeys(columns))
         of_datasets = [Column("index", dtype="int64"), Column("label")] * self.datasets
         head = (Column("source"), Column("channel"), times("time"))
-        lacking = [column.title for column in self.table.begin((*head, *own, Column("problem"), *of_datasets))]
-        if len(lacking) == len(own):
+        lacking = [column.title for column in self.table.begin((*head, *new_columns, Column("problem"), *of_datasets))]
+        if len(lacking) == len(new_columns):
             raise BadData(
                 f"{source}: its features must be among those of the file before, which has no {lacking[0]}; give it "
                 "in a run of its own, or with --json"
             )
         if lacking:
-            more = "" if len(lacking) <= _MOST_REPORTED else f" and {len(lacking) - _MOST_REPORTED} more"
+            more = "" if len(lacking) <= _MAX_REPORTED else f" and {len(lacking) - _MAX_REPORTED} more"
             warn(
-                f"{source}: the file before does not have {', '.join(lacking[:_MOST_REPORTED])}{more}; "
+                f"{source}: the file before does not have {', '.join(lacking[:_MAX_REPORTED])}{more}; "
                 "left out, a run of its own has all"
             )
 
-    def _say_of(self, name: str, sampling_rate: float, what: str) -> None:
+    def _report(self, name: str, sampling_rate: float, what: str) -> None:
         if not self.as_json:
             baseline = "removed" if self.remove_baseline else "kept"
             say(f"{name}: {sampling_rate:.8g} Hz, {what}, baseline {baseline}", err=True)
@@ -277,33 +279,35 @@ class _Rows:
         """Print the row of one impact."""
         row = {"source": source, "channel": "1", **about, "problem": problem or None}
         if self.as_json:
-            own = {column.name: value for column, value in zip(columns, values, strict=True)}
-            row |= {"baseline_removed": self.remove_baseline, "features": own}
+            by_name = {column.name: value for column, value in zip(columns, values, strict=True)}
+            row |= {"baseline_removed": self.remove_baseline, "features": by_name}
             print_json(row | {"units": {column.name: column.unit for column in columns}}, version=FEATURES_VERSION)
         else:
-            own = {column.title: value for column, value in zip(columns, values, strict=True)}
-            self.table.add(row | {"time_s": about["time_s"]} | own)
+            by_name = {column.title: value for column, value in zip(columns, values, strict=True)}
+            self.table.add(row | {"time_s": about["time_s"]} | by_name)
 
 
-def _columns(quantity: str | None, unit: str | None, chosen: tuple[str, ...]) -> list[Column]:
+def _columns(quantity: str | None, unit: str | None, selected: tuple[str, ...]) -> list[Column]:
     """Return the columns of features of a signal, in its unit."""
     from cgid.measure.features import FEATURES
 
     # The peak of the samples is that of their quantity; one through a beam is a force.
     titles = (
-        name if FEATURES[name].beam else name.replace("peak_force", f"peak_{quantity or 'signal'}") for name in chosen
+        name if FEATURES[name].beam else name.replace("peak_force", f"peak_{quantity or 'signal'}") for name in selected
     )
-    return [numbers(title, FEATURES[name].unit_for(unit or "U")) for title, name in zip(titles, chosen, strict=True)]
+    return [numbers(title, FEATURES[name].unit_for(unit or "U")) for title, name in zip(titles, selected, strict=True)]
 
 
-def _chosen(names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int) -> tuple[str, ...]:
+def _selected_features(
+    names: tuple[str, ...] | None, kind: Any, sampling_rate: float, n_samples: int
+) -> tuple[str, ...]:
     """Return the given features, by default all of the kind that the sampling rate and the frames allow."""
     from cgid.measure.features import choose, require_supported, supported
 
     if names is not None:
         return names
     every = choose(None, kind)
-    found = supported(every, sampling_rate, n_samples)
-    if not found:
+    available = supported(every, sampling_rate, n_samples)
+    if not available:
         require_supported(every[:1], sampling_rate, n_samples)
-    return found
+    return available

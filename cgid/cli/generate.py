@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, crew_options, given_flags, require_one_crew
+from cgid.cli.options import PATH, SCENE, given_flags, require_one_executor, worker_options
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
@@ -49,7 +49,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     show_default=True,
     help="Choose the random numbers; the same seed gives the same signals.",
 )
-@crew_options
+@worker_options
 @click.option(
     "--dtype",
     type=click.Choice(["float32", "float64"]),
@@ -106,15 +106,15 @@ def generate(context: click.Context, /, scene: str, **options: Any) -> None:
         output = "recordings"
     if options["n_signals"] is None:
         options["n_signals"] = 10_000 if loaded.stream is None else 1
-    asked = plan(loaded, output, dtype=options["dtype"], **_which(loaded, output, options))
+    synthesis_plan = plan(loaded, output, dtype=options["dtype"], **_which(loaded, output, options))
     if options["explain"]:
-        _explain(asked, options["n_signals"], options["as_json"])
+        _explain(synthesis_plan, options["n_signals"], options["as_json"])
     elif output == "recordings":
         _make_recordings(loaded, **{name: options[name] for name in _OF_RECORDINGS})
     elif output == "frames":
-        _write_dataset(asked, options)
+        _write_dataset(synthesis_plan, options)
     else:
-        _write_table(asked, options)
+        _write_table(synthesis_plan, options)
 
 
 def _checked_output(context: click.Context) -> str:
@@ -127,7 +127,7 @@ def _checked_output(context: click.Context) -> str:
     for name, needed in _WHICH.items():
         if name in given and needed not in only:
             raise click.UsageError(f"{_flag(name)} needs {_flag(needed)}; give both or neither", context)
-    require_one_crew(context)
+    require_one_executor(context)
     if options["as_json"] and not options["explain"]:
         raise click.UsageError("--json needs --explain: it prints the plan; give both or neither", context)
     if only and options["resume"]:
@@ -181,16 +181,16 @@ def _features_of_model(scene: Any) -> tuple[str, ...]:
     return supported_by(scene, DEFAULT_FEATURES if pulses else DEFAULT_VIBRATION_FEATURES)
 
 
-def _write_dataset(asked: Any, options: dict[str, Any]) -> None:
+def _write_dataset(synthesis_plan: Any, options: dict[str, Any]) -> None:
     from cgid.scene import generate as generate_dataset
 
-    scene, n_signals = asked.scene, options["n_signals"]
+    scene, n_signals = synthesis_plan.scene, options["n_signals"]
     start = time.perf_counter()
     _warn_of_plate(scene, options["seed"])
     with progress_bar(n_signals, "signals", "generating") as progress:
         path = generate_dataset(scene, progress=progress, **{name: options[name] for name in _OF_DATASETS})
     seconds = time.perf_counter() - start
-    megabytes = n_signals * asked.signal_bytes / 1e6
+    megabytes = n_signals * synthesis_plan.signal_bytes / 1e6
     # A run that is resumed makes only what was missing.
     speed = f": {n_signals / seconds:.0f} signals/s, {megabytes / seconds:.0f} MB/s" if not options["resume"] else ""
     text = f"{counted(n_signals, 'signal')} of {counted(scene.sampling.samples, 'sample')}"
@@ -214,16 +214,16 @@ def _warn_of_plate(scene: Any, seed: int) -> None:
         )
 
 
-def _write_table(asked: Any, options: dict[str, Any]) -> None:
+def _write_table(synthesis_plan: Any, options: dict[str, Any]) -> None:
     from cgid.scene.generation import tabulate
 
     n_signals, start = options["n_signals"], time.perf_counter()
     taken = ("output", "n_signals", "seed", "overwrite")
     with progress_bar(n_signals, "signals", "generating") as progress:
-        written = tabulate(asked, progress=progress, **{name: options[name] for name in taken})
+        written = tabulate(synthesis_plan, progress=progress, **{name: options[name] for name in taken})
     seconds = time.perf_counter() - start
     say(
-        f"{written.path}: {asked.kind} of {counted(n_signals, 'signal')} in {seconds:.1f} s: "
+        f"{written.path}: {synthesis_plan.kind} of {counted(n_signals, 'signal')} in {seconds:.1f} s: "
         f"{n_signals / seconds:.0f} signals/s",
         err=True,
     )
@@ -232,28 +232,28 @@ def _write_table(asked: Any, options: dict[str, Any]) -> None:
         warn(f"{written.path}: {of} cannot be measured and are nan")
 
 
-def _explain(asked: Any, n_signals: int, as_json: bool) -> None:
+def _explain(synthesis_plan: Any, n_signals: int, as_json: bool) -> None:
     """Print the plan: a line for each stage, and the bytes of all signals."""
     from cgid.errors import InvalidValue
 
     if n_signals < 1:
         raise InvalidValue(f"n_signals must be 1 or more, got {n_signals}")
-    size, noun = asked.signal_bytes, "signal" if asked.scene.stream is None else "recording"
+    size, noun = synthesis_plan.signal_bytes, "signal" if synthesis_plan.scene.stream is None else "recording"
     if as_json:
         print_json(
             {
-                "scene": asked.scene.name,
-                "output": asked.kind,
-                "stages": [{"name": name, **decision._asdict()} for name, decision in asked.decisions.items()],
+                "scene": synthesis_plan.scene.name,
+                "output": synthesis_plan.kind,
+                "stages": [{"name": name, **decision._asdict()} for name, decision in synthesis_plan.decisions.items()],
                 f"bytes_per_{noun}": size,
                 f"{noun}s": n_signals,
                 "bytes": size * n_signals,
             }
         )
         return
-    say(f"{asked.scene.name}: {asked.kind}")
+    say(f"{synthesis_plan.scene.name}: {synthesis_plan.kind}")
     say(f"{'stage':<23}{'':<9}{'error':>9}  why")
-    for name, decision in asked.decisions.items():
+    for name, decision in synthesis_plan.decisions.items():
         say(f"{name:<23}{'run' if decision.runs else 'skipped':<9}{decision.error_bound:>9.2g}  {decision.why}")
     say(f"{counted(n_signals, noun)}: {size} bytes each, {size * n_signals / 1e6:.4g} MB")
 

@@ -132,7 +132,7 @@ class Group(Command, click.Group):
 
 def _write(formatter: click.HelpFormatter, rows: Mapping[str, list[tuple[str, str]]]) -> None:
     """Write the sections that have rows."""
-    for heading, own in rows.items():
-        if own:
+    for heading, its_rows in rows.items():
+        if its_rows:
             with formatter.section(heading):
-                formatter.write_dl(own)
+                formatter.write_dl(its_rows)

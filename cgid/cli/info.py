@@ -15,7 +15,7 @@ from cgid.cli.output import print_json, say, warn
 from cgid.cli.table import written_table
 
 #: Most samples of all channels held in memory; longer recordings are read block by block.
-MAX_HELD = 1 << 24
+MAX_SAMPLES = 1 << 24
 #: Length of the header of an archive's first entry [bytes], and the name that follows it in a model file.
 _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 
@@ -167,30 +167,30 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     from cgid.measure.features import kind_for
 
     names, rate = recording.channels, recording.sampling_rate
-    whole = None
-    if recording.n_samples is not None and recording.n_samples * len(names) <= MAX_HELD:
-        whole = np.stack([signal.samples for signal in recording.signals()])
+    limit = None
+    if recording.n_samples is not None and recording.n_samples * len(names) <= MAX_SAMPLES:
+        limit = np.stack([signal.samples for signal in recording.signals()])
     lowest, highest = np.full(len(names), np.inf), np.full(len(names), -np.inf)
     total, n_samples, dtype = np.zeros(len(names)), 0, ""
     # A channel of no known quantity may hold pulses or vibrations.
     is_known = [channel.quantity not in (None, "level") for channel in names]
     detectors = [ImpactDetector(rate, kind=kind_for(channel.quantity)) for channel in names]
     impacts = [0] * len(names)
-    for block in recording.blocks() if whole is None else [whole]:
+    for block in recording.blocks() if limit is None else [limit]:
         lowest, highest = np.minimum(lowest, block.min(axis=1)), np.maximum(highest, block.max(axis=1))
         total += block.sum(axis=1, dtype=np.float64)
         n_samples, dtype = n_samples + block.shape[1], block.dtype.name
         for row, detector in compress(enumerate(detectors), is_known):
             # A short recording is described even if its numbers are too large to look for impacts.
-            with suppress(*(() if whole is None else (BadData,))):
+            with suppress(*(() if limit is None else (BadData,))):
                 impacts[row] += len(detector.feed(block[row]))
     described = {}
     for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
         impacts[row] += len(detector.finish())
         if is_known[row] and not impacts[row] and TURN_OVER in detector.why_silent():
-            own = "" if channel.name == "1" else f" channel {channel.name}"
-            warn(f"{recording.source}{own}: no impact: {TURN_OVER}")
-        middle = {"mean": total[row] / n_samples} if whole is None else {"median": np.median(whole[row])}
+            suffix = "" if channel.name == "1" else f" channel {channel.name}"
+            warn(f"{recording.source}{suffix}: no impact: {TURN_OVER}")
+        middle = {"mean": total[row] / n_samples} if limit is None else {"median": np.median(limit[row])}
         described[f"channel {channel.name}"] = {
             "samples": n_samples,
             "sampling_rate_hz": rate,

@@ -98,12 +98,12 @@ def run(arguments: list[str] | None = None) -> int:
         return error.exit_code
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
-        cure = f"; see {context.command_path} --help" if context is not None else ""
-        say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{cure}", err=True)
+        hint = f"; see {context.command_path} --help" if context is not None else ""
+        say(f"cgid: error: {' '.join(error.format_message().split()).rstrip('.')}{hint}", err=True)
         return error.exit_code
     except CgidError as error:
         if isinstance(error, MissingExtra) and _memory_is_short(error):  # the library is installed
-            return _say_memory(error)
+            return _report_memory(error)
         say_error(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
@@ -115,8 +115,8 @@ def run(arguments: list[str] | None = None) -> int:
         return 0
     except OSError as error:
         if _memory_is_short(error):
-            return _say_memory(error)
-        if _is_adrift():
+            return _report_memory(error)
+        if _folder_is_gone():
             say("cgid: error: the current folder must exist, it has been removed; go to another one", err=True)
             return _NO_INPUT
         # Our own files raise a CgidError, so this is the standard output.
@@ -130,7 +130,7 @@ def run(arguments: list[str] | None = None) -> int:
         return _OUTPUT_FAILED
     except Exception as error:
         if _memory_is_short(error):
-            return _say_memory(error)
+            return _report_memory(error)
         if os.environ.get("CGID_DEBUG"):
             raise
         if isinstance(error, ModuleNotFoundError) and not (error.name or "cgid").startswith("cgid"):
@@ -155,7 +155,7 @@ def _memory_is_short(error: BaseException | None) -> bool:
     return False
 
 
-def _say_memory(error: BaseException) -> int:
+def _report_memory(error: BaseException) -> int:
     text = " ".join(str(error).split()) if isinstance(error, MemoryError) else ""
     say(
         f"cgid: error: memory ran short{f' ({text})' if text else ''}; give a smaller input, ask for fewer signals or "
@@ -172,7 +172,7 @@ def _asks_for_no_threads() -> bool:
         return False  # numba ignores it
 
 
-def _is_adrift() -> bool:
+def _folder_is_gone() -> bool:
     """Return whether the current folder is gone; some libraries cannot be imported then."""
     try:
         Path.cwd()

@@ -26,24 +26,24 @@ from cgid.cli.options import (
     dead_time_option,
     given_options,
     plant_options,
-    question_of,
+    settings_of,
     warn_of_model,
 )
 from cgid.cli.output import warn
 from cgid.cli.table import TableOutput
 
 if TYPE_CHECKING:
-    from cgid.identification.question import Question
+    from cgid.identification.prediction_settings import PredictionSettings
     from cgid.plant import PlantOutputs
 
 #: Most data in the queue [bytes].
 MAX_WAITING = 128 << 20
 #: Most data taken at once [bytes], because processing takes many times more memory.
-MOST_TAKEN = 8 << 20
+MAX_READ = 8 << 20
 #: Blocks are joined until they last this long [s], because short ones cost more than they contain,
-LEAST_TIME = 0.05
+MIN_INTERVAL = 0.05
 #: but for at most this time [s].
-_PATIENCE = 0.1
+_TIMEOUT = 0.1
 
 
 class UnbufferedInput:
@@ -74,7 +74,7 @@ class Inbox:
     Attributes
     ----------
     n_taken : samples of each channel that the consumer has taken
-    held_up : whether the stream ever had to wait
+    is_held_up : whether the stream ever had to wait
     """
 
     def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, max_waiting: int = MAX_WAITING) -> None:
@@ -86,7 +86,7 @@ class Inbox:
         self._fault: BaseException | None = None
         self._begun = time.monotonic()
         self.n_taken = 0
-        self.held_up = False
+        self.is_held_up = False
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
         """Yield all waiting blocks, joined, as soon as there are some; may be called once."""
@@ -113,7 +113,7 @@ class Inbox:
         try:
             for block in self._blocks:
                 with self._changed:
-                    self.held_up = self.held_up or self._size > self._most
+                    self.is_held_up = self.is_held_up or self._size > self._most
                     self._changed.wait_for(lambda: self._size <= self._most)
                     self._waiting.append(block)
                     self._n_waiting += block.shape[1]
@@ -132,9 +132,9 @@ class Inbox:
             # Waits have a timeout, so that an interruption is noticed.
             while not self._changed.wait_for(lambda: self._waiting or self._ended, 1.0):
                 pass
-            self._changed.wait_for(lambda: self._ended or self._n_waiting >= LEAST_TIME * self._rate, _PATIENCE)
+            self._changed.wait_for(lambda: self._ended or self._n_waiting >= MIN_INTERVAL * self._rate, _TIMEOUT)
             blocks, size = [], 0
-            while self._waiting and size < MOST_TAKEN:
+            while self._waiting and size < MAX_READ:
                 blocks.append(self._waiting.popleft())
                 size += blocks[-1].nbytes
             self._n_waiting -= sum(block.shape[1] for block in blocks)
@@ -165,7 +165,7 @@ _BEHIND = 1.0
 )
 @click.option("--unit", help="Set the unit of the numbers: of floats as they are, of integers scaled to -1 to 1.")
 @chain_options
-@click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards.")
+@click.option("--invert", is_flag=True, help="Switch the signal upside down; impacts must point upwards.")
 @answering_options
 @dead_time_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
@@ -192,12 +192,12 @@ def monitor(
     brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
     after a window at the earliest (--hold). Nothing is dropped: whoever is slower than the stream says how far behind.
     """
-    from cgid.identification.question import SHARE_TIME
+    from cgid.identification.prediction_settings import SHARE_TIME
     from cgid.recordings.chain import Chain
     from cgid.recordings.live import live_stream
 
     step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / _STEPS
-    models, question = question_of(**options, batch=1, share_step=step)
+    models, settings = settings_of(**options, batch=1, share_step=step)
     stated = Chain.of(**chain)
     if clock and not as_json:
         raise click.UsageError("--clock is for lines of JSON; give --json, too")
@@ -214,7 +214,7 @@ def monitor(
         )
         with TableOutput() as table:
             lines = AnswerLines(as_json, table, clock=clock, listener=listener)
-            _follow(live, models, question, lines, listener)
+            _follow(live, models, settings, lines, listener)
 
 
 def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:
@@ -227,7 +227,7 @@ def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs
 
 
 def _follow(
-    live: Any, models: Models, question: Question, lines: AnswerLines, outputs: PlantOutputs | None = None
+    live: Any, models: Models, settings: PredictionSettings, lines: AnswerLines, outputs: PlantOutputs | None = None
 ) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
     from cgid.cli.hints import Hints
@@ -238,25 +238,25 @@ def _follow(
     def warned(text: str) -> None:
         lines.warning(live.source, f"{live.source}: {text}")
 
-    model, sign = models.of(live.channels[0].quantity), -1.0 if question.invert else 1.0
-    factors = [sign * factor_of(model, c.unit, live.source, c.name, mass=question.mass) for c in live.channels]
+    model, sign = models.of(live.channels[0].quantity), -1.0 if settings.invert else 1.0
+    factors = [sign * factor_of(model, c.unit, live.source, c.name, mass=settings.mass) for c in live.channels]
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     gaps = Gaps(
         live.channels,
         live.sampling_rate,
         warned,
-        give_up=question.give_up,
+        give_up=settings.give_up,
         joint=model.together > 1,
         at_once=True,
     )
     blocks: Iterable[NDArray[Any]] = scaled(gaps.marked(inbox), factors)
     if outputs is not None:
         blocks = outputs.monitored_blocks(blocks, live.sampling_rate)
-    steps = identify_blocks(blocks, live.sampling_rate, model, names, question, live.source)
+    steps = identify_blocks(blocks, live.sampling_rate, model, names, settings, live.source)
     # The stream is over when the next command runs: it is for a recording of it.
     hints = Hints(model, live.sampling_rate, "RECORDING", given_options()[0], channels=names)
-    rows = RecordingRows(live.source, model, names, question, lines, always=True, hints=hints)
+    rows = RecordingRows(live.source, model, names, settings, lines, always=True, hints=hints)
     if outputs is not None:
         outputs.begin(
             source=live.source,
@@ -266,7 +266,7 @@ def _follow(
             threshold=rows.threshold,
             behind=lambda: inbox.behind,
         )
-    warn_of_model(live.source, live.source, live.sampling_rate, model, question)
+    warn_of_model(live.source, live.source, live.sampling_rate, model, settings)
     try:
         for step in steps:
             rows.feed(step)
@@ -285,20 +285,20 @@ class DelayReport:
 
     def __init__(self, source: str, lines: AnswerLines) -> None:
         self._source, self._lines = source, lines
-        self._said = 0.0
-        self._held_up = False
+        self._reported_at = 0.0
+        self._is_held_up = False
 
     def see(self, inbox: Inbox) -> None:
         """Check the queue and report a change."""
         behind = inbox.behind
-        if behind >= max(_BEHIND, 2 * self._said):
-            self._said = behind
+        if behind >= max(_BEHIND, 2 * self._reported_at):
+            self._reported_at = behind
             self._lines.delay(self._source, behind, "answers come later than the stream; nothing is dropped")
-        elif self._said and behind < _BEHIND / 2:
-            self._said = 0.0
+        elif self._reported_at and behind < _BEHIND / 2:
+            self._reported_at = 0.0
             self._lines.delay(self._source, behind, "the answers have caught up with the stream")
-        if inbox.held_up and behind and not self._held_up:
-            self._held_up = True
+        if inbox.is_held_up and behind and not self._is_held_up:
+            self._is_held_up = True
             self._lines.delay(self._source, behind, "no more fits into memory: whatever writes the stream has to wait")
 
 

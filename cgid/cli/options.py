@@ -19,7 +19,7 @@ from cgid.signals import Signal
 
 if TYPE_CHECKING:
     from cgid.identification.model import Model
-    from cgid.identification.question import Question
+    from cgid.identification.prediction_settings import PredictionSettings
     from cgid.recordings import RecordingFile
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -79,8 +79,8 @@ def _bundle(
     return add
 
 
-#: Options for worker processes and clusters; `require_one_crew` refuses both at once.
-crew_options = _options(
+#: Options for worker processes and clusters; `require_one_executor` refuses both at once.
+worker_options = _options(
     click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
     click.option(
         "--scheduler",
@@ -104,7 +104,7 @@ def refuse(context: click.Context, flags: str, reason: str) -> None:
             raise InvalidValue(f"{flag} must be left out, {reason}")
 
 
-def require_one_crew(context: click.Context) -> None:
+def require_one_executor(context: click.Context) -> None:
     """Raise a usage error if both worker processes and a cluster are given."""
     if "jobs" in given_flags(context) and context.params["scheduler"] is not None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
@@ -272,7 +272,7 @@ reading_options = _bundle(
     click.option("--variable", help="Choose an array, table or group if the file holds several."),
     format_option,
     click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
-    click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
+    click.option("--invert", is_flag=True, help="Switch the signal upside down; impacts must point upwards."),
     dead_time_option,
     chain_options,
 )
@@ -283,7 +283,7 @@ printing_options = _options(
 )
 
 
-#: Options that choose the model and state the question, as `question_of` takes them.
+#: Options that choose the model and its settings, as `settings_of` takes them.
 answering_options = _options(
     click.option(
         "--model",
@@ -351,24 +351,24 @@ answering_options = _options(
 )
 
 
-def question_of(
-    *, model_path: str | None, costs: tuple[str, ...], milliseconds: float | None, **settings: Any
-) -> tuple[Models, Question]:
-    """Return the models and the question; `settings` are the other fields of the question."""
+def settings_of(
+    *, model_path: str | None, costs: tuple[str, ...], milliseconds: float | None, **given: Any
+) -> tuple[Models, PredictionSettings]:
+    """Return the models and the settings; `given` are the other fields of the settings."""
     from cgid import validation
-    from cgid.identification.question import Question, require_evidence
+    from cgid.identification.prediction_settings import PredictionSettings, require_evidence
 
     dead_time, by_label = dead_time_in_seconds(milliseconds), dict(_cost(text) for text in costs)
     flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "dilution_cost": ("--dilution-cost", "")}
     flags |= {"hold": ("--hold", "s"), "give_up": ("--give-up", "s")}
     for name, (flag, unit) in flags.items():
         rule = validation.not_negative if flag in ("--vote", "--hold") else validation.positive
-        if settings[name] is not None:
-            settings[name] = float(rule(flag, settings[name], unit))
-    if settings["evidence"] is not None:
-        require_evidence("--evidence", settings["evidence"])
-    question = Question(costs=by_label, dead_time=dead_time, **settings)
-    return Models(model_path, question), question
+        if given[name] is not None:
+            given[name] = float(rule(flag, given[name], unit))
+    if given["evidence"] is not None:
+        require_evidence("--evidence", given["evidence"])
+    settings = PredictionSettings(costs=by_label, dead_time=dead_time, **given)
+    return Models(model_path, settings), settings
 
 
 def _cost(text: str) -> tuple[str, float]:
@@ -407,10 +407,10 @@ class Models:
     A mass or a drop height implies a force.
     """
 
-    def __init__(self, path: str | None, question: Question) -> None:
-        self._path, self._question = path, question
+    def __init__(self, path: str | None, settings: PredictionSettings) -> None:
+        self._path, self._settings = path, settings
         self._models: dict[str | None, Model] = {}
-        self._one_for_all = path is not None or question.mass is not None or question.drop_height is not None
+        self._one_for_all = path is not None or settings.mass is not None or settings.drop_height is not None
         if self._one_for_all:
             self.of(None)
 
@@ -419,7 +419,7 @@ class Models:
         key = None if self._one_for_all else quantity
         if key not in self._models:
             model = self._load(key)
-            self._question.check(model)
+            self._settings.check(model)
             self._models[key] = model
         return self._models[key]
 
@@ -441,7 +441,7 @@ class Models:
 
         if self._path is not None:
             return Model.load(shipped.model_path(self._path))
-        if self._question.drop_height is not None:
+        if self._settings.drop_height is not None:
             with suppress(NoInput):
                 return Model.load(shipped.path_of("models", shipped.DROP_HEIGHT_MODEL))
         if quantity != "acceleration":
@@ -455,9 +455,9 @@ class Models:
             ) from None
 
 
-def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, question: Question) -> None:
+def warn_of_model(source: str, name: str, sampling_rate: float, model: Model, settings: PredictionSettings) -> None:
     """Warn if a model was not trained for the sampling rate [Hz] of a signal, or needs the name of its sensor."""
-    if model.sensors and not question.sensors:
+    if model.sensors and not settings.sensors:
         known = ", ".join(model.sensors)
         warn(
             f"{source}: the model knows the response of some sensors, nothing makes up for that of "

@@ -152,8 +152,8 @@ class _Finder:
 
     def upside_down(self) -> list[str]:
         """Return the channels without pulses that fall where they should rise."""
-        heard = {mark.channel for mark in self._marks}
-        return [name for name, detector in self._detectors if name not in heard and detector.is_upside_down(0)]
+        with_impacts = {mark.channel for mark in self._marks}
+        return [name for name, detector in self._detectors if name not in with_impacts and detector.is_upside_down(0)]
 
     def _keep(self, channel: str, events: Iterable[Event]) -> None:
         from cgid.plots import Mark

@@ -18,8 +18,8 @@ from cgid.cli.options import (
     answering_options,
     given_options,
     printing_options,
-    question_of,
     reading_options,
+    settings_of,
     warn_of_model,
 )
 from cgid.cli.output import each_file, progress_bar, say
@@ -30,7 +30,7 @@ from cgid.terminal import counted
 if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
-    from cgid.identification.question import Question
+    from cgid.identification.prediction_settings import PredictionSettings
     from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import OverviewStream
     from cgid.recordings import RecordingFile
@@ -98,7 +98,7 @@ class _Prediction:
     """The settings for all files; `reports` collects what a page shows of each recording, if one is asked for."""
 
     models: Models
-    question: Question
+    settings: PredictionSettings
     lines: AnswerLines
     reports: list[Report] | None
 
@@ -132,18 +132,18 @@ class _Prediction:
         from cgid.cli.hints import Hints
         from cgid.identification.stream import identify_blocks, model_blocks
 
-        question, source, rate = self.question, recording.source, recording.sampling_rate
+        settings, source, rate = self.settings, recording.source, recording.sampling_rate
         names = [recording.channels[number].name for number in numbers]
         keep = self.reports is not None
         passing = _Passing(recording, numbers, keep)
-        gaps = recording.gaps(numbers, question.give_up, joint=model.together > 1)
-        blocks = model_blocks(recording, model, numbers, question, gaps=gaps, seen=passing.see)
-        steps = identify_blocks(blocks, rate, model, names, question, source)
+        gaps = recording.gaps(numbers, settings.give_up, joint=model.together > 1)
+        blocks = model_blocks(recording, model, numbers, settings, gaps=gaps, seen=passing.see)
+        steps = identify_blocks(blocks, rate, model, names, settings, source)
         # The next command cannot read what came through a pipe.
         file = "RECORDING" if source == "stdin" else source
         hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
-        rows = RecordingRows(source, model, names, question, self.lines, keep=keep, hints=hints)
-        warn_of_model(source, rows.name(rows.channels[0]), rate, model, question)
+        rows = RecordingRows(source, model, names, settings, self.lines, keep=keep, hints=hints)
+        warn_of_model(source, rows.name(rows.channels[0]), rate, model, settings)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
             for step in steps:
@@ -171,9 +171,9 @@ class _Prediction:
                 f"[{dataset.unit}]; train a model on such signals"
             )
         units = UNITS[dataset.quantity]
-        factor = units[dataset.unit] / units[model.unit] * (-1 if self.question.invert else 1)
-        warn_of_model(path, path, dataset.sampling_rate, model, self.question)
-        self.lines.begin(path, model, self.question)
+        factor = units[dataset.unit] / units[model.unit] * (-1 if self.settings.invert else 1)
+        warn_of_model(path, path, dataset.sampling_rate, model, self.settings)
+        self.lines.begin(path, model, self.settings)
         number, tally = count(), _Tally()
         hints = Hints(model, dataset.sampling_rate, path, *given_options(), labelled=True)
         with progress_bar(len(dataset), "signals", "predicting") as progress:
@@ -182,7 +182,7 @@ class _Prediction:
                     batch.signals if factor == 1 else batch.signals * factor,
                     batch.sampling_rate,
                     model,
-                    self.question,
+                    self.settings,
                     pre_trigger=batch.pre_trigger,
                     drop_height=self._heights(path, batch, model),
                 )
@@ -208,22 +208,22 @@ class _Prediction:
         from cgid.store import Dataset
 
         model = self.models.of(signal.quantity)
-        fitting = suited(signal, model, self.question.mass)
-        warn_of_model(fitting.name, fitting.name, fitting.sampling_rate, model, self.question)
+        fitting = suited(signal, model, self.settings.mass)
+        warn_of_model(fitting.name, fitting.name, fitting.sampling_rate, model, self.settings)
         height = self._heights(path, Dataset(path).impact(index), model)
         (answer,) = identify(
-            fitting, model, self.question, drop_height=None if height is None else float(np.max(height))
+            fitting, model, self.settings, drop_height=None if height is None else float(np.max(height))
         )
         if not answer.probabilities:
             raise BadData(f"{fitting.name}: {answer.problem}")
-        self.lines.begin(path, model, self.question)
+        self.lines.begin(path, model, self.settings)
         self.lines.answer(path, answer, index=index)
 
     def _heights(self, path: str, batch: Batch, model: Model) -> Floats | float | None:
         """Return the stored drop heights of a batch if the model needs them; else the given one."""
         from cgid.errors import InvalidValue
 
-        stored, given = batch.drop_heights() if "drop_height" in model.known else None, self.question.drop_height
+        stored, given = batch.drop_heights() if "drop_height" in model.known else None, self.settings.drop_height
         if stored is not None and given is not None:
             raise InvalidValue(f"{path}: --drop-height must be left out, this dataset stores that of each impact")
         return given if stored is None else stored
@@ -334,7 +334,7 @@ def predict(
 
         picture = new_picture(masses, endings=FORMATS, overwrite=overwrite)
     impactors = impactor_columns_for(impactor, keep=picture is not None)
-    models, question = question_of(
+    models, settings = settings_of(
         **options, impactors=impactors, invert=reading.invert, milliseconds=reading.milliseconds
     )
     if sample:
@@ -347,10 +347,10 @@ def predict(
         new_picture(report, "a report", ENDINGS, overwrite=overwrite)
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)))
-    prediction = _Prediction(models=models, question=question, lines=lines, reports=None if report is None else [])
+    prediction = _Prediction(models=models, settings=settings, lines=lines, reports=None if report is None else [])
 
     def treat(path: str) -> None:
-        if reading.wants_whole_dataset(path, question.mass):
+        if reading.wants_whole_dataset(path, settings.mass):
             prediction.dataset(path)
         elif reading.index is not None:
             (signal,) = reading.signals(path)

@@ -26,9 +26,9 @@ from cgid.units import column_title
 #: Endings of table files.
 ENDINGS = (".csv", ".jsonl", ".parquet", ".h5", ".hdf5")
 #: Longest line of JSON that is read as a row [characters].
-_LONGEST_LINE = 1 << 20
+_MAX_LINE_LENGTH = 1 << 20
 #: More than the names of the first columns take in CSV [characters].
-_LONGEST_HEAD = 40
+_MAX_HEAD_LENGTH = 40
 
 
 class Column(NamedTuple):
@@ -71,9 +71,9 @@ def flags(name: str) -> Column:
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options for the file that holds the table."""
     ends = ", ".join(ENDINGS[:-1])
-    told = f"Write the table to this file ({ends}) instead of stdout (-)."
+    description = f"Write the table to this file ({ends}) instead of stdout (-)."
     command = click.option("--overwrite", is_flag=True, help="Replace an existing file.")(command)
-    return click.option("-o", "--output", type=PATH, metavar="FILE", help=told)(command)
+    return click.option("-o", "--output", type=PATH, metavar="FILE", help=description)(command)
 
 
 class TableOutput:
@@ -100,9 +100,9 @@ class TableOutput:
 
     def begin(self, columns: Iterable[Column]) -> list[Column]:
         """Set the columns if none are set yet; return those of these that the table lacks."""
-        wanted = tuple(columns)
-        self.columns = self.columns or wanted
-        return [column for column in wanted if column not in self.columns]
+        new_columns = tuple(columns)
+        self.columns = self.columns or new_columns
+        return [column for column in new_columns if column not in self.columns]
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Write a row, given by the titles of its columns; what it lacks stays empty."""
@@ -126,8 +126,8 @@ class TableOutput:
         """Write the head of the table, and return what writes a row."""
         titles = [column.title for column in self.columns]
         if self._path is None:
-            _say_row(titles)
-            return lambda row: _say_row(self._texts(row))
+            _print_row(titles)
+            return lambda row: _print_row(self._texts(row))
         from cgid.files import clear_half_written, whole_file
 
         clear_half_written(self._path)
@@ -180,7 +180,7 @@ def written_table(path: str) -> WrittenTable | None:
 
 def _csv_table(file: Path) -> tuple[list[str], int]:
     with file.open(encoding="utf-8", errors="replace", newline="") as stream:
-        if not stream.read(_LONGEST_HEAD).startswith(tuple(",".join(head) for head in _HEADS)):
+        if not stream.read(_MAX_HEAD_LENGTH).startswith(tuple(",".join(head) for head in _HEADS)):
             return [], 0
         stream.seek(0)
         rows = csv.reader(stream)
@@ -198,7 +198,7 @@ def _json_table(file: Path) -> tuple[list[str], int]:
     columns: list[str] = []
     n_rows = 0
     with file.open(encoding="utf-8", errors="replace") as stream:
-        for n_rows, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), ""), start=1):
+        for n_rows, line in enumerate(iter(lambda: stream.readline(_MAX_LINE_LENGTH), ""), start=1):
             try:
                 row = json.loads(line)
             except (ValueError, RecursionError):
@@ -214,7 +214,7 @@ def _json_table(file: Path) -> tuple[list[str], int]:
 def _parquet_table(file: Path) -> tuple[list[str], int]:
     from cgid.recordings.parquet import parquet_columns
 
-    return next((found for head in _HEADS if (found := parquet_columns(file, str(file), head))[0]), ([], 0))
+    return next((table for head in _HEADS if (table := parquet_columns(file, str(file), head))[0]), ([], 0))
 
 
 def _hdf5_table(file: Path) -> tuple[list[str], int]:
@@ -224,14 +224,14 @@ def _hdf5_table(file: Path) -> tuple[list[str], int]:
         return [], 0
     from cgid.store.foreign import foreign_columns
 
-    return next((found for head in _HEADS if (found := foreign_columns(file, head))[0]), ([], 0))
+    return next((table for head in _HEADS if (table := foreign_columns(file, head))[0]), ([], 0))
 
 
 def _damaged(file: Path, fault: str) -> BadData:
     return BadData(f"{file}: the table must be as it was written, {fault}; write it again")
 
 
-def _say_row(texts: list[str]) -> None:
+def _print_row(texts: list[str]) -> None:
     """Print one row of CSV; a quoted line break stays one, all else that controls a terminal is escaped."""
     for part in _line(texts).split("\n"):
         say(part)

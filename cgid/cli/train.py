@@ -16,13 +16,13 @@ from cgid.cli.options import (
     PATH,
     SCENE,
     chain_options,
-    crew_options,
     dead_time_in_seconds,
     format_option,
     given_flags,
     refuse,
-    require_one_crew,
+    require_one_executor,
     share_of,
+    worker_options,
 )
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
 from cgid.errors import BadData, CgidError, InvalidValue
@@ -143,7 +143,7 @@ _OF_TRAINING = (
     show_default=True,
     help="Choose the random numbers of the split, and of the signals of a scene.",
 )
-@crew_options
+@worker_options
 @click.option(
     "--shuffle-labels",
     is_flag=True,
@@ -211,13 +211,13 @@ def train(
         refuse(context, _OF_DATASETS, "groups of a manifest are left out one by one")
     else:
         refuse(context, _OF_RECORDINGS, "there is no manifest of recordings")
-    require_one_crew(context)
+    require_one_executor(context)
     if len(recorded) > 1:
         raise InvalidValue(f"{recorded[1]}: there must be one manifest, got {len(recorded)}; put all into one")
     if options["by"] is None:
-        options["by"] = _asked_by(context, others, options["features"])
+        options["by"] = _requested_windows(context, others, options["features"])
     manifest = _manifest(recorded[0]) if recorded else None
-    with workers(options.pop("jobs"), options.pop("scheduler")) as options["crew"]:
+    with workers(options.pop("jobs"), options.pop("scheduler")) as options["workers"]:
         if manifest is not None:
             training, failures = _from_recordings(manifest, others, options)
         else:
@@ -255,12 +255,12 @@ def _manifest(item: str) -> Manifest:
         raise BadData(f"{item}: {unlabelled('a recording', item)}")
     manifest = folder_manifest(item)
     counts = Counter(one.label for one in manifest.annotations if not one.reference)
-    told = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
-    say(f"cgid: labels of {manifest.source}: {told}", err=True)
+    counted_labels = ", ".join(f"{label} {count}" for label, count in sorted(counts.items()))
+    say(f"cgid: labels of {manifest.source}: {counted_labels}", err=True)
     return manifest
 
 
-def _asked_by(context: click.Context, others: list[str], features: Any) -> Literal["window", "impact"] | None:
+def _requested_windows(context: click.Context, others: list[str], features: Any) -> Literal["window", "impact"] | None:
     """Return what other options say of impacts and windows; None if that is left to the recordings."""
     if features is not None:
         return None
@@ -310,7 +310,7 @@ def _content(file: Path, options: dict[str, Any]) -> tuple[str, int]:
 
 
 #: Options for every training.
-_COMMON = ("features", "family", "class_weights", "seed", "shuffle_labels", "crew")
+_COMMON = ("features", "family", "class_weights", "seed", "shuffle_labels", "workers")
 
 
 def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
@@ -321,15 +321,15 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     given = options["start_error"]
     sources = _sources(data, None if given is None else share_of("--start-error", given))
     scene = sources[0] if len(sources) == 1 and isinstance(sources[0], Scene) else None
-    own = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share")}
+    given = {name: options[name] for name in (*_COMMON, "test_share", "calibration_share")}
     n_signals = options["n_signals"]
-    if scene is not None and not (own["features"] or options["drop_height"] or options["sensors"]):
+    if scene is not None and not (given["features"] or options["drop_height"] or options["sensors"]):
         from cgid.site.streams import is_streamable, numbers_of_streams, train_on_streams
 
         if is_streamable(scene):
-            del own["features"]
+            del given["features"]
             with progress_bar(sum(numbers_of_streams(scene, n_signals)), "simulated streams", "measuring") as progress:
-                return train_on_streams(scene, n_signals, progress=progress, **own), []
+                return train_on_streams(scene, n_signals, progress=progress, **given), []
     beam = _beam(sources, options)
     total = sum(n_signals if isinstance(source, Scene) else len(source) for source in sources)
     with progress_bar(total, "signals", "measuring") as progress:
@@ -338,7 +338,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
             known=("drop_height",) if options["drop_height"] else (),
             beam=beam,
             progress=progress,
-            **own,
+            **given,
         )
     return training, []
 
@@ -373,10 +373,10 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
         say(f"cgid: {note}", err=True)
     for warning in rows.warnings:
         warn(warning)
-    own = {name: options[name] for name in (*_COMMON, "level_free")}
+    given = {name: options[name] for name in (*_COMMON, "level_free")}
     n_folds = min(len(rows.groups), MOST_FOLDS) if len(rows.groups) > 1 else None
     with progress_bar(n_folds, "groups left out", "judging") as progress:
-        training = train_model(rows, synthetic=synthetic, progress=progress, **own)
+        training = train_model(rows, synthetic=synthetic, progress=progress, **given)
     for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:
         warn(warning)
     return training, list(rows.failures)
@@ -407,7 +407,7 @@ def _with_synthetic(data: list[str], recorded: Any, options: dict[str, Any]) -> 
         recorded = recorded.only(names)
     with progress_bar(None, "signals", "measuring") as progress:
         alike = in_unit(chain([first], batches), recorded.unit, recorded.names)
-        return recorded, measure(alike, recorded.names, progress, crew=options["crew"])
+        return recorded, measure(alike, recorded.names, progress, workers=options["workers"])
 
 
 def print_training(training: Any, path: Path, written: list[Path], as_json: bool) -> None:
@@ -418,16 +418,16 @@ def print_training(training: Any, path: Path, written: list[Path], as_json: bool
         warn(f"{about['n_left_out']} {what} could not be measured and were left out")
     without = about.get("recorded", {}).get("synthetic", {}).get("accuracy_without")
     if without is not None and without > metrics["accuracy"]:
-        told = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
-        warn(f"with synthetic impacts {told}; leave the scenes out")
+        summary = f"{metrics['accuracy']:.4f} of the recorded impacts are answered right, without them {without:.4f}"
+        warn(f"with synthetic impacts {summary}; leave the scenes out")
     if as_json:
         print_json({"model": str(path), **metrics})
         return
     like = " for recordings like these" if "recorded" in about else ""
     say(f"accuracy {accuracy_text(metrics)}{like}")
     for vote in metrics.get("running", []):
-        told = f"{accuracy_text(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
-        say(f"running vote over {vote['time']:g} s {told}")
+        summary = f"{accuracy_text(vote)} of {vote['n']}" if vote["n"] else "no recording is that long"
+        say(f"running vote over {vote['time']:g} s {summary}")
     if "recordings" in metrics:
         say(f"vote of a recording {accuracy_text(metrics['recordings'])} of {metrics['recordings']['n']}")
         for row in metrics["recordings"]["rows"]:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid.deprecated import renamed_attribute
+from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
 from cgid.identification.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
-from cgid.identification.question import Question, known_columns
+from cgid.identification.prediction_settings import PredictionSettings, known_columns
 from cgid.measure.features import extract_array, problems_of
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
@@ -64,7 +64,7 @@ class Answer:
     level : float
         Logarithm of its peak force over what the training expects of such a pulse; nan without one.
     impactor : mapping or None
-        What struck, where the question asks for it.
+        What struck, where the settings ask for it.
     """
 
     time: float
@@ -87,10 +87,12 @@ class Answer:
     striker = renamed_attribute("striker", "impactor")
 
     def __repr__(self) -> str:
-        told = ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
+        probabilities = (
+            ", ".join(f"p({label}) {value:.3f}" for label, value in self.probabilities.items()) or "not measured"
+        )
         where = f"{self.time:.6g} s" if self.channel == "1" else f"{self.time:.6g} s of channel {self.channel}"
         reason = f"; {self.problem}" if self.problem else ""
-        return f"Answer({self.label} at {where}: {told}, novelty {self.novelty:.3g}{reason})"
+        return f"Answer({self.label} at {where}: {probabilities}, novelty {self.novelty:.3g}{reason})"
 
     @property
     def probability(self) -> float:
@@ -131,18 +133,18 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     if mass is not None:
         signal = signal.as_force(mass)
     if signal.quantity != model.quantity:
-        cure = f"give a recording of {model.quantity}"
+        hint = f"give a recording of {model.quantity}"
         if (signal.quantity, model.quantity) == ("acceleration", "force"):
-            cure = "give --mass KG if the accelerated body is the impactor (force = mass x acceleration)"
+            hint = "give --mass KG if the accelerated body is the impactor (force = mass x acceleration)"
         elif signal.quantity == "level":
             example = "500 g" if model.quantity == "acceleration" else "2 kN"
-            cure = (
+            hint = (
                 f"say what full scale is, as in --full-scale '{example}', or with --full-scale '10 V' "
                 f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
             )
         raise BadData(
             f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
-            f"[{signal.unit}]; {cure}"
+            f"[{signal.unit}]; {hint}"
         )
     if signal.unit == model.unit:
         return signal
@@ -152,11 +154,12 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
 
 def _unit_options(model: Model) -> str:
     """Return the options that state the unit; a signal of unknown quantity counts as a force."""
-    own = f"--unit {model.unit}"
-    return own if model.quantity != "force" else f"{own}, or --unit m/s^2 of an accelerometer"
+    option = f"--unit {model.unit}"
+    return option if model.quantity != "force" else f"{option}, or --unit m/s^2 of an accelerometer"
 
 
-def identify(signal: Signal, model: Model, question: Question | None = None, **fields: Any) -> list[Answer]:
+@renamed_arguments(question="settings")
+def identify(signal: Signal, model: Model, settings: PredictionSettings | None = None, **fields: Any) -> list[Answer]:
     """Return one answer for each impact in a recording.
 
     Parameters
@@ -164,10 +167,10 @@ def identify(signal: Signal, model: Model, question: Question | None = None, **f
     signal : Signal
         In the quantity and unit of the model; see `suited`.
     model : Model
-    question : Question, optional
+    question : PredictionSettings, optional
         Costs, coverage, drop height and more; by default the most probable label is the answer.
     **fields
-        Fields of the question that replace its own, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
+        Fields that replace those of the settings, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
 
     Returns
     -------
@@ -181,7 +184,7 @@ def identify(signal: Signal, model: Model, question: Question | None = None, **f
     MissingOption
         The model needs a drop height.
     InvalidValue
-        The model cannot serve a choice of the question.
+        The model does not support one of the settings.
 
     Examples
     --------
@@ -191,19 +194,19 @@ def identify(signal: Signal, model: Model, question: Question | None = None, **f
     >>> [answer.label for answer in identify(suited(signal, model), model)]
     ['coal', 'gangue', 'coal', 'gangue', 'coal', 'gangue']
     """
-    question = replace(question or Question(), **fields)
+    settings = replace(settings or PredictionSettings(), **fields)
     if model.kind == "window":
         raise InvalidValue(
             f"{signal.name}: model must be one of impacts, this one answers for windows; give a whole recording"
         )
-    events = find_impacts(signal, kind=model.kind, dead_time=question.dead_time)
-    return identify_events(events, model, question, channels=(signal.channel,))
+    events = find_impacts(signal, kind=model.kind, dead_time=settings.dead_time)
+    return identify_events(events, model, settings, channels=(signal.channel,))
 
 
 def identify_events(
     events: Sequence[Event],
     model: Model,
-    question: Question,
+    settings: PredictionSettings,
     *,
     channels: Sequence[str] = ("1",),
     beam: BeamStream | None = None,
@@ -218,27 +221,27 @@ def identify_events(
             f"channels must be {model.together}, one for each sensor that this model looks through its beam with, in "
             "the order of its training; give a whole recording of them, or take a model of one sensor"
         )
-    sensors = question.heard_by(model, channels)
+    sensors = settings.sensors_for(model, channels)
     # After a gap, a channel counts as another one.
     stretches = [event.since * len(channels) + event.channel for event in events]
     answers: dict[int, Answer] = {}
     for sensor in dict.fromkeys(sensors):
-        own = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
-        for numbers, frames in frames_alike([events[number] for number in own]):
-            event = events[own[numbers[0]]]
-            found = identify_frames(
+        of_sensor = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
+        for numbers, frames in frames_alike([events[number] for number in of_sensor]):
+            event = events[of_sensor[numbers[0]]]
+            part = identify_frames(
                 frames,
                 event.sampling_rate,
                 model,
-                question,
+                settings,
                 pre_trigger=event.pre_trigger,
-                drop_height=question.drop_height,
+                drop_height=settings.drop_height,
                 detection_limit=event.detection_limit,
                 equalisation=None if sensor is None else model.equalisation(sensor)[0],
                 beam=beam,
-                channel=np.array([stretches[own[number]] for number in numbers]),
+                channel=np.array([stretches[of_sensor[number]] for number in numbers]),
             )
-            answers |= zip((own[number] for number in numbers), found, strict=True)
+            answers |= zip((of_sensor[number] for number in numbers), part, strict=True)
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
 
 
@@ -254,11 +257,12 @@ def _placed(answer: Answer, event: Event, channels: Sequence[str]) -> Answer:
     )
 
 
+@renamed_arguments(question="settings")
 def identify_frames(
     frames: NDArray[np.floating],
     sampling_rate: float,
     model: Model,
-    question: Question | None = None,
+    settings: PredictionSettings | None = None,
     *,
     pre_trigger: int | None,
     drop_height: ArrayLike | None = None,
@@ -275,7 +279,7 @@ def identify_frames(
         In the unit of the model; (n_signals, n_sensors, n_samples) if it looks through a beam with several sensors.
     sampling_rate : float [Hz]
     model : Model
-    question : Question, optional
+    question : PredictionSettings, optional
         Only its settings of decision count, such as costs and coverage.
     pre_trigger : int or None
         Samples before touch, which show baseline and noise; None if they follow from the pulse itself.
@@ -318,30 +322,32 @@ def identify_frames(
     sound = np.asarray(np.isfinite(measured).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
     features, guards = np.split(measured[sound], [len(model.features)], axis=1)
-    answers = answers_from(np.hstack([features, known[sound]]), guards, model, question or Question(), sampling_rate)
+    answers = answers_from(
+        np.hstack([features, known[sound]]), guards, model, settings or PredictionSettings(), sampling_rate
+    )
     problems = {}
     if not sound.all():
         problems = problems_of(
             frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
         )
-    found = [
+    identified = [
         replace(next(answers), time=time)
         if sound[row]
         else unmeasured(problems.get(row, "a feature has no finite value"), time)
         for row in range(len(frames))
     ]
-    found = with_frames(found, frames, sampling_rate, model, pre_trigger)
-    if question is None or question.impactors is None:
-        return found
-    struck = question.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
-    return [replace(answer, impactor=own) for answer, own in zip(found, struck, strict=True)]
+    identified = with_frames(identified, frames, sampling_rate, model, pre_trigger)
+    if settings is None or settings.impactors is None:
+        return identified
+    estimates = settings.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
+    return [replace(answer, impactor=estimate) for answer, estimate in zip(identified, estimates, strict=True)]
 
 
 def answers_from(
     inputs: Floats,
     guards: Floats,
     model: Model,
-    question: Question,
+    settings: PredictionSettings,
     sampling_rate: float,
     vote: Callable[[Floats, NDArray[np.bool_]], Floats] = lambda probabilities, _: probabilities,
 ) -> Iterator[Answer]:
@@ -358,7 +364,7 @@ def answers_from(
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
-    for row, (label, labels) in enumerate(zip(*question.labels(model, probabilities), strict=True)):
+    for row, (label, labels) in enumerate(zip(*settings.labels(model, probabilities), strict=True)):
         novelty = float(novelties[row])
         outside = f"outside of the training (novelty {novelty:.3g}, 1 is the edge)" if novelty > 1 else ""
         yield Answer(
@@ -367,7 +373,7 @@ def answers_from(
             probabilities=dict(zip(model.labels, probabilities[row].tolist(), strict=True)),
             novelty=novelty,
             in_training_range=not (outside or untrained),
-            problem=outside or question.doubt(labels) or untrained,
+            problem=outside or settings.doubt(labels) or untrained,
             prediction_set=labels,
             cause=causes.get(row),
             unexplained=float("nan") if column is None else float(column[row]),

@@ -24,7 +24,7 @@ Section = tuple[str, list[str]]
 #: The pictures that belong to a model.
 PICTURES = ("confusion", "reliability", "roc")
 #: Most features that a card lists.
-_MOST_NAMES = 60
+_MAX_NAMES = 60
 _SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs", "window": "recordings in windows"}
 _FEW = f"With fewer than {FEWEST_GROUPS} groups of a label the next day may be much worse than the intervals say."
 #: Characters that Markdown or HTML interprets within a line; an underscore only at the edge of a word.
@@ -117,7 +117,7 @@ def _sections(model: Model, pictures: tuple[str, ...], further: Sequence[Section
     yield f"On {'windows' if model.kind == 'window' else 'impacts'} it has not seen", judgement
     yield "Calibration and reject option", _calibration(model)
     if recorded is not None:
-        yield "Choice", _choice(recorded["candidates"])
+        yield "Selection", _choice(recorded["candidates"])
         if "synthetic" in recorded:
             yield "Adaptation", _adaptation(recorded["synthetic"], training["metrics"]["accuracy"])
     yield from further
@@ -150,10 +150,10 @@ def _identity(model: Model) -> list[tuple[str, str]]:
 
 
 def _features(model: Model) -> str:
-    if len(model.features) <= _MOST_NAMES:
+    if len(model.features) <= _MAX_NAMES:
         return ", ".join(model.features)
-    chosen = [plain(row["name"]) for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
-    return f"{len(model.features)}: {', '.join(chosen) or 'many'} (`cgid info` lists them)"
+    selected = [plain(row["name"]) for row in model.training.get("recorded", {}).get("candidates", ()) if row["chosen"]]
+    return f"{len(model.features)}: {', '.join(selected) or 'many'} (`cgid info` lists them)"
 
 
 def _of_specimens(training: Record) -> list[tuple[str, str]]:
@@ -178,7 +178,7 @@ def _of_recordings(model: Model, recorded: Record) -> list[tuple[str, str]]:
             f"they repeat each other with a correlation of {model.vote_correlation:.2f}"
         )
     rows = f"{model.training['n_train']} {recorded['by']}s"
-    found = [
+    lines = [
         ("decides on", by),
         ("channels together", str(model.n_channels)),
         (
@@ -189,10 +189,10 @@ def _of_recordings(model: Model, recorded: Record) -> list[tuple[str, str]]:
         ("class weights", weights),
     ]
     if model.sensors:
-        found.append(("reference spectra of sensors", ", ".join(map(plain, model.sensors))))
+        lines.append(("reference spectra of sensors", ", ".join(map(plain, model.sensors))))
     if recorded["failures"]:
-        found.append(("could not be read", counted(len(recorded["failures"]), "recording")))
-    return found
+        lines.append(("could not be read", counted(len(recorded["failures"]), "recording")))
+    return lines
 
 
 def _judgement(model: Model) -> list[str]:
@@ -310,7 +310,7 @@ def correction_section(correction: Record) -> Section:
 
 def _choice(candidates: Sequence[Record]) -> list[str]:
     rows = [
-        (_chosen(row), plain(row["family"]), row["n_features"], f"{row['accuracy']:.4f}", row["taken_in_folds"])
+        (_selected_text(row), plain(row["family"]), row["n_features"], f"{row['accuracy']:.4f}", row["taken_in_folds"])
         for row in candidates
     ]
     return [
@@ -360,8 +360,8 @@ def _limits_of_recordings(model: Model) -> list[str]:
     ]
     if "contrast.limit" in model.arrays:
         lines.append("A window with more noise than the clear ones of the training have is *unknown*, too.")
-    chosen = next(row["name"] for row in model.training["recorded"]["candidates"] if row["chosen"])
-    if not chosen.endswith("level-free"):
+    selected = next(row["name"] for row in model.training["recorded"]["candidates"] if row["chosen"])
+    if not selected.endswith("level-free"):
         lines.append(
             "It looks at levels: with another gain it is less often right (`cgid train --level-free` does without)."
         )
@@ -389,5 +389,5 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
     ]
 
 
-def _chosen(row: Record) -> str:
+def _selected_text(row: Record) -> str:
     return f"**{plain(row['name'])}**" if row["chosen"] else plain(row["name"])

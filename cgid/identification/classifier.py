@@ -27,7 +27,7 @@ from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
 #: Most rows of either side that a contrast learns from, and its iterations.
-_MOST_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
+_MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
 #: Share of the known rows inside the limit of a contrast: of `anything`, .86 instead of .81 are strange if .3 % of the
 #: known are, and not .1 %.
 _INSIDE = 0.997
@@ -143,15 +143,15 @@ def _network(settings: ImpactClassifier) -> Any:
 def contrast_of(known: Floats, strangers: Floats, linear: tuple[int, ...], seed: int) -> Contrast:
     """Return what tells known rows (n, n_features) from strangers: its limit is kept by 99.7 % of the known."""
     pick = np.random.default_rng(seed)
-    rows = [part[pick.permutation(len(part))[:_MOST_CONTRASTED]] for part in (known, strangers)]
+    rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, strangers)]
     inputs, stranger = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])
     with threadpool_limits(1):
         standardiser = Standardiser.fit(inputs, linear)
         network = _Perceptron(
             (32, 32), activation="tanh", solver="lbfgs", alpha=0.1, max_iter=_CONTRAST_ITERATIONS, random_state=seed
         ).fit(standardiser.apply(inputs), stranger)
-        found = Contrast(standardiser, Network(Network.export(network), inputs.shape[1], 2), 0.0)
-        return replace(found, limit=float(np.quantile(found.scores(known), _INSIDE)))
+        contrast = Contrast(standardiser, Network(Network.export(network), inputs.shape[1], 2), 0.0)
+        return replace(contrast, limit=float(np.quantile(contrast.scores(known), _INSIDE)))
 
 
 #: Powers over that of noise [dB] beyond which more or less makes no difference; ridge of the regression, per row.
@@ -165,12 +165,12 @@ def noise_contrast(copies: Floats, snr: Floats, linear: tuple[int, ...]) -> Cont
     [dB]. Its limit is 0, for the caller to set.
     """
     standardiser = Standardiser.fit(copies, linear)
-    inputs, wanted = standardiser.apply(copies), -np.clip(snr, *_NOISE_RANGE) * np.log(10) / 10
+    inputs, targets = standardiser.apply(copies), -np.clip(snr, *_NOISE_RANGE) * np.log(10) / 10
     middle = inputs.mean(axis=0)
     centred = inputs - middle
     ridge = _NOISE_RIDGE * len(inputs) * np.eye(inputs.shape[1])
-    slopes = cho_solve(cho_factor(centred.T @ centred + ridge), centred.T @ (wanted - wanted.mean()))
-    arrays = {"coefficients": slopes[None], "intercepts": np.array([wanted.mean() - middle @ slopes])}
+    slopes = cho_solve(cho_factor(centred.T @ centred + ridge), centred.T @ (targets - targets.mean()))
+    arrays = {"coefficients": slopes[None], "intercepts": np.array([targets.mean() - middle @ slopes])}
     return Contrast(standardiser, Linear(arrays, inputs.shape[1], 2), 0.0)
 
 
@@ -242,11 +242,11 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.random_state = random_state
 
     def fit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, crew: Workers = ALONE
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, workers: Workers = ALONE
     ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
-        A fold never divides one of the `groups` (n_impacts,), usually specimens. The `crew` fits the folds with one
+        A fold never divides one of the `groups` (n_impacts,), usually specimens. The `workers` fits the folds with one
         thread each, because the number of threads would change the last digits of sums.
 
         Parameters
@@ -280,8 +280,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             if self.rejects:
                 covariance = self.estimator_.covariance_ if self.family == "linear" else None
                 self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
-            own = None if groups is None else np.asarray(groups)
-            self.temperature_, self.held_out_loss_ = self._temperature(inputs, encoded, weights, own, crew)
+            group_array = None if groups is None else np.asarray(groups)
+            self.temperature_, self.held_out_loss_ = self._temperature(inputs, encoded, weights, group_array, workers)
         return self
 
     def decision_function(self, X: ArrayLike) -> Floats:
@@ -377,7 +377,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         encoded: NDArray[np.intp],
         weights: Floats | None,
         groups: NDArray[Any] | None,
-        crew: Workers,
+        workers: Workers,
     ) -> tuple[float, float]:
         """Return the divisor of the scores, and the log loss of left-out rows with it; 1 and nan for too few rows."""
         if groups is None or len(np.unique(groups)) == len(groups):
@@ -393,12 +393,12 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         splitter = kind(folds, shuffle=True, random_state=self.random_state)
         scores = np.empty((len(encoded), len(self.classes_)) if len(self.classes_) > 2 else len(encoded))
         parts = list(splitter.split(inputs, encoded, groups))
-        answers = crew.each(_scores_left_out, (self, inputs, encoded, weights), parts)
+        answers = workers.each(_scores_left_out, (self, inputs, encoded, weights), parts)
         for (_, test), answer in zip(parts, answers, strict=True):
             scores[test] = answer
-        own = None if weights is None else weights[encoded]
-        temperature = best_temperature(scores, encoded, own)
-        return temperature, log_loss(scores / temperature, encoded, own)
+        row_weights = None if weights is None else weights[encoded]
+        temperature = best_temperature(scores, encoded, row_weights)
+        return temperature, log_loss(scores / temperature, encoded, row_weights)
 
 
 def _scores_left_out(
@@ -434,10 +434,12 @@ def log_loss(scores: Floats, encoded: NDArray[np.intp], weights: Floats | None =
     numbers of the true classes.
     """
     logs = np.log(np.maximum(softmax(scores), 1e-300))
-    chosen = logs[np.arange(len(encoded)), encoded]
+    log_probabilities = logs[np.arange(len(encoded)), encoded]
     if doubt:
-        chosen = (1 - doubt) * chosen + doubt * (logs.sum(axis=1) - chosen) / (logs.shape[1] - 1)
-    return float(-np.average(chosen, weights=weights))
+        log_probabilities = (1 - doubt) * log_probabilities + doubt * (logs.sum(axis=1) - log_probabilities) / (
+            logs.shape[1] - 1
+        )
+    return float(-np.average(log_probabilities, weights=weights))
 
 
 #: The families of models; all can be exported as plain numbers.

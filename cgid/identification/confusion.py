@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 #: Probabilities are kept this far from 0 and 1: a single wrong certain answer would outweigh all others.
 SUREST = 1e-3
 #: Answers of the rarer label in a bin, at least; and bins, at most.
-_A_BIN, _MOST_BINS = 25, 24
+_A_BIN, _MAX_BINS = 25, 24
 #: Answers that are added to each label, spread like those of both: an empty bin rules nothing out.
 _ADDED = 2.0
 #: Windows in which answers scatter together [s].
@@ -41,7 +41,7 @@ LEAST_SCATTER = 0.035
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Heard:
+class StreamAnswers:
     """What was heard of a recording with known rocks.
 
     Attributes
@@ -103,19 +103,19 @@ class Confusion:
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self | None:
         """Return the confusion in the arrays of a model; None without one. Raise `BadData` if they do not fit."""
-        own = {name: arrays[cls.PREFIX + name] for name in cls.ARRAYS if cls.PREFIX + name in arrays}
-        if not own:
+        stored = {name: arrays[cls.PREFIX + name] for name in cls.ARRAYS if cls.PREFIX + name in arrays}
+        if not stored:
             return None
-        if len(own) < len(cls.ARRAYS) or own["spread"].shape != (2,):
+        if len(stored) < len(cls.ARRAYS) or stored["spread"].shape != (2,):
             raise BadData(f"arrays of a share must be {', '.join(cls.PREFIX + name for name in cls.ARRAYS)}")
-        overdispersion, scatter = own["spread"].tolist()
-        return cls(edges=own["edges"], rates=own["rates"], overdispersion=overdispersion, scatter=scatter)
+        overdispersion, scatter = stored["spread"].tolist()
+        return cls(edges=stored["edges"], rates=stored["rates"], overdispersion=overdispersion, scatter=scatter)
 
     @property
     def arrays(self) -> dict[str, Floats]:
         """The arrays in a model file."""
-        own = {"edges": self.edges, "rates": self.rates, "spread": np.array([self.overdispersion, self.scatter])}
-        return {self.PREFIX + name: array for name, array in own.items()}
+        stored = {"edges": self.edges, "rates": self.rates, "spread": np.array([self.overdispersion, self.scatter])}
+        return {self.PREFIX + name: array for name, array in stored.items()}
 
     @classmethod
     def counted(cls, logits: Floats, second: NDArray[np.bool_], n_rocks: tuple[float, float]) -> Self | None:
@@ -126,7 +126,7 @@ class Confusion:
         known = np.isfinite(logits)
         logits, second = logits[known], second[known]
         rarer = min(int(second.sum()), int((~second).sum()))
-        n_bins = min(rarer // _A_BIN, _MOST_BINS)
+        n_bins = min(rarer // _A_BIN, _MAX_BINS)
         if n_bins < 2:
             return None
         # Bins hold equally many answers of both labels together, with equal weights of the labels.
@@ -143,7 +143,7 @@ class Confusion:
         return cls(edges=edges, rates=spread / np.asarray(n_rocks)[:, None])
 
     @classmethod
-    def of_streams(cls, streams: Sequence[Heard]) -> Self | None:
+    def of_streams(cls, streams: Sequence[StreamAnswers]) -> Self | None:
         """Return the confusion of streams of known shares, with its overdispersion and scatter; None with too few."""
         plain = cls.counted(
             np.concatenate([one.logits for one in streams]),
@@ -152,7 +152,7 @@ class Confusion:
         )
         if plain is None:
             return None
-        inside, errors, told = [], [], []
+        inside, errors, n_informative = [], [], []
         for one in streams:
             known = np.isfinite(one.logits)
             window = (one.time[known] // _WINDOW).astype(int)
@@ -160,16 +160,18 @@ class Confusion:
             counts = np.bincount(window)
             curvature = plain.information(one.share) * counts
             error = pull.sum() / curvature.sum()
-            rest = (pull - curvature * error)[counts > 0] ** 2 / curvature[counts > 0]
+            squared_residuals = (pull - curvature * error)[counts > 0] ** 2 / curvature[counts > 0]
             # The part of it that is due to the rocks: theirs is a share of its own in each window.
             due = curvature.sum() * one.share * (1 - one.share) / sum(one.n_rocks)
-            inside.append((rest.sum(), rest.size - 1, due * (rest.size - 1)))
+            inside.append((squared_residuals.sum(), squared_residuals.size - 1, due * (squared_residuals.size - 1)))
             errors.append(error)
-            told.append(curvature.sum())
+            n_informative.append(curvature.sum())
         sums = np.sum(inside, axis=0)
-        rest, due = sums[[0, 2]] / max(sums[1], 1)
-        overdispersion = max(float(rest - due), 1.0)
-        excess = np.average(np.square(errors) - max(rest, 1.0) / np.asarray(told), weights=told)
+        squared_residuals, due = sums[[0, 2]] / max(sums[1], 1)
+        overdispersion = max(float(squared_residuals - due), 1.0)
+        excess = np.average(
+            np.square(errors) - max(squared_residuals, 1.0) / np.asarray(n_informative), weights=n_informative
+        )
         scatter = max(float(np.sqrt(max(excess, 0.0))), LEAST_SCATTER)
         return cls(edges=plain.edges, rates=plain.rates, overdispersion=overdispersion, scatter=scatter)
 
@@ -185,8 +187,8 @@ class Confusion:
     def slopes(self, logits: Floats, share: float) -> Floats:
         """Return the slope of the log likelihood of each answer at a share of rocks, (n,)."""
         ratios, abundance = self.ratios(logits), self.abundance
-        whole = (abundance - 1) / (1 + share * (abundance - 1))
-        return np.asarray((ratios - 1) / (1 + share * (ratios - 1)) - whole)
+        slope = (abundance - 1) / (1 + share * (abundance - 1))
+        return np.asarray((ratios - 1) / (1 + share * (ratios - 1)) - slope)
 
     def information(self, share: float) -> float:
         """Return the information of one answer about a share of rocks (Fisher 1925): the variance of its slope."""

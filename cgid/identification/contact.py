@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from cgid import family
 from cgid.identification.inversion import Inversion, Inverted, Ringing, Rowwise, Sought
+from cgid.measure.ar_noise import ARNoise, ar_noise_of
 from cgid.measure.beam import FINE, SPAN_TIME, TOUCH, Beam, gain
-from cgid.measure.colour import Colour, colour_of
 from cgid.measure.template import relative_times
 from cgid.measure.vibration import VibrationBatch
 from cgid.validation import Floats
@@ -531,7 +531,7 @@ class ThroughBeam:
         noise = self._noise(frames, quiet, vibrations, limit)
         found = Sought(frames, noise, limit=limit)
         if limit is None:
-            colour = colour_of(frames, quiet, np.zeros(len(frames)), 1)
+            colour = ar_noise_of(frames, quiet, np.zeros(len(frames)), 1)
             clipped = clipped_samples(frames)
             frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
             found = Sought(frames, noise, colour.coefficients, colour.innovation, error, clipped)
@@ -558,7 +558,7 @@ class ThroughBeam:
         return found.changed(lambda array: array.reshape(-1, self.n_sensors, *array.shape[1:]))
 
     def _settled(
-        self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: Colour
+        self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: ARNoise
     ) -> tuple[Floats, Floats, Floats | None]:
         """Return frames without what rings from earlier blows, the noise, and the power of the error of that.
 

@@ -46,9 +46,9 @@ _GAINS = np.linspace(-2.0, 2.0, 9)
 #: The array that holds the intercept of each score, by family.
 _INTERCEPTS = {"boosting": "baseline", "linear": "intercepts", "logistic": "intercepts", "network": "biases_3"}
 #: Metrics that a model keeps of the site it was corrected for.
-_TOLD = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")
+_REPORTED = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")
 #: Most folds of held-out impacts: up to this number of impacts each is one.
-_MOST_FOLDS = 50
+_MAX_FOLDS = 50
 #: Half width of an interval that is wished for.
 _NARROW = 0.05
 
@@ -142,8 +142,8 @@ def correct(model: Model, rows: Rows) -> Correction:
         "bias": shift.bias.tolist(),
         "slope": shift.slope,
         "gain": shift.gain,
-        **{name: after[name] for name in _TOLD},
-        "before": {name: before[name] for name in _TOLD},
+        **{name: after[name] for name in _REPORTED},
+        "before": {name: before[name] for name in _REPORTED},
         "sources": list(rows.digests),
     }
     # The metrics stay those of the training, of thousands; prediction sets promise nothing of another site.
@@ -208,8 +208,10 @@ def advice(correction: Correction) -> list[str]:
     lines = []
     if high - low > 2 * _NARROW:
         p = min(max(accuracy, 0.5), 0.95)
-        wanted = int(np.ceil(p * (1 - p) * (1.96 / _NARROW) ** 2 / 10) * 10)
-        lines.append(f"{wanted} labelled impacts would narrow the interval to +- {_NARROW:g}, {n} leave it this wide")
+        n_required = int(np.ceil(p * (1 - p) * (1.96 / _NARROW) ** 2 / 10) * 10)
+        lines.append(
+            f"{n_required} labelled impacts would narrow the interval to +- {_NARROW:g}, {n} leave it this wide"
+        )
     lines.append(
         "more labels raise the accuracy little, they correct a threshold; a model of this site's beam and rocks raises "
         "it (cgid calibrate, then cgid train SITE.toml)"
@@ -244,7 +246,7 @@ class _Lumps:
 
     def learned(self) -> tuple[Shift, Floats]:
         """Return the shift, and the probabilities of each impact by the shift that the others teach."""
-        fold = np.arange(len(self.truth)) % _MOST_FOLDS
+        fold = np.arange(len(self.truth)) % _MAX_FOLDS
         probabilities = np.empty(self.logs.shape[1:])
         for k in range(fold.max() + 1):
             shift = self._fitted(fold != k)
@@ -254,19 +256,19 @@ class _Lumps:
     def _place(self, gain: float) -> int:
         return int(np.argmin(np.abs(np.log(self.gains / gain))))
 
-    def _fitted(self, chosen: NDArray[np.bool_]) -> Shift:
+    def _fitted(self, selected: NDArray[np.bool_]) -> Shift:
         """Return the mean of the shifts that could be, each weighed by its evidence.
 
         This is Bayesian model averaging (Hoeting et al. 1999) with the posterior modes of the shifts.
         """
-        truth, logs = self.truth[chosen], self.logs[:, chosen]
+        truth, logs = self.truth[selected], self.logs[:, selected]
         none = logs[self.middle, np.arange(len(truth)), truth].sum() + np.log(_NOTHING / (1 - _NOTHING))
-        fits = [fit_bias_and_slope(own, truth) for own in logs]
+        fits = [fit_bias_and_slope(log_probabilities, truth) for log_probabilities in logs]
         prior = -0.5 * (np.log(self.gains) / _GAIN) ** 2
         prior -= np.log(np.exp(prior).sum())
-        evidence = np.array([found for _, found in fits]) + prior
+        evidence = np.array([log_evidence for _, log_evidence in fits]) + prior
         weights = np.exp(evidence - np.logaddexp(none, np.logaddexp.reduce(evidence)))
-        mean = weights @ np.array([found for found, _ in fits])
+        mean = weights @ np.array([log_evidence for log_evidence, _ in fits])
         gain = float(self.gains[self._place(float(np.exp(weights @ np.log(self.gains))))])
         return Shift(self.labels, mean[:-1], float(np.exp(mean[-1])), gain)
 
@@ -289,15 +291,15 @@ def fit_bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, f
         slopes = np.append(error.sum(axis=0), slope * np.sum(error * logs))
         return float(value), slopes + precision * parameters
 
-    found = minimize(loss, np.zeros(n_labels + 1), jac=True, method="L-BFGS-B", bounds=[(-6, 6)] * (n_labels + 1))
-    slope = np.exp(found.x[-1])
-    probabilities = softmax(slope * logs + found.x[:-1])
+    optimum = minimize(loss, np.zeros(n_labels + 1), jac=True, method="L-BFGS-B", bounds=[(-6, 6)] * (n_labels + 1))
+    slope = np.exp(optimum.x[-1])
+    probabilities = softmax(slope * logs + optimum.x[:-1])
     effects = np.concatenate([np.broadcast_to(np.eye(n_labels), (n, n_labels, n_labels)), slope * logs[:, :, None]], 2)
     centred = effects - np.einsum("ik,ikp->ip", probabilities, effects)[:, None]
     curvature = np.einsum("ik,ikp,ikq->pq", probabilities, centred, centred)
-    curvature[-1, -1] -= precision[-1] * found.x[-1]  # the exponential bends, too: at the maximum by this much
+    curvature[-1, -1] -= precision[-1] * optimum.x[-1]  # the exponential bends, too: at the maximum by this much
     size = np.linalg.slogdet(np.eye(n_labels + 1) + curvature / precision[:, None])[1]
-    return np.append(found.x[:-1] - found.x[:-1].mean(), found.x[-1]), -float(found.fun) - 0.5 * float(size)
+    return np.append(optimum.x[:-1] - optimum.x[:-1].mean(), optimum.x[-1]), -float(optimum.fun) - 0.5 * float(size)
 
 
 # -- into the model ---------------------------------------------------------------------------------------

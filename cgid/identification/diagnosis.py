@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 #: is too weak.
 _START_TIME, _CLEAR = 10e-3, 2.0
 #: Factors of amplitude and duration that are tried; only one beyond `_FAR` times is a cause.
-_SCALES, _FAR = 10.0 ** np.arange(-4.0, 4.25, 0.25), 3.0
+_SCALES, _MAX_DISTANCE = 10.0 ** np.arange(-4.0, 4.25, 0.25), 3.0
 #: A signal that falls below its baseline by this fraction of its peak swings both ways, which no contact force does.
 _BOTH_WAYS = 0.4
 #: Standard deviations of the training to either side that make the range of a quantity in messages.
@@ -108,7 +108,7 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
 def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floats:
     """Return how many times as large as in the training the unit `symbol` of each row is; infinite where not that.
 
-    It is that where a factor beyond `_FAR`, on all inputs with that unit, brings the row inside.
+    It is that where a factor beyond `_MAX_DISTANCE`, on all inputs with that unit, brings the row inside.
     """
     powers, logarithmic = _powers(model, symbol)
     if not len(inputs) or not powers.any():
@@ -118,7 +118,7 @@ def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floa
         scaled = np.where(logarithmic, inputs + powers * np.log10(factor), inputs * factor**powers)
         distances.append(model.novelty(scaled, guards))
     size = 1 / _SCALES[np.argmin(distances, axis=0)]
-    is_cause = (np.min(distances, axis=0) <= 1) & ((size >= _FAR) | (size <= 1 / _FAR))
+    is_cause = (np.min(distances, axis=0) <= 1) & ((size >= _MAX_DISTANCE) | (size <= 1 / _MAX_DISTANCE))
     return np.where(is_cause, size, np.inf)
 
 

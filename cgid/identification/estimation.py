@@ -26,7 +26,7 @@ from cgid.validation import Floats, require_rate
 __all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "estimate", "posterior"]
 
 #: Rows processed at once, and most nodes of a posterior.
-_ROWS, _MOST_NODES = 512, 4096
+_ROWS, _MAX_NODES = 512, 4096
 #: If the squared residual is more than this many times that of the noise, the pulse is not of the family.
 FAMILY_LIMIT = 2.5
 
@@ -219,9 +219,9 @@ def estimate(
                 n_quiet=pulses.n_quiet if given_noise is None else None,
             )
         )
-        if found := without_impact(pulses.samples, parts[-1]):
-            row = min(found)
-            raise BadData(f"signal {first + row}: {found[row]}" if n > 1 else found[row])
+        if failures := without_impact(pulses.samples, parts[-1]):
+            row = min(failures)
+            raise BadData(f"signal {first + row}: {failures[row]}" if n > 1 else failures[row])
         cut = parts[-1].clipped > 0
         overloads.append(np.where(cut, parts[-1].peak / (level if level is not None else 1.0) - 1, 0.0).clip(0.0))
     fit = PulseFit.joined(parts)
@@ -273,7 +273,7 @@ def posterior(
         As `estimate`; `InvalidValue` also for a signal without noise.
     """
     validation.instance("prior", prior, Prior)
-    validation.whole("n_nodes", n_nodes, 3, _MOST_NODES)
+    validation.whole("n_nodes", n_nodes, 3, _MAX_NODES)
     frames, rate = frames_of(samples, pre_trigger).astype(np.float64, copy=False), require_rate(sampling_rate)
     given = None if noise is None else _each("noise", validation.positive("noise", noise), len(frames))
     response = None if bandwidth is None else low_pass_response(rate, bandwidth)

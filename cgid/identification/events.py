@@ -124,10 +124,10 @@ class Event:
 
     def __repr__(self) -> str:
         marks = [name for name in ("overlapping", "clipped", "cut", "problem") if getattr(self, name)]
-        told = f", {', '.join(marks)}" if marks else ""
+        listed_marks = f", {', '.join(marks)}" if marks else ""
         return (
             f"Event({self.source!r}, samples {self.onset} to {self.end - 1} at {self.sampling_rate:g} Hz, "
-            f"frame {self.samples.shape}{told})"
+            f"frame {self.samples.shape}{listed_marks})"
         )
 
     @property
@@ -255,8 +255,8 @@ class FrameCutter:
         behind = min(limit, limit if stop is None else stop)
         if following is not None:
             behind = min(behind, following.sample)
-        own = samples[onset.channel, onset.sample - first : behind - first].astype(np.float64, copy=False)
-        lasted = self._end_of(onset, own)
+        one_channel = samples[onset.channel, onset.sample - first : behind - first].astype(np.float64, copy=False)
+        lasted = self._end_of(onset, one_channel)
         interrupted = lasted < 0 and following is not None and behind == following.sample
         end = behind if lasted < 0 else min(onset.sample + lasted, max(behind, onset.sample + 1))
         self._before[onset.row] = onset, interrupted
@@ -266,13 +266,13 @@ class FrameCutter:
             behind = min(behind, max(following.sample - framing.late, onset.sample + 1))
         rows = samples if self._joint else samples[onset.channel : onset.channel + 1]
         part = rows[:, start - first : behind - first]
-        heard = onset.channel if self._joint else 0
-        stretch = quietest(part[heard], framing.quiet) if before is None and start == begin else slice(0, 0)
+        channel = onset.channel if self._joint else 0
+        stretch = quietest(part[channel], framing.quiet) if before is None and start == begin else slice(0, 0)
         frame, baseline = self._frame(part, onset, start, length, stretch)
-        mine = float(baseline[heard])
+        mine = float(baseline[channel])
         began_cut = onset.sample <= begin
         if framing.pre_trigger is not None and onset.sample - begin < framing.lead:
-            began_cut = start > begin or has_begun(part[heard], onset.sample - begin, mine, stretch, framing.lead)
+            began_cut = start > begin or has_begun(part[channel], onset.sample - begin, mine, stretch, framing.lead)
         return Event(
             channel=onset.channel,
             onset=onset.sample,
@@ -282,7 +282,7 @@ class FrameCutter:
             pre_trigger=framing.pre_trigger,
             # Impacts seen after the frame do not count: whether they are known yet depends on the blocks.
             overlapping=running or interrupted or (onset.again is not None and onset.again < limit),
-            clipped=_is_clipped(own[: end - onset.sample] - mine),
+            clipped=_is_clipped(one_channel[: end - onset.sample] - mine),
             cut=began_cut or ended_cut,
             problem=self._problem(began_cut, ended_cut, length if stop is None else stop - onset.sample, begin, by),
         )

@@ -39,10 +39,10 @@ class Standardiser:
     @classmethod
     def from_arrays(cls, arrays: Arrays, prefix: str) -> Standardiser:
         """Return that of the arrays of a model; raises `BadData` unless scale and floor are above 0."""
-        found = cls(*(arrays[prefix + name] for name in cls.NAMES))
-        if not (found.scale > 0).all() or not (found.floor > 0).all():
+        standardiser = cls(*(arrays[prefix + name] for name in cls.NAMES))
+        if not (standardiser.scale > 0).all() or not (standardiser.floor > 0).all():
             raise BadData(f"arrays {prefix}scale and {prefix}floor must be above 0")
-        return found
+        return standardiser
 
     def arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return the arrays of a model."""
@@ -120,11 +120,11 @@ class Neighbourhood:
             centred = rows - rows.mean(axis=0)
             centres.append(rows.mean(axis=0))
             if covariance is None or k == 0:
-                own = centred.T @ centred / max(len(rows) - 1, 1) if covariance is None else covariance
-                whitening.append(np.linalg.inv(np.linalg.cholesky(own + cls.RIDGE * np.eye(rows.shape[1]))))
-        found = cls(np.array(centres), np.array(whitening), 1.0)
-        limit = float(np.quantile(found.novelty(standardised), cls.INSIDE))
-        return cls(found.centres, found.whitening, max(limit, 1e-12))
+                pooled = centred.T @ centred / max(len(rows) - 1, 1) if covariance is None else covariance
+                whitening.append(np.linalg.inv(np.linalg.cholesky(pooled + cls.RIDGE * np.eye(rows.shape[1]))))
+        neighbourhood = cls(np.array(centres), np.array(whitening), 1.0)
+        limit = float(np.quantile(neighbourhood.novelty(standardised), cls.INSIDE))
+        return cls(neighbourhood.centres, neighbourhood.whitening, max(limit, 1e-12))
 
     def novelty(self, standardised: Floats) -> Floats:
         """Return distance over limit; above 1 it is outside the training range, infinite beyond all numbers."""
@@ -152,7 +152,7 @@ class Neighbourhood:
 
 
 #: Most trees, and nodes on a path from root to leaf: each row passes through all trees.
-_MOST_TREES, _LONGEST_WAY = 1 << 15, 256
+_MAX_TREES, _MAX_DEPTH = 1 << 15, 256
 
 
 class Family(ABC):
@@ -259,14 +259,14 @@ class Boosting(Family):
             for column, tree in enumerate(iteration):
                 nodes = tree.nodes
                 leaf = nodes["is_leaf"].astype(bool)
-                own = np.arange(len(nodes)) + first
+                node_index = np.arange(len(nodes)) + first
                 tables.append(
                     (
                         np.where(leaf, 0, nodes["feature_idx"]).astype(np.int32),
                         np.where(leaf, 0.0, nodes["num_threshold"]),
                         # A leaf is its own child, so that a descent stays there.
-                        np.where(leaf, own, nodes["left"].astype(np.int64) + first).astype(np.int32),
-                        np.where(leaf, own, nodes["right"].astype(np.int64) + first).astype(np.int32),
+                        np.where(leaf, node_index, nodes["left"].astype(np.int64) + first).astype(np.int32),
+                        np.where(leaf, node_index, nodes["right"].astype(np.int64) + first).astype(np.int32),
                         np.where(leaf, nodes["value"], 0.0),
                     )
                 )
@@ -298,15 +298,15 @@ class Boosting(Family):
             raise BadData(f"array columns must lie between 0 and {self.n_scores - 1}")
         if (a["feature"] < 0).any() or (a["feature"] >= self.n_features).any():
             raise BadData(f"array feature must lie between 0 and {self.n_features - 1}")
-        if len(roots) > _MOST_TREES:
-            raise BadData(f"array roots must name at most {_MOST_TREES} trees, got {len(roots)}")
-        own = np.arange(n_nodes)
-        end = np.append(roots[1:], n_nodes)[np.searchsorted(roots, own, side="right") - 1]
-        leaf = (a["left"] == own) & (a["right"] == own)
+        if len(roots) > _MAX_TREES:
+            raise BadData(f"array roots must name at most {_MAX_TREES} trees, got {len(roots)}")
+        node_index = np.arange(n_nodes)
+        end = np.append(roots[1:], n_nodes)[np.searchsorted(roots, node_index, side="right") - 1]
+        leaf = (a["left"] == node_index) & (a["right"] == node_index)
         for name in ("left", "right"):
-            if not (leaf | ((a[name] > own) & (a[name] < end))).all():
+            if not (leaf | ((a[name] > node_index) & (a[name] < end))).all():
                 raise BadData(f"array {name} must point to a later node of the same tree")
-        self._check_ways(own[~leaf])
+        self._check_ways(node_index[~leaf])
 
     def _check_ways(self, inner: NDArray[np.intp]) -> None:
         """Raise unless each node except the roots has one parent, and no leaf is too deep."""
@@ -316,12 +316,12 @@ class Boosting(Family):
         if (parents != 1).any():
             raise BadData("arrays left and right must name each node once, except the roots")
         level = a["roots"]
-        for _ in range(_LONGEST_WAY):
+        for _ in range(_MAX_DEPTH):
             level = level[a["left"][level] != level]
             level = np.append(a["left"][level], a["right"][level])
             if not level.size:
                 return
-        raise BadData(f"arrays left and right must lead to a leaf in {_LONGEST_WAY} steps")
+        raise BadData(f"arrays left and right must lead to a leaf in {_MAX_DEPTH} steps")
 
     @property
     def width(self) -> int:
@@ -333,8 +333,8 @@ class Boosting(Family):
         out = np.empty((len(standardised), self.n_scores))
         leaves = self.arrays["value"][self._walk(standardised)]
         for column in range(self.n_scores):
-            own = leaves[:, self.arrays["columns"] == column]
-            out[:, column] = self.arrays["baseline"][column] + own.sum(axis=1)
+            of_column = leaves[:, self.arrays["columns"] == column]
+            out[:, column] = self.arrays["baseline"][column] + of_column.sum(axis=1)
         return out[:, 0] if self.n_scores == 1 else out
 
     def _walk(self, rows: Floats) -> NDArray[np.int32]:
@@ -411,23 +411,23 @@ class Contrast:
     @classmethod
     def from_arrays(cls, arrays: Arrays, n_features: int) -> Contrast | None:
         """Return the contrast in the arrays of a model; None without one. Raise `BadData` if they do not fit."""
-        own = {name.removeprefix(cls.PREFIX): a for name, a in arrays.items() if name.startswith(cls.PREFIX)}
-        if not own:
+        stored = {name.removeprefix(cls.PREFIX): a for name, a in arrays.items() if name.startswith(cls.PREFIX)}
+        if not stored:
             return None
         shapes = dict.fromkeys(Standardiser.NAMES, (n_features,)) | {"limit": (1,)}
         for name, shape in shapes.items():
-            if name not in own or own[name].shape != shape:
+            if name not in stored or stored[name].shape != shape:
                 raise BadData(f"array {cls.PREFIX}{name} must have shape {shape}")
         standardiser = Standardiser.from_arrays(arrays, cls.PREFIX)
-        kind = Linear if "coefficients" in own else Network
-        scorer = kind({name: a for name, a in own.items() if name in kind.AXES}, n_features, 2)
-        return cls(standardiser, scorer, float(own["limit"][0]))
+        kind = Linear if "coefficients" in stored else Network
+        scorer = kind({name: a for name, a in stored.items() if name in kind.AXES}, n_features, 2)
+        return cls(standardiser, scorer, float(stored["limit"][0]))
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays of a model."""
-        own = {**self.scorer.arrays, "limit": np.array([self.limit])}
-        return self.standardiser.arrays(self.PREFIX) | {self.PREFIX + name: array for name, array in own.items()}
+        stored = {**self.scorer.arrays, "limit": np.array([self.limit])}
+        return self.standardiser.arrays(self.PREFIX) | {self.PREFIX + name: array for name, array in stored.items()}
 
     def scores(self, features: Floats) -> Floats:
         """Return ln of the odds that rows are strangers, up to a constant, or of the power of noise."""

@@ -50,12 +50,14 @@ class Candidate:
 
 def candidates_for(sets: Sets, measured: Sequence[str], family: str) -> tuple[Candidate, ...]:
     """Return a candidate for each set of features of which at least one was measured."""
-    found = {name: tuple(feature for feature in wanted if feature in measured) for name, wanted in sets.items()}
-    return tuple(Candidate(name=name, features=own, family=family) for name, own in found.items() if own)
+    measured_sets = {name: tuple(feature for feature in names if feature in measured) for name, names in sets.items()}
+    return tuple(
+        Candidate(name=name, features=features, family=family) for name, features in measured_sets.items() if features
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lesson:
+class TrainingSet:
     """The rows to train on, and the settings."""
 
     rows: Rows
@@ -64,7 +66,7 @@ class Lesson:
     seed: int
 
 
-class Choice(NamedTuple):
+class Selection(NamedTuple):
     """Result of the inner loop: the best candidate, the accuracies of all, its temperature, and that of its votes."""
 
     best: int
@@ -73,7 +75,7 @@ class Choice(NamedTuple):
     vote_correlation: float = 1.0
 
 
-class Judged(NamedTuple):
+class CrossValidation(NamedTuple):
     """Result of the outer loop: probabilities (n_recorded, n_labels), and the candidate of each fold."""
 
     probabilities: Floats
@@ -110,19 +112,21 @@ def in_blocks_of_time(rows: Rows) -> Rows:
     assert rows.slicing is not None
     before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (_ONE_BLOW, EVENT_TIME)
     time = np.unique(rows.time)
-    for wanted, n_blocks in product((3, 2), range(FEWEST_BLOCKS, MOST_FOLDS + 1)):
+    for min_groups, n_blocks in product((3, 2), range(FEWEST_BLOCKS, MOST_FOLDS + 1)):
         last = np.arange(1, n_blocks) * len(time) // n_blocks
         edges = (time[last - 1] + time[last]) / 2 if len(time) >= n_blocks else np.empty(0)
         block = np.searchsorted(edges, rows.time - before)
-        whole = block == np.searchsorted(edges, rows.time + after)
-        if all(len(np.unique(block[whole & (rows.labels == label)])) >= wanted for label in np.unique(rows.labels)):
+        is_inside = block == np.searchsorted(edges, rows.time + after)
+        if all(
+            len(np.unique(block[is_inside & (rows.labels == label)])) >= min_groups for label in np.unique(rows.labels)
+        ):
             ends = [f"{edge:.6g}" for edge in (float(time[0]), *edges.tolist(), float(time[-1]))]
             names = tuple(f"{start} to {end} s" for start, end in pairwise(ends))
             warning = (
                 f"all rows are from one recording: {n_blocks} blocks of its time judge each other, which flatters a "
                 "model; recordings of other days or supports judge it better"
             )
-            return replace(rows, group=block, groups=names, warnings=(*rows.warnings, warning))[whole]
+            return replace(rows, group=block, groups=names, warnings=(*rows.warnings, warning))[is_inside]
     return rows
 
 
@@ -147,32 +151,34 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed:
         yield left_out
 
 
-def choose_candidate(lesson: Lesson, crew: Workers = ALONE) -> Choice:
+def choose_candidate(training_set: TrainingSet, workers: Workers = ALONE) -> Selection:
     """Return the best candidate for held-out groups, and its temperature (the inner loop)."""
-    rows = lesson.rows
+    rows = training_set.rows
     labels, truth = np.unique(rows.labels, return_inverse=True)
-    folds = [fold for fold in leave_groups_out(rows.labels, rows.group, lesson.seed) if _teaches_all(rows.labels, fold)]
+    folds = [
+        fold for fold in leave_groups_out(rows.labels, rows.group, training_set.seed) if _teaches_all(rows.labels, fold)
+    ]
     if not folds:
-        return Choice(0, (0.0,) * len(lesson.candidates), 1.0)
-    scores = np.zeros((len(lesson.candidates), len(truth), len(labels)))
-    for fold, answers in zip(folds, crew.each(_scores_of_all, lesson, folds), strict=True):
+        return Selection(0, (0.0,) * len(training_set.candidates), 1.0)
+    scores = np.zeros((len(training_set.candidates), len(truth), len(labels)))
+    for fold, answers in zip(folds, workers.each(_scores_of_all, training_set, folds), strict=True):
         scores[:, fold] = answers
     judged = np.any(folds, axis=0) & rows.is_clear
-    scores, truth, weights = scores[:, judged], truth[judged], _row_weights(rows.labels[judged], lesson.weights)
-    hits = np.argmax(scores, axis=2) == truth
-    accuracies = tuple(float(np.average(own, weights=weights)) for own in hits)
-    best = smallest_as_good(lesson.candidates, accuracies, hits, rows.group[judged])
+    scores, truth, weights = scores[:, judged], truth[judged], _row_weights(rows.labels[judged], training_set.weights)
+    is_correct = np.argmax(scores, axis=2) == truth
+    accuracies = tuple(float(np.average(of_candidate, weights=weights)) for of_candidate in is_correct)
+    best = smallest_as_good(training_set.candidates, accuracies, is_correct, rows.group[judged])
     # After n rows that all were right, the next one is wrong with this probability (Laplace).
     doubt = 1 / (len(truth) + 2)
     temperature = best_temperature(scores[best], truth, weights, doubt)
     # A fold leaves out one of n groups of a label, so its model is less certain than that of all. What few groups do
     # not determine goes as one over their number, and so does the logarithm of the temperature, unless doubt sets it.
-    n_groups = np.inf if hits[best].all() else np.mean(list(groups_of_labels(rows).values()))
-    own = rows[judged]
+    n_groups = np.inf if is_correct[best].all() else np.mean(list(groups_of_labels(rows).values()))
+    of_candidate = rows[judged]
     correlation = 1.0
     if rows.kind == "window" and rows.slicing is not None:
-        correlation = vote_correlation(own, softmax(scores[best] / temperature), doubt)
-    return Choice(best, accuracies, float(temperature ** (1 - 1 / n_groups)), correlation)
+        correlation = vote_correlation(of_candidate, softmax(scores[best] / temperature), doubt)
+    return Selection(best, accuracies, float(temperature ** (1 - 1 / n_groups)), correlation)
 
 
 def vote_correlation(rows: Rows, probabilities: Floats, doubt: float) -> float:
@@ -184,10 +190,10 @@ def vote_correlation(rows: Rows, probabilities: Floats, doubt: float) -> float:
     assert rows.slicing is not None
     truth, parts = np.unique(rows.labels, return_inverse=True)[1], []
     for source in np.unique(rows.source[rows.is_recorded]):
-        own = (rows.source == source) & rows.is_recorded
+        of_source = (rows.source == source) & rows.is_recorded
         vote = RunningVote.over(VOTE_TIME, rows.slicing.window_time, rows.slicing.hop_time)
-        counts = np.minimum(np.arange(1, np.sum(own) + 1), vote.n_windows)
-        parts.append((np.log(vote.feed(probabilities[own])), truth[own], counts))
+        counts = np.minimum(np.arange(1, np.sum(of_source) + 1), vote.n_windows)
+        parts.append((np.log(vote.feed(probabilities[of_source])), truth[of_source], counts))
     logs, encoded, counts = (np.concatenate(part) for part in zip(*parts, strict=True))
 
     def loss(correlation: float) -> float:
@@ -205,8 +211,8 @@ def smallest_as_good(
     large sets by few groups learns the groups. `hits` are (n_candidates, n_rows).
     """
     best = int(np.argmax(accuracies))
-    errors = [paired_difference(hits[best], own, group)[1] for own in hits]
-    good = [k for k, own in enumerate(accuracies) if accuracies[best] - own <= errors[k]]
+    errors = [paired_difference(hits[best], of_candidate, group)[1] for of_candidate in hits]
+    good = [k for k, of_candidate in enumerate(accuracies) if accuracies[best] - of_candidate <= errors[k]]
     return min(good, key=lambda k: len(candidates[k].features))
 
 
@@ -227,86 +233,88 @@ def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
     ]
 
 
-def judge(lesson: Lesson, progress: Callable[[int], object] | None = None, crew: Workers = ALONE) -> Judged:
+def cross_validate(
+    training_set: TrainingSet, progress: Callable[[int], object] | None = None, workers: Workers = ALONE
+) -> CrossValidation:
     """Return the probabilities for each group by the candidate chosen and trained on the others (the outer loop)."""
-    rows = lesson.rows
-    probabilities, chosen = np.empty((len(rows.labels), len(np.unique(rows.labels)))), []
-    folds = list(leave_groups_out(rows.labels, rows.group, lesson.seed))
+    rows = training_set.rows
+    probabilities, selected = np.empty((len(rows.labels), len(np.unique(rows.labels)))), []
+    folds = list(leave_groups_out(rows.labels, rows.group, training_set.seed))
     if not all(_teaches_all(rows.labels, fold) for fold in folds):
         raise BadData(
             "groups must leave recordings of every label to train on when one is left out; add recordings, or name "
             "smaller groups"
         )
-    with closing(crew.each(_judged, lesson, folds)) as judged:
+    with closing(workers.each(_judged, training_set, folds)) as judged:
         for fold, (best, answers) in zip(folds, judged, strict=True):
-            chosen.append(best)
+            selected.append(best)
             probabilities[fold] = answers
             if progress is not None:
                 progress(1)
-    return Judged(probabilities[rows.is_recorded], tuple(chosen))
+    return CrossValidation(probabilities[rows.is_recorded], tuple(selected))
 
 
-def final(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> ImpactClassifier:
+def final(training_set: TrainingSet, selection: Selection, workers: Workers = ALONE) -> ImpactClassifier:
     """Return the chosen candidate trained on all rows; its novelty limit comes from held-out groups."""
-    only = replace(lesson, candidates=(lesson.candidates[choice.best],))
-    folds = list(leave_groups_out(lesson.rows.labels, lesson.rows.group, lesson.seed))
-    distances = list(crew.each(_distances, only, folds))
-    classifier = _fitted(lesson, lesson.candidates[choice.best], rejects=True)
+    only = replace(training_set, candidates=(training_set.candidates[selection.best],))
+    folds = list(leave_groups_out(training_set.rows.labels, training_set.rows.group, training_set.seed))
+    distances = list(workers.each(_distances, only, folds))
+    classifier = _fitted(training_set, training_set.candidates[selection.best], rejects=True)
     limit = float(np.quantile(np.concatenate(distances), Neighbourhood.INSIDE))
-    classifier.temperature_ = choice.temperature
+    classifier.temperature_ = selection.temperature
     classifier.neighbourhood_ = replace(classifier.neighbourhood_, limit=limit)
     return classifier
 
 
-def noise_guard(lesson: Lesson, choice: Choice, crew: Workers = ALONE) -> Contrast | None:
+def noise_guard(training_set: TrainingSet, selection: Selection, workers: Workers = ALONE) -> Contrast | None:
     """Return what tells windows drowned in noise, which none of held-out groups is; None without noisy copies.
 
     Its limit is what recorded windows keep, but no less noise than that of copies that teach their label.
     """
-    if not np.isfinite(lesson.rows.snr).any():
+    if not np.isfinite(training_set.rows.snr).any():
         return None
-    only = replace(lesson, candidates=(lesson.candidates[choice.best],))
-    folds = list(leave_groups_out(lesson.rows.labels, lesson.rows.group, lesson.seed))
-    scores = np.concatenate(list(crew.each(_noise_scores, only, folds)))
+    only = replace(training_set, candidates=(training_set.candidates[selection.best],))
+    folds = list(leave_groups_out(training_set.rows.labels, training_set.rows.group, training_set.seed))
+    scores = np.concatenate(list(workers.each(_noise_scores, only, folds)))
     limit = max(float(np.quantile(scores, Neighbourhood.INSIDE)), -CLEAR * np.log(10) / 10)
-    return replace(_contrast(only, lesson.rows), limit=limit)
+    return replace(_contrast(only, training_set.rows), limit=limit)
 
 
 # -- one fold, in any process -----------------------------------------------------------------------------
 
 
-def _scores_of_all(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+def _scores_of_all(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return the scores of a fold by each candidate trained on the other rows, (n_candidates, n_rows, n_labels)."""
     with threadpool_limits(1):
-        return np.stack([_scores(candidate, lesson, fold) for candidate in lesson.candidates])
+        return np.stack([_scores(candidate, training_set, fold) for candidate in training_set.candidates])
 
 
-def _judged(lesson: Lesson, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
+def _judged(training_set: TrainingSet, fold: NDArray[np.bool_]) -> tuple[int, Floats]:
     """Return the candidate chosen on the other rows, and its probabilities for the fold."""
     with threadpool_limits(1):
-        choice = choose_candidate(replace(lesson, rows=lesson.rows[~fold]))
-        scores = _scores(lesson.candidates[choice.best], lesson, fold)
-        return choice.best, softmax(scores / choice.temperature)
+        selection = choose_candidate(replace(training_set, rows=training_set.rows[~fold]))
+        scores = _scores(training_set.candidates[selection.best], training_set, fold)
+        return selection.best, softmax(scores / selection.temperature)
 
 
-def _distances(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+def _distances(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return the distances of the rows of a fold from the other rows, for the only candidate."""
-    (candidate,) = lesson.candidates
+    (candidate,) = training_set.candidates
     with threadpool_limits(1):
-        without = _fitted(lesson, candidate, ~fold, rejects=True)
-        novelty = without.novelty(lesson.rows.inputs(candidate.features)[fold & lesson.rows.is_clear])
+        without = _fitted(training_set, candidate, ~fold, rejects=True)
+        novelty = without.novelty(training_set.rows.inputs(candidate.features)[fold & training_set.rows.is_clear])
     return novelty * without.neighbourhood_.limit
 
 
-def _noise_scores(lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+def _noise_scores(training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return how drowned the recorded rows of a fold seem to the other rows, for the only candidate."""
     with threadpool_limits(1):
-        own = lesson.rows[fold & lesson.rows.is_recorded].inputs(lesson.candidates[0].features)
-        return _contrast(lesson, lesson.rows[~fold]).scores(own)
+        inputs = training_set.rows[fold & training_set.rows.is_recorded].inputs(training_set.candidates[0].features)
+        return _contrast(training_set, training_set.rows[~fold]).scores(inputs)
 
 
-def _contrast(lesson: Lesson, rows: Rows) -> Contrast:
-    features = lesson.candidates[0].features
+def _contrast(training_set: TrainingSet, rows: Rows) -> Contrast:
+    features = training_set.candidates[0].features
     copies = rows[np.isfinite(rows.snr)]
     return noise_contrast(copies.inputs(features), copies.snr, linear_columns(features * rows.n_channels))
 
@@ -316,24 +324,28 @@ def _teaches_all(labels: NDArray[np.str_], fold: NDArray[np.bool_]) -> bool:
 
 
 def _fitted(
-    lesson: Lesson, candidate: Candidate, chosen: NDArray[np.bool_] | None = None, *, rejects: bool = False
+    training_set: TrainingSet, candidate: Candidate, selected: NDArray[np.bool_] | None = None, *, rejects: bool = False
 ) -> ImpactClassifier:
     """Return a candidate trained on the chosen rows, or on all."""
-    rows = adapted(lesson.rows[lesson.rows.is_clear if chosen is None else chosen & lesson.rows.is_clear])
+    rows = adapted(
+        training_set.rows[training_set.rows.is_clear if selected is None else selected & training_set.rows.is_clear]
+    )
     classifier = ImpactClassifier(
         candidate.family,
         linear=linear_columns(candidate.features * rows.n_channels),
         calibration_folds=0,  # held-out groups calibrate
-        class_weight=lesson.weights,
+        class_weight=training_set.weights,
         rejects=rejects,
-        random_state=lesson.seed,
+        random_state=training_set.seed,
     )
     return classifier.fit(rows.inputs(candidate.features), rows.labels)
 
 
-def _scores(candidate: Candidate, lesson: Lesson, fold: NDArray[np.bool_]) -> Floats:
+def _scores(candidate: Candidate, training_set: TrainingSet, fold: NDArray[np.bool_]) -> Floats:
     """Return the scores of a fold by a candidate trained on the other rows, (n_rows, n_labels)."""
-    scores = _fitted(lesson, candidate, ~fold).decision_function(lesson.rows[fold].inputs(candidate.features))
+    scores = _fitted(training_set, candidate, ~fold).decision_function(
+        training_set.rows[fold].inputs(candidate.features)
+    )
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores
 
 
@@ -341,8 +353,8 @@ def _row_weights(labels: NDArray[np.str_], weights: Weights) -> Floats | None:
     """Return the weight of each row; None if all are 1."""
     if weights is None:
         return None
-    different, own, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    different, group_index, counts = np.unique(labels, return_inverse=True, return_counts=True)
     if weights == "balanced":
-        return np.asarray(1 / counts[own])
+        return np.asarray(1 / counts[group_index])
     assert isinstance(weights, Mapping)
-    return np.array([weights.get(label, 1.0) for label in different.tolist()])[own]
+    return np.array([weights.get(label, 1.0) for label in different.tolist()])[group_index]

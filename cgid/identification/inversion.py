@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
+from cgid.measure.ar_noise import ORDER
 from cgid.measure.beam import GRID, TOUCH, Beam, Singles, filtered, gain, respond_on_average, sides_of
-from cgid.measure.colour import ORDER
 from cgid.validation import Floats
 
 #: Expected strengths of a blow over the noise, by what the samples of a typical place would hold.
@@ -176,7 +176,7 @@ class Sought(Rowwise):
     noise : ndarray, (n, n_sensors)
         Standard deviation of the noise; infinite for a sensor that tells nothing.
     coefficients, innovation : ndarray, (n, n_sensors, ORDER) and (n, n_sensors), optional
-        Of the colour of the noise, as in `cgid.measure.colour.Colour`; white by default.
+        Of the colour of the noise, as in `cgid.measure.ar_noise.ARNoise`; white by default.
     error : ndarray, (n, n_sensors, n_coefficients), optional
         Power of further errors over that of the noise.
     clipped : ndarray of bool, (n, n_sensors, n_samples), optional

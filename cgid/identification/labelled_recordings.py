@@ -115,9 +115,9 @@ def open_all(
     opened or two files of different groups have the same content.
     """
     files: list[AnnotatedFile] = []
-    for own in _by_channels([one for one in manifest.annotations if one.reference == references]):
+    for rows in _by_channels([one for one in manifest.annotations if one.reference == references]):
         try:
-            file = _opened(own, reading)
+            file = _opened(rows, reading)
             require_alike(file.recording, (files or [file])[0].recording)
             files.append(file)
         except CgidError as error:
@@ -156,9 +156,9 @@ def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotatio
     """
     rate = file.recording.sampling_rate
     bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
-    for k, own in groupby(_cut(file.blocks(), bounds), lambda part: part[0]):
+    for k, parts in groupby(_cut(file.blocks(), bounds), lambda part: part[0]):
         scale = file.upright * file.scale(file.annotations[k], unit)
-        yield file.annotations[k], (samples * scale for _, samples in own)
+        yield file.annotations[k], (samples * scale for _, samples in parts)
 
 
 def _cut(blocks: Iterator[NDArray[Any]], bounds: Sequence[tuple[int, float]]) -> Iterator[tuple[int, NDArray[Any]]]:
@@ -181,7 +181,7 @@ def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ..
     together: dict[tuple[str, str], list[Annotation]] = {}
     for one in annotations:
         together.setdefault((str(one.path), str(one.channels)), []).append(one)
-    return [tuple(sorted(own, key=lambda one: one.start)) for own in together.values()]
+    return [tuple(sorted(rows, key=lambda one: one.start)) for rows in together.values()]
 
 
 def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
@@ -230,10 +230,10 @@ def unit_of(recording: RecordingFile) -> str:
 def require_alike(recording: RecordingFile, first: RecordingFile) -> None:
     """Raise `BadData` unless two recordings can train one model: of one quantity, with as many channels each."""
     units = [unit_of(one) for one in (recording, first)]
-    got, wanted = (f"{quantity_of(unit)} [{unit}]" for unit in units)
+    got, required = (f"{quantity_of(unit)} [{unit}]" for unit in units)
     if quantity_of(units[0]) != quantity_of(units[1]):
         raise BadData(
-            f"{recording.source}: recordings must be of one quantity, got {got} after {wanted} of {first.source}; "
+            f"{recording.source}: recordings must be of one quantity, got {got} after {required} of {first.source}; "
             "train apart"
         )
     counts = [len(one.channels) for one in (recording, first)]
@@ -271,14 +271,17 @@ def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, w
             )
         rate = file.recording.sampling_rate
         for annotation, blocks in annotated_blocks(file, labelled.unit):
-            own = spectra.setdefault(annotation.sensor, [MeanSpectrum(rate) for _ in range(n_channels)])
-            if own[0].sampling_rate != rate:
+            spectra_of_sensor = spectra.setdefault(annotation.sensor, [MeanSpectrum(rate) for _ in range(n_channels)])
+            if spectra_of_sensor[0].sampling_rate != rate:
                 raise BadData(f"{source}: the reference runs of a sensor must be sampled alike; take one out")
             for _, windows in windows_of(blocks, rate, window_time, window_time):
-                whole = whole_windows(windows)
-                for channel, spectrum in enumerate(own):
-                    spectrum.feed(windows[whole, channel])
-    return {sensor: np.stack([spectrum.levels for spectrum in own]) for sensor, own in spectra.items()}
+                is_complete = whole_windows(windows)
+                for channel, spectrum in enumerate(spectra_of_sensor):
+                    spectrum.feed(windows[is_complete, channel])
+    return {
+        sensor: np.stack([spectrum.levels for spectrum in spectra_of_sensor])
+        for sensor, spectra_of_sensor in spectra.items()
+    }
 
 
 # -- rows -------------------------------------------------------------------------------------------------
@@ -311,7 +314,7 @@ def record(
     files = open_all(manifest, reading, failures)
     for failure in failures:
         reading.failed(failure)
-    n_said = len(failures)
+    n_reported = len(failures)
     if model is not None:
         features, slicing = model.measured, replace(slicing, by="impact")
         _require_quantity(files[0], model)
@@ -329,13 +332,13 @@ def record(
             measured.append((file, list(_pieces(file, cutting, progress))))
         except CgidError as error:
             reading.note(error, failures)
-    if not any(np.isfinite(part).all(axis=1).any() for _, own in measured for _, _, part, _ in own):
-        said = "".join(f"; {error}" for error in failures[:1])
+    if not any(np.isfinite(part).all(axis=1).any() for _, parts in measured for _, _, part, _ in parts):
+        first_failure = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
-            f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{said}; "
+            f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{first_failure}; "
             f"correct start and end, or give --by {'impact' if slicing.by == 'window' else 'window'}"
         )
-    for failure in failures[n_said:]:
+    for failure in failures[n_reported:]:
         reading.failed(failure)
     rows = _joined(measured, cutting)
     return replace(
@@ -360,32 +363,32 @@ def _decided(
         return slicing, (), ()
     if slicing.by is None and features is not None:
         return replace(slicing, by="window" if kind_of(choose(features)) == "window" else "impact"), (), ()
-    held = _silence(files, slicing)
-    if slicing.by is None and held.has_single_impacts:
-        return replace(slicing, by="impact"), (f"trained on impacts, because {held}; --by window for windows",), ()
+    silence = _silence(files, slicing)
+    if slicing.by is None and silence.has_single_impacts:
+        return replace(slicing, by="impact"), (f"trained on impacts, because {silence}; --by window for windows",), ()
     if slicing.by is None:
-        note = f"trained on windows of {slicing.window_time:g} s, because only {held}; --by impact for impacts"
+        note = f"trained on windows of {slicing.window_time:g} s, because only {silence}; --by impact for impacts"
         return replace(slicing, by="window"), (note,), ()
-    if not held.has_single_impacts or held.is_cut:
+    if not silence.has_single_impacts or silence.is_cut:
         return slicing, (), ()
-    return slicing, (), (f"most windows tell nothing, {held}; leave out --by, or give --by impact",)
+    return slicing, (), (f"most windows tell nothing, {silence}; leave out --by, or give --by impact",)
 
 
 def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
     """Return what all files hold; those that cannot be read are said when they are measured."""
-    held = Silence()
+    silence = Silence()
     for file in files:
         with suppress(CgidError):
             intervals = [(one.start, one.end) for one in file.annotations]
             kind = kind_for(quantity_of(file.unit))
-            held += silence_of(file.recording, kind, intervals, slicing.dead_time, invert=file.upright < 0)
-    return held
+            silence += silence_of(file.recording, kind, intervals, slicing.dead_time, invert=file.upright < 0)
+    return silence
 
 
 def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cutting) -> Rows:
     """Return the complete rows of all files, and warnings of the damage of files and of annotations without a row."""
     recordings = [file.recording for file, _ in measured]
-    pieces = [piece for _, own in measured for piece in own]
+    pieces = [piece for _, parts in measured for piece in parts]
     features = np.concatenate([part for _, _, part, _ in pieces])
     snr = np.concatenate([part for _, _, _, part in pieces])
     complete = np.isfinite(features).all(axis=1)
@@ -393,11 +396,11 @@ def _joined(measured: Sequence[tuple[AnnotatedFile, list[Piece]]], cutting: _Cut
     sources, source = _numbered([one.name for one in annotations])
     groups, group = _numbered([one.group for one in annotations])
     rates = [recording.sampling_rate for recording in recordings]
-    warnings, heard = [], set(sources)
+    warnings, measured_sources = [], set(sources)
     for file, _ in measured:
-        empty = [one.name for one in file.annotations if one.name not in heard]
-        said = (f"{name}: there must be {cutting.slicing.by}s to be measured, there is none" for name in empty)
-        warnings += [*file.recording.warnings, *(f"{text}; check start and end" for text in said)]
+        empty = [one.name for one in file.annotations if one.name not in measured_sources]
+        message = (f"{name}: there must be {cutting.slicing.by}s to be measured, there is none" for name in empty)
+        warnings += [*file.recording.warnings, *(f"{text}; check start and end" for text in message)]
     return Rows(
         names=cutting.names,
         features=features[complete],
@@ -431,32 +434,32 @@ def _names(
     rate = min(file.recording.sampling_rate for file in files)
     kind: Kind = "window" if slicing.by == "window" else kind_for(quantity_of(files[0].unit))
     if features is not None:
-        asked = choose(features)
-        if (kind_of(asked) == "window") != (slicing.by == "window"):
+        selected = choose(features)
+        if (kind_of(selected) == "window") != (slicing.by == "window"):
             raise InvalidValue(
-                f"features must be those of the {slicing.by} that is decided on, got those of a {kind_of(asked)}; "
+                f"features must be those of the {slicing.by} that is decided on, got those of a {kind_of(selected)}; "
                 "choose others, or another --by"
             )
-        require_supported(asked, rate, _length(kind_of(asked), rate, slicing))
-        return asked
-    wanted = union_of(sets_for(kind, level_free=level_free))
-    if not wanted:
+        require_supported(selected, rate, _length(kind_of(selected), rate, slicing))
+        return selected
+    names_of_sets = union_of(sets_for(kind, level_free=level_free))
+    if not names_of_sets:
         raise InvalidValue(f"features of a {kind} must be named, there is no set of level-free ones; or allow all")
-    names = supported(wanted, rate, _length(kind, rate, slicing))
+    names = supported(names_of_sets, rate, _length(kind, rate, slicing))
     if not names:
-        _refuse(wanted, rate, slicing)
+        _refuse(names_of_sets, rate, slicing)
     return names
 
 
-def _refuse(wanted: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
+def _refuse(names: Sequence[str], rate: float, slicing: Slicing) -> NoReturn:
     """Raise an error that says whether the rate [Hz] or the window is too small for all features."""
-    slowest = min(2 * FEATURES[name].highest_frequency for name in wanted)
+    slowest = min(2 * FEATURES[name].highest_frequency for name in names)
     if rate < slowest:
         raise BadData(
             f"recordings must be sampled at {math.ceil(slowest)} Hz at least to have a feature, got {rate:g} Hz; "
             "sample faster"
         )
-    shortest = min(FEATURES[name].shortest_frame for name in wanted if 2 * FEATURES[name].highest_frequency <= rate)
+    shortest = min(FEATURES[name].shortest_frame for name in names if 2 * FEATURES[name].highest_frequency <= rate)
     raise InvalidValue(
         f"window must last {math.ceil(shortest * rate) / rate:.6g} s at least to have a feature at {rate:g} Hz, got "
         f"{slicing.window_time:g} s; give a longer --window"
@@ -534,10 +537,10 @@ def _measured_events(events: list[Event], file: AnnotatedFile, cutting: _Cutting
         k = bisect_right(starts, event.time) - 1
         if k >= 0 and event.time < file.annotations[k].end:
             inside.setdefault((k, event.channel), []).append(event)
-    for (k, channel), own in sorted(inside.items()):
+    for (k, channel), its_events in sorted(inside.items()):
         annotation = file.annotations[k]
-        for numbers, frames in frames_alike(own):
-            some = [own[number] for number in numbers]
+        for numbers, frames in frames_alike(its_events):
+            some = [its_events[number] for number in numbers]
             features = extract_array(
                 frames * file.scale(annotation, cutting.unit),
                 file.recording.sampling_rate,

@@ -45,9 +45,9 @@ ENDINGS = (
     *(".hdf", ".mat", ".tdms", ".uff", ".unv", ".parquet"),
 )
 #: Most characters of a label, group or sensor.
-_LONGEST_WORD = 100
+_MAX_WORD_LENGTH = 100
 #: Largest size [bytes] and number of keys of a manifest.
-LARGEST_FILE, _MOST_KEYS = 16 << 20, 1_000_000
+LARGEST_FILE, _MAX_KEYS = 16 << 20, 1_000_000
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
@@ -73,7 +73,7 @@ _OF_RECORDINGS = {
     "rate": "sampling_rate",
 }
 #: Most mistakes reported at once.
-_MOST_MISTAKES = 20
+_MAX_MISTAKES = 20
 
 
 # -- its rows ---------------------------------------------------------------------------------------------
@@ -178,8 +178,8 @@ def annotation_of(row: Mapping[str, Any], folder: Path, labels: tuple[str, ...] 
 
 def _word(name: str, value: Any) -> str:
     text = str(value).strip() if isinstance(value, str | int) and not isinstance(value, bool) else None
-    if text is None or len(text) > _LONGEST_WORD or not (text.isprintable()):
-        raise InvalidValue(f"{name} must be a word of at most {_LONGEST_WORD} characters, got {shown(value)}")
+    if text is None or len(text) > _MAX_WORD_LENGTH or not (text.isprintable()):
+        raise InvalidValue(f"{name} must be a word of at most {_MAX_WORD_LENGTH} characters, got {shown(value)}")
     return text
 
 
@@ -210,10 +210,10 @@ def _of_channels(value: Any) -> tuple[str, ...] | None:
 
 def _truth(name: str, value: Any) -> bool:
     words = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
-    found = value if isinstance(value, bool) else words.get(str(value).lower())
-    if found is None:
+    truth = value if isinstance(value, bool) else words.get(str(value).lower())
+    if truth is None:
         raise InvalidValue(f"{name} must be yes or no, got {shown(value)}")
-    return found
+    return truth
 
 
 def _channels(value: Any) -> tuple[int | str, ...] | None:
@@ -230,35 +230,36 @@ def _channels(value: Any) -> tuple[int | str, ...] | None:
 
 def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     """Return the contradictions between annotations, one line each."""
-    found = []
-    heard = {one.sensor for one in annotations if one.reference}
-    for sensor in sorted({one.sensor for one in annotations if one.sensor} - heard):
-        found.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
-    if heard and not all(one.sensor for one in annotations):
-        found.append("every recording must have a sensor where one has a reference run; add it to the others")
+    mistakes = []
+    referenced = {one.sensor for one in annotations if one.reference}
+    for sensor in sorted({one.sensor for one in annotations if one.sensor} - referenced):
+        mistakes.append(f"sensor {sensor} must have a reference run (reference = yes), there is none; add it")
+    if referenced and not all(one.sensor for one in annotations):
+        mistakes.append("every recording must have a sensor where one has a reference run; add it to the others")
     by_file: dict[Path, list[Annotation]] = {}
     for one in annotations:
         by_file.setdefault(one.path, []).append(one)
-    for path, own in by_file.items():
-        groups = sorted({one.group for one in own if not one.reference})
+    for path, of_file in by_file.items():
+        groups = sorted({one.group for one in of_file if not one.reference})
         if len(groups) > 1:
-            found.append(f"{path}: a recording must lie in one group as a whole, got {' and '.join(groups[:2])}")
-        own.sort(key=lambda one: (str(one.channels), one.start))
-        for before, after in pairwise(own):
+            mistakes.append(f"{path}: a recording must lie in one group as a whole, got {' and '.join(groups[:2])}")
+        of_file.sort(key=lambda one: (str(one.channels), one.start))
+        for before, after in pairwise(of_file):
             for column, name in _OF_RECORDINGS.items():
                 first, second = getattr(before, name), getattr(after, name)
                 if before.channels == after.channels and first != second:
-                    found.append(
-                        f"{path}: a recording must have one {column}, got {_said(first)} and {_said(second)}; write "
+                    mistakes.append(
+                        f"{path}: a recording must have one {column}, got {_value_text(first)} and "
+                        f"{_value_text(second)}; write "
                         "the same in all its rows"
                     )
             if before.channels == after.channels and after.start < before.end:
                 what = f"{before.label or 'a reference run'} and {after.label or 'a reference run'}"
-                found.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")
-    return found
+                mistakes.append(f"{path}: intervals must not overlap, {what} do at {after.start:g} s")
+    return mistakes
 
 
-def _said(value: Any) -> str:
+def _value_text(value: Any) -> str:
     """Return a value as a manifest says it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -349,8 +350,8 @@ def read_manifest(path: str | Path) -> Manifest:
     if not rows:
         mistakes.append(f"{path}: a manifest must name recordings, there is none; give a path and a label each")
     if mistakes:
-        more = len(mistakes) - _MOST_MISTAKES
-        raise BadData(*mistakes[:_MOST_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
+        more = len(mistakes) - _MAX_MISTAKES
+        raise BadData(*mistakes[:_MAX_MISTAKES], *[f"{path}: and {more} more mistakes"] * (more > 0))
     return Manifest(source=str(path), annotations=tuple(annotations))
 
 
@@ -407,7 +408,7 @@ def _with_points(cell: str) -> str:
 
 def _toml(path: Path) -> dict[str, Any]:
     try:
-        return parse_toml(_text(path), _MOST_KEYS)
+        return parse_toml(_text(path), _MAX_KEYS)
     except CgidError:
         raise
     except ValueError as error:
@@ -461,13 +462,13 @@ def folder_manifest(folder: str | Path) -> Manifest:
     `BadData` if there is no recording or nothing tells the labels.
     """
     folder = Path(folder)
-    held = [folder / name for name in _NAMES if (folder / name).is_file()]
-    if len(held) > 1:
+    manifests = [folder / name for name in _NAMES if (folder / name).is_file()]
+    if len(manifests) > 1:
         raise BadData(
-            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in held)}; name one"
+            f"{folder}: one manifest must be chosen, it holds {' and '.join(one.name for one in manifests)}; name one"
         )
-    if held:
-        return read_manifest(held[0])
+    if manifests:
+        return read_manifest(manifests[0])
     rows = [row_of(file, folder) for file in recordings_in(folder)]
     loose = [row["path"] for row in rows if not row["label"]]
     if loose:
@@ -493,11 +494,11 @@ def recordings_in(folder: Path) -> list[Path]:
     Raises `BadData` if there is none, `NoInput` if the folder cannot be read.
     """
     try:
-        found = sorted(file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+        all_files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
     except OSError as error:
         raise NoInput(f"{folder}: the folder cannot be read ({error.strerror}); check its rights") from None
-    hidden = {file for file in found if any(part.startswith(".") for part in file.relative_to(folder).parts)}
-    files = [file for file in found if file not in hidden and not is_manifest(file)]
+    hidden = {file for file in all_files if any(part.startswith(".") for part in file.relative_to(folder).parts)}
+    files = [file for file in all_files if file not in hidden and not is_manifest(file)]
     if not files:
         what = "its files have other endings" if any(folder.iterdir()) else "it is empty"
         raise BadData(f"{folder}: a folder must hold recordings ({', '.join(ENDINGS)}), {what}; choose another one")

@@ -37,16 +37,16 @@ def evaluate(
     """
     names = np.array(classes)
     predicted = names[np.argmax(probabilities, axis=1)]
-    hits = predicted == labels
+    is_correct = predicted == labels
     truth = (labels[:, None] == names[None]).astype(float)
-    counted = len(hits) if n_independent is None else n_independent
-    interval = wilson_interval(round(float(hits.mean()) * counted) / counted, counted)
+    counted = len(is_correct) if n_independent is None else n_independent
+    interval = wilson_interval(round(float(is_correct.mean()) * counted) / counted, counted)
     confusion = metrics.confusion_matrix(labels, predicted, labels=names)
     confidence = probabilities.max(axis=1)
-    bins = reliability(confidence, hits)
+    bins = reliability(confidence, is_correct)
     return {
         "n_impacts": len(labels),
-        "accuracy": float(hits.mean()),
+        "accuracy": float(is_correct.mean()),
         "accuracy_interval_95": list(interval),
         "recall": {c: float(confusion[k, k] / max(confusion[k].sum(), 1)) for k, c in enumerate(classes)},
         "brier_score": float(np.mean(np.sum((probabilities - truth) ** 2, axis=1))),
@@ -100,17 +100,17 @@ def evaluate_sets(
                 sets = conformal.prediction_set(probabilities, coverage, class_conditional=class_conditional)
             except InvalidValue:  # too few calibration impacts
                 continue
-            held, size = (sets & truth).any(axis=1), sets.sum(axis=1)
+            is_covered, size = (sets & truth).any(axis=1), sets.sum(axis=1)
             rows.append(
                 {
                     "coverage": coverage,
                     "class_conditional": class_conditional,
-                    "achieved": float(held.mean()),
-                    "achieved_of": {c: float(held[truth[:, k]].mean()) for k, c in enumerate(classes)},
+                    "achieved": float(is_covered.mean()),
+                    "achieved_of": {c: float(is_covered[truth[:, k]].mean()) for k, c in enumerate(classes)},
                     "single": float((size == 1).mean()),
                     "several": float((size > 1).mean()),
                     "empty": float((size == 0).mean()),
-                    "accuracy_of_single": float(held[size == 1].mean()) if (size == 1).any() else None,
+                    "accuracy_of_single": float(is_covered[size == 1].mean()) if (size == 1).any() else None,
                 }
             )
     return rows
@@ -134,14 +134,14 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     >>> [round(end, 3) for end in clustered_interval(hits, np.array([0, 0, 1, 1, 2, 2, 3, 3]))]
     [0.301, 0.954]
     """
-    share, (_, own) = float(hits.mean()), np.unique(group, return_inverse=True)
-    n_groups = int(own.max()) + 1
+    share, (_, cluster) = float(hits.mean()), np.unique(group, return_inverse=True)
+    n_groups = int(cluster.max()) + 1
     if n_groups < 2:
         return 0.0, 1.0
-    variance = _clustered_variance(hits.astype(float) - share, own)
+    variance = _clustered_variance(hits.astype(float) - share, cluster)
     trials = share * (1 - share) / variance if variance > 0 else 0.0
     trials *= (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_groups - 1)) ** 2
-    if min(np.unique(own[hits]).size, np.unique(own[~hits]).size) < FEWEST_GROUPS:
+    if min(np.unique(cluster[hits]).size, np.unique(cluster[~hits]).size) < FEWEST_GROUPS:
         trials = 0.0
     low, high = wilson_interval(share, min(max(trials, n_groups), len(hits)))
     return max(float(low), 0.0), min(float(high), 1.0)
@@ -155,8 +155,8 @@ def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
     """Return the metrics of rows, whole recordings and running votes; their intervals count groups."""
     classes = np.unique(rows.labels)
     metrics = evaluate(rows.labels, probabilities, tuple(classes.tolist()))
-    hits = classes[np.argmax(probabilities, axis=1)] == rows.labels
-    metrics["accuracy_interval_95"] = list(clustered_interval(hits, rows.group))
+    is_correct = classes[np.argmax(probabilities, axis=1)] == rows.labels
+    metrics["accuracy_interval_95"] = list(clustered_interval(is_correct, rows.group))
     if rows.kind == "window":
         metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
     if len(rows.labels) < FEWEST_VOTING * len(rows.sources):  # intervals around single impacts
@@ -177,15 +177,17 @@ def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
     classes = np.unique(rows.labels)
     votes = []
     for source in np.unique(rows.source):
-        own = rows.source == source
-        total = np.log(np.maximum(probabilities[own], LEAST_PROBABILITY)).mean(axis=0)
+        of_source = rows.source == source
+        total = np.log(np.maximum(probabilities[of_source], LEAST_PROBABILITY)).mean(axis=0)
         votes.append(
             {
                 "name": rows.sources[source],
-                "group": rows.groups[rows.group[own][0]],
-                "label": str(rows.labels[own][0]),
-                "n": int(own.sum()),
-                "accuracy": float(np.mean(classes[np.argmax(probabilities[own], axis=1)] == rows.labels[own])),
+                "group": rows.groups[rows.group[of_source][0]],
+                "label": str(rows.labels[of_source][0]),
+                "n": int(of_source.sum()),
+                "accuracy": float(
+                    np.mean(classes[np.argmax(probabilities[of_source], axis=1)] == rows.labels[of_source])
+                ),
                 "vote": str(classes[np.argmax(total)]),
             }
         )
@@ -198,12 +200,12 @@ def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
     classes = np.unique(rows.labels)
     hits, group, short = [], [], 0
     for source in np.unique(rows.source):
-        own = rows.source == source
+        of_source = rows.source == source
         vote = RunningVote.over(time, rows.slicing.window_time, rows.slicing.hop_time)
-        voted = vote.feed(probabilities[own])[vote.n_windows - 1 :]
+        voted = vote.feed(probabilities[of_source])[vote.n_windows - 1 :]
         short += not len(voted)
-        hits.append(classes[np.argmax(voted, axis=1)] == rows.labels[own][0])
-        group.append(rows.group[own][: len(voted)])
+        hits.append(classes[np.argmax(voted, axis=1)] == rows.labels[of_source][0])
+        group.append(rows.group[of_source][: len(voted)])
     if not sum(map(len, hits)):
         return {"time": time, "n": 0, "n_too_short": short}
     all_hits, all_groups = np.concatenate(hits), np.concatenate(group)
@@ -219,8 +221,8 @@ def paired_difference(
     """
     difference = hits.astype(float) - others
     mean = float(difference.mean())
-    _, own = np.unique(specimen, return_inverse=True)
-    return mean, float(np.sqrt(_clustered_variance(difference - mean, own)))
+    _, cluster = np.unique(specimen, return_inverse=True)
+    return mean, float(np.sqrt(_clustered_variance(difference - mean, cluster)))
 
 
 def _clustered_variance(deviations: Floats, cluster: NDArray[np.intp]) -> float:

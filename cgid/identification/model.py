@@ -51,13 +51,13 @@ if TYPE_CHECKING:
 #: Largest size of a model file [bytes].
 LARGEST_FILE = 64 << 20
 #: Longest message about a bad model file.
-_LONGEST_MESSAGE = 400
+_MAX_MESSAGE_LENGTH = 400
 #: A beam is looked through at sampling rates from this share of the training's on.
 LOWEST_SHARE = 0.5
 #: Fewest groups of recordings of a label whose spread shows how much the next one may differ (assumed).
 FEWEST_GROUPS = 5
 #: Limit of the numbers held in memory during prediction.
-_MOST_HELD = 1 << 20
+_MAX_BLOCK = 1 << 20
 
 
 def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
@@ -73,7 +73,7 @@ def inputs_of(features: tuple[str, ...], n_channels: int) -> tuple[str, ...]:
 
 def _in_blocks(answer: Callable[[Floats], Floats], rows: Floats, width: int) -> Floats:
     """Apply `answer` to blocks of rows, to limit memory; `width` is the number of values it holds per row."""
-    most = max(1, _MOST_HELD // width)
+    most = max(1, _MAX_BLOCK // width)
     # The caller checks the answer for overflow.
     with np.errstate(all="ignore"):
         if len(rows) <= most:
@@ -151,11 +151,11 @@ class Model:
         low, high = self.sampling_rates
         rates = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         accuracy = self.training.get("metrics", {}).get("accuracy")
-        told = f", accuracy {accuracy:.3f}" if isinstance(accuracy, float) else ""
+        accuracy_text = f", accuracy {accuracy:.3f}" if isinstance(accuracy, float) else ""
         return (
             f"Model({self.family}: {', '.join(self.labels)} from {inputs};\n"
             f"      trained on {self.training.get('n_train', 'some')} {self.kind}s of {self.quantity} [{self.unit}] at "
-            f"{rates} Hz{told})"
+            f"{rates} Hz{accuracy_text})"
         )
 
     @property
@@ -213,8 +213,8 @@ class Model:
 
     @cached_property
     def _classifier(self) -> Family:
-        own = {name.removeprefix("family."): a for name, a in self.arrays.items() if name.startswith("family.")}
-        return BY_NAME[self.family](own, len(self.inputs), len(self.labels))
+        stored = {name.removeprefix("family."): a for name, a in self.arrays.items() if name.startswith("family.")}
+        return BY_NAME[self.family](stored, len(self.inputs), len(self.labels))
 
     @cached_property
     def _standardiser(self) -> Standardiser:
@@ -238,16 +238,16 @@ class Model:
         -------
         ndarray, (n_impacts, n_labels)
         """
-        found = _in_blocks(
+        probabilities = _in_blocks(
             lambda rows: softmax(self._classifier.scores(rows) / self.temperature),
             self._standardised(inputs),
             self._classifier.width,
         )
-        if not np.isfinite(found).all():
+        if not np.isfinite(probabilities).all():
             raise BadData(
                 f"the {self.family} model gives no probabilities for this, its numbers grow too large; train it again"
             )
-        return found
+        return probabilities
 
     def novelty(self, inputs: Floats, guards: Floats | None = None) -> Floats:
         """Return the novelty of each impact, (n_impacts,); above 1 it is outside the training range.
@@ -287,8 +287,8 @@ class Model:
 
     def _contrast(self, inputs: Floats, guards: Floats) -> Floats:
         assert self.contrast is not None
-        own = np.asarray(inputs, np.float64)[:, : len(self.inputs) - len(self.known)]
-        return _in_blocks(self.contrast.novelty, np.hstack([own, guards]), self.contrast.scorer.width)
+        signal_inputs = np.asarray(inputs, np.float64)[:, : len(self.inputs) - len(self.known)]
+        return _in_blocks(self.contrast.novelty, np.hstack([signal_inputs, guards]), self.contrast.scorer.width)
 
     @cached_property
     def contrast(self) -> Contrast | None:
@@ -298,12 +298,12 @@ class Model:
     @cached_property
     def beam(self) -> ThroughBeam | None:
         """The beam that the features look through; None if they do not."""
-        own = Beam.from_arrays(self.arrays)
-        if own is None:
+        beam = Beam.from_arrays(self.arrays)
+        if beam is None:
             return None
         from cgid.identification.contact import ThroughBeam
 
-        return ThroughBeam(own)
+        return ThroughBeam(beam)
 
     @cached_property
     def confusion(self) -> Confusion | None:
@@ -347,8 +347,8 @@ class Model:
 
     def distance(self, inputs: Floats) -> Floats:
         """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""
-        near = self.neighbourhood
-        return _in_blocks(near.novelty, self._standardised(inputs), near.centres.size)
+        neighbourhood = self.neighbourhood
+        return _in_blocks(neighbourhood.novelty, self._standardised(inputs), neighbourhood.centres.size)
 
     def foremost(self, inputs: Floats) -> NDArray[np.intp]:
         """Return the number of the input that contributes most to the distance of each impact, (n_impacts,)."""
@@ -495,10 +495,10 @@ class Model:
         """
         guards = guards or {}
         standardiser, neighbourhood = classifier.standardiser_, classifier.neighbourhood_
-        own = BY_NAME[classifier.family].export(classifier.estimator_)
+        family = BY_NAME[classifier.family].export(classifier.estimator_)
         arrays: dict[str, NDArray[Any]] = standardiser.arrays(STANDARDISER)
         arrays |= {"neighbourhood.centres": neighbourhood.centres, "neighbourhood.whitening": neighbourhood.whitening}
-        arrays |= {f"family.{name}": array for name, array in own.items()}
+        arrays |= {f"family.{name}": array for name, array in family.items()}
         if conformal is not None:
             arrays |= {"conformal.scores": conformal.scores, "conformal.labels": conformal.labels}
         if contrast is not None:
@@ -563,8 +563,8 @@ class Model:
             raise NewerSchema(f"{path}: {error}") from None
         except (BadData, InvalidValue) as error:
             # The message may quote long texts of the file.
-            told = textwrap.shorten(str(error), _LONGEST_MESSAGE, placeholder=" ...")
-            raise BadData(f"{path}: no sound model: {told}; train it again with cgid train") from None
+            reason = textwrap.shorten(str(error), _MAX_MESSAGE_LENGTH, placeholder=" ...")
+            raise BadData(f"{path}: no sound model: {reason}; train it again with cgid train") from None
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Model:

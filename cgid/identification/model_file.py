@@ -191,19 +191,19 @@ def digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str
     It detects accidental changes, such as a flipped bit or reordered features, but not deliberate ones.
     """
     fields = {name: value for name, value in header.items() if name != "sha256"}
-    found = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
+    hashed = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
     for name in sorted(arrays):
         array = arrays[name]
-        found.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
-        found.update(np.ascontiguousarray(array).data)
-    return found.hexdigest()
+        hashed.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
+        hashed.update(np.ascontiguousarray(array).data)
+    return hashed.hexdigest()
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    unique = dict(pairs)
+    if len(unique) != len(pairs):
         raise BadData("its header must have each key once")
-    return found
+    return unique
 
 
 def _is_deeper(value: Any, levels: int) -> bool:
@@ -225,15 +225,15 @@ def _is(value: Any, kind: type) -> bool:
 MOST_CHANNELS = 64
 #: Prefix of the arrays of the standardiser.
 STANDARDISER = "standardiser."
-MOST_LABELS, _MOST_SENSORS = 1000, 1000
+MOST_LABELS, _MAX_SENSORS = 1000, 1000
 #: Most characters of a label or sensor name.
-_LONGEST_WORD = 100
+_MAX_WORD_LENGTH = 100
 #: Families of earlier versions, no longer supported.
 _DROPPED = ("discriminant",)
 
 
 #: Arrays that stay whole numbers.
-_WHOLE = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES)}
+_INTEGERS = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES)}
 
 
 def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -243,7 +243,7 @@ def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """
     return {
         name: array
-        if array.dtype.kind != "i" or name in _WHOLE or name.startswith("beam.")
+        if array.dtype.kind != "i" or name in _INTEGERS or name.startswith("beam.")
         else array.astype(np.float64)
         for name, array in arrays.items()
     }
@@ -264,11 +264,11 @@ def check_names(model: Model) -> None:
     ):
         if len(values) < least or not all(map(_is_word, values)) or len(set(values)) != len(values):
             raise BadData(
-                f"{name} must be {least} or more different printable words of 1 to {_LONGEST_WORD} characters"
+                f"{name} must be {least} or more different printable words of 1 to {_MAX_WORD_LENGTH} characters"
             )
     for label in model.labels:
         validation.label("labels", label)
-    for name, values, most in (("labels", model.labels, MOST_LABELS), ("sensors", model.sensors, _MOST_SENSORS)):
+    for name, values, most in (("labels", model.labels, MOST_LABELS), ("sensors", model.sensors, _MAX_SENSORS)):
         if len(values) > most:
             raise BadData(f"{name} must be at most {most}, got {len(values)}")
     for feature in model.measured:
@@ -330,7 +330,7 @@ def check_training(model: Model) -> None:
 
 def _is_word(value: object) -> bool:
     """Return whether a value is a word without control characters, safe to print on a terminal."""
-    return isinstance(value, str) and 0 < len(value) <= _LONGEST_WORD and value.isprintable()
+    return isinstance(value, str) and 0 < len(value) <= _MAX_WORD_LENGTH and value.isprintable()
 
 
 def _check_arrays(model: Model) -> None:

@@ -16,7 +16,7 @@ from cgid.errors import BadData, MissingOption
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Diagnosis, scale_warning
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.stream import factor_of, identify_blocks
 from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement, scaled
@@ -30,7 +30,7 @@ from cgid.validation import require_rate
 if TYPE_CHECKING:
     import pandas
 
-#: Fields of a question that `predict` takes: all but those of gangue shares.
+#: Fields of `PredictionSettings` that `predict` takes: all but those of the gangue fraction.
 _SETTINGS = (
     "costs", "coverage", "class_conditional", "drop_height", "mass", "invert", "sensors", "dead_time", "vote_time",
 )  # fmt: skip
@@ -92,8 +92,8 @@ def predict(
         What turns volts, coulombs or integers into what the sensor measured, such as ``sensitivity="10.2 mV/g"``; as
         in `cgid.open_recording`. A `full_scale` may also say the unit.
     **settings
-        Fields of `cgid.identification.question.Question`, such as ``mass=2.5`` [kg] of an accelerated impactor,
-        ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.
+        Fields of `cgid.identification.prediction_settings.PredictionSettings`, such as ``mass=2.5`` [kg] of an
+        accelerated impactor, ``drop_height=1.5`` [m], ``invert=True``, ``costs={"gangue": 3.0}`` or ``coverage=0.9``.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def predict(
     """
     for name in settings:
         validation.choice("setting", name, _SETTINGS)
-    question = replace(Question(), **settings)
+    applied = replace(PredictionSettings(), **settings)
     if isinstance(samples, str | Path):
         signals = read_recording(
             samples,
@@ -152,10 +152,10 @@ def predict(
     else:
         signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))
     first = signals[0]
-    chosen = model if isinstance(model, Model) else load_model(_default(first, question) if model is None else model)
-    question.check(chosen)
-    sign = -1.0 if question.invert else 1.0
-    factors = [sign * factor_of(chosen, s.unit, s.source, s.channel, mass=question.mass) for s in signals]
+    loaded = model if isinstance(model, Model) else load_model(_default(first, applied) if model is None else model)
+    applied.check(loaded)
+    sign = -1.0 if applied.invert else 1.0
+    factors = [sign * factor_of(loaded, s.unit, s.source, s.channel, mass=applied.mass) for s in signals]
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
 
     def warned(text: str) -> None:
@@ -165,17 +165,17 @@ def predict(
     blocks = scaled(gaps.marked([np.stack([signal.samples for signal in signals])]), factors)
     names = [signal.channel for signal in signals]
     answers: list[Answer] = []
-    diagnosis = Diagnosis(chosen)
-    for step in identify_blocks(blocks, first.sampling_rate, chosen, names, question, first.source):
+    diagnosis = Diagnosis(loaded)
+    for step in identify_blocks(blocks, first.sampling_rate, loaded, names, applied, first.source):
         answers += step.answers
         for text in (*step.silent, *step.warnings):
             warnings.warn(text, stacklevel=2)
     gaps.require(first.source)
     diagnosis.add(answers)
     name_channels = len(diagnosis.channels) > 1
-    if (wrong := scale_warning(diagnosis.wrong_scales(), chosen, name_channels=name_channels)) is not None:
+    if (wrong := scale_warning(diagnosis.wrong_scales(), loaded, name_channels=name_channels)) is not None:
         warnings.warn(wrong, stacklevel=2)
-    return _table(answers, chosen, question)
+    return _table(answers, loaded, applied)
 
 
 def _measured(samples: Any, sampling_rate: float | None, unit: str | None, chain: Chain) -> list[Signal]:
@@ -245,14 +245,14 @@ def _alike(signals: Sequence[Any], sampling_rate: float | None) -> list[Signal]:
     return [replace(one, sampling_rate=rate, channel=name) for one, name in zip(signals, names, strict=True)]
 
 
-def _default(signal: Signal, question: Question) -> str:
+def _default(signal: Signal, settings: PredictionSettings) -> str:
     """Return the name of the shipped model for a quantity; a mass or a drop height implies a force."""
-    if question.drop_height is not None:
+    if settings.drop_height is not None:
         return "default-drop-height"
-    return "default-acceleration" if signal.quantity == "acceleration" and question.mass is None else "default"
+    return "default-acceleration" if signal.quantity == "acceleration" and settings.mass is None else "default"
 
 
-def _table(answers: Sequence[Answer], model: Model, question: Question) -> pandas.DataFrame:
+def _table(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> pandas.DataFrame:
     import pandas as pd
 
     columns: dict[str, Any] = {"channel": [one.channel for one in answers], "time_s": [one.time for one in answers]}
@@ -265,7 +265,7 @@ def _table(answers: Sequence[Answer], model: Model, question: Question) -> panda
     for title, name in (("overlapping", "overlapping"), ("clipped", "clipped"), ("cut_off", "cut")):
         columns[title] = np.array([getattr(one, name) for one in answers], bool)
     columns["problem"] = [one.problem for one in answers]
-    if question.coverage is not None:
+    if settings.coverage is not None:
         columns["prediction_set"] = ["+".join(one.prediction_set or ()) for one in answers]
     texts = ("channel", "label", "problem", "prediction_set")
     return pd.DataFrame(

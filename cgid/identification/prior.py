@@ -77,9 +77,9 @@ class Prior:
     @property
     def shape_bounds(self) -> tuple[float, float]:
         """Lowest and highest shape with a density above the floor."""
-        held = np.flatnonzero(self.log_shape > self.log_shape.max() + np.log(_FLOOR) + 1)
+        inside = np.flatnonzero(self.log_shape > self.log_shape.max() + np.log(_FLOOR) + 1)
         first, width = self.shape_edges
-        return first + width * float(held[0]), first + width * float(held[-1] + 1)
+        return first + width * float(inside[0]), first + width * float(inside[-1] + 1)
 
     def log_density(self, log_peak: Floats, log_duration: Floats, shape: Floats) -> Floats:
         """Return ln of the density of (ln peak, ln duration, s) at points of any common shape."""
@@ -145,5 +145,5 @@ def _at(values: Floats, *places: Floats) -> Floats:
     from scipy.ndimage import map_coordinates
 
     beyond = np.any([(place < 0) | (place > _CELLS) for place in places], axis=0)
-    found: Floats = map_coordinates(values, [place - 0.5 for place in places], order=1, mode="nearest")
-    return np.where(beyond, values.max() + np.log(_FLOOR), found)
+    interpolated: Floats = map_coordinates(values, [place - 0.5 for place in places], order=1, mode="nearest")
+    return np.where(beyond, values.max() + np.log(_FLOOR), interpolated)

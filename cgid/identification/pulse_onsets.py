@@ -44,9 +44,9 @@ _QUIET_TIME, _QUIET_POWER = 5e-3, 1.7
 #: single precision. A longer memory would let one loud sample hide what follows.
 _ROUNDING, _ROUNDING_WINDOWS = 1e-6, 40
 #: Length of the windows for the estimates of baseline and noise [s], and its minimum [samples].
-_WINDOW_TIME, _SHORTEST_WINDOW = 20e-3, 64
+_WINDOW_TIME, _MIN_WINDOW = 20e-3, 64
 #: Approximate number of samples used of each window.
-_LOOKED_AT = 128
+_N_SAMPLED = 128
 _CHUNK_WINDOWS = 10
 #: The baseline is the median over this many windows to either side (0.18 s in all), because it may drift.
 _BASELINE_WINDOWS = 4
@@ -84,16 +84,16 @@ class _Ringing:
     quiet: int = 0
     energy: float = 0.0
 
-    def listen(self, n_samples: int, energy: float, noise: float, enough: int) -> None:
+    def update(self, n_samples: int, energy: float, noise: float, enough: int) -> None:
         """Take samples within the noise, with the sum of their squares; end both thresholds where nothing rings."""
         self.quiet += n_samples
         self.energy += energy
         if self.quiet >= enough:
             if self.energy <= _QUIET_POWER * noise**2 * self.quiet:
                 self.echo = self.swing = 0.0
-            self.listen_anew()
+            self.reset()
 
-    def listen_anew(self) -> None:
+    def reset(self) -> None:
         """Forget the quiet samples so far."""
         self.quiet, self.energy = 0, 0.0
 
@@ -133,7 +133,7 @@ class PulseOnsets:
     lag = 0
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, longest: int, joint: bool) -> None:
-        self._window = max(round(_WINDOW_TIME * sampling_rate), _SHORTEST_WINDOW)
+        self._window = max(round(_WINDOW_TIME * sampling_rate), _MIN_WINDOW)
         self.chunk = _CHUNK_WINDOWS * self._window
         self._hop = max(round(_HOP_TIME * sampling_rate), 1)
         self._quiet = max(round(_QUIET_TIME * sampling_rate), 1)
@@ -159,27 +159,27 @@ class PulseOnsets:
         """
         ended = n_known is not None
         samples = samples[:, :n_known]
-        found = []
+        onsets = []
         if samples.shape[1]:
             levels = self._levels_in(samples)
-            high = [self._high_in(channel, own, levels) for channel, own in enumerate(samples)]
+            high = [self._high_in(channel, channel_samples, levels) for channel, channel_samples in enumerate(samples)]
             for row, channels in enumerate(self._rows):
                 places = high[channels[0]] if len(channels) == 1 else np.unique(np.concatenate(high))
-                found += self._grouped(row, places, samples, levels, read)
+                onsets += self._grouped(row, places, samples, levels, read)
         self._taken += samples.shape[1]
         for row, blow in enumerate(self._open):
             if blow is not None and (ended or self._is_over(row, blow.onset)):
                 self._close(row, read)
-        return found
+        return onsets
 
     # -- levels ---------------------------------------------------------------------------------------
 
     def _levels_in(self, samples: Floats) -> _Levels:
         n_channels, n_samples = samples.shape
         short = not self._taken and n_samples < START_CHUNKS * self.chunk
-        length, step = (n_samples, 1) if short else (self._window, max(self._window // _LOOKED_AT, 1))
-        whole = n_samples // length
-        windows = samples[:, : whole * length].reshape(n_channels, whole, length)
+        length, step = (n_samples, 1) if short else (self._window, max(self._window // _N_SAMPLED, 1))
+        n_windows = n_samples // length
+        windows = samples[:, : n_windows * length].reshape(n_channels, n_windows, length)
         medians, noises = _median_and_noise(windows, step)
         medians = np.concatenate([self._medians, medians], axis=1)
         noises = np.concatenate([self._noises, noises], axis=1)
@@ -195,15 +195,15 @@ class PulseOnsets:
             stop = min(stop, medians.shape[1])
             chunk = slice(first, first + _CHUNK_WINDOWS)
             numbers = before + np.arange(first, min(chunk.stop, shape[1]))[:, None]
-            near = np.clip(numbers + around, 0, stop - 1)
-            baseline[:, chunk] = _median(medians[:, near])
+            window_index = np.clip(numbers + around, 0, stop - 1)
+            baseline[:, chunk] = _median(medians[:, window_index])
             latest = np.clip(np.maximum(numbers, _RISING_WINDOWS - 1) - np.arange(_RISING_WINDOWS), 0, stop - 1)
             typical = _typical(noises[:, max(stop - _NOISE_WINDOWS, 0) : stop])[:, None]
             noise[:, chunk] = np.maximum(typical, np.fmin.reduce(noises[:, latest], axis=2))
         highest, lowest = np.empty(shape), np.empty(shape)
-        highest[:, :whole], lowest[:, :whole] = _extremes(windows)
-        if shape[1] > whole:
-            highest[:, whole], lowest[:, whole] = _extremes(samples[:, whole * length :])
+        highest[:, :n_windows], lowest[:, :n_windows] = _extremes(windows)
+        if shape[1] > n_windows:
+            highest[:, n_windows], lowest[:, n_windows] = _extremes(samples[:, n_windows * length :])
         # A window without samples has no largest one.
         largest = np.concatenate([self._largest, np.fmax(np.maximum(highest, -lowest), 0.0)], axis=1)
         self._largest = largest[:, largest.shape[1] - _ROUNDING_WINDOWS + 1 :]
@@ -238,7 +238,7 @@ class PulseOnsets:
         """Let the ringing decay over samples within the noise."""
         ringing.decay(math.exp(-n_samples * self._echo_rate), math.exp(-n_samples * self._swing_rate))
         if n_samples:
-            ringing.listen_anew()
+            ringing.reset()
 
     def _needed(self, heights: Floats, limit: float, ringing: _Ringing) -> Floats:
         """Return the threshold of each sample (n,), and update the ringing."""
@@ -257,9 +257,9 @@ class PulseOnsets:
             if limit < depth < _DEEPEST * ringing.peak:
                 ringing.swing = max(ringing.swing, RISE_OVER_SWING * depth)
             if max(peak, depth) > limit:
-                ringing.listen_anew()
+                ringing.reset()
             else:
-                ringing.listen(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
+                ringing.update(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
         return np.repeat(needed, self._hop)[: heights.size]
 
     # -- blows ----------------------------------------------------------------------------------------
@@ -268,7 +268,7 @@ class PulseOnsets:
         """Return the blows that begin with these high samples."""
         if not places.size:
             return []
-        found, channels, inside = [], np.array(self._rows[row])[:, None], places - self._taken
+        groups, channels, inside = [], np.array(self._rows[row])[:, None], places - self._taken
         heights = samples[channels, inside] - levels.baseline[channels, inside // levels.length]
         limits = levels.limit[channels, inside // levels.length]
         bounds = [0, *(np.flatnonzero(np.diff(places) > self._gap) + 1).tolist(), places.size]
@@ -279,17 +279,17 @@ class PulseOnsets:
                 baseline = levels.baseline[:, int(inside[begin]) // levels.length].copy()
                 onset = Onset(row, self._rows[row][0], first, noise=baseline, closed=False)
                 self._open[row] = _Blow(onset)
-                found.append(onset)
+                groups.append(onset)
             self._last[row] = int(places[stop - 1])
             blow = self._open[row]
             if blow is not None:
-                own = slice(begin, int(np.searchsorted(places[:stop], blow.onset.sample + self._longest)))
-                blow.places.append(places[own])
-                blow.heights.append(heights[:, own])
-                blow.limits.append(limits[:, own])
-                if own.stop < stop:
+                of_impact = slice(begin, int(np.searchsorted(places[:stop], blow.onset.sample + self._longest)))
+                blow.places.append(places[of_impact])
+                blow.heights.append(heights[:, of_impact])
+                blow.limits.append(limits[:, of_impact])
+                if of_impact.stop < stop:
                     self._close(row, read)
-        return found
+        return groups
 
     def _is_over(self, row: int, onset: Onset) -> bool:
         latest = self._last[row]
@@ -311,22 +311,22 @@ class PulseOnsets:
         heights, limits = np.concatenate(blow.heights, axis=1), np.concatenate(blow.limits, axis=1)
         highest = np.fmax.reduce(heights, axis=1, keepdims=True)
         excess = np.nan_to_num(heights - np.maximum(limits, THRESHOLD_OVER_PEAK * highest), nan=-np.inf, posinf=np.inf)
-        own = np.flatnonzero((excess > 0).any(axis=0))
-        if own.size == 0:
-            own = np.arange(places.size)
-        onset.channel = self._rows[row][int(np.argmax(excess[:, own[0]]))]
-        onset.sample, onset.last, onset.closed = int(places[own[0]]), int(places[own[-1]]), True
-        whole = read(onset.sample, onset.last + 1)[onset.channel] - onset.noise[onset.channel]
-        onset.again = onset.last if _has_two_peaks(whole) else None
+        above = np.flatnonzero((excess > 0).any(axis=0))
+        if above.size == 0:
+            above = np.arange(places.size)
+        onset.channel = self._rows[row][int(np.argmax(excess[:, above[0]]))]
+        onset.sample, onset.last, onset.closed = int(places[above[0]]), int(places[above[-1]]), True
+        excess_samples = read(onset.sample, onset.last + 1)[onset.channel] - onset.noise[onset.channel]
+        onset.again = onset.last if _has_two_peaks(excess_samples) else None
 
 
 def _median_and_noise(windows: Floats, step: int) -> tuple[Floats, Floats]:
     """Return both for windows (..., n_samples), from every `step`-th sample; nan where most of these are missing."""
-    looked = windows[..., ::step]
-    median = _median(looked)
-    if np.isnan(looked).any():
-        median[np.isnan(looked).mean(axis=-1) > 0.5] = np.nan
-    noise = 1.4826 * _median(np.abs(looked - median[..., None]))
+    sampled = windows[..., ::step]
+    median = _median(sampled)
+    if np.isnan(sampled).any():
+        median[np.isnan(sampled).mean(axis=-1) > 0.5] = np.nan
+    noise = 1.4826 * _median(np.abs(sampled - median[..., None]))
     for place in np.argwhere(noise == 0):
         where = tuple(place)
         below = median[where] - windows[where]
@@ -339,13 +339,13 @@ def _median(values: Floats) -> Floats:
     """Return the median along the last axis, of what is not nan; `np.median` would import `numpy.ma` for a few."""
     below, above = (values.shape[-1] - 1) // 2, values.shape[-1] // 2
     ordered = np.partition(values, (below, above), axis=-1)
-    found = np.asarray(0.5 * (ordered[..., below] + ordered[..., above]))
+    medians = np.asarray(0.5 * (ordered[..., below] + ordered[..., above]))
     lacking = np.isnan(values)
     if lacking.any():
         for place in map(tuple, np.argwhere(lacking.any(axis=-1))):
-            own = values[place][~lacking[place]]
-            found[place] = _median(own) if own.size else np.nan
-    return found
+            present = values[place][~lacking[place]]
+            medians[place] = _median(present) if present.size else np.nan
+    return medians
 
 
 def _extremes(windows: Floats) -> tuple[Floats, Floats]:
@@ -361,11 +361,11 @@ def _typical(noises: Floats) -> Floats:
 
     If most windows of a channel have no noise, only the others count.
     """
-    found = _median(noises)
-    for channel in np.flatnonzero(found == 0):
+    typical = _median(noises)
+    for channel in np.flatnonzero(typical == 0):
         some = noises[channel][noises[channel] > 0]
-        found[channel] = _median(some) if some.size else 0.0
-    return np.asarray(found)
+        typical[channel] = _median(some) if some.size else 0.0
+    return np.asarray(typical)
 
 
 def _has_two_peaks(heights: Floats) -> bool:

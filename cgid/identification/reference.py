@@ -53,9 +53,9 @@ class MeanSpectrum:
         """Add non-overlapping windows (n_windows, n_samples); those without a signal are skipped."""
         for first in range(0, len(windows), _ROWS):
             batch = WindowBatch(windows[first : first + _ROWS], self.sampling_rate)
-            kept = np.setdiff1d(np.arange(len(batch.samples)), list(batch.problems()))
-            power = batch.mel_power[kept]
-            self.n_windows += kept.size
+            usable = np.setdiff1d(np.arange(len(batch.samples)), list(batch.problems()))
+            power = batch.mel_power[usable]
+            self.n_windows += usable.size
             self._sum += power.sum(axis=0)
             self._squares += np.square(power).sum(axis=0)
 
@@ -99,10 +99,10 @@ def equalisations_of(spectra: Mapping[str, Floats]) -> Equalisations:
     if not spectra:
         return {}
     n_channels = len(next(iter(spectra.values())))
-    targets = [target_spectrum([own[channel] for own in spectra.values()]) for channel in range(n_channels)]
+    targets = [target_spectrum([of_sensor[channel] for of_sensor in spectra.values()]) for channel in range(n_channels)]
     return {
-        sensor: tuple(Equalisation.between(heard, meant) for heard, meant in zip(own, targets, strict=True))
-        for sensor, own in spectra.items()
+        sensor: tuple(Equalisation.between(measured, meant) for measured, meant in zip(of_sensor, targets, strict=True))
+        for sensor, of_sensor in spectra.items()
     }
 
 
@@ -139,10 +139,10 @@ def drift(session: MeanSpectrum, reference: ArrayLike) -> Drift:
 
     The session needs a flow like that of the reference run, because another flow looks like a drift.
     """
-    held = slice(0, session.n_bands)
-    difference = 10.0 * (session.levels - validation.real("reference", reference))[held]
+    of_session = slice(0, session.n_bands)
+    difference = 10.0 * (session.levels - validation.real("reference", reference))[of_session]
     # The band with the most certain difference, not one raised by a single impact.
-    certain = np.maximum(np.abs(difference) - _STANDARD_ERRORS * session.deviations[held], 0.0)
+    certain = np.maximum(np.abs(difference) - _STANDARD_ERRORS * session.deviations[of_session], 0.0)
     place = int(np.argmax(certain)) if certain.any() else int(np.argmax(np.abs(difference)))
     return Drift(
         level=float(difference.mean()),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_times
@@ -168,7 +169,7 @@ class Rows:
         """
         sources = tuple(dict.fromkeys(source for part in parts for source in part.sources))
         place = {source: number for number, source in enumerate(sources)}
-        own = [np.array([place[source] for source in part.sources], np.intp)[part.source] for part in parts]
+        source_numbers = [np.array([place[source] for source in part.sources], np.intp)[part.source] for part in parts]
         rates = [rate for part in parts for rate in part.sampling_rates]
         timed = all(len(part.time) == len(part.labels) for part in parts)
         return replace(
@@ -177,7 +178,7 @@ class Rows:
             labels=np.concatenate([part.labels for part in parts]),
             group=np.concatenate([part.group for part in parts]),
             known=np.concatenate([part.known for part in parts]),
-            source=np.concatenate(own),
+            source=np.concatenate(source_numbers),
             sources=sources,
             digests=sources,
             sampling_rates=(min(rates), max(rates)),
@@ -185,11 +186,11 @@ class Rows:
             left_out=sum(part.left_out for part in parts),
         )
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> Rows:
+    def __getitem__(self, selected: NDArray[np.bool_]) -> Rows:
         """Return the rows of a mask."""
         names = ("features", "labels", "group", "source", "known", "time", "snr")
         columns = {name: getattr(self, name) for name in names}
-        return replace(self, **{name: column[chosen] for name, column in columns.items() if len(column)})
+        return replace(self, **{name: column[selected] for name, column in columns.items() if len(column)})
 
     @property
     def is_recorded(self) -> NDArray[np.bool_]:
@@ -230,27 +231,27 @@ def _sets(kind: Kind) -> Sets:
     if kind == "vibration":
         relative = tuple(f"relative_level_{middle}_hz" for middle in THIRD_OCTAVES)
         return {"third octaves": DEFAULT_VIBRATION_FEATURES, "third octaves, level-free": relative}
-    own = choose(None, "window")
+    window_features = choose(None, "window")
 
     def starting(*starts: str) -> set[str]:
-        return {name for name in own if name.startswith(tuple(f"window_{start}_" for start in starts))}
+        return {name for name in window_features if name.startswith(tuple(f"window_{start}_" for start in starts))}
 
-    plain = set(own) - starting("mel", "relative", "even", "level")
+    plain = set(window_features) - starting("mel", "relative", "even", "level")
     shape = plain - {"window_level", "window_peak"}  # free of the gain
-    wanted = {
+    sets = {
         "mel bands, level-free": starting("relative_mel", "mel_deviation"),
         "mel bands and shape, level-free": starting("relative_mel", "mel_deviation") | shape,
         "mel bands and shape": starting("mel") | plain,
         "even bands and shape, level-free": starting("relative_even", "even_deviation") | shape,
         "even bands and shape": starting("even") | plain,
     }
-    return {name: tuple(feature for feature in own if feature in some) for name, some in wanted.items()}
+    return {name: tuple(feature for feature in window_features if feature in some) for name, some in sets.items()}
 
 
 def sets_for(kind: Kind, *, level_free: bool = False) -> Sets:
     """Return the feature sets that a training on recordings chooses from, optionally only level-free ones."""
-    own = _sets(kind)
-    return {name: names for name, names in own.items() if name.endswith("level-free")} if level_free else own
+    sets = _sets(kind)
+    return {name: names for name, names in sets.items() if name.endswith("level-free")} if level_free else sets
 
 
 def union_of(sets: Sets) -> tuple[str, ...]:
@@ -258,7 +259,7 @@ def union_of(sets: Sets) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for names in sets.values() for name in names))
 
 
-def chosen_for(
+def features_for(
     batches: Iterable[Batch], features: Iterable[str] | None, beam: Beam | None = None
 ) -> tuple[Iterator[Batch], tuple[str, ...]]:
     """Return the batches unchanged, and the features to measure on them.
@@ -298,6 +299,7 @@ def linear_columns(features: Sequence[str]) -> tuple[int, ...]:
 # -- rows of scenes and datasets --------------------------------------------------------------------------
 
 
+@renamed_arguments(crew="workers")
 def measure(
     batches: Iterable[Batch],
     features: Iterable[str] | None = None,
@@ -305,7 +307,7 @@ def measure(
     *,
     known: tuple[str, ...] = (),
     beam: Beam | None = None,
-    crew: Workers = ALONE,
+    workers: Workers = ALONE,
 ) -> Rows:
     """Return the rows of labelled batches; memory holds one batch of signals, or a few for each worker.
 
@@ -321,7 +323,7 @@ def measure(
         Known quantities of each impact that the model will ask for, such as "drop_height".
     beam : Beam, optional
         The beam that vibrates: the features look through it.
-    crew : Workers
+    workers : Workers
         Processes that measure.
 
     Returns
@@ -335,11 +337,11 @@ def measure(
     InvalidValue
         A feature or known quantity does not exist.
     """
-    batches, names = chosen_for(batches, features, beam)
+    batches, names = features_for(batches, features, beam)
     for name in known:
         validation.choice("known", name, dict(KNOWN))
     parts: list[tuple[Batch, Floats, Floats]] = []
-    with closing(crew.each(_measured, (names, known, beam), batches)) as measured:
+    with closing(workers.each(_measured, (names, known, beam), batches)) as measured:
         for part in measured:
             unit = part[0].unit
             if parts and unit != parts[0][0].unit:
@@ -454,12 +456,12 @@ def mixed(recorded: Rows, synthetic: Rows, seed: int) -> Rows:
             f"label {strange[0]} of the scene must be one of the recordings' ({', '.join(labels)}), it is not; name "
             "them alike in the manifest, or record it"
         )
-    kept = thinned(synthetic.labels, recorded.labels, seed)
+    selected = thinned(synthetic.labels, recorded.labels, seed)
     return Rows(
         names=recorded.names,
-        features=np.concatenate([recorded.features, synthetic.features[kept]]),
-        labels=np.concatenate([recorded.labels, synthetic.labels[kept]]),
-        group=np.concatenate([recorded.group, np.full(int(kept.sum()), -1)]),
+        features=np.concatenate([recorded.features, synthetic.features[selected]]),
+        labels=np.concatenate([recorded.labels, synthetic.labels[selected]]),
+        group=np.concatenate([recorded.group, np.full(int(selected.sum()), -1)]),
         n_channels=recorded.n_channels,
     )
 
@@ -496,8 +498,8 @@ def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], sy
 def thinned(labels: NDArray[np.str_], recorded: NDArray[np.str_], seed: int) -> NDArray[np.bool_]:
     """Return a mask of the synthetic rows to keep: at most `MOST_SYNTHETIC` per recorded row of the same label."""
     order = np.random.default_rng(seed).permutation(len(labels))
-    kept = np.zeros(len(labels), bool)
+    selected = np.zeros(len(labels), bool)
     for label in np.unique(recorded):
-        own = order[labels[order] == label]
-        kept[own[: MOST_SYNTHETIC * int(np.sum(recorded == label))]] = True
-    return kept
+        of_label = order[labels[order] == label]
+        selected[of_label[: MOST_SYNTHETIC * int(np.sum(recorded == label))]] = True
+    return selected

@@ -14,7 +14,7 @@ of q. It is then spread by the scatter of the estimate from stream to stream. Th
 because a mean is pulled to the middle where little is known.
 
 Going on takes the next rock, whatever it is. A gangue costs `dilution_cost`, because it must be carried, washed and
-dumped. Shutting leaves it; a coal left behind costs 1, the unit. Per rock, going on costs
+dumped. ShutDecision leaves it; a coal left behind costs 1, the unit. Per rock, going on costs
 
     dilution_cost * q - (1 - q)
 
@@ -38,7 +38,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.answers import Answer
 from cgid.identification.confusion import SUREST, Confusion, logit
 from cgid.identification.model import Model
-from cgid.identification.question import EVIDENCE, Question, require_evidence
+from cgid.identification.prediction_settings import EVIDENCE, PredictionSettings, require_evidence
 from cgid.validation import Floats
 
 #: Probability of the share to lie in its interval.
@@ -92,7 +92,7 @@ class Share:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Believed:
+class NoConfusion:
     """Probabilities that are believed, of a model with this share of gangue in its training: like a `Confusion`.
 
     Raises `InvalidValue` unless the share lies within (0, 1).
@@ -112,7 +112,7 @@ class Believed:
         return np.exp(logits) * (1.0 - self.trained_share) / self.trained_share
 
 
-def answers_of(model: Model, gangue: Collection[str]) -> Confusion | Believed:
+def answers_of(model: Model, gangue: Collection[str]) -> Confusion | NoConfusion:
     """Return what a model answers to rocks of gangue and of coal, as far as it knows.
 
     First from streams, then from its calibration impacts; else its probabilities are believed. Of more than two labels
@@ -120,14 +120,14 @@ def answers_of(model: Model, gangue: Collection[str]) -> Confusion | Believed:
     """
     if len(model.labels) == 2:
         first = model.labels[0] in gangue
-        own = model.confusion
-        if own is None and model.conformal is not None:
+        confusion = model.confusion
+        if confusion is None and model.conformal is not None:
             scores, second = model.conformal.scores, model.conformal.labels == 1
             logits = logit(np.where(second, 1.0 - scores, scores))
-            own = Confusion.counted(logits, second, (int(np.sum(~second)), int(np.sum(second))))
-        if own is not None:
-            return own.turned() if first else own
-    return Believed(trained_share=trained_share(model, gangue))
+            confusion = Confusion.counted(logits, second, (int(np.sum(~second)), int(np.sum(second))))
+        if confusion is not None:
+            return confusion.turned() if first else confusion
+    return NoConfusion(trained_share=trained_share(model, gangue))
 
 
 class ShareWindow:
@@ -137,7 +137,7 @@ class ShareWindow:
     ----------
     length : float [s]
         Of the window.
-    answers : Confusion or Believed
+    answers : Confusion or NoConfusion
         What the model answers to gangue (its second label) and to coal.
     weight : float, in (0, 1]
         Weight of one answer, because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap.
@@ -165,7 +165,7 @@ class ShareWindow:
         self,
         length: float,
         *,
-        answers: Confusion | Believed | None = None,
+        answers: Confusion | NoConfusion | None = None,
         weight: float = 1.0,
         channel: str = "1",
         threshold: float = 0.5,
@@ -174,7 +174,7 @@ class ShareWindow:
         self.channel = channel
         if not 0 < weight <= 1:
             raise InvalidValue(f"weight must lie above 0 and up to 1, got {weight:g}")
-        self._answers, self._threshold = answers or Believed(), threshold
+        self._answers, self._threshold = answers or NoConfusion(), threshold
         self._weight = weight / self._answers.overdispersion
         self._blur = _blur(self._answers.scatter)
         self._impacts: deque[tuple[float, float]] = deque()
@@ -224,9 +224,9 @@ class ShareWindow:
         breadths = np.diff(edges)
         # Equal answers are one row: a window of thousands costs no more than the bins of a confusion.
         ratios, counts = np.unique(self._answers.ratios(logit(probabilities)), return_counts=True)
-        told = counts.astype(np.float64) @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
+        log_likelihood = counts.astype(np.float64) @ np.log1p(np.multiply.outer(ratios - 1.0, shares))
         among = probabilities.size * np.log1p((self._answers.abundance - 1.0) * shares)
-        logarithm = self._weight * (told - among)
+        logarithm = self._weight * (log_likelihood - among)
         masses = np.exp(logarithm - logarithm.max()) * breadths
         masses /= masses.sum()
         likely = float(shares[np.argmax(logarithm)])
@@ -235,12 +235,12 @@ class ShareWindow:
         # The density has a single maximum (its logarithm is concave in the share of answers, which grows with that of
         # rocks), so the densest shares are neighbours.
         densest = np.argsort(-masses / breadths, kind="stable")
-        held = densest[: int(np.searchsorted(np.cumsum(masses[densest]), LEVEL)) + 1]
+        densest_nodes = densest[: int(np.searchsorted(np.cumsum(masses[densest]), LEVEL)) + 1]
         below = np.interp(self._threshold, edges, np.append(0.0, np.cumsum(masses)))
         return {
             "share": likely,
-            "low": float(shares[held.min()]),
-            "high": float(shares[held.max()]),
+            "low": float(shares[densest_nodes.min()]),
+            "high": float(shares[densest_nodes.max()]),
             "mean": float(masses @ shares),
             "above": float(np.clip(1.0 - below, 0.0, 1.0)),
         }
@@ -259,8 +259,8 @@ def trained_share(model: Model, gangue: Collection[str]) -> float:
         counts *= np.sum(confusion, axis=1)
     if isinstance(weights, Mapping):
         counts *= [weights.get(label, 1.0) for label in model.labels]
-    own = sum(count for label, count in zip(model.labels, counts.tolist(), strict=True) if label in gangue)
-    return float(np.clip(own / counts.sum(), SUREST, 1.0 - SUREST))
+    n_gangue = sum(count for label, count in zip(model.labels, counts.tolist(), strict=True) if label in gangue)
+    return float(np.clip(n_gangue / counts.sum(), SUREST, 1.0 - SUREST))
 
 
 @cache
@@ -276,8 +276,8 @@ def _blur(scatter: float) -> Floats | None:
     if scatter <= 0:
         return None
     shares, edges = _nodes()
-    away = np.subtract.outer(shares, shares) / max(scatter, 1.0 / _NODES)
-    matrix = np.exp(-0.5 * away**2) * np.diff(edges)[:, None]
+    distance = np.subtract.outer(shares, shares) / max(scatter, 1.0 / _NODES)
+    matrix = np.exp(-0.5 * distance**2) * np.diff(edges)[:, None]
     return np.asarray(matrix / matrix.sum(axis=0))
 
 
@@ -286,7 +286,7 @@ FEWEST_IMPACTS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Turn:
+class Switch:
     """Going on costs more than shutting, or less again, with the evidence that was asked for.
 
     Attributes
@@ -304,13 +304,13 @@ class Turn:
     share: Share
 
 
-class Shutting:
+class ShutDecision:
     """Watch the share of one channel and report when going on costs more than shutting, or pays again.
 
     Initially, going on pays. Raises `InvalidValue` unless `dilution_cost` [lost coal rocks per drawn gangue] is above
     0, `evidence` lies from .5 to below 1, and `hold` [s] is not negative.
 
-    >>> round(Shutting(3.0).threshold, 3)
+    >>> round(ShutDecision(3.0).threshold, 3)
     0.25
     """
 
@@ -325,13 +325,13 @@ class Shutting:
         """Return the expected cost of going on minus shutting [lost coal rocks per rock]; nan without any impact."""
         return self.dilution_cost * share.mean - (1.0 - share.mean)
 
-    def watch(self, share: Share) -> Turn | None:
+    def watch(self, share: Share) -> Switch | None:
         """Return the turn at this window; None without one. The share's `above` must be that of `threshold`."""
         evidence = 1.0 - share.above if self._shut else share.above
         if share.n_impacts < FEWEST_IMPACTS or share.time < self._since + self.hold or not evidence >= self.evidence:
             return None
         self._shut, self._since = not self._shut, share.time
-        return Turn(time=share.time, shut=self._shut, cost=self.cost(share), evidence=evidence, share=share)
+        return Switch(time=share.time, shut=self._shut, cost=self.cost(share), evidence=evidence, share=share)
 
 
 class CavingWatch:
@@ -342,43 +342,45 @@ class CavingWatch:
     model : Model
     channels : sequence of str
         Names of the channels.
-    question : Question
+    question : PredictionSettings
         Holds the share window, its step, the labels and the cost of gangue.
     weight : float
         As in `ShareWindow`.
     """
 
-    def __init__(self, model: Model, channels: Sequence[str], question: Question, weight: float = 1.0) -> None:
-        question.require_gangue(model)
-        self._gangue, self._step = question.gangue_labels, question.step
-        rule = question.cost_of_dilution, question.least_evidence, question.least_hold
-        self._rules = {name: Shutting(*rule) for name in channels}
+    def __init__(
+        self, model: Model, channels: Sequence[str], settings: PredictionSettings, weight: float = 1.0
+    ) -> None:
+        settings.require_gangue(model)
+        self._gangue, self._step = settings.gangue_labels, settings.step
+        rule = settings.cost_of_dilution, settings.least_evidence, settings.least_hold
+        self._rules = {name: ShutDecision(*rule) for name in channels}
         #: Share above which going on costs more than shutting.
-        self.threshold = Shutting(*rule).threshold
-        settings: dict[str, Any] = {"answers": answers_of(model, self._gangue), "weight": weight}
-        settings["threshold"] = self.threshold
-        self._windows = {name: ShareWindow(question.share_length, channel=name, **settings) for name in channels}
+        self.threshold = ShutDecision(*rule).threshold
+        window_settings: dict[str, Any] = {"answers": answers_of(model, self._gangue), "weight": weight}
+        window_settings["threshold"] = self.threshold
+        self._windows = {name: ShareWindow(settings.share_length, channel=name, **window_settings) for name in channels}
         self._waiting: deque[Answer] = deque()
         self._steps = 0
         # Channels whose last window was empty and has been returned.
         self._silent: set[str] = set()
 
-    def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Turn]:
+    def feed(self, answers: Iterable[Answer], until: float) -> list[Share | Switch]:
         """Take the next answers, in order of time, and return the shares of completed windows and their turns.
 
         All answers before `until` [s] have arrived. Only the first of several empty windows is returned, so a pause of
         any length costs nothing.
         """
         self._waiting.extend(answers)
-        found: list[Share | Turn] = []
+        reports: list[Share | Switch] = []
         self._pass_silence(until)
         while (end := (self._steps + 1) * self._step) <= until:
             self._steps += 1
-            found += self._at(end)
+            reports += self._at(end)
             self._pass_silence(until)
-        return found
+        return reports
 
-    def finish(self, duration: float) -> list[Share | Turn]:
+    def finish(self, duration: float) -> list[Share | Switch]:
         """Return the rest at the end of a recording of this duration [s]."""
         found = self.feed((), duration)
         return found + list(self._at(duration)) if self._waiting or not self._steps else found
@@ -389,7 +391,7 @@ class CavingWatch:
             due = min(until, self._waiting[0].time) if self._waiting else until
             self._steps = max(self._steps, int(due / self._step) - 1)
 
-    def _at(self, end: float) -> Iterator[Share | Turn]:
+    def _at(self, end: float) -> Iterator[Share | Switch]:
         while self._waiting and self._waiting[0].time <= end:
             answer = self._waiting.popleft()
             self._windows[answer.channel].add(answer.time, self._probability(answer))

@@ -26,7 +26,7 @@ SILENT_SHARE = 0.5
 #: An interval up to this length [s] with an impact, or two with a rebound, was cut out to hold it.
 CUT_TIME = 0.5
 #: No more of a recording than this is looked at [s].
-LONGEST_LOOK = 120.0
+MAX_SEARCH_TIME = 120.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ def silence_of(
     rate = recording.sampling_rate
     detector = ImpactDetector(rate, len(recording.channels), kind=kind, dead_time=dead_time, joint=True, gaps=True)
     events: list[Event] = []
-    most = left = round(LONGEST_LOOK * rate)
+    most = left = round(MAX_SEARCH_TIME * rate)
 
     def seen() -> Iterator[NDArray[np.floating]]:
         nonlocal left
@@ -116,9 +116,9 @@ def silence_of(
 
 def _silent(power: Floats, first: NDArray[np.int64], events: Sequence[Event], length: float) -> NDArray[np.bool_]:
     """Return which windows hold no impact and are much quieter, on every channel, than those that do."""
-    struck = np.zeros(len(first), bool)
+    has_impact = np.zeros(len(first), bool)
     for event in events:
-        struck |= (first < event.end) & (first + length > event.onset)
-    if not struck.any():
-        return struck
-    return ~struck & (power < SILENT_POWER * np.median(power[struck], axis=0)).all(axis=1)
+        has_impact |= (first < event.end) & (first + length > event.onset)
+    if not has_impact.any():
+        return has_impact
+    return ~has_impact & (power < SILENT_POWER * np.median(power[has_impact], axis=0)).all(axis=1)

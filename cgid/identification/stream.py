@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, answers_from, identify_events, suited, unmeasured
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.identification.model import Model
-from cgid.identification.question import Question
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.reference import MeanSpectrum, drift
 from cgid.identification.windows import RunningVote, measure_windows, whole_windows, windows_of
 from cgid.measure.features import FEATURES
@@ -67,10 +68,11 @@ class Step:
     upside_down: tuple[str, ...] = ()
 
 
+@renamed_arguments(question="settings")
 def identify_recording(
     recording: RecordingFile,
     model: Model,
-    question: Question | None = None,
+    settings: PredictionSettings | None = None,
     **fields: Any,
 ) -> Iterator[Answer]:
     """Yield the answers for a recording, in order of time; it is read block by block.
@@ -80,9 +82,9 @@ def identify_recording(
     recording : RecordingFile
         From `cgid.recordings.open_recording`; all channels in the quantity of the model.
     model : Model
-    question : Question, optional
+    question : PredictionSettings, optional
     **fields
-        Override those of the question, such as `invert=True`, `mass=2.5` [kg] or `coverage=0.9`.
+        Override those of the settings, such as `invert=True`, `mass=2.5` [kg] or `coverage=0.9`.
 
     Yields
     ------
@@ -95,12 +97,12 @@ def identify_recording(
     MissingOption
         The unit of a channel, or the drop height that the model needs, is not given.
     """
-    question = replace(question or Question(), **fields)
+    settings = replace(settings or PredictionSettings(), **fields)
     rows = range(len(recording.channels))
-    gaps = recording.gaps(rows, question.give_up, joint=model.together > 1)
-    blocks = model_blocks(recording, model, rows, question, gaps=gaps)
+    gaps = recording.gaps(rows, settings.give_up, joint=model.together > 1)
+    blocks = model_blocks(recording, model, rows, settings, gaps=gaps)
     names = [channel.name for channel in recording.channels]
-    for step in identify_blocks(blocks, recording.sampling_rate, model, names, question, recording.source):
+    for step in identify_blocks(blocks, recording.sampling_rate, model, names, settings, recording.source):
         yield from step.answers
     gaps.require(recording.source)
 
@@ -109,7 +111,7 @@ def model_blocks(
     recording: RecordingFile,
     model: Model,
     rows: Sequence[int],
-    question: Question,
+    settings: PredictionSettings,
     *,
     gaps: Gaps | None = None,
     seen: Callable[[NDArray[Any]], object] = lambda block: None,
@@ -119,15 +121,15 @@ def model_blocks(
     Raises as `identify_recording`; a wrong quantity or unit raises here, before the first block is read. `gaps` are
     those of these channels, by default anew; `seen` receives each block of them in their own units.
     """
-    chosen, sign = list(rows), -1.0 if question.invert else 1.0
-    channels = [recording.channels[row] for row in chosen]
-    factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=question.mass) for c in channels]
-    every = chosen == list(range(len(recording.channels)))
-    gaps = gaps or recording.gaps(chosen, question.give_up, joint=model.together > 1)
+    selected, sign = list(rows), -1.0 if settings.invert else 1.0
+    channels = [recording.channels[row] for row in selected]
+    factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=settings.mass) for c in channels]
+    every = selected == list(range(len(recording.channels)))
+    gaps = gaps or recording.gaps(selected, settings.give_up, joint=model.together > 1)
 
     def blocks() -> Iterator[NDArray[Any]]:
         unchecked = recording.blocks(gaps=True)
-        for block in gaps.marked(unchecked if every else (block[chosen] for block in unchecked)):
+        for block in gaps.marked(unchecked if every else (block[selected] for block in unchecked)):
             seen(block)
             yield block
 
@@ -145,7 +147,7 @@ def identify_blocks(
     sampling_rate: float,
     model: Model,
     channels: Sequence[str],
-    question: Question,
+    settings: PredictionSettings,
     source: str = "signal",
 ) -> Iterator[Step]:
     """Return an iterator over the answers for blocks (n_channels, n_samples) in the unit of the model.
@@ -160,9 +162,9 @@ def identify_blocks(
             f"{source}: the sampling_rate must be at least {math.ceil(needed)} Hz for this model, got "
             f"{sampling_rate:g} Hz; check it, record faster, or train a model on recordings like this one"
         )
-    question.require_use(model)
+    settings.require_use(model)
     how = _windows if model.kind == "window" else _impacts
-    return _named(how(blocks, sampling_rate, model, channels, question, source), source)
+    return _named(how(blocks, sampling_rate, model, channels, settings, source), source)
 
 
 def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
@@ -181,14 +183,14 @@ def _impacts(
     sampling_rate: float,
     model: Model,
     channels: Sequence[str],
-    question: Question,
+    settings: PredictionSettings,
     source: str,
 ) -> Iterator[Step]:
     """Yield the answers for impacts: when a batch is full, or when no impact waits."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
     names, joint = answering_channels(model, channels), model.together > 1
     detector = ImpactDetector(
-        sampling_rate, len(channels), kind=kind, dead_time=question.dead_time, joint=joint, gaps=True
+        sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
     )
     waiting: list[Event] = []
     everything = set(range(len(channels)))
@@ -201,22 +203,22 @@ def _impacts(
         return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
 
     def answered(reasons: tuple[str, ...] = ()) -> Step:
-        answers = identify_events(waiting, model, question, channels=names, beam=beam)
+        answers = identify_events(waiting, model, settings, channels=names, beam=beam)
         waiting.clear()
         return Step(answers, detector.known_until / sampling_rate, reasons)
 
-    def found(events: list[Event]) -> None:
+    def take_events(events: list[Event]) -> None:
         nonlocal silent
         silent = silent - (everything if joint and events else {event.channel for event in events})
         waiting.extend(replace(event, channel=0) if joint else event for event in events)
 
     for block in blocks:
-        found(detector.feed(block))
+        take_events(detector.feed(block))
         loud = set() if quiet is None else quiet.loud(block) - silent - warned
         warned |= loud
-        if loud or not waiting or len(waiting) >= question.batch:
+        if loud or not waiting or len(waiting) >= settings.batch:
             yield replace(answered(), warnings=tuple(f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud)))
-    found(detector.finish())
+    take_events(detector.finish())
     reasons = []
     for row in sorted(silent):
         reasons.append(f"{named(row)}: {detector.why_silent(row, model.unit)}")
@@ -229,16 +231,16 @@ class _Quiet:
 
     def __init__(self, sampling_rate: float, n_channels: int) -> None:
         self._length = max(round(_QUIET_WINDOW * sampling_rate), 2)
-        self._rest: Floats = np.empty((n_channels, 0))
+        self._remaining: Floats = np.empty((n_channels, 0))
         self._powers: Floats = np.empty((n_channels, 0))
         self._loud: set[int] = set()
 
     def loud(self, block: NDArray[Any]) -> set[int]:
         """Take a block (n_channels, n) and return the channels that were never quiet so far."""
-        samples = np.concatenate([self._rest, block], axis=1) if self._rest.size else block
+        samples = np.concatenate([self._remaining, block], axis=1) if self._remaining.size else block
         count = samples.shape[1] // self._length
         windows = samples[:, : count * self._length].reshape(len(samples), count, self._length)
-        self._rest = samples[:, count * self._length :].copy()
+        self._remaining = samples[:, count * self._length :].copy()
         self._powers = np.concatenate([self._powers, windows.var(axis=2, dtype=np.float64)], axis=1)
         while self._powers.shape[1] >= _QUIET_STRETCH:
             stretch, self._powers = np.split(self._powers, [_QUIET_STRETCH], axis=1)
@@ -262,9 +264,9 @@ def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]
     return ("+".join(channels),)
 
 
-def independence(model: Model, question: Question) -> float:
+def independence(model: Model, settings: PredictionSettings) -> float:
     """Return the weight of one answer, in (0, 1]: overlapping windows and votes repeat each other."""
-    return min(model.hop_time / question.vote_over(model), 1.0) if model.kind == "window" else 1.0
+    return min(model.hop_time / settings.vote_over(model), 1.0) if model.kind == "window" else 1.0
 
 
 def _windows(
@@ -272,20 +274,20 @@ def _windows(
     sampling_rate: float,
     model: Model,
     channels: Sequence[str],
-    question: Question,
+    settings: PredictionSettings,
     source: str,
 ) -> Iterator[Step]:
     """Yield the answers for windows as they complete."""
     names = answering_channels(model, channels)
-    times = question.vote_over(model), model.window_time, model.hop_time
+    times = settings.vote_over(model), model.window_time, model.hop_time
     votes = [RunningVote.over(*times, model.vote_correlation) for _ in names]
-    sensors = question.heard_by(model, names)
+    sensors = settings.sensors_for(model, names)
     equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
     drifts, seen = Drifts(model, sensors, sampling_rate), False
     for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
         parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
         judged = [
-            _judged(part, sampling_rate, model, question, vote, equalisation)
+            _judged(part, sampling_rate, model, settings, vote, equalisation)
             for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
         ]
         for number, part in enumerate(parts):
@@ -306,7 +308,7 @@ def _judged(
     windows: NDArray[np.floating],
     sampling_rate: float,
     model: Model,
-    question: Question,
+    settings: PredictionSettings,
     vote: RunningVote,
     equalisation: Sequence[Equalisation] | None,
 ) -> list[Answer]:
@@ -316,7 +318,7 @@ def _judged(
     inputs = table[:, :, : len(model.features)].reshape(n_windows, -1)
     guards = table[:, :, len(model.features) :].max(axis=1)
     sound = np.asarray(np.isfinite(table).all(axis=(1, 2)))
-    answers = answers_from(inputs[sound], guards[sound], model, question, sampling_rate, vote.feed)
+    answers = answers_from(inputs[sound], guards[sound], model, settings, sampling_rate, vote.feed)
     silent = unmeasured("the window cannot be measured: it is silent, constant or lacks samples")
     return [next(answers) if known else silent for known in sound.tolist()]
 
@@ -348,8 +350,8 @@ class Drifts:
         for sensor, spectra in zip(self._sensors, self._spectra, strict=True):
             if sensor is None:
                 continue
-            own = self._model.arrays["reference.spectra"][self._model.sensors.index(sensor)]
-            for spectrum, reference in zip(spectra, own, strict=True):
+            reference_spectrum = self._model.arrays["reference.spectra"][self._model.sensors.index(sensor)]
+            for spectrum, reference in zip(spectra, reference_spectrum, strict=True):
                 if spectrum.n_windows and (warning := drift(spectrum, reference).warning(sensor)):
                     lines.append(warning)
         return tuple(dict.fromkeys(lines))

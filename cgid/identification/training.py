@@ -18,21 +18,22 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import __version__, validation
+from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.classifier import ImpactClassifier, contrast_of
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import Neighbourhood
 from cgid.identification.grouped import (
     Candidate,
-    Choice,
-    Lesson,
+    Selection,
+    TrainingSet,
     Weights,
     candidates_for,
     choose_candidate,
+    cross_validate,
     final,
     groups_of_labels,
     in_blocks_of_time,
-    judge,
     noise_guard,
     require_groups,
     warnings_of_few,
@@ -45,8 +46,8 @@ from cgid.identification.rows import (
     DEFAULT_FEATURES,
     FEW_FEATURES,
     Rows,
-    chosen_for,
     default_guards,
+    features_for,
     is_level,
     linear_columns,
     measure,
@@ -110,6 +111,7 @@ class Training:
         return f"Training({model}; accuracy {accuracy:.3f} on {len(self.test_labels)} test rows)"
 
 
+@renamed_arguments(crew="workers")
 def train(
     data: Iterable[Batch] | Rows,
     *,
@@ -128,7 +130,7 @@ def train(
     beam: Beam | None = None,
     shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
-    crew: Workers = ALONE,
+    workers: Workers = ALONE,
 ) -> Training:
     """Train a model on labelled impacts or windows and judge it on unseen specimens or groups.
 
@@ -175,7 +177,7 @@ def train(
         With few recordings it is lower, because recordings of one material resemble each other.
     progress : callable, optional
         Called with the number of signals measured; for recordings with 1 per group judged.
-    crew : Workers
+    workers : Workers
         Measures signals and fits folds: see `cgid.workers.workers`.
 
     Returns
@@ -195,7 +197,7 @@ def train(
         for name in (*names, *limiting):
             validation.choice("feature of rows", name, rows.names)
     else:
-        rows, names, limiting = _measured(data, features, guards, tuple(known), beam, progress, crew)
+        rows, names, limiting = _measured(data, features, guards, tuple(known), beam, progress, workers)
     if rows.slicing is not None and len(set(rows.digests)) == 1 and len(rows.groups) == 1:
         rows = in_blocks_of_time(rows)
     rows = _shuffled(rows, seed) if shuffle_labels else rows
@@ -211,12 +213,12 @@ def train(
         record |= {"test_share": test_share, "calibration_share": calibration_share, "judged_on": judged_on}
         is_open = features is None and names == DEFAULT_FEATURES and not isinstance(data, Rows)
         open_sets = pulse_sets(len(rows.labels)) if is_open else (names,)
-        fitted = (open_sets, limiting, family or "logistic", class_weights, seed, crew, record)
-        return _held_out(rows, parts, strangers, *fitted)
+        fitted = (open_sets, limiting, family or "logistic", class_weights, seed, workers, record)
+        return _tried_on_left_out(rows, parts, strangers, *fitted)
     sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
     candidates = candidates_for(sets, rows.names, family or "linear")
-    lesson = Lesson(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
-    return _left_out(lesson, synthetic, level_free, progress, crew, record)
+    training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
+    return _left_out(training_set, synthetic, level_free, progress, workers, record)
 
 
 def pulse_sets(n_impacts: int) -> tuple[tuple[str, ...], ...]:
@@ -231,23 +233,23 @@ def _measured(
     known: tuple[str, ...],
     beam: Beam | None,
     progress: Callable[[int], object] | None,
-    crew: Workers,
+    workers: Workers,
 ) -> tuple[Rows, tuple[str, ...], tuple[str, ...]]:
     """Return the rows of batches, and the names of their features and of their guards."""
-    batches, names = chosen_for(batches, features, beam)
+    batches, names = features_for(batches, features, beam)
     guards = default_guards(names) if guards is None else tuple(guards)
     guards = choose(guards) if guards else ()
     names = tuple(name for name in names if name not in guards)
     with threadpool_limits(1):
-        rows = measure(batches, names + guards, progress, known=known, beam=beam, crew=crew)
+        rows = measure(batches, names + guards, progress, known=known, beam=beam, workers=workers)
     return rows, names, guards
 
 
 def _shuffled(rows: Rows, seed: int) -> Rows:
     """Return the rows with labels permuted among specimens or recordings, the units that splits keep together."""
     unit = rows.group if rows.slicing is None else rows.source
-    _, first, own = np.unique(unit, return_index=True, return_inverse=True)
-    return replace(rows, labels=np.random.default_rng(seed).permutation(rows.labels[first])[own])
+    _, first, unit_index = np.unique(unit, return_index=True, return_inverse=True)
+    return replace(rows, labels=np.random.default_rng(seed).permutation(rows.labels[first])[unit_index])
 
 
 def _require_labels(rows: Rows, class_weights: Weights) -> None:
@@ -310,16 +312,16 @@ def hold_out(
     if not 0 < share < 1:
         raise InvalidValue(f"test share must lie between 0 and 1, got {share:g}")
     generator = np.random.default_rng(seed)
-    held: list[NDArray[np.integer]] = []
+    left_out: list[NDArray[np.integer]] = []
     for label in np.unique(labels):
-        own = np.unique(specimen[labels == label])
-        if len(own) < 2:
+        of_label = np.unique(specimen[labels == label])
+        if len(of_label) < 2:
             raise InvalidValue(
-                f"label {label} must have at least 2 specimens, one to train and one to judge, got {len(own)}"
+                f"label {label} must have at least 2 specimens, one to train and one to judge, got {len(of_label)}"
             )
-        count = min(max(round(share * len(own)), 1), len(own) - 1)
-        held.append(generator.permutation(own)[:count])
-    return np.isin(specimen, np.concatenate(held))
+        count = min(max(round(share * len(of_label)), 1), len(of_label) - 1)
+        left_out.append(generator.permutation(of_label)[:count])
+    return np.isin(specimen, np.concatenate(left_out))
 
 
 def set_apart(
@@ -364,7 +366,7 @@ def _split(
     return {"train": ~np.isin(specimen, specimen[test | calibration]), "calibration": calibration, "test": test}
 
 
-def _held_out(
+def _tried_on_left_out(
     rows: Rows,
     parts: Mapping[str, NDArray[np.bool_]],
     strangers: Rows | None,
@@ -373,7 +375,7 @@ def _held_out(
     family: str,
     class_weights: Weights,
     seed: int,
-    crew: Workers,
+    workers: Workers,
     record: Mapping[str, Any],
 ) -> Training:
     """Fit on some specimens, calibrate on others, judge on the rest.
@@ -394,26 +396,26 @@ def _held_out(
             class_weight=class_weights,
             random_state=seed,
         )
-        return classifier.fit(inputs[training], labels[training], specimen[training], crew=crew)
+        return classifier.fit(inputs[training], labels[training], specimen[training], workers=workers)
 
     with threadpool_limits(1):
         tried = {names: np.ascontiguousarray(rows.inputs(names)) for names in open_sets}
-        found = {names: fitted(names, inputs) for names, inputs in tried.items()}
-        names = min(found, key=lambda one: np.nan_to_num(found[one].held_out_loss_, nan=np.inf))
-        classifier, inputs = found[names], tried[names]
+        classifiers = {names: fitted(names, inputs) for names, inputs in tried.items()}
+        names = min(classifiers, key=lambda one: np.nan_to_num(classifiers[one].held_out_loss_, nan=np.inf))
+        classifier, inputs = classifiers[names], tried[names]
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
         probabilities = classifier.predict_proba(inputs[test])
         contrast = None
         if strangers is not None:
-            own, others = rows.columns(names + guards)[training], strangers.columns(names + guards)
-            contrast = contrast_of(own, others, linear_columns(names + guards), seed)
+            known, others = rows.columns(names + guards)[training], strangers.columns(names + guards)
+            contrast = contrast_of(known, others, linear_columns(names + guards), seed)
             record = {**record, "n_strangers": len(others)}
     classes = tuple(str(label) for label in classifier.classes_)
     metrics = evaluate(labels[test], probabilities, classes, len(np.unique(specimen[test])))
     sets = [] if conformal is None else evaluate_sets(labels[test], probabilities, classes, conformal)
     record = {
         **record,
-        **{f"n_{part}_specimens": len(np.unique(specimen[own])) for part, own in parts.items()},
+        **{f"n_{part}_specimens": len(np.unique(specimen[known])) for part, known in parts.items()},
         "n_train": int(training.sum()),
         **({UNEXPLAINED: float(np.median(rows.columns(BEAM_GUARDS[:1])[training]))} if guards == BEAM_GUARDS else {}),
         **({} if class_weights is None else {"class_weights": class_weights}),
@@ -464,30 +466,30 @@ def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
 
 
 def _left_out(
-    lesson: Lesson,
+    training_set: TrainingSet,
     synthetic: Rows | None,
     level_free: bool,
     progress: Callable[[int], object] | None,
-    crew: Workers,
+    workers: Workers,
     record: Mapping[str, Any],
 ) -> Training:
     """Fit on all rows; each group judges the candidate chosen and trained on the others."""
-    rows, adaptation = lesson.rows, {}
+    rows, adaptation = training_set.rows, {}
     assert rows.slicing is not None
     if synthetic is not None:
-        together = replace(lesson, rows=mixed(rows, synthetic, lesson.seed))
-        adaptation = _adaptation(lesson, together.rows, crew)
-        lesson = together
-    judged = judge(lesson, progress, crew)
-    choice = choose_candidate(lesson, crew)
-    own, counts = rows[rows.is_recorded], groups_of_labels(rows)
+        together = replace(training_set, rows=mixed(rows, synthetic, training_set.seed))
+        adaptation = _adaptation(training_set, together.rows, workers)
+        training_set = together
+    judged = cross_validate(training_set, progress, workers)
+    selection = choose_candidate(training_set, workers)
+    recorded_rows, counts = rows[rows.is_recorded], groups_of_labels(rows)
     recorded = {
         "by": rows.slicing.by,
         "n_groups": len(np.unique(rows.group)),
         "fewest_groups": min(counts.values()),
         "n_recordings": len(rows.sources),
-        "class_weights": lesson.weights,
-        "candidates": _comparison(lesson.candidates, choice, judged.chosen),
+        "class_weights": training_set.weights,
+        "candidates": _comparison(training_set.candidates, selection, judged.chosen),
         "failures": [str(error) for error in rows.failures],
         "warnings": [*rows.warnings, *warnings_of_few(counts)],
         "level_free": level_free,
@@ -495,24 +497,24 @@ def _left_out(
     }
     return _trained(
         rows,
-        final(lesson, choice, crew),
-        (own.labels, judged.probabilities),
-        evaluate_recordings(own, judged.probabilities),
+        final(training_set, selection, workers),
+        (recorded_rows.labels, judged.probabilities),
+        evaluate_recordings(recorded_rows, judged.probabilities),
         {
             **record,
-            "n_train": len(own.labels),
+            "n_train": len(recorded_rows.labels),
             "recorded": recorded,
-            **({VOTE_CORRELATION: choice.vote_correlation} if rows.kind == "window" else {}),
+            **({VOTE_CORRELATION: selection.vote_correlation} if rows.kind == "window" else {}),
         },
-        features=lesson.candidates[choice.best].features,
-        contrast=noise_guard(lesson, choice, crew),
+        features=training_set.candidates[selection.best].features,
+        contrast=noise_guard(training_set, selection, workers),
     )
 
 
-def _adaptation(recorded: Lesson, together: Rows, crew: Workers) -> dict[str, Any]:
+def _adaptation(recorded: TrainingSet, together: Rows, workers: Workers) -> dict[str, Any]:
     """Return the number of synthetic impacts, the shifts of their levels, and the accuracy without them."""
     moved = shift(together.names, together.features, together.labels, together.group < 0)
-    alone = judge(recorded, crew=crew).probabilities
+    alone = cross_validate(recorded, workers=workers).probabilities
     labels = recorded.rows.labels
     answers = np.unique(labels)[np.argmax(alone, axis=1)]
     names = zip(together.names, moved.tolist(), strict=True)
@@ -525,15 +527,15 @@ def _adaptation(recorded: Lesson, together: Rows, crew: Workers) -> dict[str, An
     }
 
 
-def _comparison(candidates: Sequence[Candidate], choice: Choice, chosen: Sequence[int]) -> list[dict[str, Any]]:
+def _comparison(candidates: Sequence[Candidate], selection: Selection, selected: Sequence[int]) -> list[dict[str, Any]]:
     return [
         {
             "name": candidate.name,
             "family": candidate.family,
             "n_features": len(candidate.features),
             "accuracy": accuracy,
-            "taken_in_folds": chosen.count(k),
-            "chosen": k == choice.best,
+            "taken_in_folds": selected.count(k),
+            "chosen": k == selection.best,
         }
-        for k, (candidate, accuracy) in enumerate(zip(candidates, choice.accuracies, strict=True))
+        for k, (candidate, accuracy) in enumerate(zip(candidates, selection.accuracies, strict=True))
     ]

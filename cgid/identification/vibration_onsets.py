@@ -19,7 +19,7 @@ from cgid.validation import Floats
 Singles = NDArray[np.float32]
 
 #: Energies are of windows of two hops, one hop apart. Length of a hop [s], and its minimum [samples].
-HOP_TIME, _SHORTEST_HOP = 0.5e-3, 8
+HOP_TIME, _MIN_HOP = 0.5e-3, 8
 #: Centre frequencies of the bands, as multiples of one over the window's length: 0.8 to 8 kHz with windows of 1 ms.
 #: Bands above `HIGHEST` times the sampling rate are left out.
 BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
@@ -69,7 +69,7 @@ class VibrationOnsets:
     """
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
-        self.hop = max(round(HOP_TIME * sampling_rate), _SHORTEST_HOP)
+        self.hop = max(round(HOP_TIME * sampling_rate), _MIN_HOP)
         self.chunk = _CHUNK_WINDOWS * _WINDOW_HOPS * self.hop
         self.lag = 8 * self.hop
         self._sampling_rate = sampling_rate
@@ -157,9 +157,9 @@ class VibrationOnsets:
             noise[:, number] = np.partition(latest, place, axis=1)[:, place]
             lacking = np.isnan(latest).any(axis=(1, 2))
             for channel in np.flatnonzero(lacking).tolist():
-                own = latest[channel][~np.isnan(latest[channel]).any(axis=1)]
-                place = int(_QUIET_SHARE * len(own))
-                noise[channel, number] = np.partition(own, place, axis=0)[place] if len(own) else np.nan
+                quiet = latest[channel][~np.isnan(latest[channel]).any(axis=1)]
+                place = int(_QUIET_SHARE * len(quiet))
+                noise[channel, number] = np.partition(quiet, place, axis=0)[place] if len(quiet) else np.nan
         return np.float32(_QUIET_FACTOR) * noise, np.float32(_ROUNDING) * most
 
     def _rises_of(self, energies: Singles, noise: Singles, rounding: Singles) -> Singles:
@@ -208,7 +208,7 @@ class VibrationOnsets:
         n_decided = rises.shape[1] - 2 if n_known is None else rises.shape[1] - n_hops + known
         self._rises = rises[:, n_decided:]
         rows = rises.max(axis=0, keepdims=True) if self._joint else rises
-        found = []
+        onsets = []
         decided = rises[:, : max(n_decided, 0)]
         self.steepest = np.maximum(self.steepest, decided.max(axis=1, initial=0.0))
         there = min(rises.shape[1], n_decided + (2 if n_known is None else 0))
@@ -220,9 +220,9 @@ class VibrationOnsets:
                 channel = int(np.argmax(rises[:, top])) if self._joint else row
                 # The chunk that decided the place.
                 chunk = (first + place + 2 - (self._n_hops - n_hops)) // (self.chunk // self.hop)
-                own = noise[channel, min(chunk, noise.shape[1] - 1)]
-                found.append(self._blow(row, channel, first + top, own, read))
-        return found
+                level = noise[channel, min(chunk, noise.shape[1] - 1)]
+                onsets.append(self._blow(row, channel, first + top, level, read))
+        return onsets
 
     def _is_new(self, row: int, place: int) -> bool:
         latest = self._latest[row]

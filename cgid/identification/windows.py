@@ -29,9 +29,9 @@ LONGEST_WINDOW = 10.0
 #: Shortest hop, as a share of the window; the longest is `LONGEST_WINDOW`.
 FINEST_HOP = 0.01
 #: Most windows in a vote, because each vote sums all of them.
-_MOST_VOTING = 10_000
+_MAX_VOTING = 10_000
 #: Most windows yielded at once, because measuring them takes memory.
-_MOST_WINDOWS = 512
+_MAX_WINDOWS = 512
 #: Power of a window over the noise added to it [dB] from which a noisy copy still teaches its label: of the windows of
 #: the ramp more than eight of ten are answered right at 20 dB, and fewer than three of four at 10 dB.
 CLEAR = 15.0
@@ -94,23 +94,23 @@ def windows_of(
     """
     grid = Grid.at(sampling_rate, window_time, hop_time)
     waiting: list[NDArray[np.floating]] = []
-    start = held = number = 0  # first sample in `waiting`, number of samples there, next window
+    start = n_waiting = number = 0  # first sample in `waiting`, number of samples there, next window
     for block in blocks:
         waiting.append(block)
-        held += block.shape[1]
-        complete = (start + held - grid.length) // grid.hop + 1
+        n_waiting += block.shape[1]
+        complete = (start + n_waiting - grid.length) // grid.hop + 1
         if complete <= number:
             continue
         samples = np.concatenate(waiting, axis=1)
         views = np.lib.stride_tricks.sliding_window_view(samples, grid.length, axis=1)
-        for first_window in range(number, complete, _MOST_WINDOWS):
-            last_window = min(first_window + _MOST_WINDOWS, complete)
+        for first_window in range(number, complete, _MAX_WINDOWS):
+            last_window = min(first_window + _MAX_WINDOWS, complete)
             first = grid.hop * np.arange(first_window, last_window, dtype=np.int64)
             yield first, np.swapaxes(views[:, first[0] - start : first[-1] - start + 1 : grid.hop], 0, 1)
         number = complete
         # Also drop samples between windows that are further apart than they are long.
-        gone = min(number * grid.hop - start, held)
-        waiting, start, held = [samples[:, gone:].copy()], start + gone, held - gone
+        gone = min(number * grid.hop - start, n_waiting)
+        waiting, start, n_waiting = [samples[:, gone:].copy()], start + gone, n_waiting - gone
 
 
 def measure_windows(
@@ -124,14 +124,14 @@ def measure_windows(
     The features of the first channel come first; nan where a window cannot be measured, or lacks a sample.
     `equalisation` corrects the response of each channel's sensor.
     """
-    whole = whole_windows(windows)
-    if not whole.all():
+    is_complete = whole_windows(windows)
+    if not is_complete.all():
         table = np.full((len(windows), windows.shape[1] * len(names)), np.nan)
-        if whole.any():
-            table[whole] = measure_windows(windows[whole], sampling_rate, names, equalisation)
+        if is_complete.any():
+            table[is_complete] = measure_windows(windows[is_complete], sampling_rate, names, equalisation)
         return table
-    own = [None] * windows.shape[1] if equalisation is None else equalisation
-    channels = zip(np.moveaxis(windows, 1, 0), own, strict=True)
+    equalisations = [None] * windows.shape[1] if equalisation is None else equalisation
+    channels = zip(np.moveaxis(windows, 1, 0), equalisations, strict=True)
     parts = [extract_array(rows, sampling_rate, names, invalid="nan", equalisation=one) for rows, one in channels]
     return np.concatenate(parts, axis=1)
 
@@ -141,14 +141,14 @@ def whole_windows(windows: NDArray[np.floating]) -> NDArray[np.bool_]:
     return np.asarray(~np.isnan(windows.max(axis=(1, 2), initial=-np.inf)))
 
 
-def columns_of(names: Sequence[str], chosen: Sequence[str], n_columns: int) -> list[int]:
+def columns_of(names: Sequence[str], selected: Sequence[str], n_columns: int) -> list[int]:
     """Return the columns of the chosen features in a table that holds all `names` of one channel after the other.
 
     >>> columns_of(("a", "b", "c"), ("c", "a"), 6)
     [2, 0, 5, 3]
     """
-    own = [names.index(name) for name in chosen]
-    return [start + column for start in range(0, n_columns, len(names)) for column in own]
+    columns = [names.index(name) for name in selected]
+    return [start + column for start in range(0, n_columns, len(names)) for column in columns]
 
 
 #: Copies of each window that teach with some noise, and of those that show what drowning is; the power of the window
@@ -209,9 +209,9 @@ class RunningVote:
         9
         """
         validation.positive("vote_time, window_time and hop_time", [vote_time, window_time, hop_time], "s")
-        if vote_time > _MOST_VOTING * hop_time:
+        if vote_time > _MAX_VOTING * hop_time:
             raise InvalidValue(
-                f"vote_time must be at most {_MOST_VOTING} hops of {hop_time:g} s, got {vote_time:g} s; decide on less"
+                f"vote_time must be at most {_MAX_VOTING} hops of {hop_time:g} s, got {vote_time:g} s; decide on less"
             )
         return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1), correlation)
 

@@ -23,7 +23,7 @@ from cgid.validation import Floats
 #: Probability of the intervals.
 COVERAGE = 0.9
 #: Seed of the simulated recordings, and the distance at which an impact was found [s].
-_SEED, _NEAR = 0x5EED_0004, 2e-3
+_SEED, _MATCH_TIME = 0x5EED_0004, 2e-3
 
 
 class ImpactorColumns:
@@ -45,7 +45,7 @@ class ImpactorColumns:
     def __init__(self, scene: Scene, *, keep: bool = False) -> None:
         self.scene, self.population = scene, population_of(scene)
         self._keep = keep
-        self._held: list[MeasuredPulses] = []
+        self._pulses: list[MeasuredPulses] = []
 
     def check(self, model: Model) -> None:
         """Raise `InvalidValue` if the answers of a model do not show the force of each impact."""
@@ -76,17 +76,17 @@ class ImpactorColumns:
         """
         samples = frames * UNITS[model.quantity][model.unit]
         if model.beam is None:
-            seen = forces(samples, sampling_rate, pre_trigger, detection_limit)
+            pulses = forces(samples, sampling_rate, pre_trigger, detection_limit)
         else:
-            seen = through_beam(samples, sampling_rate, pre_trigger, model.beam, detection_limit)
+            pulses = through_beam(samples, sampling_rate, pre_trigger, model.beam, detection_limit)
         if self._keep:
-            self._held.append(seen)
-        found = self.population.posterior(seen)
+            self._pulses.append(pulses)
+        estimates = self.population.posterior(pulses)
         columns: dict[str, Floats] = {}
         for name in QUANTITIES:
-            low, high = found.interval(name, COVERAGE)
-            columns |= {name: found.median(name), f"{name}_low": low, f"{name}_high": high}
-        rows = zip(*(column.tolist() for column in columns.values()), found.reason.tolist(), strict=True)
+            low, high = estimates.interval(name, COVERAGE)
+            columns |= {name: estimates.median(name), f"{name}_low": low, f"{name}_high": high}
+        rows = zip(*(column.tolist() for column in columns.values()), estimates.reason.tolist(), strict=True)
         return [
             dict(zip((*columns, "impactor_problem"), (None if one != one else one or None for one in row), strict=True))
             for row in rows
@@ -100,9 +100,9 @@ class ImpactorColumns:
         BadData
             There are too few impacts.
         """
-        seen = MeasuredPulses.joined(self._held or [MeasuredPulses.failed([])])
+        pulses = MeasuredPulses.joined(self._pulses or [MeasuredPulses.failed([])])
         detection = None if self.scene.stream is None else detection_of(self.scene)
-        return size_distribution(seen, self.population, quantity=quantity, detection=detection)
+        return size_distribution(pulses, self.population, quantity=quantity, detection=detection)
 
 
 def detection_of(scene: Scene, seed: int = _SEED) -> Detection:
@@ -122,17 +122,17 @@ def detection_of(scene: Scene, seed: int = _SEED) -> Detection:
     signal, truth = record(scene, seed)
     kind: ImpactKind = "pulse" if signal.quantity == "force" else "vibration"
     times = np.array([event.time for event in find_impacts(signal, kind=kind)])
-    return Detection.learned(truth["peak_force"], matched(truth["time"], times) >= 0)
+    return Detection.learned(truth["peak_force"], match_times(truth["time"], times) >= 0)
 
 
-def matched(true: NDArray[np.floating], found: NDArray[np.floating]) -> NDArray[np.intp]:
+def match_times(true: NDArray[np.floating], detected: NDArray[np.floating]) -> NDArray[np.intp]:
     """Return the number of the found impact of each true one, (n_true,), -1 where there is none; each is the nearest's.
 
     Times (n_true,) and (n_found,) are in seconds, the true ones ascending.
     """
     out = np.full(len(true), -1)
-    for number, time in enumerate(found):
+    for number, time in enumerate(detected):
         nearest = int(np.argmin(np.abs(true - time))) if len(true) else -1
-        if nearest >= 0 and abs(true[nearest] - time) < _NEAR and out[nearest] < 0:
+        if nearest >= 0 and abs(true[nearest] - time) < _MATCH_TIME and out[nearest] < 0:
             out[nearest] = number
     return out

@@ -22,15 +22,15 @@ from cgid.impactor.posterior import QUANTITIES, ImpactorPopulation
 from cgid.validation import Floats
 
 #: Classes of size, most of them, steps of the iteration, and resampled sets of impacts.
-_CLASSES, _MOST, _STEPS, _RESAMPLED = 16, 200, 60, 200
+_CLASSES, _MAX_CLASSES, _STEPS, _RESAMPLED = 16, 200, 60, 200
 #: Share of a class that goes to each neighbour after a step.
 _SMOOTHING = 0.08
 #: Impacts of a class of which a smaller share is found cannot be counted.
-LEAST_FOUND = 0.1
+MIN_DETECTED = 0.1
 #: Fewest impacts.
-_FEWEST = 5
+_MIN_IMPACTS = 5
 #: Steps of a fit of the probability to be found, and the longest.
-_NEWTON, _LONGEST = 100, 0.5
+_NEWTON, _MAX_STEP = 100, 0.5
 
 
 @dataclass(frozen=True)
@@ -62,22 +62,22 @@ class Detection:
         return np.asarray(1 / (1 + np.exp(-np.clip(np.nan_to_num(steep, nan=0.0), -700, 700))))
 
     @classmethod
-    def learned(cls, peak: ArrayLike, found: ArrayLike) -> Detection:
+    def learned(cls, peak: ArrayLike, detected: ArrayLike) -> Detection:
         """Return what simulated impacts teach: their peak forces [N], (n,), and which of them were found, (n,)."""
         log_peak = np.log(validation.positive("peak", peak, "N"))
-        hit = np.asarray(found, bool)
-        if hit.all():
+        is_detected = np.asarray(detected, bool)
+        if is_detected.all():
             return cls(0.0)
-        if not hit.any():
+        if not is_detected.any():
             raise BadData("no simulated impact was found; raise their number or lower the noise")
         middle = log_peak.mean()
-        inputs = np.stack([np.ones(hit.size), log_peak - middle], axis=1)
+        inputs = np.stack([np.ones(is_detected.size), log_peak - middle], axis=1)
         at = np.array([0.0, 1.0])
         for _ in range(_NEWTON):  # with a weak prior: separable data have no maximum
             chance = 1 / (1 + np.exp(-np.clip(inputs @ at, -50, 50)))
-            pull = inputs.T @ (hit - chance) - 1e-3 * at
+            pull = inputs.T @ (is_detected - chance) - 1e-3 * at
             bend = inputs.T @ (inputs * (chance * (1 - chance))[:, None]) + 1e-3 * np.eye(2)
-            at = at + np.clip(np.linalg.solve(bend, pull), -_LONGEST, _LONGEST)  # no farther than a parabola holds
+            at = at + np.clip(np.linalg.solve(bend, pull), -_MAX_STEP, _MAX_STEP)  # no farther than a parabola holds
         steepness = max(float(at[1]), 1e-3)
         return cls(float(np.exp(middle - at[0] / steepness)), steepness)
 
@@ -95,7 +95,7 @@ class SizeDistribution:
     found, low_found, high_found : ndarray, (n_classes,)
         Impacts found, and their 90 % interval; those without an interval of their own count as being like the others.
     total, low_total, high_total : ndarray, (n_classes,)
-        Impacts, found or not; nan where less than `LEAST_FOUND` of a class is found.
+        Impacts, found or not; nan where less than `MIN_DETECTED` of a class is found.
     probability : ndarray, (n_classes,)
         Share of a class that is found.
     n_impacts, n_unknown : int
@@ -150,37 +150,41 @@ def size_distribution(
     """
     validation.choice("quantity", quantity, QUANTITIES)
     drawn = getattr(population, f"log_{quantity}")
-    inside = _edges(quantity, drawn, edges)
-    n_classes = inside.size - 1
-    own = _class_of(drawn, inside)
-    held = (own >= 0) & (own < n_classes)
-    prior = np.bincount(own[held], minlength=n_classes) / drawn.size
-    chance = Detection(0.0) if detection is None else detection
-    told = chance.probability(population.log_peak)
-    probability = np.bincount(own[held], told[held], n_classes) / np.maximum(prior * drawn.size, 1e-300)
+    log_edges = _edges(quantity, drawn, edges)
+    n_classes = log_edges.size - 1
+    draw_class = _class_of(drawn, log_edges)
+    inside_edges = (draw_class >= 0) & (draw_class < n_classes)
+    prior = np.bincount(draw_class[inside_edges], minlength=n_classes) / drawn.size
+    detector = Detection(0.0) if detection is None else detection
+    draw_detection = detector.probability(population.log_peak)
+    probability = np.bincount(draw_class[inside_edges], draw_detection[inside_edges], n_classes) / np.maximum(
+        prior * drawn.size, 1e-300
+    )
     counted = prior > 0
-    likelihood = _likelihood(pulses, population, quantity, inside) / np.maximum(prior, 1e-300)
+    likelihood = _likelihood(pulses, population, quantity, log_edges) / np.maximum(prior, 1e-300)
     likelihood = np.where(counted & (probability > 0), likelihood / np.maximum(probability, 1e-300), 0.0)
     known = likelihood.any(axis=1)
     n = int(known.sum())
-    if n < _FEWEST:
-        raise BadData(f"a distribution needs at least {_FEWEST} impacts with an interval, got {n}; record longer")
+    if n < _MIN_IMPACTS:
+        raise BadData(f"a distribution needs at least {_MIN_IMPACTS} impacts with an interval, got {n}; record longer")
     rng = np.random.default_rng(n)
     drawn_again = rng.multinomial(n, np.full(n, 1 / n), _RESAMPLED)
     weights = np.concatenate([np.ones((1, n)), drawn_again.astype(np.float64)])
-    share = _unfolded(likelihood[known], prior * probability, weights)
-    few, seen = probability < LEAST_FOUND, np.maximum(probability, LEAST_FOUND)
-    found = len(pulses) * share
+    shares = _unfolded(likelihood[known], prior * probability, weights)
+    rarely_found, detection_probability = probability < MIN_DETECTED, np.maximum(probability, MIN_DETECTED)
+    counts = len(pulses) * shares
     # Given the shares, the class of an impact is still open, and how many were not found.
-    of_class = np.array([(part * (1 - part)).sum(axis=0) for part in _of_classes(likelihood[known], share[1:])])
-    missed = np.sqrt(found[1:] * (1 - seen)) / seen * rng.standard_normal(of_class.shape)
-    found[1:] = np.maximum(found[1:] + np.sqrt(of_class) * rng.standard_normal(of_class.shape), 0.0)
-    total = np.where(few, np.nan, found / seen)
-    total[1:] = np.maximum(total[1:] + missed, 0.0)
-    low_found, high_found = np.quantile(found[1:], [0.05, 0.95], axis=0)
+    of_class = np.array([(part * (1 - part)).sum(axis=0) for part in _of_classes(likelihood[known], shares[1:])])
+    missed_noise = (
+        np.sqrt(counts[1:] * (1 - detection_probability)) / detection_probability * rng.standard_normal(of_class.shape)
+    )
+    counts[1:] = np.maximum(counts[1:] + np.sqrt(of_class) * rng.standard_normal(of_class.shape), 0.0)
+    total = np.where(rarely_found, np.nan, counts / detection_probability)
+    total[1:] = np.maximum(total[1:] + missed_noise, 0.0)
+    low_found, high_found = np.quantile(counts[1:], [0.05, 0.95], axis=0)
     low_total, high_total = np.quantile(total[1:], [0.05, 0.95], axis=0)
     return SizeDistribution(
-        quantity, np.exp(inside), found[0], low_found, high_found, total[0], low_total, high_total, probability,
+        quantity, np.exp(log_edges), counts[0], low_found, high_found, total[0], low_total, high_total, probability,
         n, len(pulses) - n,
     )  # fmt: skip
 
@@ -190,8 +194,8 @@ def _edges(quantity: str, drawn: Floats, edges: ArrayLike | None) -> Floats:
     if edges is None:
         return np.linspace(drawn.min() - 1e-9, drawn.max() + 1e-9, _CLASSES + 1)
     given = validation.ascending("edges", validation.positive("edges", edges, QUANTITIES[quantity]))
-    if given.ndim != 1 or not 3 <= given.size <= _MOST + 1:
-        raise InvalidValue(f"edges must be 3 to {_MOST + 1} ascending numbers, got shape {given.shape}")
+    if given.ndim != 1 or not 3 <= given.size <= _MAX_CLASSES + 1:
+        raise InvalidValue(f"edges must be 3 to {_MAX_CLASSES + 1} ascending numbers, got shape {given.shape}")
     return np.log(given)
 
 
@@ -204,8 +208,8 @@ def _likelihood(pulses: MeasuredPulses, population: ImpactorPopulation, quantity
     n_classes, parts = edges.size - 1, [np.empty((0, edges.size - 1))]
     for values, weight in population.draws(pulses):
         n = len(weight)
-        own = np.clip(_class_of(values[quantity], edges), -1, n_classes) + 1 + (n_classes + 2) * np.arange(n)[:, None]
-        counts = np.bincount(own.ravel(), weight.ravel(), n * (n_classes + 2)).reshape(n, -1)
+        index = np.clip(_class_of(values[quantity], edges), -1, n_classes) + 1 + (n_classes + 2) * np.arange(n)[:, None]
+        counts = np.bincount(index.ravel(), weight.ravel(), n * (n_classes + 2)).reshape(n, -1)
         parts.append(np.asarray(counts[:, 1:-1], np.float64))
     return np.concatenate(parts)
 

@@ -31,7 +31,7 @@ _FINEST, _COARSEST = 1e-4, 3.0
 _BEHIND_BEAM = (0.005, 0.01, 0.08)
 #: Error of ln peak for what the beam leaves unexplained, over the root of its share of the energy, the largest, those
 #: of ln peak, ln width and shape over it, and from which on it is told: so that the intervals of scene `caving` cover.
-_UNEXPLAINED, _LARGEST_ERROR, _SHARES, _TOLD = 4.0, 1.2, (1.0, 0.6, 0.8), 0.2
+_UNEXPLAINED, _MAX_ERROR, _SHARES, _MIN_INFORMATION = 4.0, 1.2, (1.0, 0.6, 0.8), 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +104,8 @@ class MeasuredPulses:
         wide = np.diag(np.square(OTHER_DEVIATIONS))
         wide[0, 1] = wide[1, 0] = OTHER_CORRELATION * OTHER_DEVIATIONS[0] * OTHER_DEVIATIONS[1]
         log_peak, log_width, shape = (
-            own - self.strange * shift
-            for own, shift in zip((self.log_peak, self.log_width, self.shape), OTHER_LAWS, strict=True)
+            values - self.strange * shift
+            for values, shift in zip((self.log_peak, self.log_width, self.shape), OTHER_LAWS, strict=True)
         )
         covariance = self.covariance + self.strange[:, None, None] * wide
         return replace(self, log_peak=log_peak, log_width=log_width, shape=shape, covariance=covariance)
@@ -137,10 +137,10 @@ class MeasuredPulses:
         keep = [0, 1, 3]
         covariance = fit.covariance[:, keep][:, :, keep].copy()
         # From ln(duration) to ln(width).
-        turn = slope / relative
+        slope_ratio = slope / relative
         with np.errstate(invalid="ignore"):  # what is not finite is refused below
-            covariance[:, 1] -= turn[:, None] * covariance[:, 2]
-            covariance[:, :, 1] -= turn[:, None] * covariance[:, :, 2]
+            covariance[:, 1] -= slope_ratio[:, None] * covariance[:, 2]
+            covariance[:, :, 1] -= slope_ratio[:, None] * covariance[:, :, 2]
         problem = np.full(len(shape), "", object)
         misfit = np.nan_to_num(fit.misfit, nan=np.inf)
         strange, hopeless, saturated = misfit > FAMILY_LIMIT, misfit > HOPELESS, overload > OVERLOAD_LIMIT
@@ -172,11 +172,11 @@ class MeasuredPulses:
         with np.errstate(divide="ignore", invalid="ignore"):
             log_peak, log_width = np.log(contact.peak), np.log(contact.width)
             strange = inverted.unexplained * np.clip(1 - 1 / inverted.misfit, 0.0, 1.0)
-        error = np.minimum(_UNEXPLAINED * np.sqrt(np.nan_to_num(strange)), _LARGEST_ERROR)
+        error = np.minimum(_UNEXPLAINED * np.sqrt(np.nan_to_num(strange)), _MAX_ERROR)
         covariance = contact.covariance + np.diag(np.square(_BEHIND_BEAM))
         covariance += np.square(error)[:, None, None] * np.diag(np.square(_SHARES))
         problem = np.full(n, "", object)
-        for row in np.flatnonzero(error > _TOLD):
+        for row in np.flatnonzero(error > _MIN_INFORMATION):
             problem[row] = f"wide: the beam leaves {100 * strange[row]:.2g} % of the vibration unexplained"
         # Place and force of what is no likelier than noise alone are arbitrary.
         seen = inverted.evidence > 0

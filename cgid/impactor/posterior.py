@@ -38,7 +38,7 @@ _NODES, _DRAWS, _MORE_DRAWS = 12, 48, 96
 #: Extent of the nodes [standard deviations], and distance at which a draw could not have given the pulse.
 _REACH, _BEYOND = 3.5, 4.0
 #: Fewest draws to a shape, and fewest and most shapes.
-_PER_SHAPE, _FEWEST_SHAPES, _MOST_SHAPES = 1024, 8, 96
+_PER_SHAPE, _MIN_SHAPES, _MAX_SHAPES = 1024, 8, 96
 #: Widest kernel of draws along ln(P0 / T0^2), and along ln(size) where size is no similarity.
 _WIDEST, _ALIKE = 0.25, 0.3
 #: Cells of ln(P0 / T0^2), of ln(radius), and of a posterior.
@@ -95,8 +95,8 @@ class ImpactorEstimates:
     @classmethod
     def joined(cls, parts: list[ImpactorEstimates]) -> ImpactorEstimates:
         """Return the impacts of all parts."""
-        held = {name: np.concatenate([part.quantiles[name] for part in parts]) for name in QUANTITIES}
-        return cls(held, np.concatenate([part.reason for part in parts]))
+        quantiles = {name: np.concatenate([part.quantiles[name] for part in parts]) for name in QUANTITIES}
+        return cls(quantiles, np.concatenate([part.reason for part in parts]))
 
     @classmethod
     def unknown(cls, reason: NDArray[np.str_]) -> ImpactorEstimates:
@@ -146,15 +146,15 @@ class ImpactorPopulation:
         All are (n, n_draws). The weights of a row sum to 1, or to 0 where the population excludes the pulse.
         """
         for part in self._seen(pulses).blocks(_ROWS):
-            found, weight, _ = self._moved(part)
-            yield found, weight
+            values, weight, _ = self._moved(part)
+            yield values, weight
 
     def _seen(self, pulses: MeasuredPulses) -> MeasuredPulses:
         return pulses.widened() if self.of_family else pulses
 
     def _posterior(self, pulses: MeasuredPulses) -> ImpactorEstimates:
-        found, weight, excluded = self._moved(pulses)
-        quantiles = {name: np.exp(values) for name, values in _quantiles(found, weight).items()}
+        values, weight, excluded = self._moved(pulses)
+        quantiles = {name: np.exp(logarithms) for name, logarithms in _quantiles(values, weight).items()}
         return ImpactorEstimates(quantiles, pulses.without(excluded).problem)
 
     def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, dict[int, str]]:
@@ -163,27 +163,27 @@ class ImpactorPopulation:
         shape, density, given = table.nodes(pulses)
         given_shape = _given_shape(pulses, shape)
         rows, many = table.around(shape, given_shape[0], given_shape[2])
-        size_free, time, spread, lag, rest = (one.astype(np.float32)[:, :, None] for one in given_shape)
-        apart = table.size_free[rows] - size_free
-        half = np.abs(apart).max(axis=2, keepdims=True)
+        size_free, time, spread, lag, residual_std = (one.astype(np.float32)[:, :, None] for one in given_shape)
+        distance = table.size_free[rows] - size_free
+        half = np.abs(distance).max(axis=2, keepdims=True)
         kernel = np.minimum(0.4 * half, _WIDEST) ** 2
         wide = spread**2 + kernel
         # Draws from farther away than the error of the pulse are moved towards it.
-        moved = apart * (spread / np.sqrt(wide))
-        faster = (moved - apart) / SPEED_POWER
+        moved = distance * (spread / np.sqrt(wide))
+        faster = (moved - distance) / SPEED_POWER
         log_speed = table.log_speed[rows] + faster
-        later = time + lag * moved + rest * table.jitter
+        later = time + lag * moved + residual_std * table.jitter
         growth = later - table.time[rows]
         log_radius = table.log_radius[rows] + growth - TIME_POWER * faster
-        near = -0.5 * apart**2 / wide
+        log_weight = -0.5 * distance**2 / wide
         if not self.similar:
-            near -= 0.5 * (growth / _ALIKE) ** 2
-        reached = near > -0.5 * _BEYOND**2
+            log_weight -= 0.5 * (growth / _ALIKE) ** 2
+        reached = log_weight > -0.5 * _BEYOND**2
         fits = table.radii(table.group[rows], log_radius)
         # Where all speeds are equal, the error of the pulse moves them apart; it must not where they have bounds.
         margin = _NARROWEST + _REACH / SPEED_POWER * np.minimum(spread, 2 * _NARROWEST)
         fits *= (log_speed >= table.speeds[0] - margin) & (log_speed <= table.speeds[1] + margin)
-        weight = np.exp(near) * reached * fits
+        weight = np.exp(log_weight) * reached * fits
         weight *= (many * density / np.sqrt(wide[:, :, 0])).astype(np.float32)[:, :, None]
         n = len(shape)
         weight = weight.reshape(n, -1)
@@ -191,10 +191,10 @@ class ImpactorPopulation:
         usable = np.isfinite(total[:, 0]) & (total[:, 0] > 0) & pulses.usable
         weight = np.where(usable[:, None], weight / np.where(usable[:, None], total, 1.0), 0.0)
         log_mass = table.log_density[rows] + 3 * log_radius
-        found = {"mass": log_mass, "radius": log_radius, "speed": log_speed}
+        values = {"mass": log_mass, "radius": log_radius, "speed": log_speed}
         excluded = np.flatnonzero(~usable & pulses.usable)
         why = {row: self._excluded(pulses, row, given, reached, given_shape[0]) for row in excluded.tolist()}
-        return {name: values.reshape(n, -1) for name, values in found.items()}, weight, why
+        return {name: one.reshape(n, -1) for name, one in values.items()}, weight, why
 
     def _excluded(
         self, pulses: MeasuredPulses, row: int, given: NDArray[np.bool_], reached: NDArray[np.bool_], size_free: Floats
@@ -231,16 +231,16 @@ class _Table:
     def __init__(self, population: ImpactorPopulation) -> None:
         shape = population.shape
         n = shape.size
-        self.n_shapes = int(np.clip(n // _PER_SHAPE, _FEWEST_SHAPES, _MOST_SHAPES))
+        self.n_shapes = int(np.clip(n // _PER_SHAPE, _MIN_SHAPES, _MAX_SHAPES))
         low, high = np.quantile(shape, [0.0005, 0.9995])
         low, high = low - 1e-3, max(high, low + _NARROWEST) + 1e-3
         self.lowest, self.highest, self.step = low, high, (high - low) / self.n_shapes
-        own = self._shape_of(shape)
+        shape_index = self._shape_of(shape)
         log_peak, log_width = dimensionless_logarithms(shape, "peak", "width")
         time = population.log_width - log_width
         size_free = population.log_peak - log_peak - 2 * time
-        order = np.lexsort((size_free, own))
-        counts = np.bincount(own, minlength=self.n_shapes)
+        order = np.lexsort((size_free, shape_index))
+        counts = np.bincount(shape_index, minlength=self.n_shapes)
         self.first, self.count = np.cumsum(counts) - counts, counts
         # Single precision errs by 1e-6 of a logarithm, and is twice as fast.
         log_density = population.log_mass - 3 * population.log_radius
@@ -253,7 +253,7 @@ class _Table:
         self.origin, self.cell = size_free.min() - 1e-6, max(np.ptp(size_free), 1e-3) * (1 + 1e-6) / (_CELLS - 1)
         cells = ((self.size_free - self.origin) / self.cell).astype(np.intp) + 1
         grid = np.zeros((self.n_shapes, _CELLS + 1))
-        np.add.at(grid, (own[order], cells), 1.0)
+        np.add.at(grid, (shape_index[order], cells), 1.0)
         self.ranks = np.cumsum(grid, axis=1)
         self.speeds = self.log_speed.min(), self.log_speed.max()
         even = _normal(_DRAWS if population.similar else _MORE_DRAWS)
@@ -294,29 +294,29 @@ class _Table:
         given = low < high
         low, high = np.where(given, low, self.lowest), np.where(given, high, self.highest)
         shape = low[:, None] + (high - low)[:, None] * ((np.arange(_NODES) + 0.5) / _NODES)
-        away = (shape - pulses.shape[:, None]) / deviation[:, None]
-        likely = np.exp(-0.5 * (away**2 - np.min(away**2, axis=1, keepdims=True)))
+        offset = (shape - pulses.shape[:, None]) / deviation[:, None]
+        likely = np.exp(-0.5 * (offset**2 - np.min(offset**2, axis=1, keepdims=True)))
         return shape, likely * given[:, None], given
 
     def around(self, shape: Floats, size_free: Floats, spread: Floats) -> tuple[NDArray[np.intp], Floats]:
         """Return the draws around points, (n, n_nodes, n_draws), and how many each of them stands for."""
-        own = self._shape_of(shape)
+        shape_index = self._shape_of(shape)
         n_draws = self.jitter.size
-        counted = self.count[own]
-        low, high = (self._rank(own, size_free + side * 2.5 * spread) for side in (-1, 1))
+        counted = self.count[shape_index]
+        low, high = (self._rank(shape_index, size_free + side * 2.5 * spread) for side in (-1, 1))
         lacking = np.maximum(n_draws - (high - low), 0) / 2
         low = np.clip(low - lacking, 0, np.maximum(counted - n_draws, 0))
         high = np.clip(np.maximum(high + lacking, low + n_draws), 0, counted)
         low = np.minimum(low, np.maximum(high - n_draws, 0))
         each = np.maximum(high - low, 0) / n_draws
         picks = (low[:, :, None] + each[:, :, None] * (np.arange(n_draws) + 0.5)).astype(np.intp)
-        rows = self.first[own][:, :, None] + np.minimum(picks, np.maximum(counted - 1, 0)[:, :, None])
+        rows = self.first[shape_index][:, :, None] + np.minimum(picks, np.maximum(counted - 1, 0)[:, :, None])
         return np.minimum(rows, self.size_free.size - 1), np.where(counted > 0, each, 0.0)
 
-    def _rank(self, own: NDArray[np.intp], size_free: Floats) -> Floats:
+    def _rank(self, shape_index: NDArray[np.intp], size_free: Floats) -> Floats:
         place = np.clip((size_free - self.origin) / self.cell, 0, _CELLS - 1e-6)
         cell = place.astype(np.intp)
-        flat, start = self.ranks.reshape(-1), own * (_CELLS + 1) + cell
+        flat, start = self.ranks.reshape(-1), shape_index * (_CELLS + 1) + cell
         below = flat[start]
         return np.asarray(below + (place - cell) * (flat[start + 1] - below))
 
@@ -326,18 +326,20 @@ def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats,
 
     And the deviation of the first, the slope of the second along it, and what deviation this leaves.
     """
-    c, away = pulses.covariance, shape - pulses.shape[:, None]
+    c, offset = pulses.covariance, shape - pulses.shape[:, None]
     slope = c[:, :2, 2] / c[:, 2:, 2]
     left = c[:, :2, :2] - slope[:, :, None] * c[:, None, :2, 2]
     log_peak, log_width = dimensionless_logarithms(shape, "peak", "width")
-    time = pulses.log_width[:, None] + slope[:, 1:] * away - log_width
-    size_free = pulses.log_peak[:, None] + slope[:, :1] * away - log_peak - 2 * time
+    time = pulses.log_width[:, None] + slope[:, 1:] * offset - log_width
+    size_free = pulses.log_peak[:, None] + slope[:, :1] * offset - log_peak - 2 * time
     width = np.maximum(left[:, 1, 1], 1e-10)
     variance = np.maximum(left[:, 0, 0] - 4 * left[:, 0, 1] + 4 * width, 1e-10)
     lag = (left[:, 0, 1] - 2 * width) / variance
-    rest = np.sqrt(np.maximum(width - lag**2 * variance, 0.0))
-    spread, lag, rest = (np.broadcast_to(one[:, None], shape.shape) for one in (np.sqrt(variance), lag, rest))
-    return size_free, time, spread, lag, rest
+    residual_std = np.sqrt(np.maximum(width - lag**2 * variance, 0.0))
+    spread, lag, residual_std = (
+        np.broadcast_to(one[:, None], shape.shape) for one in (np.sqrt(variance), lag, residual_std)
+    )
+    return size_free, time, spread, lag, residual_std
 
 
 def _normal(n: int) -> Floats:
@@ -354,18 +356,18 @@ def _quantiles(values: dict[str, Floats], weight: Floats) -> dict[str, Floats]:
     row = np.repeat(np.arange(known.size), n_counted[known])
     first = np.searchsorted(row, np.arange(known.size))
     heavy, start = weight[counted], row * _POSTERIOR
-    found = {}
+    quantiles = {}
     for name, column in values.items():
-        found[name] = np.full((n, LEVELS.size), np.nan)
+        quantiles[name] = np.full((n, LEVELS.size), np.nan)
         if known.size:
-            own = column[counted]
-            low, high = np.minimum.reduceat(own, first), np.maximum.reduceat(own, first)
+            selected = column[counted]
+            low, high = np.minimum.reduceat(selected, first), np.maximum.reduceat(selected, first)
             cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
-            place = ((own - low[row]) / cell[row] + 0.5).astype(np.intp)
+            place = ((selected - low[row]) / cell[row] + 0.5).astype(np.intp)
             mass = np.bincount(start + np.minimum(place, _POSTERIOR - 1), heavy, known.size * _POSTERIOR)
             at = _crossed(np.asarray(mass.reshape(-1, _POSTERIOR), np.float64))
-            found[name][known] = low[:, None] + cell[:, None] * (at - 0.5)
-    return found
+            quantiles[name][known] = low[:, None] + cell[:, None] * (at - 0.5)
+    return quantiles
 
 
 def _crossed(mass: Floats) -> Floats:

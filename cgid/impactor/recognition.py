@@ -179,14 +179,14 @@ def of_material(
     one = np.ones(len(pulses))
     speed = np.stack([one, -2 * one, in_shape[0]], axis=1) / SPEED_POWER
     radius = np.stack([0 * one, one, in_shape[1]], axis=1) - TIME_POWER * speed
-    found = {
+    logarithms = {
         "radius": (log_radius, radius),
         "speed": (log_speed, speed),
         "mass": (density + 3 * log_radius, 3 * radius),
     }
     scores = np.array([NormalDist().inv_cdf(level) for level in LEVELS.tolist()])
     quantiles = {}
-    for name, (middle, slope) in found.items():
+    for name, (middle, slope) in logarithms.items():
         deviation = np.sqrt(np.einsum("ni,nij,nj->n", slope, pulses.covariance, slope))
         spread = np.exp(middle[:, None] + deviation[:, None] * scores)
         quantiles[name] = np.where(pulses.usable[:, None], spread, np.nan)

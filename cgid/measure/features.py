@@ -251,13 +251,13 @@ def extract_array(
         part = frames[first * each : (first + n_rows) * each]
         if equalisation is not None:
             part = equalisation.apply(part, rate)
-        found, sound, batches = _sound(part, names, make, each)
+        problems, usable, batches = _usable(part, names, make, each)
         vibrations = batches.get("vibration")
         if channel is not None and isinstance(vibrations, VibrationBatch):
-            vibrations.channel = channel[first + sound]
-        if found and invalid == "raise":
-            _raise_first(found, first, len(part) // each, len(out))
-        out[first + sound] = _measured(batches, names, sound.size)
+            vibrations.channel = channel[first + usable]
+        if problems and invalid == "raise":
+            _raise_first(problems, first, len(part) // each, len(out))
+        out[first + usable] = _measured(batches, names, usable.size)
     return out
 
 
@@ -296,14 +296,18 @@ def _as_rows(samples: ArrayLike, each: int, names: tuple[str, ...]) -> ArrayLike
     return frames.reshape(-1, frames.shape[2])
 
 
-def _of_all(found: dict[int, str], each: int) -> dict[int, str]:
+def _of_all(problems: dict[int, str], each: int) -> dict[int, str]:
     """Return the problems of signals all of whose sensors, in `each` successive rows, have one."""
     if each == 1:
-        return found
-    return {row // each: found[row] for row in found if row % each == 0 and found.keys() >= {*range(row, row + each)}}
+        return problems
+    return {
+        row // each: problems[row]
+        for row in problems
+        if row % each == 0 and problems.keys() >= {*range(row, row + each)}
+    }
 
 
-def _sound(
+def _usable(
     frames: NDArray[np.floating],
     names: tuple[str, ...],
     make: Callable[[NDArray[np.floating]], Batches],
@@ -311,10 +315,10 @@ def _sound(
 ) -> tuple[dict[int, str], NDArray[np.intp], Batches]:
     """Return the problems by signal, the signals without a problem, and the batches of these."""
     batches = make(frames)
-    found = _of_all(_problems(batches, names), each)
-    sound = np.delete(np.arange(len(frames) // each), np.fromiter(found, np.intp))
+    problems = _of_all(_problems(batches, names), each)
+    sound = np.delete(np.arange(len(frames) // each), np.fromiter(problems, np.intp))
     rows = (sound[:, None] * each + np.arange(each)).ravel()
-    return found, sound, make(frames[rows]) if found else batches
+    return problems, sound, make(frames[rows]) if problems else batches
 
 
 def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
@@ -352,22 +356,22 @@ def _batches(
 
 def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
     """Return the problems by row; a fit demands less of a pulse than quantities read off the samples."""
-    found: dict[int, str] = {}
+    problems: dict[int, str] = {}
     fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
     for batch in batches.values():
         if isinstance(batch, PulseBatch) and True in fitted:
-            found |= batch.fit_problems()
+            problems |= batch.fit_problems()
         if not isinstance(batch, PulseBatch) or False in fitted:
-            found |= batch.problems()
-    return found
+            problems |= batch.problems()
+    return problems
 
 
-def _raise_first(found: dict[int, str], first_row: int, n_rows: int, n_signals: int) -> None:
+def _raise_first(problems: dict[int, str], first_row: int, n_rows: int, n_signals: int) -> None:
     """Raise `BadData` for the first row with a problem; row 0 of the block is signal `first_row`."""
-    row, last_row = min(found), first_row + n_rows - 1
+    row, last_row = min(problems), first_row + n_rows - 1
     where = f"signal {first_row + row}: " if n_signals > 1 else ""
-    more = f" ({len(found)} of signals {first_row} to {last_row} cannot be measured)" if len(found) > 1 else ""
-    raise BadData(f"{where}{found[row]}{more}")
+    more = f" ({len(problems)} of signals {first_row} to {last_row} cannot be measured)" if len(problems) > 1 else ""
+    raise BadData(f"{where}{problems[row]}{more}")
 
 
 # -- truncated frames ---------------------------------------------------------------------------------

@@ -32,9 +32,9 @@ _ROWS = 32
 #: Width of the edge of a scene's sensor, over the edge frequency.
 SENSOR_TAPER = 0.5
 #: Lowest edge of an impulse response over the sampling rate: limits the ringing to a million samples.
-_LOWEST_EDGE = 2.0**-14
+_MIN_EDGE = 2.0**-14
 #: Most samples of a mixing matrix (2 GiB).
-_MOST_MIXED = 1 << 14
+_MAX_MIXED = 1 << 14
 #: Extent of an impulse response: periods of its edge, and smallest value over its largest.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
 #: Largest gain of an equalisation [dB]: it cannot restore what a sensor does not record.
@@ -150,29 +150,32 @@ def low_pass_response(sampling_rate: float, edge: float) -> Floats:
     1.0
     """
     edge = validation.number("bandwidth", edge, "Hz")
-    validation.between("bandwidth", edge, _LOWEST_EDGE * sampling_rate, sampling_rate / 2, "Hz")
+    validation.between("bandwidth", edge, _MIN_EDGE * sampling_rate, sampling_rate / 2, "Hz")
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
     frequency = np.asarray(np.fft.rfftfreq(n, 1 / sampling_rate), np.float64)
     gain = filter_gain(frequency, sampling_rate, None, edge, SENSOR_TAPER)
     response = np.fft.irfft(gain, n=n)[: n // 2]
     # Ringing below 1e-5 of the largest value is cut off.
-    kept = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
-    return np.asarray(response[: kept[-1] + 1])
+    significant = np.flatnonzero(np.abs(response) > _RESPONSE_FLOOR * response[0])
+    return np.asarray(response[: significant[-1] + 1])
 
 
 def mixing_matrix(response: Floats, n_samples: int) -> Floats:
     """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples.
 
-    Raise `InvalidValue` for more than `_MOST_MIXED` samples.
+    Raise `InvalidValue` for more than `_MAX_MIXED` samples.
     """
-    if n_samples > _MOST_MIXED:
+    if n_samples > _MAX_MIXED:
         raise InvalidValue(
-            f"a pulse seen through a bandwidth must last at most {_MOST_MIXED} samples with what rings beside it, got "
+            f"a pulse seen through a bandwidth must last at most {_MAX_MIXED} samples with what rings beside it, got "
             f"{n_samples}; leave the bandwidth out, which so long a pulse hardly feels, or take fewer samples"
         )
     lags = np.zeros(2 * n_samples - 1)
-    kept = response[:n_samples]
-    lags[n_samples - len(kept) : n_samples], lags[n_samples - 1 : n_samples - 1 + len(kept)] = kept[::-1], kept
+    truncated = response[:n_samples]
+    lags[n_samples - len(truncated) : n_samples], lags[n_samples - 1 : n_samples - 1 + len(truncated)] = (
+        truncated[::-1],
+        truncated,
+    )
     return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(lags, n_samples)[::-1])
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.colour import ORDER, Colour, colour_of
-from cgid.measure.excerpts import Rows, rows_of, windows
+from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
+from cgid.measure.fit_samples import Rows, rows_of, windows
 from cgid.measure.frames import constant_signal
 from cgid.measure.optimum import Optimum, Problem, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
@@ -211,7 +211,7 @@ def _fit_block(
             reach[rows] = own.reach
         found = Found.joined(found_of)
         parts, sigma = [], noise_over_peak.copy()
-        colour = None if n_quiet is None else colour_of(samples, n_quiet, MODEL_ERROR * unit)
+        colour = None if n_quiet is None else ar_noise_of(samples, n_quiet, MODEL_ERROR * unit)
         for rows, coloured in _by_colour(len(samples), colour):
             levels = (offset[rows], clip_level[rows], unit[rows])
             for window in windows(samples, guess[rows], *levels, response is None, ORDER * coloured, rows):
@@ -221,7 +221,7 @@ def _fit_block(
                     problem.colour = colour.of(own_rows)
                     if window.run > 1:
                         floor = MODEL_ERROR * unit[own_rows]
-                        problem.colour = colour_of(samples[own_rows], n_quiet[own_rows], floor, window.run)
+                        problem.colour = ar_noise_of(samples[own_rows], n_quiet[own_rows], floor, window.run)
                     sigma[own_rows] = problem.colour.innovation / unit[own_rows] * np.sqrt(window.run)
                 parts.append((own_rows, problem))
         guess[:, [0, 4]] /= unit[:, None]
@@ -230,7 +230,7 @@ def _fit_block(
         return _report(problems, best, sigma, noise_over_peak, unit, found, reach)
 
 
-def _by_colour(n: int, colour: Colour | None) -> list[tuple[NDArray[np.intp], bool]]:
+def _by_colour(n: int, colour: ARNoise | None) -> list[tuple[NDArray[np.intp], bool]]:
     """Return the rows with white noise, and those with coloured noise and True; without the empty ones."""
     coloured = np.empty(0, np.intp) if colour is None else colour.rows
     white = np.delete(np.arange(n), coloured)

@@ -72,8 +72,8 @@ class Frames:
         for name, known in vars(self).items():
             arrays = known if isinstance(known, tuple) else (known,)
             if all(isinstance(array, np.ndarray) and len(array) == len(self.samples) for array in arrays):
-                chosen = tuple(array[rows] for array in arrays)
-                part.__dict__[name] = chosen if isinstance(known, tuple) else chosen[0]
+                selected = tuple(array[rows] for array in arrays)
+                part.__dict__[name] = selected if isinstance(known, tuple) else selected[0]
         return part
 
     @cached_property

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.measure.excerpts import rows_of, windows
 from cgid.measure.filters import low_pass_response, mixing_matrix
+from cgid.measure.fit_samples import rows_of, windows
 from cgid.measure.optimum import Problem, bounded, normal_equations
 from cgid.measure.template import (
     HIGHEST_SHAPE,

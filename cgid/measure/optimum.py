@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.colour import Colour
-from cgid.measure.excerpts import Rows, Window, rows_of
+from cgid.measure.ar_noise import ARNoise
 from cgid.measure.filters import mixing_matrix
+from cgid.measure.fit_samples import Rows, Window, rows_of
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -49,7 +49,7 @@ class Problem:
         self.free = free_parameters(onset is not None, fit_baseline)
         #: The mean over a run of samples is the curve at its middle plus this share of its second difference.
         self.blur = (1 - window.run**-2) / 24 if window.run > 1 else 0.0
-        self.colour: Colour | None = None
+        self.colour: ARNoise | None = None
         self.mixing = None
         if response is not None:
             self.mixing = mixing_matrix(response, window.values.shape[1])

@@ -18,13 +18,13 @@ WAVEFORM_COLUMNS = 4096
 #: Most columns of a spectrogram, and approximate number of its bands, evenly spaced in log frequency.
 SPECTROGRAM_COLUMNS, SPECTROGRAM_BANDS = 1024, 200
 #: Longest segment of the spectra [s].
-LONGEST_SEGMENT_TIME = 0.2
+MAX_SEGMENT_TIME = 0.2
 #: Shortest and longest segment [samples], powers of two; shorter only for a recording that is shorter itself.
 SEGMENTS = (64, 8192)
 #: Least length of the recording over that of a segment, within these bounds.
 _SEGMENTS_IN_RECORDING = 64
 #: Shortest segment with a useful spectrum [samples].
-_SHORTEST_SEGMENT = 16
+_MIN_SEGMENT = 16
 #: Samples per channel and segments processed at once: bounds the memory for blocks of any size.
 _SAMPLES_AT_ONCE, _SEGMENTS_AT_ONCE = 65536, 64
 #: Largest sample: larger ones are no measurements, and their power overflows.
@@ -178,11 +178,11 @@ def segment_length(sampling_rate: float, n_samples: int | None) -> int:
     (8192, 1024, 0)
     """
     shortest, longest = SEGMENTS
-    longest = max(min(_power_of_two(sampling_rate * LONGEST_SEGMENT_TIME), longest), shortest)
+    longest = max(min(_power_of_two(sampling_rate * MAX_SEGMENT_TIME), longest), shortest)
     if n_samples is None:
         return longest
-    wanted = min(max(_power_of_two(n_samples / _SEGMENTS_IN_RECORDING), shortest), longest, _power_of_two(n_samples))
-    return wanted if wanted >= _SHORTEST_SEGMENT else 0
+    length = min(max(_power_of_two(n_samples / _SEGMENTS_IN_RECORDING), shortest), longest, _power_of_two(n_samples))
+    return length if length >= _MIN_SEGMENT else 0
 
 
 def _power_of_two(number: float) -> int:
@@ -199,23 +199,23 @@ class _Columns:
 
     def __init__(self, join: np.ufunc, shape: tuple[int, ...], most: int) -> None:
         self._join, self._most = join, most
-        self._held = np.zeros((*shape, most))
+        self._columns = np.zeros((*shape, most))
         self.step, self.taken = 1, 0
 
     def add(self, values: Floats) -> None:
         """Add the next values, (*shape, n)."""
         while values.shape[-1]:
-            room = self._most * self.step - self.taken
-            self._put(values[..., :room])
-            values = values[..., room:]
+            n_free = self._most * self.step - self.taken
+            self._put(values[..., :n_free])
+            values = values[..., n_free:]
             if self.taken == self._most * self.step:
-                pairs = self._held.reshape(*self._held.shape[:-1], self._most // 2, 2)
-                self._held[..., : self._most // 2] = self._join(pairs[..., 0], pairs[..., 1])
+                pairs = self._columns.reshape(*self._columns.shape[:-1], self._most // 2, 2)
+                self._columns[..., : self._most // 2] = self._join(pairs[..., 0], pairs[..., 1])
                 self.step *= 2
 
     def values(self) -> Floats:
         """Return the columns so far, (*shape, n_columns)."""
-        return self._held[..., : -(-self.taken // self.step)].copy()
+        return self._columns[..., : -(-self.taken // self.step)].copy()
 
     def counts(self) -> NDArray[np.int64]:
         """Return the number of values in each column, (n_columns,)."""
@@ -227,8 +227,8 @@ class _Columns:
         starts = np.append(0, np.arange(self.step - begun, n, self.step)) if begun else np.arange(0, n, self.step)
         joined = self._join.reduceat(values, starts, axis=-1)
         if begun:
-            joined[..., 0] = self._join(self._held[..., first], joined[..., 0])
-        self._held[..., first : first + len(starts)] = joined
+            joined[..., 0] = self._join(self._columns[..., first], joined[..., 0])
+        self._columns[..., first : first + len(starts)] = joined
         self.taken += n
 
 
@@ -248,19 +248,19 @@ class _Spectra:
         highest = sampling_rate / 2
         self.band_edges = np.minimum((self._edges - 0.5) * (sampling_rate / max(segment, 1)), highest)
         self._columns = _Columns(np.add, (n_channels, n_bands), SPECTROGRAM_COLUMNS)
-        self._rest = np.empty((n_channels, 0))
+        self._remaining = np.empty((n_channels, 0))
 
     def feed(self, samples: Floats) -> None:
         """Add the next samples, (n_channels, n_samples)."""
         if not self._segment:
             return
-        samples = np.concatenate([self._rest, samples], axis=1)
+        samples = np.concatenate([self._remaining, samples], axis=1)
         n_segments = max((samples.shape[1] - self._segment) // self._hop + 1, 0)
         if n_segments:
             segments = sliding_window_view(samples, self._segment, axis=1)[:, :: self._hop]
             for start in range(0, n_segments, _SEGMENTS_AT_ONCE):
                 self._add(segments[:, start : start + _SEGMENTS_AT_ONCE])
-        self._rest = samples[:, n_segments * self._hop :].copy()
+        self._remaining = samples[:, n_segments * self._hop :].copy()
 
     def mean(self) -> Floats:
         """Return the mean power density, (n_channels, n_bins)."""

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.counting import count
-from cgid.measure.excerpts import strongest_run
 from cgid.measure.fit import MODEL_ERROR, PulseFit, Start, fit_pulses, without_impact
+from cgid.measure.fit_samples import strongest_run
 from cgid.measure.frames import Frames, constant_signal
-from cgid.measure.remainder import N_SHAPES, Remainder, remainder
+from cgid.measure.residual import N_SHAPES, Residual, fit_residual
 from cgid.measure.search import around
 from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature, bank, described
@@ -26,7 +26,7 @@ MINIMUM_SAMPLES = 4
 #: Smallest width (impulse over peak) of a pulse that can be fitted [samples].
 MINIMUM_WIDTH = 1.5
 #: Recommended number of samples in contact, for messages.
-WANTED_SAMPLES = 20
+RECOMMENDED_SAMPLES = 20
 #: Lower of the two levels from which contact is extrapolated to zero: over the noise, and its bounds over the peak.
 #: Without noise, the duration is .2 % too short at restitution .5, 1.2 % at .4 and 9 % at .3: the tail of a strongly
 #: damped pulse lies below any level.
@@ -43,7 +43,7 @@ MOST_UNEXPLAINED, MOST_OVERLOAD = 4.5, 1.2
 #: and up to that one, in contact durations; hum and drift hardly change over it. Such a share of the peak is strange.
 _RING_LAG, _RING_FROM, _RING_TO, MOST_RINGING = 1.5, 1.2, 11.2, 0.03
 #: Samples of a contact duration that are looked at, and the fewest differences that show ringing.
-_RING_STEPS, _FEWEST_RINGING = 8, 8
+_RING_STEPS, _MIN_RINGING = 8, 8
 
 
 class PulseBatch(Frames):
@@ -207,11 +207,13 @@ class PulseBatch(Frames):
         window, place = self._window[0], self._peak_column
         rising, falling = self.crossings(0.8)
         offset = np.arange(window.shape[1]) - place[:, None]
-        near = (offset >= np.minimum(rising - place, -1)[:, None]) & (offset <= np.maximum(falling - place, 1)[:, None])
+        in_reach = (offset >= np.minimum(rising - place, -1)[:, None]) & (
+            offset <= np.maximum(falling - place, 1)[:, None]
+        )
         scale = np.maximum(falling - rising, 2.0)[:, None]
-        u = np.where(near, offset / scale, 0.0)
-        moments = [near.sum(axis=1).astype(np.float64)] + [np.sum(u**k, axis=1) for k in (1, 2, 3, 4)]
-        weighted = np.where(near, window, 0.0)
+        u = np.where(in_reach, offset / scale, 0.0)
+        moments = [in_reach.sum(axis=1).astype(np.float64)] + [np.sum(u**k, axis=1) for k in (1, 2, 3, 4)]
+        weighted = np.where(in_reach, window, 0.0)
         right = np.stack([np.sum(weighted * u**k, axis=1) for k in (0, 1, 2)], axis=1)
         matrix = np.stack([np.stack(moments[k : k + 3], axis=1) for k in (0, 1, 2)], axis=1)
         fit = np.linalg.solve(matrix, right[..., None])[..., 0]
@@ -249,7 +251,7 @@ class PulseBatch(Frames):
         """The most likely damped-Hertz pulse, times in samples of the frame; nan where there is no rise."""
         alive = np.flatnonzero((self.peak > 0) & (np.ptp(self.samples, axis=1) > 0))
         count("fits", alive.size)
-        found = fit_pulses(
+        fitted = fit_pulses(
             self.samples[alive],
             self.fit_start.rows(alive),
             self.noise[alive],
@@ -257,7 +259,7 @@ class PulseBatch(Frames):
             clip_level=None if self.clip_level is None else self.clip_level[alive],
             n_quiet=self.n_quiet[alive],
         )
-        return found if alive.size == len(self.samples) else found.spread(alive, len(self.samples))
+        return fitted if alive.size == len(self.samples) else fitted.spread(alive, len(self.samples))
 
     @cached_property
     def fit_start(self) -> Start:
@@ -288,7 +290,7 @@ class PulseBatch(Frames):
         return np.maximum(self.fit.peak / self.clip_level - 1, 0.0)
 
     @cached_property
-    def remainder(self) -> Remainder:
+    def residual(self) -> Residual:
         """What the fitted pulse leaves; nan where there is no fit."""
         fit, n = self.fit, len(self.samples)
         rows = np.flatnonzero(np.isfinite(fit.shape) & (fit.peak > 0) & (fit.width > 0))
@@ -297,14 +299,14 @@ class PulseBatch(Frames):
         noise = np.hypot(self.noise, MODEL_ERROR * np.maximum(fit.peak, 0.0))
         taken = (fit.onset[rows] + 0.5 * fit.width[rows], fit.width[rows], self.offset[rows], level[rows])
         for part, samples in around(self.samples[rows], *taken, 1.3):
-            own = rows[part]
-            pulse = (fit.peak[own], fit.width[own], fit.onset[own], fit.shape[own])
-            found = remainder(samples, *pulse, noise[own])
-            components[own], unexplained[own] = found.components, found.unexplained
+            selected = rows[part]
+            pulse = (fit.peak[selected], fit.width[selected], fit.onset[selected], fit.shape[selected])
+            residuals = fit_residual(samples, *pulse, noise[selected])
+            components[selected], unexplained[selected] = residuals.components, residuals.unexplained
         # Steep, so that what is clipped less, or rings less, stays as it is.
         guessed = MOST_UNEXPLAINED * np.minimum((self.overload / MOST_OVERLOAD) ** 8, 100.0)
         ringing = MOST_UNEXPLAINED * np.minimum((self.ringing / MOST_RINGING) ** 4, 100.0)
-        return Remainder(components, np.maximum(np.maximum(unexplained, fit.stray), np.maximum(guessed, ringing)))
+        return Residual(components, np.maximum(np.maximum(unexplained, fit.stray), np.maximum(guessed, ringing)))
 
     @cached_property
     def ringing(self) -> Floats:
@@ -318,20 +320,20 @@ class PulseBatch(Frames):
         inside = at[:, lag:] <= last
         count, step = inside.sum(axis=1), after[:, lag:] - after[:, :-lag]
         power = np.sum(step**2, axis=1, where=inside) / (2 * np.maximum(count, 1)) - 2 * self.noise**2
-        seen = (count >= _FEWEST_RINGING) & (fit.peak > 0)
+        seen = (count >= _MIN_RINGING) & (fit.peak > 0)
         return np.where(seen, np.sqrt(np.maximum(power, 0.0)) / np.where(seen, fit.peak, 1.0), 0.0)
 
     def fit_problems(self) -> dict[int, str]:
         """Map each row that cannot be fitted to the broken rule, its value and the remedy."""
-        found = without_impact(self.samples, self.fit)
+        problems = without_impact(self.samples, self.fit)
         middle = self.fit.onset + 0.5 * self.fit.duration
         for row in np.flatnonzero((self.fit.onset < -0.5) | (middle > self.samples.shape[1] - 1)):
-            found.setdefault(int(row), self._cut_off(self.fit.onset[row] < -0.5))
+            problems.setdefault(int(row), self._cut_off(self.fit.onset[row] < -0.5))
         for row in np.flatnonzero(self.fit.width < MINIMUM_WIDTH):
             width = self.fit.width[row]
-            said = f"{width:.3g} samples of width"
-            found.setdefault(int(row), self._too_short(width, said, MINIMUM_WIDTH, WANTED_SAMPLES / 2))
-        return found
+            width_text = f"{width:.3g} samples of width"
+            problems.setdefault(int(row), self._too_short(width, width_text, MINIMUM_WIDTH, RECOMMENDED_SAMPLES / 2))
+        return problems
 
     # -- the spectrum ---------------------------------------------------------------------------------
 
@@ -346,23 +348,25 @@ class PulseBatch(Frames):
 
     def problems(self) -> dict[int, str]:
         """Map each row that cannot be measured to the broken rule, its value and the remedy."""
-        found: dict[int, str] = {}
+        problems: dict[int, str] = {}
         first, last = self._edges
         count = last - first + 1
         for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > 0)):
-            found[int(row)] = (
+            problems[int(row)] = (
                 f"no impact: the peak must pass {self.detection_limit:g} times the noise, it is {self.peak[row]:.3g} "
                 f"over a noise of {self.noise[row]:.3g}; if the pulse points downwards, invert the signal"
             )
         cut_off = (first == 0) | (last == self.samples.shape[1] - 1)
         for row in np.flatnonzero(cut_off):
             if np.ptp(self.samples[row]) == 0:
-                found.setdefault(int(row), constant_signal(self.samples[row, 0]))
-            found.setdefault(int(row), self._cut_off(first[row] == 0))
+                problems.setdefault(int(row), constant_signal(self.samples[row, 0]))
+            problems.setdefault(int(row), self._cut_off(first[row] == 0))
         for row in np.flatnonzero(count < MINIMUM_SAMPLES):
-            said = f"{count[row]} samples above 10 % of its peak"
-            found.setdefault(int(row), self._too_short(max(count[row], 1), said, MINIMUM_SAMPLES, WANTED_SAMPLES))
-        return found
+            width_text = f"{count[row]} samples above 10 % of its peak"
+            problems.setdefault(
+                int(row), self._too_short(max(count[row], 1), width_text, MINIMUM_SAMPLES, RECOMMENDED_SAMPLES)
+            )
+        return problems
 
     def _cut_off(self, by_start: bool) -> str:
         end, sample = ("start", 0) if by_start else ("end", self.samples.shape[1] - 1)
@@ -370,11 +374,12 @@ class PulseBatch(Frames):
             f"the pulse must lie inside the frame, it is cut off by its {end} (sample {sample}): record a longer frame"
         )
 
-    def _too_short(self, samples: float, said: str, needed: float, wanted: float) -> str:
+    def _too_short(self, samples: float, width_text: str, needed: float, recommended: float) -> str:
         span = samples / self.sampling_rate
         return (
-            f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse {said}; {needed:g} are "
-            f"needed and {wanted:g} wanted: use {wanted / span:.3g} Hz or more"
+            f"sampling_rate {self.sampling_rate:g} Hz gives this {span * 1e3:.3g} ms pulse {width_text}; {needed:g} "
+            "are "
+            f"needed and {recommended:g} wanted: use {recommended / span:.3g} Hz or more"
         )
 
 
@@ -438,10 +443,10 @@ PULSE_FEATURES: tuple[Feature | Bank, ...] = (
             "fitted_peak_deviation": lambda p: np.sqrt(p.fit.covariance[:, 0, 0]),
         }
     ),
-    bank("pulse_shape_*", lambda p, n: p.remainder.components[:, n], [str(n + 1) for n in range(N_SHAPES)]),
+    bank("pulse_shape_*", lambda p, n: p.residual.components[:, n], [str(n + 1) for n in range(N_SHAPES)]),
     *described(
         {
-            "unexplained": lambda p: p.remainder.unexplained,
+            "unexplained": lambda p: p.residual.unexplained,
             "misfit": lambda p: p.fit.misfit,
             "overload": lambda p: p.overload,
         }

@@ -99,16 +99,16 @@ class TriangularBands:
         gap = np.clip(np.searchsorted(self.corners, frequency, side="right") - 1, 0, len(self))
         rise = (frequency - self.corners[gap]) / np.diff(self.corners)[gap]
         begin = np.searchsorted(gap, np.arange(len(self) + 1))
-        held = np.flatnonzero(np.diff(np.append(begin, gap.size)))
+        starts = np.flatnonzero(np.diff(np.append(begin, gap.size)))
         # Bins first: the sums then run along all rows at once, but separately for each row.
         part = np.ascontiguousarray(energy.reshape(-1, energy.shape[-1])[:, first:stop].T)
         out = np.zeros((len(self) + 2, part.shape[1]))
-        if held.size:
-            whole = np.add.reduceat(part, begin[held], axis=0)
+        if starts.size:
+            complete = np.add.reduceat(part, begin[starts], axis=0)
             part *= rise[:, None]
-            rising = np.add.reduceat(part, begin[held], axis=0)
-            out[held + 1] += rising
-            out[held] += whole - rising
+            rising = np.add.reduceat(part, begin[starts], axis=0)
+            out[starts + 1] += rising
+            out[starts] += complete - rising
         return np.ascontiguousarray(out[1:-1].T).reshape(*energy.shape[:-1], len(self))
 
 
@@ -167,10 +167,10 @@ class EnergySpectrum:
 
     def _below(self, frequency: float) -> Floats:
         place, last = frequency / self.spacing + 0.5, self.energy.shape[1] - 1
-        whole = min(int(place), last)
+        n_bins = min(int(place), last)
         # The first and the last bin have half a width, above 0 Hz and below half the sampling rate.
-        share = place - whole if 0 < whole < last else 2 * (place - whole) - (whole == 0)
-        before, after = self._running[:, whole], self._running[:, whole + 1]
+        share = place - n_bins if 0 < n_bins < last else 2 * (place - n_bins) - (n_bins == 0)
+        before, after = self._running[:, n_bins], self._running[:, n_bins + 1]
         return np.asarray(before + min(share, 1.0) * (after - before))
 
     # -- shape ----------------------------------------------------------------------------------------
@@ -224,14 +224,14 @@ class EnergySpectrum:
         out, reach = np.empty((len(energy), count)), np.arange(energy.shape[1])
         for place in range(count):
             top = np.argmax(maxima, axis=1)
-            found = maxima[rows, top] > 0
+            has_peak = maxima[rows, top] > 0
             before, peak, after = (padded[rows, top + step] for step in range(3))
             bend = before - 2 * peak + after
             # A parabola through three bins; at the ends of the spectrum there are only two.
             inside = (bend < 0) & (before >= 0) & (after >= 0)
             shift = np.where(inside, 0.5 * (before - after) / np.where(inside, bend, -1.0), 0.0)
             last = out[:, place - 1] if place else np.zeros(len(energy))
-            out[:, place] = np.where(found, (top + shift) * self.spacing, last)
+            out[:, place] = np.where(has_peak, (top + shift) * self.spacing, last)
             maxima[np.abs(reach - top[:, None]) * self.spacing < apart] = 0.0
         return out
 
@@ -250,8 +250,8 @@ class PulseSpectrum:
     """
 
     def __init__(self, windows: Floats, touch: Floats, separation: Floats, sampling_rate: float) -> None:
-        wanted = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
-        lengths = np.asarray(2 ** np.ceil(np.log2(wanted)).astype(np.intp))
+        min_length = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
+        lengths = np.asarray(2 ** np.ceil(np.log2(min_length)).astype(np.intp))
         top = np.minimum(SPECTRUM_LIMIT / ((separation - touch) / sampling_rate), sampling_rate / 2)
         self.n_bins = np.floor(top * lengths / sampling_rate).astype(np.intp) + 1
         power = np.zeros((len(lengths), int(self.n_bins.max())))
@@ -260,8 +260,8 @@ class PulseSpectrum:
             rows = np.flatnonzero(lengths == length)
             columns = first[rows, None] + np.arange(int(np.ceil((separation - touch)[rows].max())) + 1)
             force = np.where(columns <= last, windows[rows[:, None], np.minimum(columns, last)], 0.0)
-            kept = int(self.n_bins[rows].max())
-            power[rows, :kept] = np.abs(np.fft.rfft(force, n=int(length)))[:, :kept] ** 2
+            max_bins = int(self.n_bins[rows].max())
+            power[rows, :max_bins] = np.abs(np.fft.rfft(force, n=int(length)))[:, :max_bins] ** 2
         power[np.arange(power.shape[1]) >= self.n_bins[:, None]] = 0.0
         self.frequency, self.power = np.arange(power.shape[1]) * (sampling_rate / lengths)[:, None], power
 
@@ -334,14 +334,14 @@ def frame_spectra(samples: Floats, length: int, sampling_rate: float) -> tuple[f
     return spectrum.spacing, spectrum.energy.reshape(len(samples), frames.shape[1], -1)
 
 
-def padded_length(wanted: int) -> int:
-    """Return a length of at least `wanted` samples with a fast transform: four to eight times a power of two.
+def padded_length(length: int) -> int:
+    """Return a length of at least `length` samples with a fast transform: four to eight times a power of two.
 
     >>> padded_length(882), padded_length(1024)
     (896, 1024)
     """
-    step = 1 << max(wanted.bit_length() - 3, 1)
-    return -(-wanted // step) * step
+    step = 1 << max(length.bit_length() - 3, 1)
+    return -(-length // step) * step
 
 
 def passage(running: Floats, share: float) -> Floats:

@@ -355,30 +355,30 @@ class VibrationBatch(Frames):
 
     def problems(self) -> dict[int, str]:
         """Map each row that cannot be measured to the broken rule, its value and the remedy."""
-        found: dict[int, str] = {}
+        problems: dict[int, str] = {}
         for row in np.flatnonzero(np.ptp(self.samples, axis=1) == 0):
-            found[int(row)] = constant_signal(self.samples[row, 0])
+            problems[int(row)] = constant_signal(self.samples[row, 0])
         for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > SMALLEST_PEAK)):
-            found.setdefault(
+            problems.setdefault(
                 int(row),
                 f"no impact: the signal must leave its baseline by {self.detection_limit:g} times the noise, it does "
                 f"by {self.peak[row]:.3g} over a noise of {self.noise[row]:.3g}; record nearer or with less noise",
             )
         if self.pre_trigger is None:
             for row in np.flatnonzero(self.first == 0):
-                found.setdefault(
+                problems.setdefault(
                     int(row),
                     "the vibration must begin inside the frame, it is cut off by its start (sample 0): record some "
                     "samples before touch",
                 )
         for row in np.flatnonzero(self.samples.shape[1] - self.first < SHORTEST_EVENT * self.sampling_rate):
             there = (self.samples.shape[1] - self.first[row]) / self.sampling_rate
-            found.setdefault(
+            problems.setdefault(
                 int(row),
                 f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the frame, it is cut off by its end after "
                 f"{there * 1e3:.3g} ms: record a longer frame",
             )
-        return found
+        return problems
 
 
 def _onset_threshold(peak: Floats, noise: Floats) -> Floats:

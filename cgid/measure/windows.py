@@ -226,14 +226,14 @@ class WindowBatch:
 
     def problems(self) -> dict[int, str]:
         """Map each row that cannot be measured to the broken rule, its value and the remedy."""
-        found: dict[int, str] = {}
+        problems: dict[int, str] = {}
         constant = np.ptp(self.samples, axis=1) == 0
         for row in np.flatnonzero(constant | ~(self.mean_square > SMALLEST_RMS**2)):
-            found[int(row)] = (
+            problems[int(row)] = (
                 f"a window must hold a signal, all its samples are {self.samples[row, 0]:g}; check the sensor and its "
                 "cable"
             )
-        return found
+        return problems
 
 
 def _over_frames(levels: Floats) -> tuple[Floats, Floats]:
@@ -280,9 +280,9 @@ def _triangular(
 ) -> tuple[Bank, Bank, Bank]:
     """Return banks of the mean, of the mean relative to the total level, and of the deviation over the frames."""
     highest = np.maximum(bands.corners[2:], LEAST_BANDWIDTH).tolist()
-    own = partial(_bank, labels=bands.labels, highest_frequency=highest)
-    mean = own(f"window_{of}_*_hz", lambda w, n: measured(w)[0][:, n])
-    deviation = own(f"window_{of}_deviation_*_hz", lambda w, n: measured(w)[1][:, n])
+    bank_of = partial(_bank, labels=bands.labels, highest_frequency=highest)
+    mean = bank_of(f"window_{of}_*_hz", lambda w, n: measured(w)[0][:, n])
+    deviation = bank_of(f"window_{of}_deviation_*_hz", lambda w, n: measured(w)[1][:, n])
     return mean, mean.less(f"window_relative_{of}_*_hz", _LEVEL), deviation
 
 

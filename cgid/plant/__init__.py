@@ -79,10 +79,10 @@ class PlantOutputs:
     def _close(self, grace: float = 3.0) -> None:
         # First those that pass on what waits: the others show how it ended.
         for passing in (True, False):
-            own = [service for service in self._services if isinstance(service, Output) is passing]
-            for service in own:
+            services = [service for service in self._services if isinstance(service, Output) is passing]
+            for service in services:
                 service.request_end()
-            for service in own:
+            for service in services:
                 service.wait(grace)
 
     def begin(
@@ -99,10 +99,11 @@ class PlantOutputs:
 
         Raises `InvalidValue` if a command waits for a decision that this model cannot make.
         """
-        asked = next((kind for kind, command in self._commands.items() if command is not None), None)
-        if asked is not None and threshold is None:
+        decision = next((kind for kind, command in self._commands.items() if command is not None), None)
+        if decision is not None and threshold is None:
             raise InvalidValue(
-                f"--on-{asked} needs a model that tells gangue from coal, this one has no gangue; name its labels with "
+                f"--on-{decision} needs a model that tells gangue from coal, this one has no gangue; name its labels "
+                "with "
                 "--gangue"
             )
         self.plant.begin(source, channels, rows, unit, threshold, behind)

@@ -15,7 +15,7 @@ from cgid.errors import InvalidValue
 from cgid.plant.output import Output
 
 #: A command that takes longer is ended [s]; at most this many turns wait for it.
-LONGEST_RUN, MOST_TURNS = 30.0, 100
+MAX_RUN_TIME, MAX_PENDING = 30.0, 100
 #: Descriptors that starting a command takes, with room to spare.
 N_RESERVED = 10
 
@@ -27,7 +27,7 @@ class Command(Output):
     """
 
     def __init__(self, option: str, command: str, kind: str, warn: Callable[[str], None]) -> None:
-        super().__init__(option, warn, MOST_TURNS)
+        super().__init__(option, warn, MAX_PENDING)
         try:
             self._words = shlex.split(command, posix=os.name != "nt")
         except ValueError as error:
@@ -38,7 +38,7 @@ class Command(Output):
                 f"{option} must begin with a program that can be run, got {word!r}; give its whole path (a line for a "
                 "shell: sh -c 'LINE')"
             )
-        self._kind, self._longest = kind, LONGEST_RUN
+        self._kind, self._longest = kind, MAX_RUN_TIME
         self.up = True
         self.reserved: list[int] = []
 
@@ -94,5 +94,5 @@ class Command(Output):
             fault = f"failed with exit code {done.returncode}" if done.returncode else ""
         self.up, self.passed = not fault, self.passed + (not fault)
         if fault:
-            self._said = ""  # each turn that was missed is worth a line
-            self.say(f"the command {fault} (channel {record['channel']}, {record['time_s']:.6g} s)")
+            self._last_message = ""  # each turn that was missed is worth a line
+            self.report(f"the command {fault} (channel {record['channel']}, {record['time_s']:.6g} s)")

@@ -19,8 +19,8 @@ from cgid.validation import UNKNOWN
 #: Version of the registers.
 VERSION = 1
 #: Registers of the head and of each support; most supports.
-HEAD, WIDTH, MOST_SUPPORTS = 16, 16, 256
-_SIZE = HEAD + WIDTH * MOST_SUPPORTS
+HEAD, WIDTH, MAX_SUPPORTS = 16, 16, 256
+_SIZE = HEAD + WIDTH * MAX_SUPPORTS
 _NOT_KNOWN = 0xFFFF
 #: A client that asks nothing for this time is disconnected [s].
 TIMEOUT = 60.0
@@ -77,10 +77,10 @@ def answered(request: bytes, plant: PlantState) -> bytes:
 def registers(plant: PlantState, supports: dict[str, Support]) -> list[int]:
     """Return all registers: the head, then those of each support in the order of the channels."""
     head = [VERSION, plant.beats & 0xFFFF, _tenths(plant.age), _tenths(plant.behind), len(supports), int(plant.ended)]
-    found = head + [0] * (HEAD - len(head))
-    for support in list(supports.values())[:MOST_SUPPORTS]:
+    values = head + [0] * (HEAD - len(head))
+    for support in list(supports.values())[:MAX_SUPPORTS]:
         total, unknown = support.labels.total(), support.labels[UNKNOWN]
-        own = [
+        of_support = [
             support.state,
             *(_share(value) for value in (support.share, support.low, support.high)),
             min(support.impacts, _NOT_KNOWN),
@@ -91,8 +91,8 @@ def registers(plant: PlantState, supports: dict[str, Support]) -> list[int]:
             _tenths(since(support.turned_at)),
             support.turns["shut"] & 0xFFFF,
         ]
-        found += own + [0] * (WIDTH - len(own))
-    return found
+        values += of_support + [0] * (WIDTH - len(of_support))
+    return values
 
 
 def _share(value: float) -> int:

@@ -18,9 +18,9 @@ from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library
 from cgid.plant.state import PlantState
 
 #: Most messages that the broker has not acknowledged.
-_MOST_ON_THE_WAY = 200
+_MAX_IN_FLIGHT = 200
 #: A broker that says nothing for this time hangs [s]; pings come this often [s].
-_PATIENCE, _KEEPALIVE = 10.0, 15
+_TIMEOUT, _KEEPALIVE = 10.0, 15
 #: At the end, time for the rest of the messages [s].
 _GRACE = 2.0
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
@@ -82,10 +82,10 @@ class Mqtt(Output):
         # Messages on the way, by paho's number: whether they count; and those acknowledged before `publish` returned.
         self._pending: dict[int, bool] = {}
         self._early: set[int] = set()
-        self._asked_at = time.monotonic()
+        self._disconnected_at = time.monotonic()
         self._client = client = paho.Client(paho.CallbackAPIVersion.VERSION2)
         client.reconnect_delay_set(FIRST_PAUSE, MAX_PAUSE)
-        client.max_inflight_messages_set(2 * _MOST_ON_THE_WAY)
+        client.max_inflight_messages_set(2 * _MAX_IN_FLIGHT)
         client.will_set(self._topic("status"), "offline", qos=1, retain=True)
         client.on_connect, client.on_disconnect = self._connected, self._disconnected
         client.on_connect_fail, client.on_publish = self._failed, self._acknowledged
@@ -103,7 +103,7 @@ class Mqtt(Output):
         if self._broker.secure:
             self._client.tls_set_context(_tls())
         elif password is not None and not _LOOPBACK.match(self._broker.host):
-            self.say("the password travels unencrypted; use mqtts://")
+            self.report("the password travels unencrypted; use mqtts://")
 
     def put(self, record: dict[str, Any]) -> None:
         """Let a message wait, with its number."""
@@ -117,19 +117,19 @@ class Mqtt(Output):
         while not self._ending:
             if (record := self._next(self._is_ready)) is not None:
                 self._publish_line(record)
-            elif not self.up and time.monotonic() - self._asked_at > _PATIENCE and not self._said:
-                self.say("the broker does not answer; the answers go on, messages wait")
+            elif not self.up and time.monotonic() - self._disconnected_at > _TIMEOUT and not self._last_message:
+                self.report("the broker does not answer; the answers go on, messages wait")
         self._end()
 
     def _is_ready(self) -> bool:
-        return self.up and self._on_the_way < _MOST_ON_THE_WAY
+        return self.up and self._on_the_way < _MAX_IN_FLIGHT
 
     def _end(self) -> None:
         """Publish what waits, say goodbye, and how many messages are lost."""
         until = time.monotonic() + _GRACE
-        if self._waiting and not self._said:  # a short stream: the connection is just being made
+        if self._waiting and not self._last_message:  # a short stream: the connection is just being made
             with self._changed:
-                self._changed.wait_for(lambda: self.up or self._said, _GRACE)
+                self._changed.wait_for(lambda: self.up or self._last_message, _GRACE)
         while self.up and self._waiting and time.monotonic() < until:
             with self._changed:
                 self._changed.wait_for(lambda: not self.up or self._is_ready(), until - time.monotonic())
@@ -140,7 +140,7 @@ class Mqtt(Output):
             with self._changed:
                 self._changed.wait_for(lambda: not self.up or not self._on_the_way, until - time.monotonic())
         if lost := self._number - self.passed:
-            self.say(f"{lost} of {self._number} messages were not delivered")
+            self.report(f"{lost} of {self._number} messages were not delivered")
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -169,12 +169,12 @@ class Mqtt(Output):
                 self._pending[number] = ours
 
     def _topic(self, kind: str, channel: str | None = None) -> str:
-        own = "" if channel is None else "/" + quote(channel, safe=" ")
-        return f"{self._broker.topic}/{kind}{own}"
+        channel_topic = "" if channel is None else "/" + quote(channel, safe=" ")
+        return f"{self._broker.topic}/{kind}{channel_topic}"
 
     def _connected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self.say(f"the broker refuses ({reason}); the answers go on, messages wait")
+            self.report(f"the broker refuses ({reason}); the answers go on, messages wait")
             return
         self._publish(self._topic("status"), "online", retain=True)
         for channel in self._plant.read(list):
@@ -182,21 +182,21 @@ class Mqtt(Output):
         with self._changed:
             self.up = True
             self._changed.notify_all()
-        if self._said:
-            self.say(f"connected; {self.dropped} messages were dropped so far")
-            self._said = ""
+        if self._last_message:
+            self.report(f"connected; {self.dropped} messages were dropped so far")
+            self._last_message = ""
 
     def _disconnected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         with self._changed:
-            was, self.up, self._asked_at = self.up, False, time.monotonic()
+            was, self.up, self._disconnected_at = self.up, False, time.monotonic()
             self._changed.notify_all()
         if was and not self._ending:
-            self.say(f"the broker is gone ({reason}); the answers go on, messages wait")
+            self.report(f"the broker is gone ({reason}); the answers go on, messages wait")
 
     def _failed(self, _client: Any, _data: Any) -> None:
         error = sys.exc_info()[1]  # paho calls this while it handles the error
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())
-        self.say(f"the broker cannot be reached ({reason}); the answers go on, messages wait")
+        self.report(f"the broker cannot be reached ({reason}); the answers go on, messages wait")
 
     def _acknowledged(self, _client: Any, _data: Any, number: int, _reason: Any, _properties: Any) -> None:
         with self._changed:

@@ -20,7 +20,7 @@ MAX_WAITING = 10_000
 FIRST_PAUSE, MAX_PAUSE = 1, 30
 #: Clients of a server; after one was sent away, the next is let in after this time [s], which leaves the rest to the
 #: answers of the monitor.
-MAX_CLIENTS, _REST = 10, 0.01
+MAX_CLIENTS, _PAUSE_AFTER_EVICTION = 10, 0.01
 
 
 class Service:
@@ -34,7 +34,7 @@ class Service:
         self._changed = Condition()
         self._ending = False
         self._thread = Thread(target=self._guarded, name=name, daemon=True)
-        self._said = ""
+        self._last_message = ""
 
     def run(self) -> None:
         """Work until `_ending`."""
@@ -55,10 +55,10 @@ class Service:
         if self._thread.ident is not None:
             self._thread.join(grace)
 
-    def say(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Print a line about this output, unless it is the same as the last one."""
-        if text != self._said:
-            self._said = text
+        if text != self._last_message:
+            self._last_message = text
             with suppress(OSError, ValueError):  # stderr is gone
                 self._warn(f"{self.name}: {text}")
 
@@ -67,7 +67,7 @@ class Service:
             self.run()
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            self.say(f"this output has ended ({reason}); the answers go on without it")
+            self.report(f"this output has ended ({reason}); the answers go on without it")
 
 
 class Output(Service):
@@ -122,14 +122,14 @@ class Address(NamedTuple):
         >>> Address.of("--modbus", ":1502"), Address.of("--modbus", "[::1]:502")
         (Address(host='127.0.0.1', port=1502), Address(host='::1', port=502))
         """
-        found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%]+)\]|([^\s:/\[\]]*)):(\d{1,5})", text)
-        if found is None or not 1 <= int(found[3]) <= 65535:
+        match = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%]+)\]|([^\s:/\[\]]*)):(\d{1,5})", text)
+        if match is None or not 1 <= int(match[3]) <= 65535:
             file = ", or a file .html" if option == "--live" else ""
             raise InvalidValue(
                 f"{option} must be HOST:PORT with a port from 1 to 65535{file}, such as :8080 (this machine alone) or "
                 f"0.0.0.0:8080 (all of the network), got {text!r}"
             )
-        return cls(found[1] or found[2] or "127.0.0.1", int(found[3]))
+        return cls(match[1] or match[2] or "127.0.0.1", int(match[3]))
 
     def __str__(self) -> str:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
@@ -138,13 +138,13 @@ class Address(NamedTuple):
         """Return a socket that is bound here; raises `CannotCreate` if it cannot be."""
         try:
             family = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0][0]
-            found = socket.socket(family, socket.SOCK_STREAM)
+            bound_socket = socket.socket(family, socket.SOCK_STREAM)
             try:
-                found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                found.bind(self[:2])
-                found.listen(64)
+                bound_socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                bound_socket.bind(self[:2])
+                bound_socket.listen(64)
             except OSError:
-                found.close()
+                bound_socket.close()
                 raise
         except PermissionError:
             raise CannotCreate(
@@ -155,7 +155,7 @@ class Address(NamedTuple):
                 f"{option} {self}: the address must be free and of this machine ({error.strerror or error}); choose "
                 "another, or end what listens there"
             ) from None
-        return found
+        return bound_socket
 
 
 class Server(Service):
@@ -222,7 +222,7 @@ class _Listener(socketserver.ThreadingTCPServer):
         if oldest is not None and before is not None:
             _disconnect(oldest)
             before.join(1.0)
-            time.sleep(_REST)
+            time.sleep(_PAUSE_AFTER_EVICTION)
         thread = Thread(target=self.process_request_thread, args=(request, client_address), daemon=True)
         with self._lock:
             refused = self._is_full()

@@ -24,7 +24,7 @@ STATES = ("unknown", "open", "shut")
 #: Shares and answers that the page shows.
 _SHARES, _ANSWERS = 300, 200
 #: Waveforms last this long [s], in bins of this time [s], and are kept for the first channels only.
-SHOWN_TIME, BIN_TIME, MOST_WAVEFORMS = 5.0, 0.005, 16
+SHOWN_TIME, BIN_TIME, MAX_WAVEFORMS = 5.0, 0.005, 16
 #: The largest sample of a waveform is this integer.
 _PIXELS = 10_000
 
@@ -179,7 +179,7 @@ class Waveform:
     def add(self, block: NDArray[Any], sampling_rate: float) -> None:
         """Take the next samples (n_channels, n_samples)."""
         length = max(round(BIN_TIME * sampling_rate), 1)
-        shown, size = block[:MOST_WAVEFORMS], block.shape[1]
+        shown, size = block[:MAX_WAVEFORMS], block.shape[1]
         starts = np.arange(-(self._seen % length), size, length)
         first = self._seen // length
         self._seen += size

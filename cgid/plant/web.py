@@ -40,17 +40,17 @@ def web_services(
     options: dict[Address, str] = {}
     if prometheus is not None:
         address = Address.of("--prometheus", prometheus)
-        own, options[address] = routes.setdefault(address, {}), "--prometheus"
-        own["/metrics"] = metrics_of(plant), "text/plain; version=0.0.4; charset=utf-8"
+        its_routes, options[address] = routes.setdefault(address, {}), "--prometheus"
+        its_routes["/metrics"] = metrics_of(plant), "text/plain; version=0.0.4; charset=utf-8"
     if live is not None and live.lower().endswith((".html", ".htm")):
         yield PageFile(live, plant, warn)
     elif live is not None:
         address = Address.of("--live", live)
-        own, options[address] = routes.setdefault(address, {}), options.get(address, "--live")
-        own["/"] = (lambda: page().encode()), _HTML
-        own["/state.json"] = (lambda: _json(plant).encode()), "application/json"
-    for address, own in routes.items():
-        yield WebServer(options[address], address, own, warn)
+        its_routes, options[address] = routes.setdefault(address, {}), options.get(address, "--live")
+        its_routes["/"] = (lambda: page().encode()), _HTML
+        its_routes["/state.json"] = (lambda: _json(plant).encode()), "application/json"
+    for address, its_routes in routes.items():
+        yield WebServer(options[address], address, its_routes, warn)
 
 
 class WebServer(Server):
@@ -99,8 +99,8 @@ def _host(header: str) -> str:
     >>> _host("localhost:8080"), _host("[::1]:8080"), _host("::1")
     ('localhost', '::1', '::1')
     """
-    found = re.fullmatch(r"\[(.*)\](?::\d*)?|([^:]*)(?::\d*)?", header.strip())
-    return (found[1] or found[2] or "") if found else header.strip()
+    match = re.fullmatch(r"\[(.*)\](?::\d*)?|([^:]*)(?::\d*)?", header.strip())
+    return (match[1] or match[2] or "") if match else header.strip()
 
 
 def _is_loopback(name: str, given: str = "localhost") -> bool:
@@ -134,9 +134,9 @@ class PageFile(Service):
                 ending = self._changed.wait_for(lambda: self._ending, _EVERY)
             try:
                 self._write()
-                self._said = ""
+                self._last_message = ""
             except OSError as error:
-                self.say(f"{error}; the answers go on")
+                self.report(f"{error}; the answers go on")
             if ending:
                 return
 
@@ -174,10 +174,10 @@ def metrics_of(plant: PlantState) -> Callable[[], bytes]:
                 ("passed", "Messages that an output has delivered", counter),
                 ("dropped", "Messages that an output has dropped", counter),
             ):
-                found = family(f"cgid_outlet_{name}", text, labels=["outlet"])
+                metric = family(f"cgid_outlet_{name}", text, labels=["outlet"])
                 for state in states:
-                    found.add_metric([state["name"]], float(state[name]))
-                yield found
+                    metric.add_metric([state["name"]], float(state[name]))
+                yield metric
 
     registry: Any = client.CollectorRegistry(auto_describe=False)
     registry.register(Collector())
@@ -194,16 +194,16 @@ def _families(supports: dict[str, Any], gauge: Any, counter: Any) -> Iterator[An
         ("window_impacts", "Identified impacts in the window", lambda one: one.impacts),
         ("window_unknown", "Unknown impacts in the window", lambda one: one.unknown),
     ):
-        found = gauge(f"cgid_{name}", text, labels=["channel"])
+        metric = gauge(f"cgid_{name}", text, labels=["channel"])
         for channel, one in supports.items():
-            found.add_metric([channel], value(one))
-        yield found
+            metric.add_metric([channel], value(one))
+        yield metric
     for name, text, label, counts in (
         ("answers", "Answers since the start", "label", "labels"),
         ("turns", "Turns of the decision since the start", "turn", "turns"),
     ):
-        found = counter(f"cgid_{name}", text, labels=["channel", label])
+        metric = counter(f"cgid_{name}", text, labels=["channel", label])
         for channel, one in supports.items():
             for key, count in getattr(one, counts).items():
-                found.add_metric([channel, key], count)
-        yield found
+                metric.add_metric([channel, key], count)
+        yield metric

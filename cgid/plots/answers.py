@@ -12,7 +12,7 @@ from cgid.plots.recording import LONGEST_LABEL, MOST_CHANNELS, WIDTH, Clock
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
-    from cgid.identification.share import Share, Turn
+    from cgid.identification.share import Share, Switch
 
 #: Height of a panel of shares and of the title [inches].
 _SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
@@ -22,7 +22,7 @@ _DRAWN_HEIGHT, _FIRST_ROCKS, _STEPS = 4.2, 20, (1.0, 2.0, 5.0, 10.0, 30.0, 60.0,
 
 
 def share_figure(
-    shares: Sequence[Share], turns: Sequence[Turn], duration: float, *, threshold: float | None = None
+    shares: Sequence[Share], turns: Sequence[Switch], duration: float, *, threshold: float | None = None
 ) -> Any:
     """Draw the share of gangue over time with its interval, in one panel per channel.
 
@@ -30,7 +30,7 @@ def share_figure(
     ----------
     shares : sequence of Share
         At least one; only the first `MOST_CHANNELS` channels are drawn.
-    turns : sequence of Turn
+    turns : sequence of Switch
     duration : float
         Duration of the recording [s].
     threshold : float, optional
@@ -50,15 +50,15 @@ def share_figure(
     clock = Clock(0.0, duration)
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     for axes, name in zip(panels, names, strict=True):
-        own = [share for share in shares if share.channel == name]
-        _share(axes, own, clock)
+        of_channel = [share for share in shares if share.channel == name]
+        _share(axes, of_channel, clock)
         if threshold is not None:
             axes.axhline(
                 threshold, color="0.4", ls="--", lw=1, label=f"above {threshold:.3g} going on costs more than it brings"
             )
-        for turn in turns:
-            if turn.share.channel == name:
-                _turn(axes, turn, clock)
+        for switch in turns:
+            if switch.share.channel == name:
+                _draw_switch(axes, switch, clock)
         if len(names) > 1:
             axes.set_title(f"channel {plain(name)}", loc="left", fontsize="medium", parse_math=False)
         axes.set(ylim=(0, 1), ylabel="share of gangue", xlim=clock.limits)
@@ -75,11 +75,11 @@ def _share(axes: Any, shares: Sequence[Share], clock: Clock) -> None:
     axes.plot(times, mean, color=_LINE, marker="o", ms=3, lw=1.4, label="share of gangue")
 
 
-def _turn(axes: Any, turn: Turn, clock: Clock) -> None:
-    (place,) = clock.of(np.array([turn.time]))
-    axes.axvline(place, color=_LIMIT, lw=1.8 if turn.shut else 1.0, ls="-" if turn.shut else ":")
+def _draw_switch(axes: Any, switch: Switch, clock: Clock) -> None:
+    (place,) = clock.of(np.array([switch.time]))
+    axes.axvline(place, color=_LIMIT, lw=1.8 if switch.shut else 1.0, ls="-" if switch.shut else ":")
     axes.annotate(
-        "shut" if turn.shut else "open again",
+        "shut" if switch.shut else "open again",
         (place, 0.97),
         xytext=(-4, 0),
         textcoords="offset points",
@@ -87,11 +87,11 @@ def _turn(axes: Any, turn: Turn, clock: Clock) -> None:
         va="top",
         color=_LIMIT,
         fontsize="small",
-        fontweight="bold" if turn.shut else "normal",
+        fontweight="bold" if switch.shut else "normal",
     )
 
 
-def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Sequence[Turn]) -> Any:
+def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Sequence[Switch]) -> Any:
     """Return a figure of the cumulative share of gangue against the recovered coal, one curve per channel.
 
     `times` are those of the answers of each channel [s], each of which counts as one rock; its share must be known at
@@ -101,10 +101,10 @@ def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Se
     figure = require_matplotlib()(figsize=(WIDTH, _DRAWN_HEIGHT), layout="constrained")
     axes = figure.subplots()
     for name, colour in zip(names, colours_of(names).values(), strict=True):
-        own = [share for share in shares if share.channel == name]
+        of_channel = [share for share in shares if share.channel == name]
         title = f"channel {plain(name, LONGEST_LABEL)}" if len(names) > 1 else "by the answers"
-        shut = [turn.time for turn in turns if turn.shut and turn.share.channel == name]
-        draw_drawn(axes, times[name], gangue_at(times[name], own), shut, colour=colour, title=title)
+        shut = [switch.time for switch in turns if switch.shut and switch.share.channel == name]
+        draw_drawn(axes, times[name], gangue_at(times[name], of_channel), shut, colour=colour, title=title)
     finish_drawn(axes)
     return figure
 

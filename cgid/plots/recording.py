@@ -32,7 +32,7 @@ WIDTH, _TITLE, _STRIP_ROW, _WAVEFORM, _SPECTROGRAM, _SPECTRUM = 11.0, 0.6, 0.19,
 #: Largest number of channels with rows of full size, and the factor that reduces the rows of more.
 _FULL_SIZE, _SHRUNK = 3, 0.65
 #: Space for text between two rows [inches].
-_ROOM = 0.35
+_MARGIN = 0.35
 _WAVEFORM_COLOUR = "#303030"
 
 
@@ -64,20 +64,20 @@ def overview_figure(
     strip = [_STRIP_ROW * len(colours)] if colours else []
     shrunk = 1.0 if len(channels) <= _FULL_SIZE else _SHRUNK
     heights = [*[*strip, _WAVEFORM * shrunk, _SPECTROGRAM * shrunk] * len(channels), _SPECTRUM]
-    figure = require_matplotlib()(figsize=(WIDTH, sum(heights) + _ROOM * len(heights) + _TITLE), layout="constrained")
+    figure = require_matplotlib()(figsize=(WIDTH, sum(heights) + _MARGIN * len(heights) + _TITLE), layout="constrained")
     figure.suptitle("\n".join(plain(line) for line in (title, facts) if line), parse_math=False, fontsize="medium")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights, width_ratios=(1, 0.016), wspace=0.01)
     rows, clock, shared = iter(range(len(heights))), Clock(begin, begin + overview.duration), None
     for k, channel in enumerate(channels):
-        own = [mark for mark in marks if mark.channel in (None, channel.name)]
+        of_channel = [mark for mark in marks if mark.channel in (None, channel.name)]
         shared = top = waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
         if colours:
-            draw_marks(top, own, colours, clock)
+            draw_marks(top, of_channel, colours, clock)
             waveform = figure.add_subplot(grid[next(rows), 0], sharex=shared)
         top.set_title(_name(channel, len(channels)), loc="left", fontsize="medium", parse_math=False)
         draw_waveform(waveform, overview, k, channel, clock)
-        if len(own) <= _FEW_MARKS and sum(mark.end - mark.time for mark in own) <= overview.duration:
-            _shade(waveform, own, colours, clock)
+        if len(of_channel) <= _FEW_MARKS and sum(mark.end - mark.time for mark in of_channel) <= overview.duration:
+            _shade(waveform, of_channel, colours, clock)
         row = next(rows)
         spectrogram, scale = (figure.add_subplot(grid[row, column], sharex=(shared, None)[column]) for column in (0, 1))
         draw_spectrogram(spectrogram, scale, overview, k, channel, clock)
@@ -115,8 +115,8 @@ def draw_waveform(axes: Any, overview: Overview, k: int, channel: Channel, clock
         outline = (np.repeat(each, 2) for each in (low, high))
         axes.fill_between(np.repeat(edges, 2)[1:-1], *outline, fc=_WAVEFORM_COLOUR, ec=_WAVEFORM_COLOUR, lw=0.6)
     bottom, top = float(lowest.min()), float(highest.max())
-    room = 0.06 * (top - bottom) or 0.1 * abs(top) or 1.0
-    axes.set(ylabel=_quantity(channel), xlim=clock.limits, ylim=(bottom - room, top + room))
+    margin = 0.06 * (top - bottom) or 0.1 * abs(top) or 1.0
+    axes.set(ylabel=_quantity(channel), xlim=clock.limits, ylim=(bottom - margin, top + margin))
     axes.grid(alpha=0.25)
 
 
@@ -145,11 +145,11 @@ def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clo
     narrowest = _NARROWEST_MARK[len(marks) > _FEW_MARKS] * (clock.limits[1] - clock.limits[0])
     names = []
     for row, (label, colour) in enumerate(colours.items()):
-        own = [mark for mark in marks if mark.label == label]
-        spans = [(start, max(width, narrowest)) for start, width in _spans(own, clock)]
+        of_label = [mark for mark in marks if mark.label == label]
+        spans = [(start, max(width, narrowest)) for start, width in _spans(of_label, clock)]
         axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=colour, lw=0)
         axes.axhline(row + 0.5, color="0.85", lw=0.5)
-        names.append(f"{plain(label, LONGEST_LABEL)} ({len(own)})")
+        names.append(f"{plain(label, LONGEST_LABEL)} ({len(of_label)})")
     axes.set_yticks(range(len(names)), names, parse_math=False, fontsize="small")
     axes.set(xlim=clock.limits, ylim=(len(names) - 0.5, -0.5))
     axes.tick_params(length=0, axis="y")

@@ -463,7 +463,7 @@ def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None,
 
 @contextmanager
 def told(source: str) -> Iterator[None]:
-    """Turn system errors on opening or reading a file into a one-line `NoInput`."""
+    """Switch system errors on opening or reading a file into a one-line `NoInput`."""
     try:
         yield
     except CgidError:
@@ -484,7 +484,7 @@ def library(name: str, of: str, source: str, extra: str = "formats") -> Any:
 
 @contextmanager
 def understood(source: str, fault: str, cure: str = "copy it again") -> Iterator[None]:
-    """Turn errors of a library on a damaged file into a one-line `BadData`: source, fault, reason and cure."""
+    """Switch errors of a library on a damaged file into a one-line `BadData`: source, fault, reason and cure."""
     try:
         yield
     except (CgidError, FileNotFoundError, PermissionError):

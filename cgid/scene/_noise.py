@@ -35,7 +35,7 @@ _WEYL_0, _WEYL_1 = Word(0x9E3779B9), Word(0xBB67AE85)
 _FURTHER_ROUNDS = 9  # after the first: ten, as Salmon et al. recommend
 
 _ONE, _TWO, _HALF_STEP = _real(1), _real(2), _real(0.5)
-_TURN = _real(math.pi / 2**32)
+_RADIANS = _real(math.pi / 2**32)
 _LN_2 = _real(0.6931471805599453)
 _SQRT_HALF_BITS, _FRACTION_BITS = np.int32(0x3F3504F3), np.int32(23)  # float32 of 1/sqrt 2; bits of a fraction
 # Series that end below 1e-7: ln((1 + s)/(1 - s)) for |s| < .172, sine and cosine up to a quarter turn.
@@ -61,7 +61,7 @@ def random_words(first: int, row: Word, block: Word, high: Word, key_0: Word, ke
 
 @jit
 def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> None:
-    """Turn words (`LANES`) and angles (`LANES`) of 32 random bits into normal (2, `LANES`); scratch is (2, `LANES`).
+    """Switch words (`LANES`) and angles (`LANES`) of 32 random bits into normal (2, `LANES`); scratch is (2, `LANES`).
 
     With u = (word + 1/2)/2^32 and an angle of up to a whole turn, sqrt(-2 ln u) (cos, sin) are two normal numbers. The
     last bit of the angle says which half turn it is, the others where in it.
@@ -80,7 +80,7 @@ def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> Non
         log = exponent * _LN_2 + _TWO * s * (_ONE + t * (_L3 + t * (_L5 + t * _L7)))
         radius = _real(math.sqrt(-_TWO * log))
         radius *= _ONE - _TWO * _real(np.int32(angles[k]) & np.int32(1))
-        x = _real(np.int32(angles[k])) * _TURN
+        x = _real(np.int32(angles[k])) * _RADIANS
         y = x * x
         cosine = _ONE + y * (_C2 + y * (_C4 + y * (_C6 + y * (_C8 + y * (_C10 + y * _C12)))))
         sine = x * (_ONE + y * (_S3 + y * (_S5 + y * (_S7 + y * (_S9 + y * _S11)))))

@@ -30,7 +30,7 @@ QUANTITIES = {
     "displacement": ("length", "m"),
 }
 #: Lowest level of a background; its square is a number, too.
-_LOWEST_LEVEL = 1e-100
+_MIN_LEVEL = 1e-100
 #: Largest recorded background; it is held in memory [bytes].
 _LARGEST_RECORDING = 1 << 30
 #: Largest table of a spectrum [bytes], and the title of its densities.
@@ -51,9 +51,9 @@ Sensed = Annotated[Any, AfterValidator(_number_or_text)]
 def _level(value: float | str, quantity: str, kind: str = "") -> float:
     """Return a level in the SI unit of a quantity; raises `ValueError` for another unit or a level not above 0."""
     number = parse(value, QUANTITIES[quantity][0] + kind)
-    if not _LOWEST_LEVEL <= number <= 1e15:
+    if not _MIN_LEVEL <= number <= 1e15:
         unit = QUANTITIES[quantity][1]
-        raise ValueError(f"must be above 0, within {_LOWEST_LEVEL:g} and 1e+15 {unit}, got {number:g}")
+        raise ValueError(f"must be above 0, within {_MIN_LEVEL:g} and 1e+15 {unit}, got {number:g}")
     return number
 
 
@@ -208,30 +208,30 @@ class BackgroundSection(Section):
     def problems(self, quantity: str, sampling_rate: float, *, is_stream: bool) -> list[str]:
         """Return error messages for this background of a sensor's quantity at a sampling rate [Hz]."""
         nyquist = sampling_rate / 2
-        found = []
+        problems = []
         for index, line in enumerate(self.hum):
             if line.frequency >= nyquist:
-                found.append(
+                problems.append(
                     f"background.hum.{index}.frequency: must be below half the sampling rate, {nyquist:g} Hz, got "
                     f"{line.frequency:g} Hz"
                 )
             if line.amplitude is not None:
                 read = partial(_level, quantity=quantity)
-                found += _complaints(f"background.hum.{index}.amplitude", read, [line.amplitude])
+                problems += _complaints(f"background.hum.{index}.amplitude", read, [line.amplitude])
             elif is_stream:
-                found.append(
+                problems.append(
                     f"background.hum.{index}.relative_amplitude: must be left out of a stream, whose impacts share "
                     "one background; give amplitude"
                 )
         if self.coloured is not None:
             highest = self.coloured.frequencies[-1]
             if highest > nyquist:
-                found.append(
+                problems.append(
                     f"background.coloured.frequencies: must lie up to half the sampling rate, {nyquist:g} Hz, got "
                     f"{highest:g} Hz; cut the table there"
                 )
-            found += self.coloured.problems("background.coloured", quantity)
-        return found
+            problems += self.coloured.problems("background.coloured", quantity)
+        return problems
 
     def known_power(self, quantity: str) -> float:
         """Return the mean square of hum and coloured noise in SI units; that of a recording depends on the impacts."""
@@ -242,10 +242,10 @@ class BackgroundSection(Section):
 
 def _complaints(path: str, read: Callable[[Any], float], values: Iterable[Any]) -> list[str]:
     """Return error messages for unreadable values."""
-    found = []
+    complaints = []
     for value in values:
         try:
             read(value)
         except ValueError as error:
-            found.append(f"{path}: {error}")
-    return found
+            complaints.append(f"{path}: {error}")
+    return complaints

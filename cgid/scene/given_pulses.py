@@ -123,12 +123,12 @@ def synthesise_given(
     if n < 1 or names.shape != (n,):
         raise InvalidValue(f"labels must be one for each of 1 or more pulses, got {names.size} for {n} pulses")
     known = _known(parameters or {}, scene, n)
-    asked = plan(scene, dtype=dtype)
+    synthesis_plan = plan(scene, dtype=dtype)
     for first in range(0, n, BLOCK):
         # Blocks are drawn whole: rows after the last pulse repeat it and are cut from the batch.
         rows = np.minimum(np.arange(first, first + BLOCK), n - 1)
         part = {name: values[rows] for name, values in known.items()}
-        blows = _blows(asked, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
+        blows = _blows(synthesis_plan, pulses.taken(rows), names[rows], part, seed, first // BLOCK)
         frames = make_frames(blows, seed, first // BLOCK, dtype)
         yield batch_of(scene, blows, frames, slice(0, min(n - first, BLOCK)))
 
@@ -163,14 +163,14 @@ def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
 
 
 def _blows(
-    asked: Plan, pulses: SampledPulses, labels: NDArray[np.str_], known: dict[str, Floats], seed: int, block: int
+    plan: Plan, pulses: SampledPulses, labels: NDArray[np.str_], known: dict[str, Floats], seed: int, block: int
 ) -> Blows:
-    settings = settings_of(asked.scene, seed, block)
-    here = with_drawn_modes(settled(asked.scene, settings), seed, block)
-    values = {name: np.full(BLOCK, np.nan) for name in parameter_units(asked.scene)}
+    settings = settings_of(plan.scene, seed, block)
+    here = with_drawn_modes(settled(plan.scene, settings), seed, block)
+    values = {name: np.full(BLOCK, np.nan) for name in parameter_units(plan.scene)}
     drawn = {"onset": onset_of(here, numbers_of(seed, block)[-1]), **points_of_impact(here, seed, block)}
     values |= {"peak_force": pulses.peak_force, "contact_duration": pulses.contact_duration, **known}
-    values |= {name: np.where(np.isnan(values[name]), own, values[name]) for name, own in drawn.items()}
+    values |= {name: np.where(np.isnan(values[name]), sampled, values[name]) for name, sampled in drawn.items()}
     values |= levels_of(settings)
     # Each unknown particle counts as a separate specimen.
     particle = [known.get(name, np.full(BLOCK, np.nan)) for name in PARTICLE]
@@ -178,7 +178,7 @@ def _blows(
     number = block * BLOCK + np.arange(BLOCK, dtype=np.uint64)
     specimen = np.where(stranger, number, specimen_of([np.ascontiguousarray(column) for column in particle]))
     strike = Strike(np.arange(BLOCK), pulses, values["onset"])
-    return Blows(labels, values, specimen, (strike,), asked.for_block(here))
+    return Blows(labels, values, specimen, (strike,), plan.for_block(here))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -234,16 +234,16 @@ class SolvedImpacts:
         content = read_regular(path, "solved impacts", _LARGEST_FILE, f"make them: {_MAKER}")
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-                held = {name: stored[name] for name in stored.files}
+                arrays = {name: stored[name] for name in stored.files}
             pulses = SampledPulses(
-                shares=held["shares"], forces=held["forces"], contact_duration=held["contact_duration"]
+                shares=arrays["shares"], forces=arrays["forces"], contact_duration=arrays["contact_duration"]
             )
-            columns = {name: validation.real(name, held[name]) for name in (*PARAMETERS, *MAKING)}
-            made = json.loads(held["made"].tobytes())
-            _require_sound(held["labels"], columns, made, len(pulses))
+            columns = {name: validation.real(name, arrays[name]) for name in (*PARAMETERS, *MAKING)}
+            made = json.loads(arrays["made"].tobytes())
+            _require_sound(arrays["labels"], columns, made, len(pulses))
         except Exception as error:
             raise BadData(f"{path}: no solved impacts ({error}); make them: {_MAKER}") from None
-        return cls(pulses=pulses, labels=held["labels"], columns=columns, made=made)
+        return cls(pulses=pulses, labels=arrays["labels"], columns=columns, made=made)
 
 
 def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: Any, n: int) -> None:
@@ -262,7 +262,7 @@ def _require_sound(labels: NDArray[Any], columns: Mapping[str, Floats], made: An
 
 def radii(scene: Scene, labels: NDArray[np.str_], seed: int) -> Floats:
     """Return radii [m] as a scene draws them for labels; the first population of a label counts."""
-    found = np.empty(len(labels))
+    sizes = np.empty(len(labels))
     laws = {population.label: population.radius for population in reversed(scene.populations)}
     for first in range(0, len(labels), BLOCK):
         numbers = numbers_of(seed, first // BLOCK)[_RADIUS][: len(labels) - first]
@@ -270,5 +270,5 @@ def radii(scene: Scene, labels: NDArray[np.str_], seed: int) -> Floats:
         for label in np.unique(labels[here]):
             validation.choice("label", str(label), laws)
             rows = np.flatnonzero(labels[here] == label)
-            found[first + rows] = laws[str(label)].quantile(numbers[rows])
-    return found
+            sizes[first + rows] = laws[str(label)].quantile(numbers[rows])
+    return sizes

@@ -146,7 +146,7 @@ def _segment(coloured: Coloured, seed: int, recording: int, number: int) -> Floa
     return coloured.segment(seed, recording, number)
 
 
-def colour_of(scene: Scene) -> Coloured | None:
+def ar_noise_of(scene: Scene) -> Coloured | None:
     """Return the noise of a scene's sensor with a standard deviation of 1; None if it is white."""
     sensor = scene.sensor
     if not sensor.coloured:
@@ -159,7 +159,7 @@ def add_sensor_noise(frames: NDArray[Any], level: Floats, scene: Scene, seed: in
 
     frames are (n, n_samples), all of the frame or its first samples.
     """
-    colour = colour_of(scene)
+    colour = ar_noise_of(scene)
     if colour is None:
         add_noise(frames, level, seed, block)
         return
@@ -235,8 +235,8 @@ def reference_peak(scene: Scene) -> float:
 
     It sets the level of a recorded background for all signals of a scene, in the SI unit of the sensor.
     """
-    asked = Plan(scene=scene)
-    peaks = [_peaks(blows_of(asked, 0, block)) for block in range(_REFERENCE_BLOCKS)]
+    plan = Plan(scene=scene)
+    peaks = [_peaks(blows_of(plan, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
     # The normal velocity of a vertical fall is v cos(alpha), and the peak of a Hertz impact scales with v^(6/5).
     return float(np.median(peaks) * np.power(np.cos(slope), 1.2))
@@ -261,10 +261,12 @@ def background_of(scene: Scene) -> Background | None:
         return None
     recorded, level = None, 0.0
     if section.recorded is not None:
-        asked = section.recorded
-        path = asked.file(scene.folder)
-        recorded = _unit_recording(path, _age(path), asked.sampling_rate, asked.channel, sampling_rate)
-        level = float(reference_peak(scene) * np.power(10.0, -asked.signal_to_noise / 20))
+        recorded_section = section.recorded
+        path = recorded_section.file(scene.folder)
+        recorded = _unit_recording(
+            path, _age(path), recorded_section.sampling_rate, recorded_section.channel, sampling_rate
+        )
+        level = float(reference_peak(scene) * np.power(10.0, -recorded_section.signal_to_noise / 20))
     return Background(section, scene.sensor.quantity, sampling_rate, recorded, level)
 
 
@@ -286,8 +288,8 @@ def _unit_recording(
     signals = read_recording(path, sampling_rate=given_rate, channel=channel)
     if len(signals) > 1:
         names = ", ".join(one.channel for one in signals)
-        cure = "choose one by background.recorded.channel"
-        raise BadData(f"{path}: a background must be one channel, this file has {names}; {cure}")
+        hint = "choose one by background.recorded.channel"
+        raise BadData(f"{path}: a background must be one channel, this file has {names}; {hint}")
     samples = signals[0].samples.astype(np.float64)
     ratio = Fraction(sampling_rate / signals[0].sampling_rate).limit_denominator(_LARGEST_TERM)
     if not ratio:

@@ -161,7 +161,7 @@ def population_shares(scene: Scene, times: Floats) -> Floats:
     assert scene.stream is not None
     mixture = scene.stream.mixture
     given = {} if mixture is None else {label: mixture.at(label, times) for label in mixture.shares}
-    rest = np.clip(1 - sum(given.values(), np.zeros(times.shape)), 0.0, None)
+    remaining = np.clip(1 - sum(given.values(), np.zeros(times.shape)), 0.0, None)
     without = sum(population.weight for population in scene.populations if population.label not in given)
     of_label = {
         label: sum(population.weight for population in scene.populations if population.label == label)
@@ -171,7 +171,7 @@ def population_shares(scene: Scene, times: Floats) -> Floats:
         [
             given[population.label] * (population.weight / of_label[population.label])
             if population.label in given
-            else rest * (population.weight / without)
+            else remaining * (population.weight / without)
             for population in scene.populations
         ]
     )

@@ -22,7 +22,7 @@ _LEVELS = {"absolute_noise": "", "noise_density": " noise density", "range": "",
 #: An offset, or its change: of either sign.
 _Shift = Annotated[Number, Quantity(rule=Rule(-1e15, 1e15))]
 #: Lowest full scale that follows from a peak.
-_LEAST_SCALE = 1e-25
+_MIN_SCALE = 1e-25
 #: Samples of a recording that share one address: the longest period of a stream's coloured noise.
 CHUNK = 1 << 16
 
@@ -118,46 +118,46 @@ class Sensor(Section):
 
     def problems(self, band: tuple[float, float], drawn: Collection[str]) -> list[str]:
         """Return error messages for the converter, and the noise in a band [Hz], where some settings are drawn."""
-        found, scales = [], self._given(("range", "relative_range"), drawn)
+        problems, scales = [], self._given(("range", "relative_range"), drawn)
         if len(scales) > 1:
-            found.append("sensor.range: must be left out with relative_range; take one of the two")
+            problems.append("sensor.range: must be left out with relative_range; take one of the two")
         if self._given(("bits",), drawn) and not scales:
-            found.append(
+            problems.append(
                 "sensor.bits: must come with range or relative_range: without a full scale there is no step; give one"
             )
         if self._given(("bandwidth",), drawn) and "anti_alias_frequency" in drawn:
-            found.append("randomise.anti_alias_frequency: must be left out with bandwidth; take one of the two")
-        return found + self._problems_of_noise(band, drawn)
+            problems.append("randomise.anti_alias_frequency: must be left out with bandwidth; take one of the two")
+        return problems + self._problems_of_noise(band, drawn)
 
     def _given(self, names: Iterable[str], drawn: Collection[str]) -> list[str]:
         return [name for name in names if getattr(self, name) is not None or name in drawn]
 
     def _problems_of_noise(self, band: tuple[float, float], drawn: Collection[str]) -> list[str]:
-        found, colours = [], self._given(("noise_exponent", "noise_spectrum"), drawn)
+        problems, colours = [], self._given(("noise_exponent", "noise_spectrum"), drawn)
         if not colours:
             return []
         if len(colours) > 1:
-            found.append(f"sensor.noise_spectrum: must be left out with {colours[0]}; take one of the two")
+            problems.append(f"sensor.noise_spectrum: must be left out with {colours[0]}; take one of the two")
         if self.noise_density:
-            found.append(
+            problems.append(
                 f"sensor.noise_density: must be left out with {colours[0]}, for it is that of white noise; give the "
                 "standard deviation of the noise as absolute_noise, or white noise as background.coloured"
             )
         elif not self.noisy and "relative_noise" not in drawn:
-            found.append(
+            problems.append(
                 f"sensor.{colours[0]}: must come with relative_noise or absolute_noise, the level of the noise; give "
                 "one of these, or leave it out"
             )
         if self.noise_spectrum is not None:
-            found += self.noise_spectrum.problems("sensor.noise_spectrum", self.quantity)
+            problems += self.noise_spectrum.problems("sensor.noise_spectrum", self.quantity)
             first, last = self.noise_spectrum.frequencies[0], self.noise_spectrum.frequencies[-1]
             if first > band[0] or last < band[1]:
-                found.append(
+                problems.append(
                     f"sensor.noise_spectrum.frequencies: must reach from one period of the signals, {band[0]:g} Hz, to "
                     f"half the sampling rate, {band[1]:g} Hz, got {first:g} to {last:g} Hz; measure the rest, or add "
                     "rows for it"
                 )
-        return found
+        return problems
 
     @property
     def unit(self) -> str:
@@ -198,7 +198,7 @@ class Sensor(Section):
         if self.relative_range is None:
             return self.range
         # A signal of nothing but zeros needs a step, too.
-        return np.asarray(np.maximum(self.relative_range * peak, _LEAST_SCALE))
+        return np.asarray(np.maximum(self.relative_range * peak, _MIN_SCALE))
 
     def digitise(self, frames: NDArray[np.floating], sampling_rate: float, peak: Floats, first: int = 0) -> None:
         """Apply offset, drift, range and bits to frames (n, n_samples) with these peaks (n,), in place.

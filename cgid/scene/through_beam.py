@@ -81,11 +81,11 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
         deviations=np.zeros(0),
     )
     forces = contact_forces(scene)
-    heard = filtered(beam, forces)
+    responses = filtered(beam, forces)
     # Principal shapes of what passes the filters, as sums of whole forces: other filters can then be applied to them.
     n_points = forces.shape[1]
-    power, shapes = eigh(heard.T @ heard, subset_by_index=(n_points - n_shapes, n_points - 1))
-    power, mixes = power[::-1], heard @ (shapes / power)[:, ::-1]
+    power, shapes = eigh(responses.T @ responses, subset_by_index=(n_points - n_shapes, n_points - 1))
+    power, mixes = power[::-1], responses @ (shapes / power)[:, ::-1]
     return replace(beam, shapes=mixes.T @ forces, deviations=np.sqrt(power / len(forces)))
 
 
@@ -98,7 +98,7 @@ def through_modes(scene: Scene, beam: Beam) -> Beam:
     return replace(beam, modes=own)
 
 
-def whole_beam(scene: Scene) -> Beam:
+def full_beam(scene: Scene) -> Beam:
     """Return the beam of a scene to look through, as far as rocks bounce; raises as `beam_of`."""
     content = json.loads(scene.text)
     spread_over(content.get("tail_beam", {}))
@@ -169,19 +169,19 @@ def _rig(scene: Scene) -> tuple[Any, ...]:
 def contact_forces(scene: Scene) -> Floats:
     """Return contact forces of the scene's rocks over their peaks, as in `Beam.shapes`."""
     rate, n_points = scene.sampling.sampling_rate, points_of(scene.sampling.sampling_rate)
-    found = []
+    blocks = []
     for block in range(_BLOCKS):
         blows = draw(scene, _SEED, block)
         forces = np.zeros((BLOCK, n_points))
         touch = np.asarray((np.arange(BLOCK) * _GOLDEN) % 1 * TOUCH / rate, np.float64)
         for strike in blows.strikes:
             if strike.ratio is None:
-                own = np.zeros((strike.rows.size, n_points))
-                strike.pulses.add_to_frames(own, FINE * rate, np.asarray(touch[strike.rows], np.float64))
-                forces[strike.rows] = own
+                frames = np.zeros((strike.rows.size, n_points))
+                strike.pulses.add_to_frames(frames, FINE * rate, np.asarray(touch[strike.rows], np.float64))
+                forces[strike.rows] = frames
         peak = forces.max(axis=1)
-        found.append(forces[peak > 0] / peak[peak > 0, None])
-    return np.concatenate(found)
+        blocks.append(forces[peak > 0] / peak[peak > 0, None])
+    return np.concatenate(blocks)
 
 
 def moved(scene: Scene, point: tuple[float, float]) -> Scene:
@@ -237,9 +237,9 @@ def recorded_together(
     plans = [plan(moved(scene, point), "frames") for point in sensors]
     for block, part in blocks(n_signals, 0):
         batches = []
-        for number, asked in enumerate(plans):
-            blows, noise_seed = blows_of(asked, seed, block), (seed + number * _NOISE_APART) % 2**63
-            batches.append(batch_of(asked.scene, blows, make_frames(blows, noise_seed, block, asked.dtype), part))
+        for number, one_plan in enumerate(plans):
+            blows, noise_seed = blows_of(one_plan, seed, block), (seed + number * _NOISE_APART) % 2**63
+            batches.append(batch_of(one_plan.scene, blows, make_frames(blows, noise_seed, block, one_plan.dtype), part))
         yield replace(batches[0], signals=np.stack([batch.signals for batch in batches], axis=1), source=scene.sha256)
 
 

@@ -18,8 +18,8 @@ from cgid.files import check_new, write_together
 from cgid.identification.contact import REACH, clipped_samples
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.inversion import Inversion
+from cgid.measure.ar_noise import ar_noise_of
 from cgid.measure.beam import Beam, corrected
-from cgid.measure.colour import colour_of
 from cgid.measure.modes import Modes, text_of_table
 from cgid.measure.vibration import VibrationBatch
 from cgid.scene.impacts import beam_modes
@@ -329,7 +329,7 @@ def prepare_blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigge
     start = np.stack([np.minimum(first, batch.first + 1), batch.first + 1], axis=1).astype(np.intp)
     still = batch.samples - batch.offset[:, None]
     noise = np.maximum(batch.noise, 1e-6 * level + 1e-300)
-    return Blows(still, start, noise, colour_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
+    return Blows(still, start, noise, ar_noise_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
 
 
 def _evidence(beam: Beam, blows: Blows, worst: float) -> float:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.identification.inversion import Inversion, Sought
+from cgid.measure.ar_noise import ARNoise
 from cgid.measure.beam import Beam, Singles, corrected, respond
-from cgid.measure.colour import Colour
 from cgid.measure.modes import CORRECTED
 from cgid.validation import Floats
 
@@ -61,14 +61,14 @@ class Blows:
     frames: Floats
     start: NDArray[np.intp]
     noise: Floats
-    colour: Colour
+    colour: ARNoise
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def taken(self, rows: slice) -> Blows:
         """Return some of the blows."""
-        colour = Colour(self.colour.coefficients[rows], self.colour.innovation[rows])
+        colour = ARNoise(self.colour.coefficients[rows], self.colour.innovation[rows])
         return Blows(self.frames[rows], self.start[rows], self.noise[rows], colour)
 
     def sought(self, raised: Floats | float = 1.0, limit: float | None = None) -> Sought:

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import InvalidValue
-from cgid.identification.confusion import Confusion, Heard, logit
+from cgid.identification.confusion import Confusion, StreamAnswers, logit
 from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
@@ -31,7 +31,7 @@ from cgid.measure.features import extract_array
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.sections import rows_of
 from cgid.scene.stream import record
-from cgid.scene.through_beam import has_beam, spread_over, whole_beam
+from cgid.scene.through_beam import full_beam, has_beam, spread_over
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
@@ -130,7 +130,7 @@ def rows_of_streams(
     beam: Beam,
     *,
     progress: Callable[[int], object] | None = None,
-    crew: Workers = ALONE,
+    workers: Workers = ALONE,
 ) -> list[StreamRows]:
     """Simulate streams, such as `variations`, and measure what the detector finds in them.
 
@@ -138,7 +138,7 @@ def rows_of_streams(
     `progress` is called with 1 for each stream.
     """
     found = []
-    with closing(crew.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
+    with closing(workers.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
         for stream in streams:
             found.append(stream)
             if progress is not None:
@@ -221,7 +221,7 @@ def train_on_streams(
     seed: int = 0,
     *,
     progress: Callable[[int], object] | None = None,
-    crew: Workers = ALONE,
+    workers: Workers = ALONE,
     **settings: Any,
 ) -> Training:
     """Train a model on simulated streams of a scene (see `is_streamable`), and finish it on others.
@@ -231,13 +231,13 @@ def train_on_streams(
     `cgid.identification.training.train`, such as `family`.
     """
     n_streams, n_further = numbers_of_streams(scene, n_impacts)
-    beam, names = whole_beam(scene), (*BEAM_FEATURES, *BEAM_GUARDS)
+    beam, names = full_beam(scene), (*BEAM_FEATURES, *BEAM_GUARDS)
     scenes = variations(scene, n_streams, seed)
-    streams = rows_of_streams(scenes, seed, names, beam, progress=progress, crew=crew)
+    streams = rows_of_streams(scenes, seed, names, beam, progress=progress, workers=workers)
     rows = Rows.joined([stream.rows for stream in streams])
-    training = train(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS, seed=seed, crew=crew, **settings)
+    training = train(rows, features=BEAM_FEATURES, guards=BEAM_GUARDS, seed=seed, workers=workers, **settings)
     further = variations(scene, n_further, seed + 1)
-    others = rows_of_streams(further, seed + 1, names, beam, progress=progress, crew=crew)
+    others = rows_of_streams(further, seed + 1, names, beam, progress=progress, workers=workers)
     return replace(training, model=finished(training.model, others))
 
 
@@ -269,13 +269,13 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     return replace(model, arrays={**model.arrays, **confusion.arrays}, training={**model.training, "streams": told})
 
 
-def _heard(model: Model, stream: StreamRows) -> Heard:
+def _heard(model: Model, stream: StreamRows) -> StreamAnswers:
     """Return what a model answers to a stream."""
     rows = stream.rows
     inputs = rows.inputs(model.features)
     logits = logit(model.probabilities(inputs)[:, 1])
     logits[model.novelty(inputs, rows.columns(model.guards)) > 1] = np.nan
-    return Heard(
+    return StreamAnswers(
         logits=logits,
         second=np.asarray(rows.labels == model.labels[1]),
         time=rows.time,

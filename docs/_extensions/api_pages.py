@@ -64,7 +64,7 @@ PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
     "identification": (
         "Identifying and training: cgid.identification",
         {
-            "cgid.identification.question": ("Question",),
+            "cgid.identification.prediction_settings": ("PredictionSettings",),
             "cgid.identification.answers": ("Answer", "identify", "identify_frames", "suited"),
             "cgid.identification.share": ("CavingWatch", "Share", "ShareWindow", "wilson_interval"),
             "cgid.identification.rows": ("Rows", "measure"),

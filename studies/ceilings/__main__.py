@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from cgid.ceiling import MOST_SIGNALS, Ceiling, Learner, check_asked, check_training, learner, untrusted
+from cgid.ceiling import MOST_SIGNALS, Ceiling, Learner, check_training, learner, require_supported, untrusted
 from cgid.files import write_whole
 from cgid.plots import new_picture
 from cgid.scene import load_scene
@@ -24,7 +24,7 @@ from studies.ceilings.survey import Point, survey, survey_picture
 def study(given: argparse.Namespace) -> None:
     """Compute and print what was asked."""
     scene, n, seed, known = load_scene(given.scene), given.signals, given.seed, given.drop_height
-    check_asked(scene)
+    require_supported(scene)
     whole("signals", n, 2, MOST_SIGNALS)
     if given.learner is not None:
         check_training(given.learner)

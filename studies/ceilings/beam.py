@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.ceiling import check_asked
+from cgid.ceiling import require_supported
 from cgid.errors import InvalidValue
 from cgid.identification.contact import HIGHEST, LOWEST, ContactFit
 from cgid.identification.inversion import Inversion
@@ -45,7 +45,7 @@ _TIMES = np.linspace(-8, 8, 801)
 
 def check_estimated(scene: Scene) -> None:
     """Raise `InvalidValue` if the errors behind the beam of a scene are not known, or nothing is asked."""
-    check_asked(scene)
+    require_supported(scene)
     sensor = scene.sensor
     problems = (
         (scene.tail_beam is None, "a [tail_beam], add one"),

@@ -25,14 +25,14 @@ from cgid.ceiling import (
     NODES,
     Ceiling,
     ceilings,
-    check_asked,
     onset_and_response,
+    require_supported,
     true_pulses,
     uncovered_pulses,
 )
 from cgid.errors import InvalidValue
-from cgid.measure.excerpts import by_length
 from cgid.measure.filters import mixing_matrix
+from cgid.measure.fit_samples import by_length
 from cgid.measure.likelihood import Profile, profile
 from cgid.measure.optimum import LARGEST_STEPS, bounded, normal_equations, tied
 from cgid.measure.template import (
@@ -46,7 +46,7 @@ from cgid.measure.template import (
 )
 from cgid.scene import Scene
 from cgid.scene.draws import COLOURED
-from cgid.scene.noise import Coloured, colour_of
+from cgid.scene.noise import Coloured, ar_noise_of
 from cgid.signals import Batch
 from cgid.validation import Floats
 
@@ -76,7 +76,7 @@ def uncovered(scene: Scene) -> str:
 
 def check_covered(scene: Scene) -> None:
     """Raise `InvalidValue` if the integration does not cover a scene."""
-    check_asked(scene)
+    require_supported(scene)
     if rule := uncovered(scene):
         raise InvalidValue(f"scene {scene.name}: the Bayes limit needs {rule}")
 
@@ -165,7 +165,7 @@ def noise_of(scene: Scene) -> Noise:
     """Return the noise of a scene: its sensor, the rounding of its converter, hum and coloured background."""
     sensor, sampling, background = scene.sensor, scene.sampling, scene.background
     lags = np.arange(sampling.samples)
-    sensed = colour_of(scene)
+    sensed = ar_noise_of(scene)
     unit = np.where(lags == 0, 1.0, 0.0) if sensed is None else _autocovariance(sensed, lags.size)
     relative = sensor.relative_noise**2 * unit
     absolute = sensor.noise_level(np.zeros(()), sampling.sampling_rate) ** 2 * unit

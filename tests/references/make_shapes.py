@@ -14,8 +14,8 @@ parameters would explain, has few principal components (Jolliffe 2002, Principal
 import numpy as np
 
 from cgid.measure.fit import Start, fit_pulses
-from cgid.measure.remainder import N_SHAPES as N_COMPONENTS
-from cgid.measure.remainder import residual_bins
+from cgid.measure.residual import N_SHAPES as N_COMPONENTS
+from cgid.measure.residual import residual_bins
 from cgid.measure.search import BIN, MIDDLES, N_BINS, NODES, Samples, bank
 from cgid.measure.template import (
     LOWEST_SHAPE,

@@ -30,9 +30,9 @@ def residual_bins(
     Times in samples; `unit` (n,) is that of the bins' coordinates.
     """
     node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
-    own_place, own_width = bank().conditions(shape)
-    unit = width / own_width
-    origin = onset + relative_times(shape)[1] * width - own_place * unit
+    bin_place, bin_width = bank().conditions(shape)
+    unit = width / bin_width
+    origin = onset + relative_times(shape)[1] * width - bin_place * unit
     bins = samples.bins(origin, unit, np.arange(len(peak)))
     left = bins.values / peak[:, None] - _between_nodes(shape, node)
     return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit, node
@@ -61,7 +61,7 @@ def _components() -> tuple[Floats, Floats, Floats, Floats]:
 
 
 @dataclass(frozen=True, eq=False)
-class Remainder:
+class Residual:
     """What a fitted damped-Hertz pulse leaves of the samples.
 
     Attributes
@@ -74,14 +74,16 @@ class Remainder:
     unexplained: Floats
 
 
-def remainder(samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats) -> Remainder:
+def fit_residual(
+    samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats
+) -> Residual:
     """Return the components of what fitted pulses leave of samples; noise (n,) is its standard deviation."""
     bins, unit, node = residual_bins(samples, peak, width, onset, shape)
     left, partial = bins.values, bins.partial
     designs, inverses, bases, spreads = _components()
     per_bin = (noise / peak) ** 2 / np.maximum(BIN * unit, 1.0)
     count = np.full(len(left), float(N_BINS))
-    found = np.einsum("nkb,nb->nk", inverses[node], left)
+    amplitudes = np.einsum("nkb,nb->nk", inverses[node], left)
     explained = np.sum(np.einsum("nbk,nb->nk", bases[node], left) ** 2, axis=1)
     if partial.size and bins.inside is not None:
         inside = bins.inside[partial]
@@ -90,10 +92,10 @@ def remainder(samples: Samples, peak: Floats, width: Floats, onset: Floats, shap
         right = np.einsum("nbk,nb->nk", design, left[partial])
         # Bins that are missing leave some of it open; it is then nothing.
         prior = np.concatenate([np.full(4, 1e-9), 1e-4 / spreads**2])
-        all_found = np.linalg.solve(information + np.diag(prior), right[..., None])[..., 0]
-        found[partial], explained[partial] = all_found[:, 4:], np.sum(all_found * right, axis=1)
+        all_amplitudes = np.linalg.solve(information + np.diag(prior), right[..., None])[..., 0]
+        amplitudes[partial], explained[partial] = all_amplitudes[:, 4:], np.sum(all_amplitudes * right, axis=1)
         count[partial] = inside.sum(axis=1)
-    rest = np.maximum(np.sum(left**2, axis=1) - explained, 0.0)
+    unexplained = np.maximum(np.sum(left**2, axis=1) - explained, 0.0)
     certain = spreads**2 / (spreads**2 + per_bin[:, None])
     free = np.maximum(count - 4 - N_SHAPES, 1.0)
-    return Remainder(found * certain, rest / (free * (per_bin + SHAPE_ERROR**2)))
+    return Residual(amplitudes * certain, unexplained / (free * (per_bin + SHAPE_ERROR**2)))

@@ -33,7 +33,7 @@ _EXPONENTS, _WHITE, _PERIOD = np.arange(0.25, 2.01, 0.25), np.array([0.0, 0.1, 0
 
 
 @dataclass(frozen=True, eq=False)
-class Colour:
+class ARNoise:
     """Autoregression of the noise of some rows: coefficients (n, ORDER), 0 for white noise, and what they leave.
 
     `innovation` (n,) is the standard deviation of the part that the samples before do not predict.
@@ -47,9 +47,9 @@ class Colour:
         """Rows whose noise is not white."""
         return np.flatnonzero(self.coefficients.any(axis=1))
 
-    def of(self, chosen: NDArray[np.intp]) -> Colour:
+    def of(self, rows: NDArray[np.intp]) -> ARNoise:
         """Return that of some rows."""
-        return Colour(self.coefficients[chosen], self.innovation[chosen])
+        return ARNoise(self.coefficients[rows], self.innovation[rows])
 
     def power(self, frequency: Floats) -> Floats:
         """Return the power of a sample of the noise by frequency [cycles per sample], (n, n_frequencies).
@@ -69,14 +69,14 @@ class Colour:
         return out
 
 
-def colour_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run: int = 1) -> Colour:
+def ar_noise_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run: int = 1) -> ARNoise:
     """Return the colour of the noise in the first `n_quiet` (n,) samples of frames (n, n_samples).
 
     Each `run` of samples is averaged first. `floor` (n,) is the standard deviation of white noise to add: what the
     model of a pulse is worth.
     """
     n = len(samples)
-    colour = Colour(np.zeros((n, ORDER)), np.zeros(n))
+    colour = ARNoise(np.zeros((n, ORDER)), np.zeros(n))
     n_samples = samples.shape[1]
     stop = np.minimum(n_quiet.astype(np.intp), n_samples)
     # Rows with the same number of samples go together, so that a row does not depend on its neighbours.
@@ -95,8 +95,8 @@ def colour_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run
         colour.innovation[rows] = np.sqrt(power)
         suspect = np.flatnonzero(length * np.sum(np.square(lags), axis=0) > _SUSPICION)
         if suspect.size:
-            own = rows[suspect]
-            colour.coefficients[own], colour.innovation[own] = _coloured(seen[suspect], white[suspect])
+            selected = rows[suspect]
+            colour.coefficients[selected], colour.innovation[selected] = _coloured(seen[suspect], white[suspect])
     return colour
 
 
@@ -118,12 +118,12 @@ def _coloured(seen: Floats, white: Floats) -> tuple[Floats, Floats]:
     for order in range(1, _FREE_ORDER + 1):
         inner = slice(1, order + 1)
         free = np.linalg.solve(gram[:, inner, inner], gram[:, inner, :1])[:, :, 0]
-        own_left = gram[:, 0, 0] - np.sum(free * gram[:, inner, 0], axis=1)
-        own = count * np.log(own_left / gram[:, 0, 0]) + order * np.log(count) + _MARGIN
-        better = own < criterion
+        residual = gram[:, 0, 0] - np.sum(free * gram[:, inner, 0], axis=1)
+        score = count * np.log(residual / gram[:, 0, 0]) + order * np.log(count) + _MARGIN
+        better = score < criterion
         coefficients[better] = 0.0
-        coefficients[better, :order], left[better] = free[better], own_left[better]
-        criterion = np.where(better, own, criterion)
+        coefficients[better, :order], left[better] = free[better], residual[better]
+        criterion = np.where(better, score, criterion)
     coefficients[criterion >= 0], left[criterion >= 0] = 0.0, gram[criterion >= 0, 0, 0]
     return coefficients, np.sqrt(left)
 
@@ -138,6 +138,6 @@ def _power_laws() -> Floats:
     for exponent in _EXPONENTS:
         lags = np.fft.irfft(frequency**-exponent)[: ORDER + 1]
         for white in _WHITE:
-            own = (1 - white) * lags / lags[0] + white * (np.arange(ORDER + 1) == 0)
-            filters.append(np.append(1.0, -np.linalg.solve(own[apart], own[1:])))
+            correlation = (1 - white) * lags / lags[0] + white * (np.arange(ORDER + 1) == 0)
+            filters.append(np.append(1.0, -np.linalg.solve(correlation[apart], correlation[1:])))
     return np.array(filters)

@@ -1,0 +1,279 @@
+"""The settings for identifying a recording, shared by the command line, the API and live streams."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import compress
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cgid import validation
+from cgid.errors import InvalidValue, MissingOption
+from cgid.identification.model import Model
+from cgid.identification.windows import VOTE_TIME
+from cgid.signals import KNOWN
+from cgid.validation import UNKNOWN, Floats, shown
+
+#: Impacts identified in one batch, which costs little more than a single one.
+BATCH = 256
+#: Default window of a gangue share [s].
+SHARE_TIME = 10.0
+#: Shortest window of a share [s]: a shorter one holds too few impacts, and an hour would have millions of shares.
+MIN_SHARE_TIME = 0.05
+#: Default probability of being right before SHUT or OPEN is said.
+EVIDENCE = 0.95
+
+
+class ExtraColumns(Protocol):
+    """What is asked of each frame beside its answer."""
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if it cannot be asked beside this model."""
+
+    def __call__(
+        self,
+        frames: NDArray[np.floating],
+        sampling_rate: float,
+        model: Model,
+        pre_trigger: int | None,
+        detection_limit: float,
+    ) -> Sequence[Mapping[str, Any]]:
+        """Return one mapping for each frame, (n_signals, n_samples) in the unit of the model."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionSettings:
+    """Settings for every impact or window of a recording.
+
+    Costs and a coverage exclude each other: a single-label prediction set leaves nothing to decide. Raises
+    `InvalidValue` for this, and for numbers outside of their range.
+
+    Attributes
+    ----------
+    costs : mapping of str to float
+        Cost of missing each label, see `Model.decide`.
+    coverage : float, optional
+        Share of prediction sets that hold the truth; rejects sets without exactly one label; None: no rejection.
+    class_conditional : bool
+        Whether each label by itself has this coverage, see `Model.prediction_set`.
+    drop_height : float, optional [m]
+        How far the rocks fell, for a model that needs it.
+    mass : float, optional [kg]
+        Mass of the accelerated impactor; turns an acceleration into a force.
+    invert : bool
+        Whether pulses point downwards.
+    sensors : tuple of str
+        Names of sensors that the model knows: one for all channels, or one for each.
+    dead_time : float, optional [s]
+        Time after an impact in which no other begins, see `find_impacts`.
+    vote_time : float, optional [s]
+        Windows that are known are decided on together over this time; 0: no voting; None: `VOTE_TIME`.
+    batch : int
+        Number of impacts to collect before identification; 1: no waiting.
+    share_time : float, optional [s]
+        Window of a gangue share; None: `SHARE_TIME`.
+    share_step : float, optional [s]
+        Time between the ends of successive windows of shares; None: half a window.
+    gangue : tuple of str
+        Labels of rocks that must not be drawn; by default "gangue".
+    dilution_cost : float, optional
+        Cost of one drawn gangue rock, in lost coal rocks; None: 1.
+    evidence : float, optional
+        Probability of being right before SHUT or OPEN is said, from .5 to below 1; None: `EVIDENCE`.
+    hold : float, optional [s]
+        Least time between SHUT and OPEN; None: a window.
+    give_up : float, optional [s]
+        A channel that is unreadable for this long is given up; None: `cgid.recordings.gaps.GIVE_UP`.
+    impactors : ExtraColumns, optional
+        Says what struck, such as `cgid.impactor.ImpactorColumns`.
+    """
+
+    costs: Mapping[str, float] = field(default_factory=dict)
+    coverage: float | None = None
+    class_conditional: bool = False
+    drop_height: float | None = None
+    mass: float | None = None
+    invert: bool = False
+    sensors: tuple[str, ...] = ()
+    dead_time: float | None = None
+    vote_time: float | None = None
+    batch: int = BATCH
+    share_time: float | None = None
+    share_step: float | None = None
+    gangue: tuple[str, ...] = ()
+    dilution_cost: float | None = None
+    evidence: float | None = None
+    hold: float | None = None
+    give_up: float | None = None
+    impactors: ExtraColumns | None = None
+
+    def __post_init__(self) -> None:
+        self._require_types()
+        if self.costs and self.coverage is not None:
+            raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
+        if self.class_conditional and self.coverage is None:
+            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
+        if self.vote_time is not None:
+            validation.not_negative("vote_time", self.vote_time, "s")
+        if not validation.positive("window", self.share_length, "s") >= MIN_SHARE_TIME:
+            raise InvalidValue(f"window must be at least {MIN_SHARE_TIME:g} s, got {self.share_length:g} s")
+        validation.positive("step", self.step, "s")
+        validation.positive("dilution_cost", self.cost_of_dilution)
+        require_evidence("evidence", self.least_evidence)
+        validation.not_negative("hold", self.least_hold, "s")
+        if self.give_up is not None:
+            validation.positive("give_up", self.give_up, "s")
+
+    def _require_types(self) -> None:
+        validation.instance("costs", self.costs, Mapping)
+        for name in ("class_conditional", "invert"):
+            validation.instance(name, getattr(self, name), bool, np.bool_)
+        if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
+            raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
+        if self.coverage is not None:
+            validation.number("coverage", self.coverage)
+
+    # -- decision -------------------------------------------------------------------------------------
+
+    def check(self, model: Model) -> None:
+        """Raise `InvalidValue` if the model lacks a label or the coverage, or does not use the drop height."""
+        self.labels(model, np.empty((0, len(model.labels))))
+        if self.drop_height is not None:
+            known_columns(model.known, 1, self.drop_height)
+        if self.impactors is not None:
+            self.impactors.check(model)
+
+    def labels(self, model: Model, probabilities: Floats) -> tuple[list[str], list[tuple[str, ...] | None]]:
+        """Return the label and the prediction set of each row of probabilities."""
+        if self.coverage is None:
+            return model.decide(probabilities, self.costs).tolist(), [None] * len(probabilities)
+        prediction_sets = model.prediction_set(probabilities, self.coverage, class_conditional=self.class_conditional)
+        sets = [tuple(compress(model.labels, row)) for row in prediction_sets.tolist()]
+        return [one[0] if len(one) == 1 else UNKNOWN for one in sets], [*sets]
+
+    def doubt(self, labels: tuple[str, ...] | None) -> str:
+        """Return why a prediction set does not decide; empty for a single label."""
+        if labels is None or len(labels) == 1:
+            return ""
+        if not labels:
+            return f"no label is probable enough: the prediction set at coverage {self.coverage:g} is empty"
+        listed = "both" if len(labels) == 2 else f"these {len(labels)}"
+        return f"{' or '.join(labels)}: the prediction set at coverage {self.coverage:g} holds {listed}"
+
+    # -- models and channels --------------------------------------------------------------------------
+
+    def require_use(self, model: Model) -> None:
+        """Raise `InvalidValue` for a vote time with a model of impacts, or a dead time with a model of windows."""
+        kind, flag, given = "impact", "--vote", self.vote_time
+        if model.kind == "window":
+            kind, flag, given = "window", "--dead-time", self.dead_time
+        if given is not None:
+            raise InvalidValue(f"{flag} must be left out, this model decides on {kind}s")
+
+    def vote_over(self, model: Model) -> float:
+        """Return the time over which windows vote [s]."""
+        return max(VOTE_TIME if self.vote_time is None else self.vote_time, model.window_time)
+
+    def sensors_for(self, model: Model, channels: Sequence[str]) -> list[str | None]:
+        """Return the sensor of each channel, or of each group of channels that the model uses together.
+
+        Raises `InvalidValue` if the number of sensors does not match, or the model knows no sensor of this name.
+        """
+        if not self.sensors:
+            return [None] * len(channels)
+        if len(self.sensors) not in (1, len(channels)):
+            rule = f"given once, or once for each of the {len(channels)} channels" if len(channels) > 1 else "one"
+            raise InvalidValue(
+                f"sensor must be {rule}, got {len(self.sensors)} ({', '.join(self.sensors)}); leave some out"
+            )
+        for sensor in self.sensors:
+            model.equalisation(sensor)
+        return [*self.sensors] * (len(channels) // len(self.sensors))
+
+    # -- gangue share ---------------------------------------------------------------------------------
+
+    @property
+    def share_length(self) -> float:
+        """Window of a share [s]."""
+        return SHARE_TIME if self.share_time is None else self.share_time
+
+    @property
+    def step(self) -> float:
+        """Time from one share to the next [s]."""
+        return self.share_length / 2 if self.share_step is None else self.share_step
+
+    @property
+    def gangue_labels(self) -> tuple[str, ...]:
+        """Labels that count as gangue."""
+        return self.gangue or ("gangue",)
+
+    @property
+    def cost_of_dilution(self) -> float:
+        """Cost of one drawn gangue rock, in lost coal rocks."""
+        return 1.0 if self.dilution_cost is None else self.dilution_cost
+
+    @property
+    def least_evidence(self) -> float:
+        """Probability of being right before SHUT or OPEN is said."""
+        return EVIDENCE if self.evidence is None else self.evidence
+
+    @property
+    def least_hold(self) -> float:
+        """Least time between SHUT and OPEN [s]."""
+        return self.share_length if self.hold is None else self.hold
+
+    @property
+    def asks_for_shares(self) -> bool:
+        """Whether an option asks for shares, so that even a single impact has them."""
+        decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
+        return bool(self.gangue) or any(one is not None for one in decides)
+
+    def separates_gangue(self, model: Model) -> bool:
+        """Return whether a model separates gangue from other labels."""
+        return 0 < len(set(self.gangue_labels) & set(model.labels)) < len(model.labels)
+
+    def require_gangue(self, model: Model) -> None:
+        """Raise `InvalidValue` unless the model has all gangue labels, and others."""
+        for label in self.gangue_labels:
+            validation.choice("gangue label", label, model.labels)
+        if not self.separates_gangue(model):
+            raise InvalidValue(
+                "gangue labels must leave another one, got all of the model's: "
+                f"{', '.join(self.gangue_labels)}; leave one out"
+            )
+
+
+def require_evidence(name: str, value: float) -> float:
+    """Return a probability of being right; raise `InvalidValue` unless it lies from .5 to below 1."""
+    evidence = validation.number(name, value)
+    if not 0.5 <= evidence < 1:
+        raise InvalidValue(f"{name} must lie between 0.5 and 1 (exclusive), got {evidence:g}; such as 0.95")
+    return evidence
+
+
+def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
+    """Return the model inputs besides the features, (n_impacts, n_known).
+
+    The drop height is one number, or one for each impact [m]. Raises `MissingOption` if the model needs it and it is
+    not given, `InvalidValue` if the model does not use it, it is not above 0 or has another shape.
+    """
+    if drop_height is None:
+        if "drop_height" in known:
+            raise MissingOption(
+                "drop_height must be known to this model and is not given; give --drop-height METRES "
+                "(how far the rock fell), or take a model that does without"
+            )
+        return np.empty((n_impacts, 0))
+    if "drop_height" not in known:
+        raise InvalidValue(
+            "drop_height must be left out, this model was trained without it; "
+            "or give a model made by cgid train --drop-height"
+        )
+    heights: NDArray[np.float64] = validation.positive("drop_height", drop_height, KNOWN["drop_height"])
+    if heights.shape not in ((), (n_impacts,)):
+        raise InvalidValue(f"drop_height must be one number or one for each impact ({n_impacts}), got {heights.shape}")
+    return np.broadcast_to(heights, (n_impacts,))[:, None]
