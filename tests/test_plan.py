@@ -27,8 +27,8 @@ from cgid.physics.materials import Material
 from cgid.physics.response import Response
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene import Scene, impacts, load_scene, synthesis, synthesise
-from cgid.scene.extremes import GRAVITY_TOLERANCE, weighed
 from cgid.scene.generation import tabulate
+from cgid.scene.gravity import GRAVITY_TOLERANCE, weighed
 from cgid.scene.impacts import Recorder, TapPulses, beam_modes, draw
 from cgid.scene.plan import NEGLIGIBLE_ECHO, QUANTITIES, RESPONSE_TOLERANCE, STAGES, Decision, Plan, plan
 from cgid.scene.sensor import Sensor

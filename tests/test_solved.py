@@ -18,7 +18,6 @@ from cgid.physics import Elastic, HalfSpace, HertzRangeWarning, Impact, Sphere, 
 from cgid.physics.materials import STEEL, Material
 from cgid.physics.sampled import SampledPulses, shares_of_contact, smoothed
 from cgid.scene.given_pulses import MAKING, PARAMETERS, SolvedImpacts, radii
-from cgid.scene.gravity import unwarned
 from cgid.scene.impacts import draw
 from studies.finite_element import ElasticPlate, FiniteElementImpact
 

@@ -22,23 +22,23 @@ from cgid.scene import Scene
 from cgid.scene.impacts import contacts_of, draws
 from cgid.scene.plan import Plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
-from cgid.scene.through_beam import beam_of, whole_beam
+from cgid.scene.through_beam import beam_of, full_beam
 from cgid.validation import Floats
 
 #: Draws of a scene whose pulses follow from a formula, of one whose pulses are fitted, and of one with a beam.
-_MANY, _FEW, _FEWEST = 1 << 17, 1 << 15, 1 << 14
+_MANY, _FEW, _MIN_DRAWS = 1 << 17, 1 << 15, 1 << 14
 #: Samples of a contact, before it and in all, at which pulses are fitted; noise over the peak; any sampling rate [Hz].
 _SAMPLES, _BEFORE, _FRAME, _NOISE, _RATE = 64, 32, 192, 1e-3, 1e5
 #: Seed of these draws, unlikely to be chosen for the signals.
 _SEED = 0x5EED_0003_C9D1
 #: Populations kept (some 10 MB each), and beams (24 MB).
-_KEPT = 4
+_N_KEPT = 4
 #: Places of a beam at which draws are heard, fractions that fill its sides evenly (Roberts 2018), and their energy over
 #: that of the noise.
 _PLACES, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_N_KEPT)
 def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulation:
     """Return the population of a scene, as what struck is sought among.
 
@@ -70,21 +70,21 @@ def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulatio
     # Each pulse is then one of the family, with the stored peak, duration and restitution.
     plain = of_family and similar and scene.stream is None
     beam = beam_behind(scene) if is_behind_beam(scene) else None
-    wanted = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _FEWEST)
+    n_required = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _MIN_DRAWS)
     parts: list[dict[str, Floats]] = []
     blocks = _stream(scene) if scene.stream is not None else _frames(scene)
-    while sum(part["radius"].size for part in parts) < wanted:
+    while sum(part["radius"].size for part in parts) < n_required:
         values, pulses = next(blocks)
         parts.append(_described(values, None if plain else pulses, beam))
-    held = {name: np.concatenate([part[name] for part in parts])[:wanted] for name in parts[0]}
+    columns = {name: np.concatenate([part[name] for part in parts])[:n_required] for name in parts[0]}
     return ImpactorPopulation(
-        log_peak=held["log_peak"],
-        log_width=held["log_width"],
-        shape=held["shape"],
-        log_radius=np.log(held["radius"]),
-        log_speed=np.log(held["velocity"]),
-        log_mass=np.log(4 / 3 * np.pi * held["density"]) + 3 * np.log(held["radius"]),
-        group=held["group"].astype(np.intp),
+        log_peak=columns["log_peak"],
+        log_width=columns["log_width"],
+        shape=columns["shape"],
+        log_radius=np.log(columns["radius"]),
+        log_speed=np.log(columns["velocity"]),
+        log_mass=np.log(4 / 3 * np.pi * columns["density"]) + 3 * np.log(columns["radius"]),
+        group=columns["group"].astype(np.intp),
         similar=similar,
         of_family=of_family,
         name=f"scene {scene.name}",
@@ -101,19 +101,19 @@ def _frames(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
     for blows in draws(scene, _SEED):
         group = np.array([labels[str(one)] for one in blows.labels])
         values = {**blows.parameters, "group": group}
-        struck = np.isfinite(values["radius"])
+        is_impact = np.isfinite(values["radius"])
         pulses: _Pulses = [
             (one.rows, one.pulses)
             for one in blows.strikes
             if one.ratio is None and isinstance(one.pulses, Impact | ModalImpact)
         ]
-        values["struck"] = struck
+        values["struck"] = is_impact
         yield values, pulses
 
 
 def _stream(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
     """Yield the impacts of streams, rebound by rebound, and their pulses."""
-    asked = Plan(scene=scene, kind="pulses")
+    pulse_plan = Plan(scene=scene, kind="pulses")
     assert scene.stream is not None
     number = 0
     while True:
@@ -121,7 +121,7 @@ def _stream(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
             rocks = arriving(scene, stretch, 0, _SEED, number)
             while len(rocks):
                 values = {**rocks.columns, "group": rocks["population"], "struck": np.ones(len(rocks), bool)}
-                pulses = _of_rocks(asked, rocks)
+                pulses = _of_rocks(pulse_plan, rocks)
                 delivered = {name: np.empty(len(rocks)) for name in ("restitution", "contact_duration", "peak_force")}
                 for rows, one in pulses:
                     for name, column in delivered.items():
@@ -134,8 +134,8 @@ def _stream(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
         number += 1
 
 
-def _of_rocks(asked: Plan, rocks: Rocks) -> _Pulses:
-    return list(contacts_of(asked, rocks.columns, np.arange(len(rocks))))
+def _of_rocks(pulse_plan: Plan, rocks: Rocks) -> _Pulses:
+    return list(contacts_of(pulse_plan, rocks.columns, np.arange(len(rocks))))
 
 
 def _described(values: Mapping[str, Any], pulses: _Pulses | None, beam: ThroughBeam | None) -> dict[str, Floats]:
@@ -145,25 +145,25 @@ def _described(values: Mapping[str, Any], pulses: _Pulses | None, beam: ThroughB
         rows = np.flatnonzero(values["struck"])
         shape = np.log(np.maximum(values["restitution"][rows], 1e-3))
         width = values["contact_duration"][rows] / relative_times(shape)[0]
-        own = {"log_peak": np.log(values["peak_force"][rows]), "log_width": np.log(width), "shape": shape}
-        return own | {name: values[name][rows] for name in names}
-    found: list[dict[str, Floats]] = []
+        columns = {"log_peak": np.log(values["peak_force"][rows]), "log_width": np.log(width), "shape": shape}
+        return columns | {name: values[name][rows] for name in names}
+    parts: list[dict[str, Floats]] = []
     for rows, one in pulses:
         lasts, peak = values["contact_duration"][rows], values["peak_force"][rows]
         log_peak, log_width, shape = _fitted(one, lasts, peak) if beam is None else fit_through_beam(one, peak, beam)
-        own = {"log_peak": np.log(peak) + log_peak, "log_width": log_width, "shape": shape}
-        found.append(own | {name: values[name][rows] for name in names})
-    return {name: np.concatenate([part[name] for part in found]) for name in (*names, "log_peak", "log_width", "shape")}
+        columns = {"log_peak": np.log(peak) + log_peak, "log_width": log_width, "shape": shape}
+        parts.append(columns | {name: values[name][rows] for name in names})
+    return {name: np.concatenate([part[name] for part in parts]) for name in (*names, "log_peak", "log_width", "shape")}
 
 
 def _fitted(pulses: Impact | ModalImpact, lasts: Floats, peak: Floats) -> tuple[Floats, Floats, Floats]:
     """Return what the fit to forces measures of pulses: ln peak over their own, ln width, and shape."""
     force = np.zeros((peak.size, _FRAME))
     pulses.add_to_frames(force, _SAMPLES / lasts, _BEFORE * lasts / _SAMPLES)
-    found = estimate(force / peak[:, None], _RATE, pre_trigger=_BEFORE, noise=_NOISE)
-    shape = np.log(found.restitution)
-    width = found.contact_duration * _RATE / _SAMPLES * lasts / relative_times(shape)[0]
-    return np.log(found.peak), np.log(width), shape
+    estimates = estimate(force / peak[:, None], _RATE, pre_trigger=_BEFORE, noise=_NOISE)
+    shape = np.log(estimates.restitution)
+    width = estimates.contact_duration * _RATE / _SAMPLES * lasts / relative_times(shape)[0]
+    return np.log(estimates.peak), np.log(width), shape
 
 
 def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBeam) -> tuple[Floats, Floats, Floats]:
@@ -176,26 +176,26 @@ def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBe
     order = np.arange(peak.size)
     force = np.zeros((peak.size, shapes.shape[1]))
     pulses.add_to_frames(force, FINE * rate, (order + 0.5) / peak.size * TOUCH / rate)
-    heard = filtered(beam.beam, force / peak[:, None])
-    coefficients = np.asarray(np.linalg.solve(shapes @ shapes.T, shapes @ heard.T).T, np.float64)
+    filtered_force = filtered(beam.beam, force / peak[:, None])
+    coefficients = np.asarray(np.linalg.solve(shapes @ shapes.T, shapes @ filtered_force.T).T, np.float64)
     information = _information(beam)[order % _PLACES]
     vector = np.einsum("nij,nj->ni", information, coefficients)
     louder = _ENERGY / np.einsum("ni,ni->n", vector, coefficients)
     information, vector = information * louder[:, None, None], vector * louder[:, None]
     one, pair = np.ones(peak.size), np.ones((peak.size, 2))
-    found = beam.fit.fit(Inverted(one, one, pair, order, coefficients, information, vector, one, one, one, one))
-    return np.log(found.peak), np.log(found.width), found.shape
+    fitted = beam.fit.fit(Inverted(one, one, pair, order, coefficients, information, vector, one, one, one, one))
+    return np.log(fitted.peak), np.log(fitted.width), fitted.shape
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_N_KEPT)
 def _information(beam: ThroughBeam) -> Floats:
     """Return what the samples of a beam tell of forces at places all over it, (_PLACES, n_shapes, n_shapes)."""
     inversion, region = beam.inversion, beam.beam.region.reshape(2, 2)
     table = inversion.transformed(respond(beam.beam, inversion.forces, inversion.n_samples))
     even = np.outer(_EVENLY, np.arange(1, _PLACES + 1)) % 1
     at = beam.beam.weights(*(region[:, :1] + np.diff(region) * even))[0]
-    heard = np.tensordot(at, table, (1, 0))
-    return np.asarray(heard @ heard.transpose(0, 2, 1), np.float64)
+    responses = np.tensordot(at, table, (1, 0))
+    return np.asarray(responses @ responses.transpose(0, 2, 1), np.float64)
 
 
 def is_behind_beam(scene: Scene) -> bool:
@@ -203,7 +203,7 @@ def is_behind_beam(scene: Scene) -> bool:
     return scene.tail_beam is not None and scene.sensor.quantity != "force"
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_N_KEPT)
 def beam_behind(scene: Scene) -> ThroughBeam:
     """Return the beam of a scene to look through, where rocks bounce, too; raises `InvalidValue` as `beam_of`."""
-    return ThroughBeam(beam_of(scene) if scene.stream is None else whole_beam(scene))
+    return ThroughBeam(beam_of(scene) if scene.stream is None else full_beam(scene))

@@ -1,4 +1,4 @@
-"""Turn drawn numbers into pulses, and pulses into the recorder's response.
+"""Switch drawn numbers into pulses, and pulses into the recorder's response.
 
 Pulses come from impacts on a target or a vibrating beam, and from taps.
 """
@@ -27,7 +27,7 @@ from cgid.physics.response import Response
 from cgid.physics.sampled import SampledPulses
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene.draws import LUMP, PARTICLE, at_once, drawn_block
-from cgid.scene.extremes import weighed
+from cgid.scene.gravity import weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
 from cgid.scene.sections import DISSIPATIONS, SHAPES, TailBeamSection

@@ -22,7 +22,7 @@ from cgid.measure.features import FEATURES, allow_truncation, choose, kind_for, 
 from cgid.measure.pulses import FAINT
 from cgid.physics import HuntCrossley, ThinPlate
 from cgid.scene.draws import parameter_units
-from cgid.scene.extremes import largest_error, tolerance_of
+from cgid.scene.gravity import largest_error, tolerance_of
 from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.sensor import CHUNK
 
@@ -54,11 +54,11 @@ NEGLIGIBLE_ECHO = 0.02
 #: Modes are found up to this multiple of the recorder's highest frequency, because their tails reach into its band.
 BEYOND_BAND = 1.25
 #: Modes above this frequency respond quasi-statically to any contact long enough to feel the edges of a beam [Hz].
-HIGHEST_FELT = 20e3
+MAX_RESPONSE_FREQUENCY = 20e3
 #: A frequency is in the band if the anti-alias filter passes at least this share of its amplitude.
-_STILL_HEARD = 0.1
+_MIN_AUDIBLE = 0.1
 #: Longer lists of features are abbreviated.
-_MOST_LISTED = 13
+_MAX_LISTED = 13
 
 
 class Decision(NamedTuple):
@@ -238,11 +238,11 @@ def plan(
     _require_recordings(scene, output)
     validation.choice("dtype", dtype, ("float32", "float64"))
     made = Plan(scene=scene, kind=output, dtype=dtype)
-    wanted = _quantities(quantities) if output == "closed-form" else ()
+    names = _quantities(quantities) if output == "closed-form" else ()
     return replace(
         made,
         features=_features(scene, features) if output == "features" else (),
-        quantities=STORED if made.signals else wanted,
+        quantities=STORED if made.signals else names,
     )
 
 
@@ -297,32 +297,32 @@ def _quantities(quantities: Iterable[str] | None) -> tuple[str, ...]:
 def highest_frequency(scene: Scene) -> float:
     """Return the frequency up to which the modes of a scene's beam are found [Hz]."""
     if scene.sensor.quantity == "force":  # modes are not recorded, but act on contacts that outlast their echo
-        return HIGHEST_FELT
+        return MAX_RESPONSE_FREQUENCY
     anti_alias = scene.sensor.anti_alias
     if anti_alias is None:
         return BEYOND_BAND * scene.sampling.sampling_rate / 2
     # A Butterworth filter passes 1 / sqrt(1 + (f / edge)^(2 order)).
     return float(
-        BEYOND_BAND * anti_alias.frequency * np.power(1 / (_STILL_HEARD * _STILL_HEARD) - 1, 0.5 / anti_alias.order)
+        BEYOND_BAND * anti_alias.frequency * np.power(1 / (_MIN_AUDIBLE * _MIN_AUDIBLE) - 1, 0.5 / anti_alias.order)
     )
 
 
 # -- one decision per stage: what the scene asks for, and what an output must have for it to run ----------
 
 
-def _arrivals(asked: Plan) -> str:
-    stream = asked.scene.stream
+def _arrivals(plan: Plan) -> str:
+    stream = plan.scene.stream
     assert stream is not None  # it needs one
     how = "Poisson" if stream.arrivals.rate is not None else "listed"
     mixture = "" if stream.mixture is None else ", the mixture changes"
     return f"{how}, {stream.duration:g} s{mixture}"
 
 
-def _impacts(asked: Plan) -> str:
-    scene = asked.scene
+def _impacts(plan: Plan) -> str:
+    scene = plan.scene
     if isinstance(scene.body, ThinPlate) or scene.tail_beam is not None:
         return "integrated: a plate or beam that gives way leaves no closed form"
-    if asked.runs("gravity"):
+    if plan.runs("gravity"):
         return "closed forms, integrated where gravity is felt"
     integrated = "kuwabara-kono impacts integrated one by one" * ("kuwabara-kono" in scene.dissipations)
     if scene.plastic:
@@ -348,11 +348,11 @@ def _damps_beyond(scene: Scene) -> bool:
     return bool(delivered < LOWEST_RESTITUTION)
 
 
-def _gravity(asked: Plan) -> str | Decision:
-    section = asked.scene.impact
+def _gravity(plan: Plan) -> str | Decision:
+    section = plan.scene.impact
     if section.gravity is None:
         return ""
-    bound, limit = largest_error(section, asked.scene.body, asked.scene.populations), tolerance_of(section)
+    bound, limit = largest_error(section, plan.scene.body, plan.scene.populations), tolerance_of(section)
     if bound <= limit:
         return Decision(False, f"2.4 g L / (v^2 e) is at most {bound:.2g}, the tolerance {limit:g}", bound)
     if np.isinf(bound):
@@ -360,8 +360,8 @@ def _gravity(asked: Plan) -> str | Decision:
     return Decision(True, f"for each impact with 2.4 g L / (v^2 e) above {limit:g}", limit)
 
 
-def _coupling(asked: Plan) -> str | Decision:
-    beam = asked.scene.tail_beam
+def _coupling(plan: Plan) -> str | Decision:
+    beam = plan.scene.tail_beam
     if beam is None:
         return Decision(False, "the scene has no tail beam")
     if beam.coupling == "impedance":
@@ -374,8 +374,8 @@ def _coupling(asked: Plan) -> str | Decision:
     return Decision(True, f"{why}{NEGLIGIBLE_ECHO:g}, else as an endless plate", NEGLIGIBLE_ECHO)
 
 
-def _rebounds(asked: Plan) -> str | Decision:
-    stream = asked.scene.stream
+def _rebounds(plan: Plan) -> str | Decision:
+    stream = plan.scene.stream
     assert stream is not None
     if stream.rebounds is None:
         return Decision(False, "off: no rock bounces")
@@ -386,17 +386,17 @@ def _pulses(_: Plan) -> str:
     return "samples in contact only"
 
 
-def _taps(asked: Plan) -> str | Decision:
-    return "samples in contact only" if asked.scene.taps else Decision(False, "the scene has none")
+def _taps(plan: Plan) -> str | Decision:
+    return "samples in contact only" if plan.scene.taps else Decision(False, "the scene has none")
 
 
-def _second_hits(asked: Plan) -> str:
-    some = any(source.second_hit is not None for source in asked.scene.sources)
+def _second_hits(plan: Plan) -> str:
+    some = any(source.second_hit is not None for source in plan.scene.sources)
     return "the same pulse once more, delay and ratio are drawn" * some
 
 
-def _tail_beam(asked: Plan) -> Decision:
-    scene = asked.scene
+def _tail_beam(plan: Plan) -> Decision:
+    scene = plan.scene
     if scene.tail_beam is None:
         return Decision(False, "the scene has none")
     if scene.sensor.quantity == "force":
@@ -413,9 +413,9 @@ def _tail_beam(asked: Plan) -> Decision:
     return Decision(True, why, RESPONSE_TOLERANCE)
 
 
-def _sensor_chain(asked: Plan) -> str | Decision:
-    sensor = asked.scene.sensor
-    if asked.scene.draws("anti_alias_frequency"):
+def _sensor_chain(plan: Plan) -> str | Decision:
+    sensor = plan.scene.sensor
+    if plan.scene.draws("anti_alias_frequency"):
         mounting = "" if sensor.mounting is None else f"mounting {sensor.mounting.frequency:g} Hz, "
         return Decision(True, f"{mounting}anti-alias drawn for each block", RESPONSE_TOLERANCE)
     if not sensor.filters:
@@ -425,14 +425,14 @@ def _sensor_chain(asked: Plan) -> str | Decision:
     return Decision(True, f"{on}: {sum(part.poles.size for part in sensor.filters)} poles", RESPONSE_TOLERANCE)
 
 
-def _rest_of_frames(asked: Plan) -> str | Decision:
-    scene, sensor = asked.scene, asked.scene.sensor
-    if asked.kept:
+def _frame_remainder(plan: Plan) -> str | Decision:
+    scene, sensor = plan.scene, plan.scene.sensor
+    if plan.kept:
         return "whole signals are asked for"
-    if kind_of(asked.features) != "pulse":
+    if kind_of(plan.features) != "pulse":
         return "a vibration is measured all through the frame"
-    if not allow_truncation(asked.features):
-        everywhere = [name for name in asked.features if FEATURES[name].whole_frame]
+    if not allow_truncation(plan.features):
+        everywhere = [name for name in plan.features if FEATURES[name].whole_frame]
         return f"{', '.join(everywhere)} looks at samples far from the pulse"
     if sensor.quantity != "force" or sensor.filters:
         return "what is heard of a blow through a beam or a filter rings on"
@@ -448,56 +448,56 @@ def _rest_of_frames(asked: Plan) -> str | Decision:
     return Decision(False, "no asked feature looks there; made for the signals where that is not certain")
 
 
-def _bandwidth(asked: Plan) -> str:
-    edge = asked.scene.sensor.bandwidth
-    if asked.scene.draws("bandwidth"):
+def _bandwidth(plan: Plan) -> str:
+    edge = plan.scene.sensor.bandwidth
+    if plan.scene.draws("bandwidth"):
         return "drawn for each block; always whole frames"
     return "" if edge is None else f"{edge:g} Hz; always whole frames"
 
 
-def _noise(asked: Plan) -> str:
-    if not asked.scene.sensor.noisy and not asked.scene.draws("relative_noise"):
+def _noise(plan: Plan) -> str:
+    if not plan.scene.sensor.noisy and not plan.scene.draws("relative_noise"):
         return ""
-    whole = asked.runs("rest of the frames")
-    return _colour(asked) + ("whole frames" if whole else "up to the last sample that a feature looks at")
+    extent = plan.runs("rest of the frames")
+    return _colour(plan) + ("whole frames" if extent else "up to the last sample that a feature looks at")
 
 
-def _colour(asked: Plan) -> str:
+def _colour(plan: Plan) -> str:
     """Return what colours the noise, with the frequency below which it is flat."""
-    sensor, rate = asked.scene.sensor, asked.scene.extreme_rates[0]
-    if asked.scene.draws("noise_exponent"):
+    sensor, rate = plan.scene.sensor, plan.scene.extreme_rates[0]
+    if plan.scene.draws("noise_exponent"):
         return "colour drawn for each block; "
     if not sensor.coloured:
         return ""
     shape = f"1/f^{sensor.noise_exponent:g}" if sensor.noise_spectrum is None else "of the spectrum given"
-    least = "at least " if asked.scene.draws("sampling_rate") else ""
-    return f"{shape}, flat below {least}{rate / (asked.scene.sampling.samples or CHUNK):.4g} Hz; "
+    least = "at least " if plan.scene.draws("sampling_rate") else ""
+    return f"{shape}, flat below {least}{rate / (plan.scene.sampling.samples or CHUNK):.4g} Hz; "
 
 
-def _background(asked: Plan) -> str:
-    section = asked.scene.background
+def _background(plan: Plan) -> str:
+    section = plan.scene.background
     on = [name for name in ("hum", "coloured", "recorded") if section is not None and getattr(section, name)]
-    on += ["hum drawn for each block"] * asked.scene.draws("hum")
+    on += ["hum drawn for each block"] * plan.scene.draws("hum")
     return ", ".join(on) + "; always whole frames" * bool(on)
 
 
-def _clipping(asked: Plan) -> str:
-    return "clipped_at is drawn" * any(source.clipped_at is not None for source in asked.scene.sources)
+def _clipping(plan: Plan) -> str:
+    return "clipped_at is drawn" * any(source.clipped_at is not None for source in plan.scene.sources)
 
 
-def _digitising(asked: Plan) -> str:
+def _digitising(plan: Plan) -> str:
     names = ("offset", "drift", "range", "relative_range", "bits")
-    drawn = [name for name in names if asked.scene.draws(name)]
-    parts = {name: getattr(asked.scene.sensor, name) for name in names if name not in drawn}
+    drawn = [name for name in names if plan.scene.draws(name)]
+    parts = {name: getattr(plan.scene.sensor, name) for name in names if name not in drawn}
     on = [f"{name} {value:g}" for name, value in parts.items() if value]
     return ", ".join(on + [f"{' and '.join(drawn)} drawn for each block"] * bool(drawn))
 
 
-def _measuring(asked: Plan) -> str | Decision:
-    names = asked.features
+def _measuring(plan: Plan) -> str | Decision:
+    names = plan.features
     if not names:
         return Decision(False, "no features are asked for")
-    listed = ", ".join(names) if len(names) <= _MOST_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
+    listed = ", ".join(names) if len(names) <= _MAX_LISTED else f"{names[0]} to {names[-1]}, {len(names)} of them"
     fitted = "a fit" if any(FEATURES[name].fitted for name in names) else "no fit"
     spectral = any(FEATURES[name].spectral for name in names if FEATURES[name].kind == "pulse")
     return f"{listed}; {fitted}, {'spectra' if spectral else 'no spectra'}"
@@ -525,7 +525,7 @@ STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "second hits": ("signals", _second_hits),
     "tail beam": ("sensor", _tail_beam),
     "sensor chain": ("sensor", _sensor_chain),
-    "rest of the frames": ("signals", _rest_of_frames),
+    "rest of the frames": ("signals", _frame_remainder),
     "bandwidth": ("sensor", _bandwidth),
     "noise": ("sensor", _noise),
     "background": ("sensor", _background),

@@ -22,7 +22,7 @@ from cgid.physics.bodies import Target
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection, with_spectrum
 from cgid.scene.distributions import DISTRIBUTION_NAMES, Section, quantity_of
-from cgid.scene.extremes import problem_of_weight, problem_on_plate
+from cgid.scene.gravity import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
     DISSIPATIONS,
     ON_SOLID_GROUND,
@@ -42,11 +42,11 @@ from cgid.shipped import scene_path
 from cgid.validation import cut, shown, suggestion
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
-_LARGEST_FILE, _MOST_KEYS = 8 << 20, 100_000
+_LARGEST_FILE, _MAX_KEYS = 8 << 20, 100_000
 #: Frequency of the mains where `randomise.hum_frequency` does not say it [Hz].
 HUM_FREQUENCY = 50.0
 #: Most mistakes in one report.
-_MOST_MISTAKES = 20
+_MAX_MISTAKES = 20
 
 
 class Scene(Section):
@@ -131,27 +131,27 @@ class Scene(Section):
             for name in ("restitution", "yield_pressure", "strength"):
                 given = getattr(population, name) is not None
                 if given and name not in (needed, instead):
-                    cure = "; for viscous loss beside crushing give viscous_restitution" * (instead is not None)
-                    problems.append(f"{place}.{name}: must be left out when dissipation is {dissipation}{cure}")
+                    hint = "; for viscous loss beside crushing give viscous_restitution" * (instead is not None)
+                    problems.append(f"{place}.{name}: must be left out when dissipation is {dissipation}{hint}")
                 if not given and name == needed and not (instead and getattr(population, instead) is not None):
                     other = f", or {instead}" * (instead is not None)
                     problems.append(f"{place}.{name}: is missing, {dissipation} dissipation needs it{other}")
             if population.yield_pressure is not None and population.strength is not None:
                 problems.append(f"{place}.strength: must be left out beside yield_pressure, which it stands for")
             if population.viscous_restitution is not None and dissipation not in PLASTIC:
-                cure = "leave it out" if needed is None else "give restitution, which is viscous"
+                hint = "leave it out" if needed is None else "give restitution, which is viscous"
                 problems.append(
-                    f"{place}.viscous_restitution: must be left out when dissipation is {dissipation}; {cure}"
+                    f"{place}.viscous_restitution: must be left out when dissipation is {dissipation}; {hint}"
                 )
         for dissipation in dict.fromkeys(name for name in self.dissipations if name in ON_SOLID_GROUND):
-            cure = "leave it out, or take hunt-crossley"
+            hint = "leave it out, or take hunt-crossley"
             for name, wrong in {
                 "impact.gravity": self.impact.gravity is not None,
                 "impact.target.thickness": getattr(self.impact.target, "thickness", None) is not None,
                 "tail_beam": self.tail_beam is not None,
             }.items():
                 if wrong:
-                    problems.append(f"{name}: must be left out when dissipation is {dissipation}; {cure}")
+                    problems.append(f"{name}: must be left out when dissipation is {dissipation}; {hint}")
         return problems
 
     def _problems_of_beam(self) -> list[str]:
@@ -303,7 +303,7 @@ def load_scene(path: str | Path | Scene) -> Scene:
     except UnicodeDecodeError:
         raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
     try:
-        content = parse_toml(text, _MOST_KEYS)
+        content = parse_toml(text, _MAX_KEYS)
     except ValueError as error:  # also integers of thousands of digits
         raise BadData(f"{path}: a scene file must be valid TOML: {error}; correct it there") from None
     folder = Path(path).parent
@@ -348,11 +348,11 @@ def parse_scene(content: dict[str, Any], source: str = "scene", folder: Path | N
             scene.__dict__["folder"] = folder
         return scene
     except ValidationError as error:
-        found = error.errors(include_url=False)
-        entries = [entry for entry in found if not _secondary(entry, found)]
+        errors = error.errors(include_url=False)
+        entries = [entry for entry in errors if not _secondary(entry, errors)]
         problems = [line for entry in entries for line in _lines(entry)]
-        more = [f"and {len(problems) - _MOST_MISTAKES} more mistakes"] * (len(problems) > _MOST_MISTAKES)
-        raise BadData(*(f"{source}: {line}" for line in problems[:_MOST_MISTAKES] + more)) from None
+        more = [f"and {len(problems) - _MAX_MISTAKES} more mistakes"] * (len(problems) > _MAX_MISTAKES)
+        raise BadData(*(f"{source}: {line}" for line in problems[:_MAX_MISTAKES] + more)) from None
 
 
 def _path(location: tuple[int | str, ...]) -> str:
@@ -362,11 +362,11 @@ def _path(location: tuple[int | str, ...]) -> str:
     return ".".join(cut(part if part.isprintable() else repr(part)) for part in parts) or "scene"
 
 
-def _secondary(entry: Any, found: Sequence[Any]) -> bool:
+def _secondary(entry: Any, errors: Sequence[Any]) -> bool:
     """Return whether an error only follows from another one, or concerns the form of target that was not chosen."""
     if entry["type"] == "too_short":  # a list all of whose rows are invalid
         place = entry["loc"]
-        return any(other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in found)
+        return any(other["loc"][: len(place)] == place and len(other["loc"]) > len(place) for other in errors)
     if "literal['rigid']" in entry["loc"]:
         return isinstance(entry["input"], dict)
     return "TargetSection" in entry["loc"] and entry["type"] == "model_type"
@@ -437,7 +437,7 @@ _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
 #: Settings of which one replaces the other, and what is drawn in place of which setting under another name.
 _INSTEAD = {"velocity": "drop_height", "drop_height": "velocity", "range": "relative_range", "relative_range": "range"}
 _DRAWN_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}
-_OF_ITS_OWN = ("label", "weight", "dissipation")
+_SOURCE_KEYS = ("label", "weight", "dissipation")
 
 
 def varied(scene: Scene | str | Path, *, keep_frame: bool = False, **changes: Any) -> Scene:
@@ -477,7 +477,7 @@ def varied(scene: Scene | str | Path, *, keep_frame: bool = False, **changes: An
     scene = load_scene(scene)
     content = json.loads(scene.text)
     if keep_frame:
-        changes |= _kept_frame(scene, changes)
+        changes |= _same_frame(scene, changes)
     for name, value in changes.items():
         places = _places(content, name)
         if not places:
@@ -498,14 +498,14 @@ def _places(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
             del content["randomise"]
     if name in ("name", "description"):
         return [content]
-    found = [content.setdefault(part, {}) for part, section in _SECTIONS.items() if name in section.model_fields]
-    if name not in _OF_ITS_OWN:
+    places = [content.setdefault(part, {}) for part, section in _SECTIONS.items() if name in section.model_fields]
+    if name not in _SOURCE_KEYS:
         for part, kind in _LISTS.items():
-            found += content.get(part, []) if name in kind.model_fields else []
-    return found
+            places += content.get(part, []) if name in kind.model_fields else []
+    return places
 
 
-def _kept_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:
+def _same_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:
     """Return `pre_trigger` and `samples` that span the same time at another sampling rate."""
     given = sorted({"samples", "pre_trigger"} & changes.keys())
     if "sampling_rate" not in changes or given:

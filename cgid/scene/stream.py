@@ -16,7 +16,7 @@ from cgid.physics import Impact
 from cgid.physics.coupled import ModalImpact
 from cgid.scene.draws import LUMP, PARAMETER_UNITS, POINT_UNITS, require_seed
 from cgid.scene.impacts import Recorder, contacts_of, recorder_of
-from cgid.scene.noise import Background, add_noise, background_of, colour_of
+from cgid.scene.noise import Background, add_noise, ar_noise_of, background_of
 from cgid.scene.plan import RESPONSE_TOLERANCE, STORED, Plan, plan
 from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.schema import Scene, load_scene, samples_of
@@ -115,7 +115,7 @@ def joined(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDAr
 _FILTER_PERIODS = 64
 
 
-def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | None) -> dict[str, Floats]:
+def add_impacts(plan: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | None) -> dict[str, Floats]:
     """Add the recorded impacts of some rocks to the time axis, and return the delivered quantities `STORED`, each (n,).
 
     Overlapping impacts add up.
@@ -124,12 +124,12 @@ def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | 
     if not len(rocks):
         return delivered
     everyone = np.arange(len(rocks))
-    for rows, pulses in contacts_of(asked, rocks.columns, everyone):
-        own = rocks.taken(rows)
+    for rows, pulses in contacts_of(plan, rocks.columns, everyone):
+        indices = rocks.taken(rows)
         if recorder is None:
-            _add_forces(asked, axis, pulses, own["time"])
+            _add_forces(plan, axis, pulses, indices["time"])
         else:
-            _add_response(asked.scene, axis, recorder, pulses, own.columns)
+            _add_response(plan.scene, axis, recorder, pulses, indices.columns)
         for name in STORED:
             delivered[name][rows] = getattr(pulses, name)
     return delivered
@@ -137,16 +137,16 @@ def add_impacts(asked: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | 
 
 def _is_quick(length: int) -> bool:
     """Return whether a transform of this length is quick: it has no prime factor above `_LARGEST_FACTOR`."""
-    rest = length
+    remaining = length
     for factor in (2, *range(3, _LARGEST_FACTOR + 1, 2)):
-        while rest % factor == 0:
-            rest //= factor
-    return rest == 1
+        while remaining % factor == 0:
+            remaining //= factor
+    return remaining == 1
 
 
-def _add_forces(asked: Plan, axis: TimeAxis, pulses: Impact | ModalImpact, times: Floats) -> None:
-    scene, rate, guard = asked.scene, asked.scene.sampling.sampling_rate, lead(asked)
-    filtered = asked.runs("bandwidth")
+def _add_forces(plan: Plan, axis: TimeAxis, pulses: Impact | ModalImpact, times: Floats) -> None:
+    scene, rate, guard = plan.scene, plan.scene.sampling.sampling_rate, lead(plan)
+    filtered = plan.runs("bandwidth")
     first = np.floor(times * rate).astype(np.int64) - guard
     width = int(np.ceil(pulses.end_of_contact.max() * rate)) + 2 + 2 * guard
     while filtered and not _is_quick(width):
@@ -183,11 +183,11 @@ def _add_response(
     recorder.response.add_to_frames(frames, pulses, onset, recorder.participation(columns), rows=rows)
 
 
-def lead(asked: Plan) -> int:
+def lead(plan: Plan) -> int:
     """Return by how many samples an impact may precede its touch, because the low-pass has zero phase."""
-    if not asked.runs("bandwidth"):
+    if not plan.runs("bandwidth"):
         return 0
-    scene = asked.scene
+    scene = plan.scene
     assert scene.sensor.bandwidth is not None
     return int(np.ceil(_FILTER_PERIODS * scene.sampling.sampling_rate / scene.sensor.bandwidth))
 
@@ -246,18 +246,18 @@ def parts_of_recording(
     if scene.stream is None:
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
     seed, number = require_seed(seed), validation.whole("number of the recording", number, 0, 2**32 - 1)
-    asked = plan(scene, "recordings", dtype=dtype)
-    background = background_of(scene) if asked.runs("background") else None
-    audible, recorder = hearing_limit(scene, background), recorder_of(asked)
+    recording_plan = plan(scene, "recordings", dtype=dtype)
+    background = background_of(scene) if recording_plan.runs("background") else None
+    audible, recorder = hearing_limit(scene, background), recorder_of(recording_plan)
     axis, carried, n_rocks, done = TimeAxis(), Rocks.joined([]), 0, 0
     n_samples = samples_of(scene)
 
     def recorded(chunks: range) -> NDArray[Any]:
-        made = [_recorded(asked, background, axis.taken((k + 1) * CHUNK), seed, number, k) for k in chunks]
+        made = [_recorded(recording_plan, background, axis.taken((k + 1) * CHUNK), seed, number, k) for k in chunks]
         return np.concatenate([np.empty(0, dtype), *made])
 
     arrivals = arrivals_of(scene.stream).stretches(scene.stream.duration, seed, number)
-    for stretch in arrivals if asked.runs("arrivals") else ():
+    for stretch in arrivals if recording_plan.runs("arrivals") else ():
         arrived = arriving(scene, stretch, n_rocks, seed, number)
         n_rocks += len(arrived)
         truth = [empty_truth(scene)]
@@ -267,15 +267,15 @@ def parts_of_recording(
             late = coming["time"] >= stretch.stop
             waiting.append(coming.taken(late))
             now = coming.taken(~late)
-            delivered = add_impacts(asked, axis, now, recorder)
+            delivered = add_impacts(recording_plan, axis, now, recorder)
             truth.append(truth_of(scene, now, delivered))
-            if not asked.runs("rebounds"):
+            if not recording_plan.runs("rebounds"):
                 break
             loud = delivered["peak_force"] > audible
             coming = thrown_back(scene, now, delivered["restitution"], delivered["contact_duration"], loud)
         carried = Rocks.joined(waiting)
         # Later impacts, including what the low-pass spreads ahead of touch, start after this sample.
-        final = min(max(int(stretch.stop * scene.sampling.sampling_rate) - lead(asked), 0), n_samples)
+        final = min(max(int(stretch.stop * scene.sampling.sampling_rate) - lead(recording_plan), 0), n_samples)
         yield recorded(range(done, final // CHUNK)), _joined_truth(scene, truth)
         done = max(done, final // CHUNK)
     yield recorded(range(done, -(-n_samples // CHUNK)))[: n_samples - done * CHUNK], empty_truth(scene)
@@ -291,13 +291,13 @@ def _joined_truth(scene: Scene, parts: list[dict[str, NDArray[Any]]]) -> dict[st
 
 
 def _recorded(
-    asked: Plan, background: Background | None, samples: Floats, seed: int, number: int, chunk: int
+    plan: Plan, background: Background | None, samples: Floats, seed: int, number: int, chunk: int
 ) -> NDArray[Any]:
     """Return a chunk as recorded, with the stages after the pulses: noise, background, range and bits."""
-    sensor, rate = asked.scene.sensor, asked.scene.sampling.sampling_rate
-    if asked.runs("noise"):
+    sensor, rate = plan.scene.sensor, plan.scene.sampling.sampling_rate
+    if plan.runs("noise"):
         level = sensor.noise_level(np.zeros(1), rate)
-        colour = colour_of(asked.scene)
+        colour = ar_noise_of(plan.scene)
         if colour is None:
             add_noise(samples[None], level, seed, number, first_sample=chunk * CHUNK)
         else:
@@ -306,7 +306,7 @@ def _recorded(
     if background is not None:
         count("background_samples", samples.size)
         samples += background.in_recording(seed, number, chunk)
-    if asked.runs("offset, range and bits"):
+    if plan.runs("offset, range and bits"):
         count("digitised_chunks")
         sensor.digitise(samples[None], rate, np.zeros(1), first=chunk * CHUNK)
-    return samples.astype(asked.dtype)
+    return samples.astype(plan.dtype)

@@ -15,7 +15,7 @@ from cgid.units import parse
 from cgid.validation import Floats, Rule
 
 #: Lowest bandwidth over the sampling rate; it spreads every impact over some 65,000 samples.
-_LEAST_BAND = 1 / 512
+_MIN_BAND = 1 / 512
 #: Tolerance of the sum of shares.
 _SHARE_TOLERANCE = 1e-9
 
@@ -103,19 +103,19 @@ class MixtureSection(Section):
     def problems(self, labels: tuple[str, ...]) -> list[str]:
         """Return error messages for shares that do not fit a scene with these labels."""
         known = ", ".join(labels)
-        found = [
+        problems = [
             f"stream.mixture.{label}: must be a label of a population, one of {known}"
             for label in self.shares
             if label not in labels
         ]
         total = np.sum([*self.shares.values()], axis=0)
-        if not found and set(labels) == set(self.shares) and total.min() < 1 - _SHARE_TOLERANCE:
+        if not problems and set(labels) == set(self.shares) and total.min() < 1 - _SHARE_TOLERANCE:
             row = int(np.argmin(total))
-            found.append(
+            problems.append(
                 f"stream.mixture: shares of all labels must add up to 1, got {total[row]:g} at {self.times[row]:g} s; "
                 "leave out a label, which then takes the rest"
             )
-        return found
+        return problems
 
     def at(self, label: str, times: Floats) -> Floats:
         """Return the share of a label with a row at these times [s]."""
@@ -157,31 +157,31 @@ class StreamSection(Section):
     def problems(self, populations: tuple[Population, ...], sensor: Sensor, sampling_rate: float) -> list[str]:
         """Return error messages for settings that conflict with a stream of one time axis and one sensor."""
         labels = tuple(sorted({population.label for population in populations}))
-        found = [] if self.mixture is None or not labels else self.mixture.problems(labels)
+        problems = [] if self.mixture is None or not labels else self.mixture.problems(labels)
         if sensor.relative_noise > 0:
-            found.append(
+            problems.append(
                 "sensor.relative_noise: must be left out of a stream, whose impacts share one noise; "
                 "give absolute_noise or noise_density"
             )
         if sensor.relative_range is not None:
-            found.append(
+            problems.append(
                 "sensor.relative_range: must be left out of a stream, whose impacts share one full scale; give range"
             )
         if sensor.bandwidth is not None and (sensor.quantity != "force" or sensor.filters):
-            found.append(
+            problems.append(
                 "sensor.bandwidth: must be left out of a stream where something rings before it; give anti_alias"
             )
-        elif sensor.bandwidth is not None and sensor.bandwidth < sampling_rate * _LEAST_BAND:
-            found.append(
-                f"sensor.bandwidth: must be at least 1/{1 / _LEAST_BAND:g} of the sampling rate in a stream, "
-                f"{sampling_rate * _LEAST_BAND:.4g} Hz, got {sensor.bandwidth:g} Hz, which smears impacts too far to "
+        elif sensor.bandwidth is not None and sensor.bandwidth < sampling_rate * _MIN_BAND:
+            problems.append(
+                f"sensor.bandwidth: must be at least 1/{1 / _MIN_BAND:g} of the sampling rate in a stream, "
+                f"{sampling_rate * _MIN_BAND:.4g} Hz, got {sensor.bandwidth:g} Hz, which smears impacts too far to "
                 "both sides; give anti_alias, or lower the sampling rate"
             )
         for index, population in enumerate(populations):
-            for name, cure in (
+            for name, hint in (
                 ("second_hit", "stream.rebounds makes further hits"),
                 ("clipped_at", "sensor.range clips"),
             ):
                 if getattr(population, name) is not None:
-                    found.append(f"populations.{index}.{name}: must be left out of a stream; {cure}")
-        return found
+                    problems.append(f"populations.{index}.{name}: must be left out of a stream; {hint}")
+        return problems

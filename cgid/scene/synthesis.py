@@ -25,7 +25,7 @@ from cgid.store import Rows
 from cgid.validation import Floats
 
 #: Blocks drawn and measured at once, to share the overhead, and most samples of their frames (16 MB).
-TOGETHER, _MOST_SAMPLES = 4, 1 << 22
+TOGETHER, _MAX_SAMPLES = 4, 1 << 22
 #: Highest number of a signal that may come first: those that follow stay within 64 bits.
 MAX_NUMBER = 2**62
 
@@ -70,13 +70,13 @@ def synthesise(
     n_signals, first = require_count(n_signals, first)
     seed = require_seed(seed)
     require_frames(scene)
-    asked = plan(scene, output, dtype=dtype)
-    if not asked.kept:
+    synthesis_plan = plan(scene, output, dtype=dtype)
+    if not synthesis_plan.kept:
         raise InvalidValue(f"output must be frames or pulses where signals are wanted, got {output}")
-    together = min(TOGETHER, max(_MOST_SAMPLES // (BLOCK * scene.sampling.samples), 1))
+    together = min(TOGETHER, max(_MAX_SAMPLES // (BLOCK * scene.sampling.samples), 1))
     for block, part in blocks(n_signals, first, at_once(scene, together)):
-        blows = blows_of(asked, seed, block, _spanned(part))
-        frames = make_frames(blows, seed, block, asked.dtype)
+        blows = blows_of(synthesis_plan, seed, block, _spanned(part))
+        frames = make_frames(blows, seed, block, synthesis_plan.dtype)
         for _, one in _by_block(part):
             yield batch_of(scene, blows, frames, one)
 
@@ -115,12 +115,12 @@ def require_frames(scene: Scene) -> None:
 
 def batch_of(scene: Scene, blows: Blows, frames: NDArray[Any], part: slice) -> Batch:
     """Return some of these signals of a scene, (n_signals, n_samples), with labels, parameters and specimens."""
-    asked = blows.plan
+    plan = blows.plan
     return Batch(
         signals=frames[part],
         labels=blows.labels[part],
         sampling_rate=blows.scene.sampling.sampling_rate,
-        unit=scene.sensor.unit if asked.sensed else "N",
+        unit=scene.sensor.unit if plan.sensed else "N",
         pre_trigger=scene.sampling.pre_trigger,
         specimen=blows.specimen[part],
         parameters={name: values[part] for name, values in blows.parameters.items()},
@@ -144,40 +144,40 @@ def make_beginnings(
     The samples equal those of the whole frames to the last bit. All contacts must end within them or begin after the
     frame. The bounds are in the unit of the signals.
     """
-    asked, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
+    plan, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
     n_signals, rate = len(blows.labels), sampling.sampling_rate
-    highest_behind = np.zeros(n_signals)
+    max_after = np.zeros(n_signals)
     # The transform of a low-pass is periodic over the whole frame.
-    filtered = asked.runs("bandwidth")
+    filtered = plan.runs("bandwidth")
     frames: NDArray[Any] = np.zeros((n_signals, sampling.samples if filtered else n_samples), dtype)
     blows.add_to_frames(frames)
     peak = blows.parameters["peak_force"]
     if filtered:
         frames = sensor.limit_band(frames, rate)
-        highest_behind = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
+        max_after = frames[:, n_samples:].max(axis=1, initial=0.0).astype(np.float64)
         frames = np.ascontiguousarray(frames[:, :n_samples])
-    if asked.runs("tail beam"):
+    if plan.runs("tail beam"):
         peak = np.abs(frames).max(axis=1).astype(np.float64)
-    if asked.runs("noise"):
+    if plan.runs("noise"):
         level = sensor.noise_level(peak, rate)
-        for number, own in _by_block(slice(0, n_signals)):
-            add_sensor_noise(frames[own], level[own], blows.scene, seed, block + number)
-        highest_behind += HIGHEST_NOISE * level
-    background = background_of(blows.scene) if asked.runs("background") else None
+        for number, part in _by_block(slice(0, n_signals)):
+            add_sensor_noise(frames[part], level[part], blows.scene, seed, block + number)
+        max_after += HIGHEST_NOISE * level
+    background = background_of(blows.scene) if plan.runs("background") else None
     if background is not None:
         count("background_samples", frames.size)
-        for number, own in _by_block(slice(0, n_signals)):
-            frames[own] += background.in_frames(seed, block + number, frames.shape[1], peak[own]).astype(frames.dtype)
+        for number, part in _by_block(slice(0, n_signals)):
+            frames[part] += background.in_frames(seed, block + number, frames.shape[1], peak[part]).astype(frames.dtype)
     count("frames", n_signals)
     count("frame_samples", frames.size)
-    if asked.runs("clipping"):
+    if plan.runs("clipping"):
         count("clipped_frames", n_signals)
         clip(frames, blows.parameters["clipped_at"] * peak)
-    if asked.runs("offset, range and bits"):
+    if plan.runs("offset, range and bits"):
         count("digitised_frames", n_signals)
         sensor.digitise(frames, rate, peak)
-        highest_behind += _digitised_by(sensor, rate, peak, n_samples, sampling.samples)
-    return frames, highest_behind
+        max_after += _digitised_by(sensor, rate, peak, n_samples, sampling.samples)
+    return frames, max_after
 
 
 def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int, n_samples: int) -> Floats:
@@ -191,7 +191,7 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int
 # -- columns of a table -----------------------------------------------------------------------------------
 
 
-def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
+def columns_of(plan: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
     """Yield the columns of a plan in batches of at most 1024 signals, making only what a column needs.
 
     A number that does not apply or cannot be measured is nan.
@@ -201,33 +201,33 @@ def columns_of(asked: Plan, n_signals: int, seed: int = 0, *, first: int = 0) ->
     """
     n_signals, first = require_count(n_signals, first)
     seed = require_seed(seed)
-    require_frames(asked.scene)
-    if asked.kept:
+    require_frames(plan.scene)
+    if plan.kept:
         raise InvalidValue(
             "columns are of parameters, closed forms or features, the plan keeps signals; use synthesise"
         )
-    if asked.runs("features"):
-        return _measured(asked, n_signals, seed, first)
-    several = blocks(n_signals, first, at_once(asked.scene, TOGETHER))
-    return (_untimed(asked, seed, block, part) for block, part in several)
+    if plan.runs("features"):
+        return _measured(plan, n_signals, seed, first)
+    several = blocks(n_signals, first, at_once(plan.scene, TOGETHER))
+    return (_untimed(plan, seed, block, part) for block, part in several)
 
 
-def _untimed(asked: Plan, seed: int, block: int, part: slice) -> Rows:
+def _untimed(plan: Plan, seed: int, block: int, part: slice) -> Rows:
     """Return the columns that need no pulse."""
-    drawn = drawn_block(asked.scene, seed, block, _spanned(part))
-    here, n = asked.for_block(drawn.scene), drawn.labels.size
+    drawn = drawn_block(plan.scene, seed, block, _spanned(part))
+    here, n = plan.for_block(drawn.scene), drawn.labels.size
     rate = np.full(n, drawn.scene.sampling.sampling_rate)
     values = drawn.values | {"asked_restitution": drawn.values["restitution"], "sampling_rate": rate}
-    for name in asked.quantities:
+    for name in plan.quantities:
         values[name] = drawn.values[name].copy() if name in OF_TAPS else np.full(n, np.nan)
     if here.runs("impacts") and drawn.fallen.size:
         for rows, contacts in contacts_of(here, drawn.values, drawn.fallen):
-            for name in asked.quantities:
+            for name in plan.quantities:
                 values[name][rows] = getattr(contacts, name)
     return Rows(
         labels=drawn.labels[part],
         specimen=drawn.specimen[part],
-        columns={name: values[name][part] for name in asked.column_units},
+        columns={name: values[name][part] for name in plan.column_units},
     )
 
 
@@ -244,19 +244,19 @@ def _beginning(blows: Blows) -> int:
     return int(min(max(needed), sampling.samples))
 
 
-def _measured(asked: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
+def _measured(plan: Plan, n_signals: int, seed: int, first: int) -> Iterator[Rows]:
     """Yield features; blocks with the same sampling rate are measured together."""
-    together = 1 if asked.scene.draws("sampling_rate") else TOGETHER
-    n_blocks = at_once(asked.scene, together)
+    together = 1 if plan.scene.draws("sampling_rate") else TOGETHER
+    n_blocks = at_once(plan.scene, together)
     several = blocks(n_signals, first, n_blocks)
-    drawn = ((block, part, blows_of(asked, seed, block, _spanned(part))) for block, part in several)
+    drawn = ((block, part, blows_of(plan, seed, block, _spanned(part))) for block, part in several)
     while group := list(islice(drawn, together // n_blocks)):
-        yield _features(asked, seed, group)
+        yield _features(plan, seed, group)
 
 
-def _features(asked: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> Rows:
+def _features(plan: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> Rows:
     """Return the features of some blocks, each with its number and its requested signals."""
-    names, sampling = asked.features, drawn[0][2].scene.sampling
+    names, sampling = plan.features, drawn[0][2].scene.sampling
     length = max(_beginning(blows) for _, _, blows in drawn)
     made = [make_beginnings(blows, seed, block, np.float32, length) for block, _, blows in drawn]
     frames = np.concatenate([signals[part] for (_, part, _), (signals, _) in zip(drawn, made, strict=True)])
@@ -266,11 +266,11 @@ def _features(asked: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> 
     else:
         table, certain = extract_truncated(frames, sampling.sampling_rate, names, sampling.pre_trigger, behind)
         if not certain.all():
-            table[~certain] = _from_whole_frames(names, seed, drawn, ~certain)
+            table[~certain] = _features_of_frames(names, seed, drawn, ~certain)
     values = dict(zip(names, table.T, strict=True))
-    for name in parameter_units(asked.scene):
+    for name in parameter_units(plan.scene):
         values[f"{TRUE}{name}"] = np.concatenate([blows.parameters[name][part] for _, part, blows in drawn])
-    if "sampling_rate" in asked.column_units:
+    if "sampling_rate" in plan.column_units:
         values["sampling_rate"] = np.full(len(table), sampling.sampling_rate)
     return Rows(
         labels=np.concatenate([blows.labels[part] for _, part, blows in drawn]),
@@ -279,13 +279,13 @@ def _features(asked: Plan, seed: int, drawn: list[tuple[int, slice, Blows]]) -> 
     )
 
 
-def _from_whole_frames(
-    names: tuple[str, ...], seed: int, drawn: list[tuple[int, slice, Blows]], wanted: NDArray[np.bool_]
+def _features_of_frames(
+    names: tuple[str, ...], seed: int, drawn: list[tuple[int, slice, Blows]], needed: NDArray[np.bool_]
 ) -> Floats:
     """Return the features of signals whose first samples did not suffice, (n_wanted, n_features)."""
     sampling, rows, place = drawn[0][2].scene.sampling, [], 0
     for block, part, blows in drawn:
-        here = wanted[place : place + part.stop - part.start]
+        here = needed[place : place + part.stop - part.start]
         place += here.size
         if here.any():
             rows.append(make_frames(blows, seed, block, np.float32)[part][here])
