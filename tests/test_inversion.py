@@ -38,6 +38,7 @@ from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, has_beam, shared_beam
 from cgid.signals import Batch
 from cgid.store import Dataset
+from cgid.units import column_title
 from tests import few
 from tests.hostile_models import beam_arrays
 from tests.test_response import impacts
@@ -674,7 +675,7 @@ def test_features_of_a_dataset_are_those_through_its_beam(tmp_path: Path) -> Non
     measuring = ImpactFeatures(scene=dataset, pre_trigger=batch.pre_trigger).fit(batch.signals)
     expected = measuring.transform(batch.signals)
     table = pd.read_csv(tmp_path / "f.csv")
-    columns = [f"{name} [{FEATURES[name].unit}]" for name in BEAM_FEATURES]
+    columns = [column_title(name, FEATURES[name].unit) for name in BEAM_FEATURES]
     known = table["problem"].isna().to_numpy()
     assert known.sum() > 10
     np.testing.assert_allclose(table[columns][known], expected[known], rtol=1e-6)
