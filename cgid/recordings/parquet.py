@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,22 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, Remark, library, require_one_rate, understood
+from cgid.recordings.recording import Blocks, Remark, library, understood
 from cgid.recordings.text_layout import Column, column_of
-from cgid.recordings.times import rate_of_vector
-from cgid.recordings.variables import (
-    Value,
-    Values,
-    Variable,
-    full_scale_of,
-    stated_gains,
-    stated_rate,
-    stated_sensitivities,
-    stated_start,
-    stated_time_unit,
-    stated_units,
-)
-from cgid.units import known_unit, seconds_of
+from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of
+from cgid.units import seconds_of
 
 #: Limits of texts [bytes] and lists [entries] in the footer.
 _LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20
@@ -52,55 +41,45 @@ def read_parquet(path: Path, source: str) -> Blocks:
     `BadData` if the file is damaged, has no numbers or uneven times; `MissingExtra` without pyarrow.
     """
     file = _Parquet(path, source)
-    warnings, n_samples = list[str](), file.n_rows
-    columns = []
+    warnings, variables, names = list[str](), list[Variable](), list[str]()
     for name, kind, values in file.columns():
+        column = column_of(name)
         if kind == "other":
             warnings.append(Remark(f"column {name} holds no numbers and is left out"))
         elif name.startswith(_INDEX) and kind == "number":
             warnings.append(Remark(f"column {name} is an index without a name and is left out"))
         else:
-            columns.append((name, kind, values, column_of(name)))
-    at = next((k for k, (_, kind, _, _) in enumerate(columns) if kind == "timestamp"), None)
-    if at is None:
-        at = next((k for k, (_, _, _, column) in enumerate(columns) if _is_time(column)), None)
-    kept = [one for k, one in enumerate(columns) if k != at]
-    if not kept or not n_samples:
+            variables.append(_variable(file, name, kind, values, column))
+            names.append(name)
+    is_time = [one.is_time for one in variables]
+    if all(is_time) or not file.n_rows:
         raise BadData(
             f"{source}: a recording must hold a column of numbers beside time, there is none; export it again"
         )
-    stated = stated_rate(file.said, source)
-    rate, rate_from = stated if stated is not None else (None, "header")
-    start = stated_start(file.said)
-    if at is not None and n_samples > 1:
-        name, kind, values, _ = columns[at]
-        rate, rate_from = _rate_of(file, name, kind, values, source), f"column {name}"
-        if stated is not None:
-            require_one_rate(stated, (rate, rate_from), source)
-        start = start or (file.first_time(name) if kind == "timestamp" else None)
-    (for_all,) = stated_units(file.said, 1) or [None]
-    units = [
-        (stated_units(values, 1) or [known_unit(column.unit) or (None if column.unit else for_all)])[0]
-        for _, _, values, column in kept
-    ]
+    start = [file.first_time(name) for name in names[: is_time.index(True) + 1][-1:]] if any(is_time) else [None]
+    blocks = contents_of(variables, {"": file.said}, source, None, warnings, group_is_one=True)
+    kept = [name for name, is_one in zip(names, is_time, strict=True) if not is_one]
 
-    def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        return file.blocks([kept[channel][0] for channel in channels], length)
+    def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
+        return file.blocks([kept[channel] for channel in channels], length)
 
-    return Blocks(
-        n_channels=len(kept),
-        read=blocks,
-        n_samples=n_samples,
-        names=[column.name or column.unit for *_, column in kept],
-        units=units,
-        sampling_rate=rate,
-        rate_from=rate_from,
-        full_scales=[full_scale_of(file.dtype(name)) for name, *_ in kept],
-        integers=[file.dtype(name).kind in "iu" for name, *_ in kept],
-        sensitivities=[_own(stated_sensitivities, values, file.said) for _, _, values, _ in kept],
-        gains=[_own(stated_gains, values, file.said) for _, _, values, _ in kept],
-        start_time=start,
-        warnings=warnings,
+    return replace(blocks, read=read, start_time=blocks.start_time or start[0])
+
+
+def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], column: Column) -> Variable:
+    is_number = kind == "number"
+    if not is_number:
+        column = Column(unit="s")
+    is_time = column.is_named_time or (not column.name and column.has_time_unit)
+    return Variable(
+        name="time" if is_time else column.name or column.unit,
+        n_channels=1,
+        n_samples=file.n_rows,
+        read=lambda length, channels: file.blocks([name], length),
+        # Metadata go before the unit in the name.
+        about={**values, **({"unit": column.unit} if column.unit and "unit" not in values else {})},
+        full_scale=full_scale_of(file.dtype(name)) if is_number else None,
+        is_integer=is_number and file.dtype(name).kind in "iu",
     )
 
 
@@ -115,26 +94,6 @@ def parquet_columns(path: Path, source: str, first: Sequence[str]) -> tuple[list
         return [], 0
     with file._opened() as rows:
         return names, sum(part.num_rows for part in rows.iter_batches(_ROWS, use_threads=False))
-
-
-def _own(stated: Callable[[Values, int], list[str | None] | None], values: Values, said: Values) -> str | None:
-    """Return what the metadata of a field state, else those of the file."""
-    return (stated(values, 1) or stated(said, 1) or [None])[0]
-
-
-def _is_time(column: Column) -> bool:
-    return column.is_named_time or (not column.name and column.has_time_unit)
-
-
-def _rate_of(file: _Parquet, name: str, kind: str, values: dict[str, Value], source: str) -> float:
-    times = Variable(
-        name=name,
-        n_channels=1,
-        n_samples=file.n_rows,
-        read=lambda length, channels: file.blocks([name], length),
-    )
-    unit = stated_time_unit(name, values) if kind == "number" else "s"
-    return rate_of_vector(times, unit, f"{source}: column {name}")
 
 
 class _Parquet:

@@ -92,11 +92,6 @@ def runs_evenly(times: Floats) -> bool:
     return bool(np.isfinite(steps).all() and (steps > 0).all() and _typical_if_uneven(times, steps) is None)
 
 
-def is_resolved(times: Floats, step: float) -> bool:
-    """Return whether times have enough printed digits to show if their steps [s] are even."""
-    return bool(np.isfinite(times).all() and np.any(times)) and _COARSEST_STEP * _printed_digit(times) <= step
-
-
 class EvenTimes:
     """Check of the times of a recording, piece by piece; `sampling_rate` [Hz] is that of the whole recording."""
 

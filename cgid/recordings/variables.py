@@ -94,7 +94,7 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
 
 
 def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
-    """Return the unit of each channel, None if it is not in `cgid.units.UNITS`; None if no known one is stated.
+    """Return the unit of each channel, None if it is not in `cgid.units.UNITS`; None if none is stated.
 
     Examples
     --------
@@ -104,8 +104,7 @@ def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
     for _, value, _, _ in _named(values, _UNIT_NAMES):
         written = [value] * n_channels if isinstance(value, str) else value
         if isinstance(written, list) and len(written) == n_channels:
-            units = [known_unit(unit) for unit in written]
-            return units if any(units) else None
+            return [known_unit(unit) for unit in written] if any(map(str.strip, written)) else None
     return None
 
 
@@ -358,7 +357,8 @@ def contents_of(
                 f"{one.path} {_hertz(rate)}; pick one by --variable NAME"
             )
     if len(chosen) == 1:
-        names = _first(levels[0], lambda values: stated_names(values, first.n_channels)) or []
+        names = _first(levels[0], lambda values: stated_names(values, first.n_channels)) or [first.name]
+        names = names if len(names) == first.n_channels else []
     else:
         names = [one.name for one in chosen]
     units, sensitivities, gains = list[str | None](), list[str | None](), list[str | None]()
