@@ -2,6 +2,8 @@
 
     python benchmarks/fuzz_recordings.py                  # 2,000 files over all formats, some minutes
     python benchmarks/fuzz_recordings.py --files 100000   # longer
+    python benchmarks/fuzz_recordings.py --files 2100 --only cut   # cut off only, 100 of each format
+    python benchmarks/fuzz_recordings.py --files 3000 --formats HDF5
 
 A file of every format (`tests/recording_files.py`) is changed: bits flipped; bytes set to extremes; the end cut off;
 stretches removed, doubled, exchanged or overwritten by those of another format; numbers in the header replaced by huge
@@ -24,7 +26,7 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -197,10 +199,17 @@ MUTATIONS: tuple[Callable[[bytearray, np.random.Generator, list[bytes]], bytearr
 
 
 def fuzz(
-    n_files: int, seed: int, folder: Path, *, n_samples: int = 4000
+    n_files: int,
+    seed: int,
+    folder: Path,
+    *,
+    n_samples: int = 4000,
+    formats: Sequence[str] = (),
+    mutations: Sequence[str] = (),
 ) -> dict[str, list[tuple[str, Outcome, bytes]]]:
-    """Return, for each format, mutation, outcome and content of every damaged file."""
-    specimens = [specimen for specimen in SPECIMENS if specimen.is_possible]
+    """Return, for each format, mutation, outcome and content of every damaged file; by default of all of them."""
+    specimens = [one for one in SPECIMENS if one.is_possible and (not formats or one.name in formats)]
+    chosen = [one for one in MUTATIONS if not mutations or one.__name__.strip("_") in mutations]
     originals: dict[str, bytes] = {}
     expected: dict[str, np.ndarray] = {}
     for specimen in specimens:
@@ -214,7 +223,7 @@ def fuzz(
     for number in range(n_files):
         specimen = specimens[number % len(specimens)]
         random = np.random.default_rng([seed, number])
-        mutation = MUTATIONS[int(random.integers(len(MUTATIONS)))]
+        mutation = chosen[int(random.integers(len(chosen)))]
         content = bytes(mutation(bytearray(originals[specimen.name]), random, everything))
         path = folder / f"damaged{specimen.suffix}"
         path.write_bytes(content)
@@ -229,9 +238,12 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder for the files that were not refused as they should")
+    parser.add_argument("--formats", nargs="+", default=(), help="only these, as in the table")
+    names = [one.__name__.strip("_") for one in MUTATIONS]
+    parser.add_argument("--only", nargs="+", default=(), choices=names, help="only these kinds of damage")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = fuzz(arguments.files, arguments.seed, Path(folder))
+        found = fuzz(arguments.files, arguments.seed, Path(folder), formats=arguments.formats, mutations=arguments.only)
     titles = (*OUTCOMES[:4], "failed", "slowest [s]", "most memory [MB]")
     print(f"| format | files | {' | '.join(titles)} |\n|{'---|' * (len(titles) + 2)}")
     bad: list[tuple[str, str, Outcome, bytes]] = []

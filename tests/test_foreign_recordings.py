@@ -17,7 +17,8 @@ from scipy.io import loadmat, savemat
 from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption
 from cgid.recordings import is_dataset, open_recording
 from cgid.recordings import tdms as tdms_reader
-from cgid.recordings.variables import Variable, contents_of
+from cgid.recordings.text_layout import stated_chain
+from cgid.recordings.variables import Variable, contents_of, is_statement, stated_sensitivities
 from cgid.store import is_table
 from tests import few
 
@@ -869,6 +870,24 @@ def test_damage_to_parquet_is_found_by_its_checksums(parquet):
 
 
 # ---- all ----
+
+
+def test_what_names_and_lines_state():
+    assert [is_statement(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "Sensor_Sensitivity")] == [1, 1, 0, 1]
+    for values, expected in (
+        ({"Sensitivity": "10.2 mV/g"}, "10.2 mV/g"),
+        ({"sensitivity [mV/N]": 2.3}, "2.3 mV/N"),
+        ({"Sensor_Sensitivity": 100.0, "Sensor_Sensitivity_Units": "mVolts/g"}, "100 mVolts/g"),
+    ):
+        assert stated_sensitivities(values, 2) == [expected] * 2
+    for line, expected in (
+        ("# sensitivity: 10.2 mV/g, 2.3 mV/N", ("sensitivities", ("10.2 mV/g", "2.3 mV/N"))),
+        ("# Sensitivity [mV/g] = 100", ("sensitivities", ("100 mV/g",))),
+        ("# sensitivity: 10,2 mV/g", ("sensitivities", ("10.2 mV/g",))),
+        ("# gain: 1 mV/pC", ("gains", ("1 mV/pC",))),
+        ("time, force", None),
+    ):
+        assert stated_chain(line) == expected
 
 
 def test_channels_that_come_in_pieces_of_different_length_stay_together():

@@ -43,15 +43,6 @@ def read_npy(path: Path, source: str) -> Blocks:
     (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
     shorter. Raises `BadData` if the header is damaged, the type is not real numbers, or the shape is empty, has more
     than two axes or does not match the file size.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     np.save(Path(folder) / "two.npy", np.zeros((1000, 2)))
-    ...     blocks = read_npy(Path(folder) / "two.npy", "two.npy")
-    >>> blocks.n_channels, blocks.n_samples
-    (2, 1000)
     """
     with path.open("rb") as file:
         shape, fortran_order, dtype, offset = _header(file.read(_HEADER_SIZE), source)

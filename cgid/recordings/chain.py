@@ -52,13 +52,7 @@ class Sensitivity:
 
     @classmethod
     def of(cls, given: Any) -> Sensitivity:
-        """Return the sensitivity of a text; raise `InvalidValue` if it is none.
-
-        Examples
-        --------
-        >>> Sensitivity.of("2 mV/N")
-        Sensitivity(value=0.002, signal='voltage', measured='force', text='2 mV/N')
-        """
+        """Return the sensitivity of a text; raise `InvalidValue` if it is none."""
         text = _text(given)
         found = number_and_unit(text)
         ratio = None if found is None else ratio_of(found[1])
@@ -86,13 +80,7 @@ class Gain:
 
     @classmethod
     def of(cls, given: Any) -> Gain:
-        """Return the gain of a number or a text; raise `InvalidValue` if it is none.
-
-        Examples
-        --------
-        >>> [Gain.of(given).value for given in (10, "x10", "20 dB")], Gain.of("1 mV/pC").is_of_charge
-        ([10.0, 10.0, 10.0], True)
-        """
+        """Return the gain of a number or a text; raise `InvalidValue` if it is none."""
         text = _text(given)
         times = _TIMES.fullmatch(text)
         number, unit = number_and_unit((times[1] or times[2]) if times else text) or (math.nan, "")
@@ -127,13 +115,7 @@ class FullScale:
 
     @classmethod
     def of(cls, given: Any) -> FullScale:
-        """Return the full scale of a number or a text; raise `InvalidValue` if it is none.
-
-        Examples
-        --------
-        >>> FullScale.of("±10 V"), FullScale.of("10 V at 24 bit").bits
-        (FullScale(value=10.0, unit='V', bits=None, text='±10 V'), 24)
-        """
+        """Return the full scale of a number or a text; raise `InvalidValue` if it is none."""
         text = _text(given)
         found = _FULL_SCALE.fullmatch(text)
         number, unit = number_and_unit(found[1] if found else "") or (math.nan, "")
@@ -211,13 +193,7 @@ def _stated(name: str, kind: type[Part], given: Statement | None) -> _Stated[Par
 
 
 def units_of(given: str | None) -> _Stated[Unit]:
-    """Return the units of a text: one for all channels, or NAME=UNIT of some, divided by commas.
-
-    Examples
-    --------
-    >>> units_of("1=N, beam=m/s^2").values
-    (('1', Unit(text='N')), ('beam', Unit(text='m/s^2')))
-    """
+    """Return the units of a text: one for all channels, or NAME=UNIT of some, divided by commas."""
     is_by_name = isinstance(given, str) and "=" in given
     pairs = [one.strip() for one in given.split(",")] if is_by_name and given else given
     return _stated("unit", Unit, pairs)
@@ -247,13 +223,7 @@ class Chain:
         gain: Statement | None = None,
         full_scale: Statement | None = None,
     ) -> Chain:
-        """Return the chain of some statements; raise `InvalidValue` if one is wrong.
-
-        Examples
-        --------
-        >>> Chain.of(["10.2 mV/g", "hammer=2.3 mV/N"]) == Chain.of({None: "10.2 mV/g", "hammer": "2.3 mV/N"})
-        True
-        """
+        """Return the chain of some statements; raise `InvalidValue` if one is wrong."""
         return cls(
             sensitivity=_stated("sensitivity", Sensitivity, sensitivity),
             gain=_stated("gain", Gain, gain),

@@ -109,13 +109,6 @@ def live_stream(
     Integers are scaled to a full scale of 1.0, floats are kept; `chain` turns both into N or m/s^2. Raises
     `MissingOption` if neither stream nor options tell how to read it, `InvalidValue` if an option is invalid or
     contradicts the WAV header, `BadData` if the stream is empty or its WAV header damaged.
-
-    Examples
-    --------
-    >>> import io
-    >>> stream = live_stream(io.BytesIO(bytes([0, 64, 0, 192])), sampling_rate=8, n_channels=2, sample_format="s16le")
-    >>> [block.tolist() for block in stream]
-    [[[0.5], [-0.5]]]
     """
     units_of(unit)
     given = None if sampling_rate is None else require_rate(sampling_rate)

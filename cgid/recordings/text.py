@@ -59,16 +59,6 @@ def read_text(path: Path, source: str) -> Blocks:
     Raises `BadData` if the file is not text or holds no numbers; if a row is uneven, cut off or has a field that is not
     a finite number (the message names sample and line); or if the times are uneven or contradict the stated sampling
     rate.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "hit.csv"
-    ...     _ = file.write_text("t [ms];force (N)\n0,0;1,5\n0,5;2,5\n")
-    ...     contents = read_text(file, "hit.csv")
-    >>> contents.n_samples, contents.units, contents.sampling_rate
-    (2, ['N'], 2000.0)
     """
     encoding, warnings = encoding_and_end(path, source)
     header, body = _header_and_body(path, encoding, source)

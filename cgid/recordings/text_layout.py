@@ -32,13 +32,6 @@ def encoding_of(start: bytes, source: str) -> str:
     "utf-8-sig" and "utf-16" are recognised by their marks, "utf-8" by valid bytes, "gb18030" if most bytes beyond ASCII
     are common Chinese characters (LabVIEW writes in the code page of the system); else "latin-1". Raises `BadData` if
     the bytes are not text.
-
-    Examples
-    --------
-    >>> [encoding_of("t (s);a (m/s²), µ".encode(name), "") for name in ("utf-8", "utf-16", "latin-1")]
-    ['utf-8', 'utf-16', 'latin-1']
-    >>> encoding_of("时间(s),加速度(g)".encode("gbk"), ""), encoding_of("Größe (°C)".encode("latin-1"), "")
-    ('gb18030', 'latin-1')
     """
     if start.startswith(codecs.BOM_UTF8):
         encoding = "utf-8-sig"
@@ -99,13 +92,7 @@ class Layout:
     picked: tuple[int, ...] = ()
 
     def fields(self, line: str) -> list[str]:
-        """Return the fields of a row without quotes and surrounding blanks.
-
-        Examples
-        --------
-        >>> Layout(delimiter=";", n_columns=2).fields(' "1,5"; 2 ')
-        ['1,5', '2']
-        """
+        """Return the fields of a row without quotes and surrounding blanks."""
         line = line.translate(_QUOTES)
         if self.delimiter is None:
             return line.split()
@@ -117,13 +104,7 @@ class Layout:
         return fields[:-1] if self.trailing and not fields[-1] else fields
 
     def number(self, field: str) -> str | None:
-        """Return a field in Python notation, None if it is not a number.
-
-        Examples
-        --------
-        >>> Layout(delimiter=";", n_columns=2, decimal_comma=True).number("1,5")
-        '1.5'
-        """
+        """Return a field in Python notation, None if it is not a number."""
         if self.decimal_comma:
             # With both a point and a comma, one would be a thousands separator.
             field = "" if "." in field else field.replace(",", ".")
@@ -141,13 +122,7 @@ class Layout:
 
 
 def is_comment(line: str) -> bool:
-    """Return whether a line is blank or a comment: #, %, //, or ; without any digit after it.
-
-    Examples
-    --------
-    >>> is_comment("; measured by hand"), is_comment(";1.5")
-    (True, False)
-    """
+    """Return whether a line is blank or a comment: #, %, //, or ; without any digit after it."""
     line = line.strip()
     if line.startswith(";"):
         return not any(character.isdigit() for character in line)
@@ -158,13 +133,6 @@ def layout_of(line: str) -> Layout | None:
     """Return the layout of `line` if it is a row of numbers, else None.
 
     Fields may be empty if at least one is a number: such a row is damaged, not a header.
-
-    Examples
-    --------
-    >>> layout_of("0,001;3,5")
-    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=None, picked=())
-    >>> layout_of("time;force") is None
-    True
     """
     for layout in _candidates(line.translate(_QUOTES)):
         fields = layout.fields(line)
@@ -202,15 +170,7 @@ _STAMP_BEFORE_COMMA = re.compile(_STAMP.pattern.replace("[.,](", "[.]("), re.ASC
 
 
 def stamped_layout_of(line: str, following: str) -> Layout | None:
-    """Return the layout of `line` if it is a row with one stamp, like the next one; else None.
-
-    Examples
-    --------
-    >>> stamped_layout_of("10:00:00.001;1,5", "10:00:00.002;1,6")
-    Layout(delimiter=';', n_columns=2, decimal_comma=True, trailing=False, stamp=0, picked=())
-    >>> stamped_layout_of("2026-03-04 10:00:00", "time;force") is None
-    True
-    """
+    """Return the layout of `line` if it is a row with one stamp, like the next one; else None."""
     first, second = _layout(line), _layout(following)
     if first is None or second is None or (first.n_columns, first.stamp) != (second.n_columns, second.stamp):
         return None
@@ -218,13 +178,7 @@ def stamped_layout_of(line: str, following: str) -> Layout | None:
 
 
 def with_seconds(text: str, layout: Layout) -> str:
-    """Return rows with their stamps replaced by seconds.
-
-    Examples
-    --------
-    >>> with_seconds("2000-01-02 00:00:01.25,7", Layout(delimiter=",", n_columns=2, stamp=0))
-    '86401.25,7'
-    """
+    """Return rows with their stamps replaced by seconds."""
     if layout.stamp is None:
         return text
     mark = "," if layout.decimal_comma else "."
@@ -233,13 +187,7 @@ def with_seconds(text: str, layout: Layout) -> str:
 
 
 def stamped_moment(line: str, *, alone: bool = False) -> datetime | None:
-    """Return the datetime of the stamp in a line, or of a line that is a stamp `alone`; None if it has no date.
-
-    Examples
-    --------
-    >>> stamped_moment("7;2026-03-04T10:11:12,5;8")
-    datetime.datetime(2026, 3, 4, 10, 11, 12, 500000)
-    """
+    """Return the datetime of the stamp in a line, or of a line that is a stamp `alone`; None if it has no date."""
     found = _STAMP.fullmatch(line) if alone else _STAMP.search(line)
     if found is None or found[1] is None:
         return None
@@ -357,13 +305,6 @@ def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
     """Return "sensitivities" or "gains" and the values that a line states, None for any other line.
 
     Commas divide values, but for one within each number with a unit of its own: 10,2 mV/g; 2,3 mV/N.
-
-    Examples
-    --------
-    >>> stated_chain("# sensitivity: 10.2 mV/g, 2.3 mV/N"), stated_chain("# Sensitivity [mV/g] = 100")
-    (('sensitivities', ('10.2 mV/g', '2.3 mV/N')), ('sensitivities', ('100 mV/g',)))
-    >>> stated_chain("# gain: 1 mV/pC"), stated_chain("# sensitivity: 10,2 mV/g"), stated_chain("time, force")
-    (('gains', ('1 mV/pC',)), ('sensitivities', ('10.2 mV/g',)), None)
     """
     found = _STATED_CHAIN.fullmatch(line)
     if found is None:
@@ -380,13 +321,7 @@ def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
 
 
 def column_of(text: str) -> Column:
-    """Return name and unit of a field of a header.
-
-    Examples
-    --------
-    >>> [(c.name, c.unit) for c in map(column_of, ["force [kN]", "F/kN", "time_s", "a (m/s^2)", "(ms)", "left"])]
-    [('force', 'kN'), ('F', 'kN'), ('time', 's'), ('a', 'm/s^2'), ('', 'ms'), ('left', '')]
-    """
+    """Return name and unit of a field of a header."""
     text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
     if len(text) > _LONGEST_NAME:
         return Column(name=text[:_LONGEST_NAME])

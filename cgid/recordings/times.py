@@ -38,11 +38,6 @@ def rate_of(times: Floats, source: str) -> float:
 
     Raises `BadData` with the sample if the times do not increase, or if their steps differ by more than 1 % beyond the
     rounding of the printed digits.
-
-    Examples
-    --------
-    >>> rate_of(np.array([0.0, 0.5, 1.0]), "example")
-    2.0
     """
     require_even(times, source)
     with np.errstate(all="ignore"):
@@ -53,12 +48,7 @@ def rate_of(times: Floats, source: str) -> float:
 
 
 def require_even(times: Floats, source: str, *, first: int = 0, step: float | None = None) -> None:
-    """Raise `BadData` as `rate_of`; for a piece of a recording, `first` is its first sample, `step` the usual step [s].
-
-    Examples
-    --------
-    >>> require_even(np.array([2.5, 3.0, 3.5]), "example", first=5, step=0.5)
-    """
+    """Raise `BadData` as `rate_of`, for a piece of a recording from sample `first` on, of a usual step [s]."""
     with np.errstate(all="ignore"):
         steps = np.diff(times)
     rising = steps > 0
@@ -113,11 +103,6 @@ def refined_rate(rate: float, first: float, last: float) -> float:
 
     The times are a whole number of steps apart. The printed digits of n samples give the rate to 1 / n at worst; the
     refined rate is never worse.
-
-    Examples
-    --------
-    >>> refined_rate(1000.01, 0.0, 20.0)
-    1000.0
     """
     span = last - first
     if not (np.isfinite(span) and span * rate > 1):

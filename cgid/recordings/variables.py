@@ -51,13 +51,7 @@ _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
 
 
 def is_statement(name: str) -> bool:
-    """Return whether a value of this name could state a rate, a unit, a start, channel names or a sensitivity.
-
-    Examples
-    --------
-    >>> [is_statement(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "Sensor_Sensitivity")]
-    [True, True, False, True]
-    """
+    """Return whether a value of this name could state a rate, a unit, a start, channel names or a sensitivity."""
     return _plain(name)[0] in _NAMES or _sensitivity(name) is not None
 
 
@@ -69,13 +63,6 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
     """Return the stated sampling rate [Hz] and the name that states it, None without one.
 
     Raises `BadData` if two statements disagree or one is not a positive number.
-
-    Examples
-    --------
-    >>> stated_rate({"Sample rate [kHz]": 51.2, "gain": 3.0}, "example")
-    (51200.0, 'Sample rate [kHz]')
-    >>> stated_rate({"dt": "250 ms"}, "example")
-    (4.0, 'dt')
     """
     found: list[tuple[float, str]] = []
     for name, value, plain, unit in _named(values, _RATE_NAMES | _INTERVAL_NAMES):
@@ -94,13 +81,7 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
 
 
 def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
-    """Return the unit of each channel, None if it is not in `cgid.units.UNITS`; None if none is stated.
-
-    Examples
-    --------
-    >>> stated_units({"Unit": "kN"}, 2), stated_units({"units": ["g", "furlong"]}, 2), stated_units({}, 1)
-    (['kN', 'kN'], ['g', None], None)
-    """
+    """Return the unit of each channel, None if it is not in `cgid.units.UNITS`; None if none is stated."""
     for _, value, _, _ in _named(values, _UNIT_NAMES):
         written = [value] * n_channels if isinstance(value, str) else value
         if isinstance(written, list) and len(written) == n_channels:
@@ -112,13 +93,6 @@ def stated_sensitivities(values: Values, n_channels: int) -> list[str | None] | 
     """Return the sensitivity of each channel as a text, None if none is stated; without a unit it is none.
 
     The unit may stand behind the number, in the name, or in a value of its own.
-
-    Examples
-    --------
-    >>> stated_sensitivities({"Sensitivity": "10.2 mV/g"}, 1), stated_sensitivities({"sensitivity [mV/N]": 2.3}, 2)
-    (['10.2 mV/g'], ['2.3 mV/N', '2.3 mV/N'])
-    >>> stated_sensitivities({"Sensor_Sensitivity": 100.0, "Sensor_Sensitivity_Units": "mVolts/g"}, 1)
-    ['100 mVolts/g']
     """
     found, unit = None, ""
     for name, value in values.items():
@@ -153,11 +127,6 @@ def full_scale_of(dtype: np.dtype[Any]) -> float | None:
     """Return the number of full scale of signed integers of 8 or 16 bit, None for other types.
 
     Unsigned ones have no known middle, and 24 bit of a converter may lie at either end of 32.
-
-    Examples
-    --------
-    >>> full_scale_of(np.dtype("int16")), full_scale_of(np.dtype("uint16")), full_scale_of(np.dtype("int32"))
-    (32768.0, None, None)
     """
     return 2.0 ** (8 * dtype.itemsize - 1) if dtype.kind == "i" and dtype.itemsize <= 2 else None
 
@@ -171,13 +140,7 @@ def stated_names(values: Values, n_channels: int) -> list[str] | None:
 
 
 def stated_start(values: Values) -> datetime | None:
-    """Return the time of the first sample; numbers are not accepted, as their epoch is unknown.
-
-    Examples
-    --------
-    >>> stated_start({"start_time": "2026-03-01T12:00:00"})
-    datetime.datetime(2026, 3, 1, 12, 0)
-    """
+    """Return the time of the first sample; numbers are not accepted, as their epoch is unknown."""
     for _, value, _, _ in _named(values, _START_NAMES):
         if isinstance(value, datetime):
             return value
@@ -296,13 +259,6 @@ def orientation(shape: Sequence[int]) -> tuple[int | None, int] | None:
     """Return the axes of the channels (None for one channel) and of the samples; None for more than two axes.
 
     Axes of length 1 do not count. The longer of two axes is that of the samples, the second if both are equal.
-
-    Examples
-    --------
-    >>> orientation((1000,)), orientation((1, 1000)), orientation((4, 1000)), orientation((1000, 4))
-    ((None, 0), (None, 1), (0, 1), (1, 0))
-    >>> orientation((4, 5, 1000)) is None
-    True
     """
     axes = [axis for axis, length in enumerate(shape) if length != 1]
     if len(axes) > 2 or not shape:
