@@ -186,31 +186,36 @@ def write_uff(
     binary: int = 1,
     names: Sequence[str],
     units: Sequence[str],
+    about: dict[str, Any] | None = None,
     **lines: Sequence[str],
 ) -> None:
-    """Write a universal file with one set 58 a channel; `lines` are the texts of id2 to id5 of each."""
+    """Write a universal file with one set 58 a channel; `lines` are the texts of id2 to id5 of each, `about` of all."""
     import pyuff
 
+    shared = {
+        "func_type": 1,
+        "rsp_dir": 3,
+        "ref_node": 0,
+        "ref_dir": 0,
+        "ord_data_type": 4,
+        "abscissa_spacing": 1,
+        "abscissa_inc": 1 / rate,
+        "abscissa_spec_data_type": 17,
+        "ordinate_spec_data_type": 12,
+        "orddenom_spec_data_type": 0,
+        "abscissa_axis_units_lab": "s",
+        **(about or {}),
+    }
     sets = [
         pyuff.prepare_58(
             binary=binary,
-            func_type=1,
             rsp_node=index + 1,
-            rsp_dir=3,
-            ref_node=0,
-            ref_dir=0,
             data=row,
             x=np.arange(row.size) / rate,
             id1=name,
-            ord_data_type=4,
-            abscissa_spacing=1,
-            abscissa_inc=1 / rate,
-            abscissa_spec_data_type=17,
-            ordinate_spec_data_type=12,
-            orddenom_spec_data_type=0,
             ordinate_axis_units_lab=unit,
-            abscissa_axis_units_lab="s",
             **{name: texts[index] for name, texts in lines.items()},
+            **shared,
         )
         for index, (name, row, unit) in enumerate(zip(names, samples, units, strict=False))
     ]
@@ -219,7 +224,7 @@ def write_uff(
         warnings.simplefilter("ignore", ResourceWarning)
         # When it overwrites, it loses the first of several binary sets.
         path.unlink(missing_ok=True)
-        pyuff.UFF(str(path)).write_sets(sets, mode="add")
+        pyuff.UFF(str(path)).write_sets(sets, mode="add", force_double=shared["ord_data_type"] in (4, 6))
         gc.collect()
 
 
