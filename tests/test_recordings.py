@@ -321,6 +321,7 @@ def test_uneven_first_column_without_header_is_a_channel():
         ("0,1\n1,abc\n2,3\n", ["sample 1", "line 2", "'abc'"]),
         ("t,F\n0,abc\n1,2\n2,3\n", ["sample 0", "line 2", "'abc'"]),
         ("t,F\n0,a\n1,b\n2,3\n", ["sample 0", "line 2", "'a'"]),
+        ("t;F\n0x0;1,5\n1;2\n2;3,5\n", ["sample 0", "line 2", "'0x0'"]),
         ("0,1\n1,1_0\n", ["sample 1", "'1_0'"]),
         ("0,1\n1,٣\n", ["sample 1", "'٣'"]),
         ("0;1,5\n1;2.5\n", ["sample 1", "'2.5'"]),

@@ -339,12 +339,13 @@ def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
 
 
 def _is_damaged_row(line: str, layout: Layout) -> bool:
-    """Return whether a line above the first row begins with a number, like a row, and then breaks off into text."""
+    """Return whether a line above the first row holds text among numbers, and so is a row and not a header."""
     fields = layout.fields(line)
     # "2000 samples" above two columns divided by blanks is a comment.
     least = 3 if layout.delimiter is None else 2
     is_row = len(fields) == layout.n_columns >= least and not is_comment(line)
-    return is_row and layout.number(fields[0]) is not None
+    # Names of columns may be whole numbers.
+    return is_row and any(layout.number(field) and (not field.isdigit() or field is fields[0]) for field in fields)
 
 
 def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[str]) -> None:

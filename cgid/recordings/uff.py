@@ -5,6 +5,7 @@ Layout: "Universal Dataset Number 58", SDRL of the University of Cincinnati, htt
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -29,6 +30,8 @@ _EVEN, _REAL, _SINGLE = 1, (2, 4), 2
 _AXES = enumerate(("X", "Y", "Z", "RX", "RY", "RZ"), 1)
 _DIRECTIONS = {sign * number: f"{'-' if sign < 0 else '+'}{axis}" for number, axis in _AXES for sign in (1, -1)}
 _DATES = ("%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%d-%b-%y", "%d-%b-%Y")
+#: First line of a binary data set: byte order, type of the numbers, lines of text, bytes.
+_BINARY = re.compile(rb"^ {4}58b *\d+ +\d+ +(\d{1,9}) +(\d{1,12})[ \d]*\r?\n", re.MULTILINE)
 #: pyuff takes the line end and the mark after binary numbers for further numbers [bytes].
 _MARK = 16
 
@@ -134,13 +137,22 @@ def _require_whole(path: Path, source: str) -> None:
             f"{source}: a universal file must be at most {LARGEST_FILE >> 20} MiB, it has {size} bytes; export fewer "
             "data sets at once, or export WAV or TDMS"
         )
-    with path.open("rb") as file:
-        file.seek(max(0, size - 200))
-        if not file.read().rstrip().endswith(b"-1"):
-            raise BadData(
-                f"{source}: a universal file must end with the mark -1 of its last data set, it does not; it looks cut "
-                "off, copy it again"
-            )
+    content = path.read_bytes()
+    # Where bytes are added or missing, pyuff reads the numbers at wrong places.
+    ends = [content[-200:].rstrip()[-2:], *(_after(content, found) for found in _BINARY.finditer(content))]
+    if any(end != b"-1" for end in ends):
+        raise BadData(
+            f"{source}: each data set of a universal file must end with the mark -1, one does not; it looks cut off or "
+            "damaged, copy it again"
+        )
+
+
+def _after(content: bytes, found: re.Match[bytes]) -> bytes:
+    """Return the mark behind the lines and bytes that a binary data set declares, which the first line shows."""
+    place = found.end()
+    for _ in range(min(int(found[1]), 100)):
+        place = content.find(b"\n", place) + 1
+    return content[place + int(found[2]) :][:10].strip()[:2]
 
 
 def _chosen(sets: Sequence[_DataSet], source: str, variable: str | None) -> list[_DataSet]:
