@@ -29,6 +29,8 @@ STALE = 3600.0
 #: Limit of parts in a dotted TOML key: time and memory of Python's parser grow with their square.
 _MOST_PARTS = 16
 _PART = r"""\.[ \t]*+(?:[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
+#: Limit of digits in a TOML number.
+_MAX_DIGITS = 1000
 
 
 # ---- one file --------------------------------------------------------------------------------------------------------
@@ -316,6 +318,9 @@ def parse_toml(text: str, most_keys: int) -> dict[str, Any]:
     if long := re.search(f"(?:{_PART}){{{_MOST_PARTS}}}", text):
         line = text.count("\n", 0, long.start()) + 1
         raise ValueError(f"a dotted key must have at most {_MOST_PARTS} parts, that of line {line} has more")
+    # Python refuses a decimal of thousands of digits as well, after hundreds of times the memory of the text.
+    if re.search(f"[0-9A-Fa-f_]{{{_MAX_DIGITS}}}", text):
+        raise ValueError(f"a number must have fewer than {_MAX_DIGITS} digits")
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -138,6 +138,8 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
             raise InvalidValue("sampling_rate must be given [Hz], such as ImpactFeatures(sampling_rate=200e3)")
         self._rate = rate
         validation.choice("invalid", self.invalid, ("nan", "raise"))
+        if isinstance(self.features, Iterator):
+            raise InvalidValue("features must be names that can be read again, got an iterator; make a list of it")
         names = BEAM_FEATURES if self._beam is not None and self.features is None else choose(self.features)
         frames = self._frames(X, reset=True)
         self._measured(frames[:0], names)

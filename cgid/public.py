@@ -14,9 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from threading import Thread
+from typing import Any
 from urllib.error import HTTPError, URLError
 from urllib.parse import quote, urlsplit
-from urllib.request import Request, urlopen
+from urllib.request import HTTPRedirectHandler, Request, build_opener
 
 from cgid import shipped, validation
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
@@ -216,9 +217,19 @@ def _downloaded(address: str, file: PublicFile) -> bytes:
     return results[0]
 
 
+class _Redirects(HTTPRedirectHandler):
+    """Redirects within the web only."""
+
+    def redirect_request(self, req: Request, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> Request | None:
+        is_web = urlsplit(newurl).scheme in ("http", "https")
+        return super().redirect_request(req, fp, code, msg, headers, newurl) if is_web else None
+
+
 def _transferred(address: str, file: PublicFile) -> bytes:
     try:
-        with urlopen(Request(address, headers={"User-Agent": "cgid"}), timeout=PATIENCE) as answer:
+        with build_opener(_Redirects).open(
+            Request(address, headers={"User-Agent": "cgid"}), timeout=PATIENCE
+        ) as answer:
             content = bytes(answer.read(file.size + 1))  # no more, whatever a server sends
     except HTTPError as error:
         error.close()

@@ -41,6 +41,7 @@ def make_recordings(folder: Path) -> None:
         (folder / f"{name}.csv").write_text(text)
     (folder / "key.toml").write_text('[[recording]]\npaht = "blow.wav"\n')
     (folder / "words.toml").write_text("recording = 3\n")
+    (folder / "long.toml").write_text(f"recording = {'9' * 2000}\n")
     _volts(folder, blow / 300)
 
 
@@ -189,6 +190,7 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("channel that is not there", ("train", "channel.csv", *_MODEL_FREE), 65, ("channel '7'",)),
     ("two manifests", ("train", "lost.csv", "bare.csv", *_MODEL_FREE), 65, ("one manifest", "got 2")),
     ("unknown key of a manifest", ("train", "key.toml", *_MODEL_FREE), 65, ("recording 1", "'paht'")),
+    ("number of too many digits", ("train", "long.toml", *_MODEL_FREE), 65, ("long.toml", "digits")),
     ("manifest of a number", ("train", "words.toml", *_MODEL_FREE), 65, ("words.toml", "[[recording]]")),
     (
         "volts without a sensitivity",

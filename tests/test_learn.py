@@ -56,6 +56,12 @@ def test_the_transformer_passes_scikit_learns_own_checks(estimator: ImpactFeatur
     assert len(results) > 40
 
 
+def test_names_must_be_readable_twice() -> None:
+    estimator = ImpactFeatures(2e5, features=iter(["peak"]))
+    with pytest.raises(InvalidValue, match="features"):
+        estimator.fit(np.ones((2, 2048)))
+
+
 def test_it_checks_finite_numbers() -> None:
     """So that the checks above are about features, not about nan."""
     rows = np.random.default_rng(0).normal(size=(50, 4))

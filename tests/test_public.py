@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import socket
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import BaseRequestHandler, ThreadingTCPServer
@@ -40,6 +41,11 @@ def server():
             answer = answers.get(path, 404)
             if isinstance(answer, int):
                 self.send_error(answer)
+                return
+            if isinstance(answer, str):
+                self.send_response(302)
+                self.send_header("Location", answer)
+                self.end_headers()
                 return
             self.send_response(200)
             self.send_header("Content-Length", str(len(CONTENT[path]) if "cut" in answers else len(answer)))
@@ -130,6 +136,18 @@ def test_no_network_is_one_line(one, tmp_path, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("cgid: error: http://127.0.0.1:9/data/6mm/a%20b.txt: cannot be downloaded: ")
     assert "give --mirror" in line
+
+
+def test_no_redirect_leaves_the_web(one, server, tmp_path, monkeypatch):
+    monkeypatch.setattr(public, "PATIENCE", 1.0)
+    address, answers, _ = server
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        answers["data/6mm/a b.txt"] = f"ftp://127.0.0.1:{other.getsockname()[1]}/a"
+        with pytest.raises(NoInput, match="302"):
+            public.fetch(one, tmp_path, mirror=address)
+        other.setblocking(False)
+        with pytest.raises(BlockingIOError):  # nobody has called
+            other.accept()
 
 
 def test_a_folder_that_is_a_file(one, server, tmp_path):
