@@ -309,7 +309,8 @@ def read_audio(path: Path, source: str) -> Blocks:
         n_channels, rate, declared = int(sound.channels), float(sound.samplerate), int(sound.frames)
     # A header may declare more than a file of this size can hold, or nothing.
     n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
-    if not _is_ended(path):
+    is_ended, position = _ogg_end(path)
+    if not is_ended:
         raise BadData(f"{source}: an OGG file must end with a last page, there is none; it looks cut off, {cure}")
 
     def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
@@ -319,8 +320,9 @@ def read_audio(path: Path, source: str) -> Blocks:
             while len(frames := sound.read(min(length, _DECODED), dtype="float64", always_2d=True)):
                 count += len(frames)
                 yield np.ascontiguousarray(frames.T[picked])
-        if n_samples not in (None, count):
-            raise BadData(f"{source}: {fault}, it declares {n_samples} samples and {count} can be decoded; {cure}")
+        for stated in (n_samples, position):
+            if stated not in (None, count):
+                raise BadData(f"{source}: {fault}, it declares {stated} samples and {count} can be decoded; {cure}")
 
     return Blocks(
         n_channels=n_channels,
@@ -334,14 +336,20 @@ def read_audio(path: Path, source: str) -> Blocks:
     )
 
 
-def _is_ended(path: Path) -> bool:
-    """Return whether an Ogg file ends with its last page, which libsndfile does not ask; other files are."""
+def _ogg_end(path: Path) -> tuple[bool, int | None]:
+    """Return whether an Ogg file ends with its last page, and the samples that this counts if they are Vorbis.
+
+    libsndfile says neither, and leaves out damaged pages. Other files are ended.
+    """
     with path.open("rb") as file:
-        if file.read(4) != b"OggS":
-            return True
+        head = file.read(_LONGEST_PAGE)
         file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_PAGE))
         page = file.read()
+    if not head.startswith(b"OggS"):
+        return True, None
     page = page[page.rfind(b"OggS") :]
     n_segments = page[26] if len(page) >= _PAGE_HEAD else 0
     size = _PAGE_HEAD + n_segments + sum(page[_PAGE_HEAD : _PAGE_HEAD + n_segments])
-    return len(page) == size and bool(page[5] & _LAST_PAGE)
+    is_vorbis = b"\x01vorbis" in head[: _PAGE_HEAD + 256]
+    position = int.from_bytes(page[6:14], "little", signed=True) if is_vorbis else None
+    return len(page) == size and bool(page[5] & _LAST_PAGE), position
