@@ -259,11 +259,6 @@ def test_the_same_address_gives_the_same_numbers():
         ({"hum": [{"frequency": 50, "amplitude": True}]}, "background.hum.0.amplitude", "number or a string"),
         ({"hum": [{"frequency": 50}]}, "background.hum.0", "either amplitude or relative_amplitude"),
         ({"hum": [{"frequency": 50, "amplitude": 1, "relative_amplitude": 1}]}, "background.hum.0", "not both"),
-        (
-            {"hum": [{"frequency": 50, "relative_amplitude": 0}]},
-            "background.hum.0.relative_amplitude",
-            "got 0",
-        ),
         ({"coloured": {"frequencies": [10, 5], "density": [1, 1]}}, "background.coloured", "ascend"),
         ({"coloured": {"frequencies": [5, 10], "density": [1]}}, "background.coloured", "as many numbers"),
         ({"coloured": {"frequencies": [5, 10], "density": [1, 0]}}, "background.coloured.density", "above 0"),

@@ -393,8 +393,6 @@ def test_a_spectrum_from_a_file_is_the_same_scene(tmp_path):
 @pytest.mark.parametrize(
     ("sensor", "path", "says"),
     [
-        ({"noise_exponent": 2.5}, "sensor.noise_exponent", "got 2.5"),
-        ({"noise_exponent": -1.5}, "sensor.noise_exponent", "got -1.5"),
         ({"noise_exponent": math.nan}, "sensor.noise_exponent", "finite number"),
         ({"noise_exponent": 1, "absolute_noise": 0}, "sensor.noise_exponent", "come with relative_noise or absolute"),
         ({"noise_exponent": 1, "noise_density": 1}, "sensor.noise_density", "give the standard deviation"),

@@ -343,13 +343,10 @@ CRUSHED = {"restitution": None, "strength": "20 MPa"}
 @pytest.mark.parametrize(
     ("impact", "population", "says"),
     [
-        ("thornton", {**CRUSHED, "strength": 0}, "populations.0.strength: must"),
-        ("thornton", {**CRUSHED, "strength": -1e6}, "populations.0.strength: must"),
         ("thornton", {**CRUSHED, "yield_pressure": 3e7}, "populations.0.strength: must be left out beside yield_press"),
         ("thornton", {"restitution": None}, "yield_pressure: is missing, thornton dissipation needs it, or strength"),
         ("hunt-crossley", {"strength": 2e7}, "populations.0.strength: must be left out when dissipation is hunt-cross"),
         ("kuwabara-kono", CRUSHED, "populations.0.restitution: is missing, kuwabara-kono dissipation needs it"),
-        ("kuwabara-kono", {"restitution": 0.01}, "populations.0.restitution: must lie between 0.05 and 1"),
     ],
 )
 def test_losses_that_cannot_be(impact, population, says):
@@ -399,22 +396,12 @@ def test_a_shape_is_a_setting_of_a_variation():
 @pytest.mark.parametrize(
     ("population", "says"),
     [
-        ({"curvature": 0}, "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, got 0"),
-        ({"curvature": -1}, "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, got -1"),
         ({"curvature": float("nan")}, "populations.0.curvature"),
         (
             {"curvature": uniform(0.5, 20)},
             "populations.0.curvature: must lie between 0.001 and 10 and is 1 for a sphere, it can be drawn as 20",
         ),
         ({"curvature": "3 mm"}, "populations.0.curvature"),
-        (
-            {"effective_mass": 0},
-            "populations.0.effective_mass: must lie between 0.01 and 1 and is 1 for a central blow, got 0",
-        ),
-        (
-            {"effective_mass": 1.2},
-            "populations.0.effective_mass: must lie between 0.01 and 1 and is 1 for a central blow, got 1.2",
-        ),
         ({"effective_mass": float("nan")}, "populations.0.effective_mass"),
     ],
 )
