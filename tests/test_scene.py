@@ -450,7 +450,8 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         ({"impact__stiffness": "soft"}, "impact.stiffness", "'hertz'"),
         ({"impact__target": "wood"}, "impact.target", "'rigid'"),
         ({"impact__target": {"youngs_modulus": "210 GPa"}}, "impact.target.poisson_ratio", "missing"),
-        ({"impact": None}, "impact", "missing"),
+        ({"impact": None}, "impact", "missing: The laws of the impact"),
+        ({"impact__dissipation": None}, "impact.dissipation", "missing: How the rock loses energy"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

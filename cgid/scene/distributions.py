@@ -147,6 +147,7 @@ class Section(BaseModel):
             quantity, optional = quantity_of(field), "" if field.is_required() else "optional "
             unit = f"[{quantity.unit}]" if quantity is not None and quantity.unit else ""
             if field.description:
+                field.description = " ".join(field.description.split())
                 lines += [f"{name} : {optional}{unit}".rstrip(" :"), f"    {field.description}"]
         own = inspect.cleandoc(vars(cls).get("__doc__") or "")
         cls.__doc__ = "\n".join([own, "", "Parameters", "----------", *lines])

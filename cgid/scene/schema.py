@@ -411,7 +411,7 @@ def _description(location: Sequence[int | str]) -> str:
         return ""
     quantity = quantity_of(field)
     unit = f" [{quantity.unit}]" if quantity is not None and quantity.unit else ""
-    return f": {field.description.split('. ')[0].rstrip('.')}{unit}"
+    return f": {re.split('[.;:] ', field.description)[0].rstrip('.')}{unit}"
 
 
 def _sections_at(location: Sequence[int | str]) -> list[type[BaseModel]]:

@@ -149,7 +149,9 @@ def _rule(field: FieldInfo) -> str:
             f" \\[{escaped(quantity.unit)}\\]" if quantity.unit else ""
         ) + f", {escaped(rule)}" * quantity.rule.limited
     most = [one.max_length for one in field.metadata if hasattr(one, "max_length")]
-    return words + "".join(f", at most {number} of them" for number in most)
+    return words + "".join(
+        f", at most {number} {'characters' if field.annotation is str else 'of them'}" for number in most
+    )
 
 
 def _row(name: str, field: FieldInfo) -> list[str]:
