@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tracemalloc
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,7 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.counting import count, counted, counting
-from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput, WriteFailed
-from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
+from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput, WriteFailed
 from cgid.measure.features import FEATURES, extract_array, extract_truncated
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
@@ -30,92 +27,25 @@ from cgid.scene import Scene, impacts, load_scene, synthesis, synthesise
 from cgid.scene.generation import tabulate
 from cgid.scene.gravity import GRAVITY_TOLERANCE, weighed
 from cgid.scene.impacts import Recorder, TapPulses, beam_modes, draw
-from cgid.scene.plan import NEGLIGIBLE_ECHO, QUANTITIES, RESPONSE_TOLERANCE, STAGES, Decision, Plan, plan
+from cgid.scene.plan import NEGLIGIBLE_ECHO, QUANTITIES, RESPONSE_TOLERANCE, STAGES, Decision, plan
 from cgid.scene.sensor import Sensor
-from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
 from cgid.shipped import scene_path
-from cgid.store import Rows, TableHeader, is_table, read_table, table, table_writer
+from cgid.store import Rows, is_table, read_table, table
 from tests.plan_scenes import (
     CASES,
-    COUNTED,
-    FELT,
     FIT,
     IN_TIME,
     PANEL,
     RIGS,
     SECOND,
     TAP,
-    TAPPED,
     Case,
     beam_of,
     named,
     scene_of,
     uniform,
 )
-
-N = COUNTED
-#: What runs of each case; a name that is missing must not run at all. Samples of beginnings are bounded below.
-EXPECTED = {
-    "parameters alone": {},
-    "times alone": {"tabulated_times": N},
-    "all closed forms": {"closed_form_peaks": 2 * N, "damping_solves": N, "tabulated_times": N},
-    "undamped, no sensor": {
-        "closed_form_peaks": N,
-        "tabulated_times": N,
-        "table_pulses": N,
-        "frames": N,
-        "frame_samples": 2048 * N,
-    },
-    "features of the fit": {
-        "closed_form_peaks": N,
-        "damping_solves": N,
-        "tabulated_times": N,
-        "table_pulses": N,
-        "frames": N,
-        "fits": N,
-        "features": 4 * N,
-    },
-    "features in time": {
-        "closed_form_peaks": N,
-        "damping_solves": N,
-        "tabulated_times": N,
-        "table_pulses": N,
-        "frames": N,
-        "features": 3 * N,
-    },
-    "spectrum, bandwidth, range and bits": {
-        "closed_form_peaks": N,
-        "damping_solves": N,
-        "tabulated_times": N,
-        "table_pulses": N,
-        "frames": N,
-        "filtered_frames": N,
-        "digitised_frames": N,
-        "spectra": N,
-        "features": N,
-    },
-    "gravity too weak": {
-        "closed_form_peaks": N,
-        "damping_solves": N,
-        "tabulated_times": N,
-        "table_pulses": N,
-        "frames": N,
-        "frame_samples": 2048 * N,
-        "noise_samples": 2048 * N,
-    },
-    "gravity and a thin plate": {
-        "weighed_impacts": N,
-        "damping_solves": N,
-        "integrated_impacts": N,
-        "integrated_pulses": N,
-        "frames": N,
-        "frame_samples": 2048 * N,
-        "noise_samples": 2048 * N,
-    },
-}
-#: Cases whose frames end behind the last window: samples made and samples with noise are fewer than so many each.
-BEGINNINGS = {"features of the fit": 600, "features in time": 500, "spectrum, bandwidth, range and bits": 500}
 
 
 def features_of(
@@ -137,65 +67,11 @@ def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0
 # -- counters -------------------------------------------------------------------------------------------
 
 
-def test_counters_belong_to_who_asks() -> None:
-    count("frames", 5)
-    with counted() as outer:
-        assert counting()
-        count("frames", 2)
-        with counted() as inner:
-            count("frames", 3)
-        count("spectra", 0)
-    assert not counting()
-    assert (dict(inner), dict(outer)) == ({"frames": 3}, {"frames": 5})
-
-
-@pytest.mark.parametrize("name", EXPECTED)
-def test_only_what_is_asked_runs(name: str) -> None:
-    counts = named(name).ask()
-    contact = counts.pop("pulse_samples", 0)
-    if "frames" in EXPECTED[name]:
-        drawn = [draw(named(name).scene, 0, block) for block in range(2)]
-        rate = named(name).scene.sampling.sampling_rate
-        inside = sum(float(np.sum(d.parameters["contact_duration"]) * rate) for d in drawn)
-        assert contact == pytest.approx(inside, abs=N)
-    else:
-        assert contact == 0
-    if name in BEGINNINGS:
-        assert 200 * N < counts.pop("frame_samples") == counts.pop("noise_samples") < BEGINNINGS[name] * N
-    assert dict(counts) == EXPECTED[name]
-
-
-def test_taps_second_hits_and_drawn_noise_run_where_they_are() -> None:
-    chosen = named("taps, second hits, drawn noise")
-    impacts = sum(draw(chosen.scene, 0, block).impact.reduced_mass.size for block in range(2))
-    counts = chosen.ask()
-    assert counts["table_pulses"] == 2 * impacts  # each hits twice
-    assert counts["tap_pulses"] == N - impacts
-    assert counts["damping_solves"] == counts["closed_form_peaks"] == impacts
-    assert (counts["fits"], counts["spectra"], counts["integrated_impacts"]) == (N, 0, 0)
-    assert counts["noise_samples"] < 0.6 * 2048 * N
-
-
-#: Modes that run of those there are, where a sensor feels a motion.
-MODES = {"a plate's acceleration": (47, 47), "features of measured modes, one silent": (3, 4)}
-
-
-@pytest.mark.parametrize("name", MODES)
-def test_modes_run_that_the_sensor_feels(name: str) -> None:
-    chosen, (heard, there) = named(name), MODES[name]
-    counts, everything = chosen.ask(), chosen.all_modes()
-    assert (counts["modes"], everything["modes"]) == (2 * heard, 2 * there)
-    n_filters, rung = 4, counts["mode_samples"]
-    assert everything["mode_samples"] == (there + n_filters) * 1024 * N
-    # They ring from the end of contact on, and until they are too quiet; in steps of 256 samples.
-    assert 0.4 * (heard + n_filters) * 1024 * N < rung < (heard + n_filters) * (1024 - 64) * N
-
-
 @pytest.mark.parametrize("name", ["a beam whose sensor feels the force", "true pulses on a beam"])
 def test_no_mode_runs_where_only_the_force_is_asked(name: str) -> None:
     counts = named(name).ask()
     assert (counts["modes"], counts["mode_samples"]) == (0, 0)
-    assert counts["coupled_impacts"] == counts["frames"] == N  # the beam gives way all the same
+    assert counts["coupled_impacts"] == counts["frames"] > 0  # the beam gives way all the same
     assert counts["noise_samples"] == 0
 
 
@@ -227,17 +103,6 @@ def test_the_plan_tells_how_a_beam_gives_way() -> None:
     assert "no mode is heard" in plan(beam_of(PANEL, {})).decisions["tail beam"].why
     tapped = plan(named("features of measured modes, one silent").scene, "features")
     assert "the 4 modes of the table" in tapped.decisions["tail beam"].why
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("chosen", CASES, ids=lambda chosen: chosen.name)
-def test_everything_costs_more(chosen: Case) -> None:
-    asked, everything = chosen.ask(), chosen.ask_everything()
-    if chosen.scene.tail_beam is None:
-        assert everything["fits"] == everything["spectra"] == everything["frames"] == N
-    assert all(asked[name] <= number for name, number in everything.items())
-    assert set(asked) <= set(everything)
-    assert sum(asked.values()) < sum(everything.values())
 
 
 def _refuse(*_: object, **__: object) -> None:
@@ -300,111 +165,6 @@ def test_only_features_of_a_fit_are_fitted_and_only_spectral_ones_transformed(mo
     named("features of the fit").ask()
     monkeypatch.setattr(PulseBatch, "fit", property(_refuse))
     named("features in time").ask()
-
-
-#: The counters that show that a stage has run.
-COUNTERS = {
-    "arrivals": ["arrivals"],
-    "impacts": ["closed_form_peaks", "tabulated_times", "integrated_impacts", "coupled_impacts"],
-    "gravity": ["weighed_impacts"],
-    "coupling": ["coupled_impacts"],
-    "rebounds": ["rebounds"],
-    "pulses": ["table_pulses", "integrated_pulses"],
-    "taps": ["tap_pulses"],
-    "second hits": ["second_hits"],
-    "tail beam": ["modes"],
-    "sensor chain": ["sensor_filters"],
-    "bandwidth": ["filtered_frames"],
-    "noise": ["noise_samples"],
-    "background": ["background_samples"],
-    "clipping": ["clipped_frames"],
-    "offset, range and bits": ["digitised_frames", "digitised_chunks"],
-    "features": ["features"],
-}
-_HUM = {"hum": [{"frequency": "50 Hz", "amplitude": "2 N"}]}
-_STREAM = {"duration": "1 s", "arrivals": {"rate": "30 Hz"}}
-_RATE = {"sampling_rate": "25.6 kHz"}
-STREAMS = {
-    "rocks that lie still": scene_of(sensor={"absolute_noise": "1 N"}, stream=_STREAM, sampling=_RATE),
-    "rocks that bounce": scene_of(
-        sensor={"bandwidth": "5 kHz", "range": "20 kN", "bits": 12},
-        stream={**_STREAM, "rebounds": {"most": 2}},
-        sampling=_RATE,
-        background=_HUM,
-    ),
-    "rocks on a beam": scene_of(
-        None, {"radius": "8 mm"}, {**FELT}, tail_beam={"modes": TAPPED}, stream=_STREAM, sampling=_RATE
-    ),
-}
-
-
-def shown_by(counts: Counter[str], asked: Plan) -> dict[str, bool]:
-    """Return which stages have run, as far as counters can tell."""
-    ran = {stage: any(counts[name] for name in names) for stage, names in COUNTERS.items()}
-    ran["pulses"] |= asked.signals and counts["coupled_impacts"] > 0  # they are not in the table, nor integrated
-    if asked.signals and asked.scene.stream is None:
-        ran["rest of the frames"] = counts["frame_samples"] >= asked.scene.sampling.samples * N
-    return ran
-
-
-def _also() -> dict[str, tuple[Scene, str]]:
-    more = {
-        "hum": scene_of(background=_HUM),
-        "weight": scene_of({"gravity": 9.81, "gravity_tolerance": 1e-7}),
-        "a filter of a force": scene_of(sensor={"anti_alias": {"frequency": "20 kHz"}}),
-        "second hits of a population": scene_of(population={"second_hit": SECOND}),
-        "taps alone": scene_of(populations=[], taps=[TAP]),
-        "a beam through its modes": beam_of({**PANEL, "coupling": "modes"}),
-    }
-    return {
-        f"{name}, {kind}": (scene, kind) for name, scene in (SCENES | more).items() for kind in ("frames", "pulses")
-    }
-
-
-@pytest.mark.parametrize("name", [case.name for case in CASES])
-def test_what_runs_is_what_the_plan_says(name: str) -> None:
-    chosen = named(name)
-    ran = shown_by(chosen.ask(), chosen.plan)
-    assert ran == {stage: chosen.plan.runs(stage) for stage in ran}
-
-
-def test_what_runs_for_signals_is_what_the_plan_says() -> None:
-    for name, (scene, output) in _also().items():
-        chosen = Case(name, scene, output)
-        ran = shown_by(chosen.ask(), chosen.plan)
-        assert ran == {stage: chosen.plan.runs(stage) for stage in ran}, name
-
-
-@pytest.mark.parametrize("name", STREAMS)
-def test_what_runs_for_recordings_is_what_the_plan_says(name: str) -> None:
-    asked = plan(STREAMS[name], "recordings")
-    with counted() as counts:
-        record(STREAMS[name])
-    ran = shown_by(counts, asked)
-    assert ran == {stage: asked.runs(stage) for stage in ran}
-
-
-def test_the_plan_is_asked_for_every_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, runs = set(), Plan.runs
-
-    def watched(self: Plan, stage: str) -> bool:
-        asked.add(stage)
-        return runs(self, stage)
-
-    monkeypatch.setattr(Plan, "runs", watched)
-    for name in ("parameters alone", "features of the fit", "a plate's acceleration"):
-        named(name).ask()
-    record(STREAMS["rocks that bounce"])
-    assert asked == set(STAGES)
-
-
-def test_an_undamped_impact_among_damped_ones_needs_no_damping() -> None:
-    scene = scene_of(population={"restitution": {"distribution": "choice", "values": [0.5, 1.0]}})
-    undamped = sum(np.count_nonzero(d.parameters["restitution"] == 1) for d in [draw(scene, 0, 0)])
-    with counted() as counts:
-        draw(scene, 0, 0)
-    assert 0 < undamped < 256
-    assert counts["damping_solves"] == 256 - undamped
 
 
 # -- features without frames ------------------------------------------------------------------------------
@@ -667,15 +427,6 @@ def test_a_table_is_read_back_as_it_was_made(tmp_path: Path, suffix: str) -> Non
     assert [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(".")] == []
 
 
-def test_rows_of_any_number_come_in_order(tmp_path: Path) -> None:
-    header = TableHeader(kind="features", units={"x": "N"}, attributes={})
-    with table_writer(tmp_path / "t.h5", header, 4) as writer:
-        for first in range(0, 40_000, 1999):
-            x = np.arange(first, min(first + 1999, 40_000), dtype=float)
-            writer.add(Rows(labels=np.full(x.size, "coal"), specimen=x.astype(np.uint64), columns={"x": x}))
-    np.testing.assert_array_equal(read_table(tmp_path / "t.h5").columns["x"], np.arange(40_000.0))
-
-
 def test_memory_stays_flat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "_ROWS", 1024)  # so many rows wait to be written; beyond that nothing grows
     asked = plan(scene_of(), "features", features=["peak_force"])
@@ -731,13 +482,6 @@ def test_parquet_without_its_library_says_so(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(MissingExtra, match=r"cgid\[parquet\]"):
         tabulate(plan(scene_of(), "parameters"), tmp_path / "t.parquet", 10)
-
-
-def test_a_table_that_is_there_stays(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    tabulate(plan(scene_of(), "parameters"), path, 10)
-    with pytest.raises(CannotCreate, match="--overwrite"):
-        tabulate(plan(scene_of(), "parameters"), path, 10)
 
 
 # -- the plan as it is printed ----------------------------------------------------------------------------
@@ -827,48 +571,6 @@ def test_a_stream_makes_recordings_and_nothing_else() -> None:
         plan(scene_of(), "recordings")
 
 
-@pytest.mark.long
-def test_default_features_are_those_of_a_model_of_what_is_felt(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    assert run(["generate", "plate", "--features-only", "-n", "20", "-o", str(path)]) == 0
-    names = [name for name in read_table(path).columns if not name.startswith("true_")]
-    assert set(names) <= set(DEFAULT_VIBRATION_FEATURES)
-    assert len(names) > 10
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--features", "peak_force", "-o", "d.h5"], "--features needs --features-only"),
-        (["--quantities", "impulse", "-o", "d.h5"], "--quantities needs --closed-form-only"),
-        (["--features-only", "--parameters-only", "-o", "d.h5"], "exclude each other"),
-        (["--features-only", "--dtype", "float64", "-o", "d.h5"], "--dtype is for signals"),
-        (["--features-only", "--shard-signals", "9", "-o", "d.h5"], "--shard-signals is for signals"),
-        (["--closed-form-only", "--jobs", "2", "-o", "d.h5"], "--jobs is for signals"),
-        (["--features-only", "-o", "data"], "must end in .h5"),
-        (["--features-only"], "Missing option"),
-        (["--json", "-o", "d.h5"], "--json needs --explain"),
-        ([], "Missing option"),
-    ],
-)
-def test_options_that_contradict_each_other_are_refused(
-    arguments, says, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run(["generate", "reference", *arguments]) == 2
-    assert says in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_wrong_names_are_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    asked = ["generate", "reference", "--features-only", "-o", str(tmp_path / "t.csv")]
-    assert run([*asked, "--features", "colour"]) == 65
-    assert "'colour'" in capsys.readouterr().err
-    assert run([*asked, "-n", "0"]) == 65
-    assert run([*asked, "-n", "2000000001"]) == 65
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_command_writes_what_info_describes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "t.csv"
     assert run(["generate", "randomised", "--features-only", "-n", "768", "--seed", "4", "-o", str(path)]) == 0
@@ -878,16 +580,6 @@ def test_the_command_writes_what_info_describes(tmp_path: Path, capsys: pytest.C
     assert (content["kind"], content["signals"], content["scene_name"]) == ("table of features", 768, "randomised")
     assert content["columns"]["sampling_rate"] == "Hz"
     assert 0 < content["without_a_number"]["fitted_peak"] < 50
-
-
-def test_storing_is_counted(tmp_path: Path) -> None:
-    scene = scene_of()
-    with counted() as counts:
-        assert run(["generate", "peers", "-n", "300", "-o", str(tmp_path / "d.h5")]) == 0
-    assert counts["stored_signals"] == 300
-    with counted() as counts:
-        tabulate(plan(scene, "features", features=["peak_force"]), tmp_path / "t.h5", 300)
-    assert (counts["stored_signals"], counts["stored_rows"]) == (0, 300)
 
 
 def test_the_undamped_closed_form_is_hertz() -> None:
