@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from sklearn import metrics as reference_metrics
 from sklearn.neural_network import MLPClassifier
 from sklearn.utils.estimator_checks import check_estimator
 
-from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import check_model_output, write_card, write_model
 from cgid.identification.classifier import FAMILIES, ImpactClassifier
@@ -74,11 +73,6 @@ def test_probabilities_are_calibrated_where_the_family_is_overconfident() -> Non
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_unknown_family_is_refused() -> None:
-    with pytest.raises(InvalidValue, match="family must be one of"):
-        ImpactClassifier("svm").fit([[1.0], [2.0]], ["a", "b"])
-
-
 # -- the model against the estimator ----------------------------------------------------------------------
 
 
@@ -126,10 +120,6 @@ def test_network_scores_are_those_behind_scikit_learns_probabilities(n_labels: i
     np.testing.assert_allclose(softmax(scores), theirs, rtol=0, atol=1e-12)
 
 
-def test_model_file_is_the_same_every_time(trained: Trained) -> None:
-    assert trained["boosting"].model.to_bytes() == trained["boosting"].model.to_bytes()
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("families", few([["logistic"], list(FAMILIES)]))
 def test_models_are_the_same_with_one_thread_and_with_two(families: list[str]) -> None:
@@ -151,21 +141,6 @@ def test_models_are_the_same_with_one_thread_and_with_two(families: list[str]) -
         assert allowed == threads, "the limit must end with the training, and two threads be there for the second"
         runs.append(models)
     assert runs[0] == runs[1]
-
-
-def test_prediction_needs_numpy_alone(trained: Trained, tmp_path: Path) -> None:
-    (tmp_path / "m.npz").write_bytes(trained["boosting"].model.to_bytes())
-    code = (
-        "import sys, numpy as np; from cgid.identification.answers import identify; "
-        "from cgid.identification.model import Model; from cgid.signals import Signal; "
-        f"m = Model.load({str(tmp_path / 'm.npz')!r}); t = np.arange(500) / 2e5; "
-        "f = 9e3 * np.sin(np.pi * np.clip((t - 1e-3) / 4e-4, 0, 1)) ** 1.5; "
-        "print(identify(Signal(samples=f, sampling_rate=2e5, unit='N'), m)[0].label); "
-        "print([x for x in ('scipy', 'sklearn', 'numba', 'pandas', 'h5py', 'pydantic') if x in sys.modules])"
-    )
-    lines = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split("\n")
-    assert lines[0] in ("coal", "gangue", "unknown")
-    assert lines[1] == "[]"
 
 
 def test_one_source_judges_and_no_particle_of_its_judges_trains(reference_scene: Scene) -> None:
@@ -271,19 +246,6 @@ def test_guard_keeps_999_of_1000_of_the_training_and_survives_the_file(reference
             loaded.novelty(inputs, guards)
 
 
-def test_guard_that_is_never_positive_is_refused(reference_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dataclasses import replace
-
-    from cgid.measure import features
-    from cgid.measure.table import Table
-
-    fall = replace(features.FEATURES["tilt"], measure=lambda pulses: -pulses.peak)
-    entries = [fall if entry.name == "tilt" else entry for entry in features.FEATURES.entries]
-    monkeypatch.setattr(features, "FEATURES", Table(entries))
-    with pytest.raises(InvalidValue, match="guard tilt must be above 0"):
-        train(synthesise(reference_scene, 300), features=["peak_force"], guards=("tilt",))
-
-
 @pytest.fixture(scope="module")
 def knowing(reference_scene: Scene) -> Training:
     return train(synthesise(reference_scene, 3000, seed=5), known=("drop_height",))
@@ -358,30 +320,6 @@ def rewritten(model: Model, **changes: Any) -> bytes:
     return stream.getvalue()
 
 
-TREE_HARM = {
-    "child before its parent": ("left", lambda a: np.zeros_like(a)),
-    "child beyond the table": ("right", lambda a: np.full_like(a, 10**6)),
-    "negative child": ("left", lambda a: np.full_like(a, -5)),
-    "feature that does not exist": ("feature", lambda a: np.full_like(a, 99)),
-    "threshold not finite": ("threshold", lambda a: np.full_like(a, np.nan)),
-    "value not finite": ("value", lambda a: np.full_like(a, np.inf)),
-    "children as floats": ("left", lambda a: a.astype(float)),
-    "roots out of order": ("roots", lambda a: a[::-1].copy()),
-    "columns that do not exist": ("columns", lambda a: a + 3),
-    "too short": ("right", lambda a: a[:-1]),
-}
-
-
-@pytest.mark.parametrize("harm", TREE_HARM)
-def test_harmful_trees_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
-    name, change = TREE_HARM[harm]
-    model = trained["boosting"].model
-    content = rewritten(model, **{f"family__{name}": change(model.arrays[f"family.{name}"])})
-    (tmp_path / "m.npz").write_bytes(content)
-    with pytest.raises(BadData, match=r"no sound model: (?!.*SHA-256)"):
-        Model.load(tmp_path / "m.npz")
-
-
 HEADER_HARM: dict[str, dict[str, Any]] = {
     "another format": {"format": "pickle"},
     "another version": {"schema_version": 1},
@@ -414,14 +352,6 @@ HEADER_HARM: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("harm", HEADER_HARM)
-def test_harmful_headers_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
-    model = trained["logistic"].model
-    (tmp_path / "m.npz").write_bytes(rewritten(model, header=HEADER_HARM[harm]))
-    with pytest.raises(BadData, match=r"no sound model: (?!.*SHA-256)"):
-        Model.load(tmp_path / "m.npz")
-
-
 ARRAY_HARM: dict[str, tuple[str, str, Any]] = {
     "layers that do not fit": ("network", "family.weights_2", lambda a: a[:-1]),
     "biases that do not fit": ("network", "family.biases_1", lambda a: a[:-1]),
@@ -439,70 +369,15 @@ ARRAY_HARM: dict[str, tuple[str, str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("harm", ARRAY_HARM)
-def test_harmful_arrays_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
-    family, name, change = ARRAY_HARM[harm]
+@pytest.mark.parametrize("harm", [*HEADER_HARM, *ARRAY_HARM])
+def test_harmful_models_are_refused(harm: str, trained: Trained, tmp_path: Path) -> None:
+    """Signed anew; more of them, and files that are no model at all, are in `tests/hostile_models.py`."""
+    family, name, change = ARRAY_HARM.get(harm, ("logistic", "", None))
     model = trained[family].model
-    (tmp_path / "m.npz").write_bytes(rewritten(model, **{name: change(model.arrays[name])}))
+    changes = {name: change(model.arrays[name])} if change else {"header": HEADER_HARM[harm]}
+    (tmp_path / "m.npz").write_bytes(rewritten(model, **changes))
     with pytest.raises(BadData, match=r"no sound model: (?!.*SHA-256)"):
         Model.load(tmp_path / "m.npz")
-
-
-@pytest.mark.parametrize("label", ["unknown", "<script>"])
-def test_labels_of_a_model_file_keep_the_rule(trained: Trained, tmp_path: Path, label: str) -> None:
-    model = trained["logistic"].model
-    (tmp_path / "m.npz").write_bytes(rewritten(model, header={"labels": ["coal", label]}))
-    with pytest.raises(BadData, match="no sound model: labels must"):
-        Model.load(tmp_path / "m.npz")
-
-
-def test_old_models_are_refused_by_their_version(trained: Trained, tmp_path: Path) -> None:
-    model = trained["logistic"].model
-    (tmp_path / "m.npz").write_bytes(rewritten(model, header={"schema_version": 1}))
-    with pytest.raises(BadData, match="schema_version must be 2 to 4, got 1; train it again"):
-        Model.load(tmp_path / "m.npz")
-
-
-def test_pickles_and_bombs_are_refused(trained: Trained, tmp_path: Path) -> None:
-    path = tmp_path / "m.npz"
-    stream = io.BytesIO()
-    np.savez(stream, header=np.array([{"a": 1}], dtype=object))
-    path.write_bytes(stream.getvalue())
-    with pytest.raises(BadData):
-        Model.load(path)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("header.npy", bytes(10**7))
-    with pytest.raises(BadData, match="uncompressed"):
-        Model.load(path)
-
-
-def test_missing_empty_and_text_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(NoInput):
-        Model.load(tmp_path / "none.npz")
-    for content in (b"", b"hello", b"PK\x03\x04"):
-        (tmp_path / "m.npz").write_bytes(content)
-        with pytest.raises(BadData):
-            Model.load(tmp_path / "m.npz")
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_damaged_files_are_refused_or_harmless(family: str, trained: Trained, tmp_path: Path) -> None:
-    """A zip archive carries checksums, so whatever still loads has to be the same model."""
-    content = bytearray(trained[family].model.to_bytes())
-    generator = np.random.default_rng(7)
-    whole = trained[family].model
-    for _ in range(60):
-        place, bit = int(generator.integers(len(content))), int(generator.integers(8))
-        content[place] ^= 1 << bit
-        (tmp_path / "m.npz").write_bytes(content)
-        try:
-            loaded = Model.load(tmp_path / "m.npz")
-        except BadData:
-            pass
-        else:
-            assert loaded.header == whole.header
-            assert all(np.array_equal(loaded.arrays[name], whole.arrays[name]) for name in whole.arrays)
-        content[place] ^= 1 << bit
 
 
 # -- training ---------------------------------------------------------------------------------------------
@@ -515,13 +390,6 @@ def test_specimens_are_never_on_both_sides() -> None:
     test = hold_out(labels, specimen)
     assert not set(specimen[test]) & set(specimen[~test])
     assert {len(np.unique(specimen[test & (labels == label)])) for label in ("coal", "gangue")} == {8}
-
-
-def test_yang_spheres_are_split_by_sphere() -> None:
-    scene = parse_scene(_tiny_scene())
-    training = train(synthesise(scene, 600), features=["peak_force", "width_50"])
-    assert training.model.training["n_train_specimens"] == 2
-    assert training.model.training["n_test_specimens"] == 2
 
 
 def test_equal_particles_of_two_datasets_stay_on_one_side() -> None:
@@ -605,15 +473,6 @@ def test_metrics_agree_with_scikit_learn() -> None:
 # -- what is written --------------------------------------------------------------------------------------
 
 
-def test_card_tells_the_figures_of_the_model(trained: Trained) -> None:
-    model = trained["boosting"].model
-    card = write_card(model, "m.npz", ("a.png",))
-    assert f"{model.training['metrics']['accuracy']:.4f}" in card
-    assert model.training["sources"][0] in card
-    assert "![a.png](a.png)" in card
-    assert all(feature in card for feature in model.features)
-
-
 def test_card_shows_names_as_they_are(trained: Trained) -> None:
     model = trained["logistic"].model
     name = "<b>*x*|[a](b)\x1b"
@@ -669,6 +528,7 @@ def test_features_that_tell_laws_apart_are_taken_where_they_pay(name, n, feature
     assert train(synthesise(scene, n, seed=31)).model.features == features
 
 
+@pytest.mark.long
 def test_the_choice_of_features_asks_rows_left_out_of_the_training():
     """On rocks of five laws four features reach .72 with 1,500 impacts, nine .80; on one law nine lose .006."""
     rock = load_scene("rock")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import subprocess
-import sys
 import tracemalloc
 from pathlib import Path
 
@@ -182,13 +180,6 @@ def test_windows_are_answered_by_their_vote(n_channels: int) -> None:
     assert RunningVote.over(0.3, 0.1, 0.05).n_windows == 5
 
 
-def test_windows_without_a_vote_stand_alone() -> None:
-    model, samples = window_model(), noises()
-    step, _ = identify_blocks([samples[:1]], 8000.0, model, ("1",), PredictionSettings(vote_time=0.0))
-    assert [a.label for a in step.answers if a.end <= 0.6] == ["coal"] * 11
-    assert [a.label for a in step.answers if a.time >= 0.6] == ["gangue"] * 11
-
-
 def test_windows_of_silence_are_unknown_and_have_no_vote() -> None:
     model, samples = window_model(hop_time=0.1), noises()[:1]
     samples[:, 1600:3200] = 0.0
@@ -309,23 +300,6 @@ def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) ->
     assert (share.n_impacts, share.n_unknown) == (1, 20)
 
 
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
-        ({"gangue": ("granite",)}, "gangue label must be one of 'coal', 'gangue', got 'granite'"),
-        ({"gangue": ("coal", "gangue")}, "gangue labels must leave another one"),
-        ({"share_time": 0.0}, "window must be above 0"),
-        ({"share_time": 1e-6}, "window must be at least 0.05 s, got 1e-06 s"),
-        ({"dilution_cost": -1.0}, "dilution_cost must be above 0"),
-        ({"evidence": 0.3}, "evidence must lie between 0.5 and 1"),
-        ({"hold": -1.0}, "hold must be 0 or more"),
-    ],
-)
-def test_settings_of_shares_are_checked(settings, says, default_model: Model) -> None:
-    with pytest.raises(InvalidValue, match=says):
-        CavingWatch(default_model, ("1",), PredictionSettings(**settings))
-
-
 # -- the command ------------------------------------------------------------------------------------------
 
 
@@ -384,14 +358,6 @@ def test_one_impact_has_neither_share_nor_summary_unasked(tmp_path: Path, capsys
     assert [row["kind"] for row in lines_of(capsys)] == ["impact"]
     assert run([*arguments, "--window", "1"]) == 0
     assert [row["kind"] for row in lines_of(capsys)] == ["impact", "share"]
-
-
-def test_channels_are_chosen_by_several_options(two_channels: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N", "--json"]
-    assert run([*arguments, "--channel", "2"]) == 0
-    assert {row["channel"] for row in of_kind(lines_of(capsys), "impact")} == {"2"}
-    assert run([*arguments, "--channel", "2", "--channel", "1"]) == 0
-    assert {row["channel"] for row in of_kind(lines_of(capsys), "impact")} == {"1", "2"}
 
 
 def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -525,17 +491,6 @@ def test_report_is_a_page_of_all_files(tmp_path: Path, capsys: pytest.CaptureFix
     assert "sample.csv" in text
 
 
-def test_predicting_recordings_imports_nothing_heavy(two_channels: Path) -> None:
-    arguments = ["predict", str(two_channels), "--rate", str(RATE), "--unit", "N"]
-    code = (
-        f"import sys; from cgid.cli.main import run; run({arguments!r}); "
-        "heavy = ('numba', 'sklearn', 'pandas', 'scipy', 'matplotlib', 'h5py'); "
-        "print([x for x in heavy if x in sys.modules], file=sys.stderr)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stderr.splitlines()[-1] == "[]"
-
-
 # -- what a recording is ----------------------------------------------------------------------------------
 
 
@@ -566,15 +521,3 @@ def test_info_tells_archives_of_arrays_from_models(tmp_path: Path, capsys: pytes
     (tmp_path / "m.npz").write_bytes(window_model().to_bytes())
     assert run(["info", str(tmp_path / "m.npz"), "--json"]) == 0
     assert lines_of(capsys)[0]["kind"] == "model"
-
-
-def test_info_counts_no_impacts_without_a_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.save(tmp_path / "a.npy", stream(["coal"], 0.02))
-    given = ["info", str(tmp_path / "a.npy"), "--rate", str(RATE)]
-    assert run([*given, "--json"]) == 0
-    assert lines_of(capsys)[0]["channel 1"]["impacts"] is None
-    assert run(given) == 0
-    assert "impacts: not counted" in (out := capsys.readouterr().out)
-    assert "give --unit, such as --unit N or --unit m/s^2" in out
-    assert run([*given, "--unit", "N"]) == 0
-    assert "impacts: 1\n" in capsys.readouterr().out
