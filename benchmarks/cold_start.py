@@ -66,16 +66,17 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Processes:
-    """The way to start processes: `kernels`, a key of `KERNELS`, and the folder of their cache."""
+    """The way to start processes: `kernels`, a key of `KERNELS`, the folder of their cache, and code that runs first."""
 
     kernels: str
     folder: Path
+    before: str = ""
 
     def run(self, number: int = 1) -> list[Outcome]:
         """Start this many processes at once and return their outcomes."""
         environment = os.environ | {"NUMBA_CACHE_DIR": str(self.folder)}
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), environment.get("PYTHONPATH"))))
-        command = [sys.executable, "-c", KERNELS[self.kernels] + _REST]
+        command = [sys.executable, "-c", self.before + KERNELS[self.kernels] + _REST]
         pipe = subprocess.PIPE
         started = [
             subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)

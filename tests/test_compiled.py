@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import os
+import random
 import shutil
 import stat
 import time
@@ -18,6 +19,35 @@ from cgid.store._packing import fletcher32
 from tests import few
 
 PACKAGE = Path(compiled.__file__).parent
+
+
+def flipped(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 8
+    path.write_bytes(content)
+
+
+def swapped(path: Path) -> None:
+    """Replace a kernel by another intact kernel."""
+    others = sorted(path.parent.iterdir())
+    shutil.copyfile(others[(others.index(path) + 1) % len(others)], path)
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+#: Damage to a file of a cache, which is repaired afterwards.
+DAMAGES = {
+    "empty": lambda path: path.write_bytes(b""),
+    "truncated": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "garbage": lambda path: path.write_bytes(random.Random(path.name).randbytes(path.stat().st_size)),
+    "a flipped bit": flipped,
+    "another kernel": swapped,
+    "a pipe": pipe,
+    "gone": Path.unlink,
+}
 
 
 def add_one(number):
@@ -62,11 +92,12 @@ def test_what_was_compiled_is_read_in_the_next_process(folder: Path):
     assert all(stat.S_IMODE(path.stat().st_mode) == 0o600 for path in folder.iterdir())
 
 
-@pytest.mark.parametrize("name", cold_start.DAMAGES)
+@pytest.mark.parametrize("name", DAMAGES)
 def test_damaged_files_are_compiled_anew_and_mended(folder: Path, name: str):
     functions = (add_one, add_two, add_three)
     assert not any(from_disk(folder, function) for function in functions)
-    cold_start.damage(folder.parent, cold_start.DAMAGES[name])
+    for path in sorted(folder.iterdir()):
+        DAMAGES[name](path)
     assert not any(from_disk(folder, function) for function in functions)
     assert all(from_disk(folder, function) for function in functions)
 
@@ -257,15 +288,15 @@ def expected() -> str:
 @pytest.mark.long
 @pytest.mark.parametrize("n", few([2, 4]))
 def test_processes_start_at_once_with_an_empty_cache(tmp_path: Path, expected: str, n: int):
-    processes = cold_start.cached(tmp_path, "checksum")
+    processes = cold_start.Processes(kernels="checksum", folder=tmp_path)
     outcomes = processes.run(n)
     assert cold_start.failures(outcomes, expected) == []
     assert sum(one.compiled for one in outcomes) >= n // 2  # the cache was empty
-    assert cold_start.left_whole(cold_start.read_only(tmp_path, "checksum") or processes, expected) == []
+    assert cold_start.left_whole(processes, expected) == []
 
 
 def test_a_full_disk_keeps_nothing_and_fails_nobody(tmp_path: Path, expected: str):
-    places = dict(cold_start.without_a_place(tmp_path, "checksum"))
-    full = places["a disk that is full after 4096 bytes"]
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+    full = cold_start.Processes(kernels="checksum", folder=tmp_path, before=limit)
     assert cold_start.failures(full.run(), expected) == []
     assert list(tmp_path.rglob("kernels-*/*")) == []

@@ -564,7 +564,7 @@ def test_what_is_given_is_no_longer_randomised():
         ({"colour": "red"}, InvalidValue, "colour must be a setting of scene reference"),
         ({"label": "coal"}, InvalidValue, "label must be a setting"),
         ({"peak_force": "1 kN"}, InvalidValue, "peak_force must be a setting"),
-        ({"radius": "-1 mm"}, BadData, r"variation of reference: populations\.0\.radius: must be above 0"),
+        ({"radius": "-1 mm"}, BadData, r"variation of reference: populations\.0\.radius"),
         ({"sampling_rate": "1 N"}, BadData, r"sampling\.sampling_rate"),
         ({"restitution": None}, BadData, r"populations\.0\.restitution: is missing"),
         ({"keep_frame": True}, InvalidValue, "keep_frame must come with sampling_rate .* got nothing"),
