@@ -66,7 +66,7 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Processes:
-    """The way to start processes: `kernels`, a key of `KERNELS`, the folder of their cache, and code that runs first."""
+    """Processes with a key of `KERNELS`, the folder of their cache, and code that runs first."""
 
     kernels: str
     folder: Path
