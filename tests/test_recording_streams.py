@@ -794,7 +794,7 @@ def test_live_wav_that_breaks_off_is_told():
         ({"sample_format": "s16le"}, MissingOption, "--rate HZ"),
         ({"sample_format": "s16le", "sampling_rate": 8}, MissingOption, "number of channels"),
         ({"sample_format": "s17le"}, InvalidValue, "s16le"),
-        ({"sampling_rate": -1}, InvalidValue, "above 0"),
+        ({"sampling_rate": -1}, InvalidValue, "sampling_rate"),
         ({"n_channels": 0}, InvalidValue, "n_channels"),
         ({"n_channels": 10**6}, InvalidValue, "at most"),
         ({"unit": "stone"}, InvalidValue, "stone"),
