@@ -209,7 +209,7 @@ class Response:
     def frequency_response(self, frequencies: ArrayLike, participation: ArrayLike | None = None) -> Complex:
         """Return the complex response to a unit force at frequencies [Hz], (n_frequencies,), for `exp(+j omega t)`.
 
-        Participation is (n_modes,) [1/kg], or None for a force.
+        They may be complex, for a transform that decays. Participation is (n_modes,) [1/kg], or None for a force.
 
         At resonance one mode of 50 kg moves as far as its damping allows, a quarter period behind the force:
 
@@ -223,7 +223,7 @@ class Response:
         """
         rows = None if participation is None else np.atleast_2d(np.asarray(participation, np.float64))
         amplitude, direct = self.amplitudes(rows)
-        s = 2j * np.pi * np.asarray(frequencies, np.float64)[:, None]
+        s = 2j * np.pi * np.asarray(frequencies)[:, None]
         pole, half = self.poles[None], np.where(self.poles.imag != 0, 0.5, 1.0) * amplitude[0]
         other = np.where(self.poles.imag != 0, half.conjugate() / (s - pole.conjugate()), 0.0)
         return np.asarray(direct[0] + (half / (s - pole) + other).sum(axis=1))

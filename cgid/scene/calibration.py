@@ -1,4 +1,4 @@
-"""The gain of a sensor from recorded blows on its beam: hammer taps, or drops of known mass."""
+"""The gain of a sensor from recorded impacts on its beam: hammer taps, or drops of known mass."""
 
 from __future__ import annotations
 
@@ -6,47 +6,44 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
-from cgid.physics.driving import Pulses
-from cgid.physics.response import LowPass, Resonance, Response
+from cgid.physics.response import Resonance, Response
 from cgid.scene.impacts import beam_modes
 from cgid.scene.schema import Scene, load_scene, parse_scene
 from cgid.scene.sections import TailBeamSection
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
-from cgid.validation import Floats
+from cgid.validation import Complex, Floats
 
-#: Samples kept before the start of a blow, and at most after it.
-_BEFORE, _BEHIND = 32, 1 << 15
-#: Fewest samples before a blow: they show noise and offset.
+#: Samples kept before the start of an impact, and at most on either side of the largest.
+_BEFORE, _AROUND = 32, 1 << 15
+#: Fewest samples before a drop: they show noise and offset.
 _QUIET = 8
-#: A hammer's force extends from the first to the last sample above this share of its peak and this multiple of its
+#: A hammer's force extends from the first to the last sample above this fraction of its peak and this multiple of its
 #: noise, with a margin of samples on both sides; the outermost samples taper to zero.
 _FORCE_FLOOR, _NOISE_FLOOR, _MARGIN, _TAPER = 1e-3, 4.0, 8, 3
-#: Lowest peak of a blow over the noise.
+#: Lowest peak of an impact over the noise.
 _STANDS_OUT = 8.0
 #: Largest delay between hammer and sensor channels [samples].
-_CHANNELS_APART = 4.0
-#: Touch may precede the first visible motion of a drop by this many samples plus this share of its contact.
-_UNSEEN, _UNSEEN_SHARE = 8.0, 0.5
-#: Share of the flight after a drop that is kept, because the sphere falls again.
+_CHANNELS_APART = 4
+#: Fraction of the flight after a drop that is kept, because the sphere falls again.
 _FLIGHT = 0.8
-#: Interpolated points of a force for each recorded one.
-_FINER = 8
-#: A blow that explains less of the motion did not cause it.
+#: Points of the force of a drop to a sample.
+_FINER = 16
+#: What rings on past twice the length of a recording comes back damped by this factor.
+_WRAPPED = 1e-9
+#: Numbers of a transfer function that are computed at once.
+_AT_ONCE = 1 << 20
+#: An impact that explains less of the motion did not cause it.
 _MIN_EXPLAINED = 0.02
-#: Samples of a blow that its delay is searched in, and relative error of the responses.
-_ALIGNED, _TOLERANCE = 2048, 1e-6
-#: Steps of the fit, step of its derivative and largest change of a delay [samples].
-_STEPS, _STEP, _MAX_CHANGE = 8, 1e-3, 0.5
+#: Steps of the fit, and largest change of a delay [samples].
+_STEPS, _MAX_CHANGE = 8, 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,16 +177,18 @@ def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
     """
     scene = load_scene(scene)
     blows = _checked(scene, blows)
-    beam = scene.tail_beam
+    beam, modes = scene.tail_beam, beam_modes(scene)
     assert beam is not None
-    prepared = [_prepared(scene, blow) for blow in blows]
-    modes = beam_modes(scene)
     points = np.array([_point(beam, blow) for blow in blows])
     rows = modes.participation(points[:, 0], points[:, 1])
-    models = [_Model(scene, blow, modes, row) for blow, row in zip(prepared, rows, strict=True)]
     with threadpool_limits(1, "blas"):
-        gain, delays = _aligned(models)
-        gain, delays, explained = _refined(models, gain, delays)
+        models = [_Model(scene, blow, row) for blow, row in zip(blows, rows, strict=True)]
+        clearest = max(models, key=lambda model: model.correlation()[1])
+        # A shift by half a period with the opposite sign fits almost as well: the clearest impact sets the sign.
+        sign = np.sign(clearest.correlation()[2])
+        for model in models:
+            model.begin(model.correlation(sign)[0])
+        gain, explained = _fitted(models)
     worst = int(np.argmin(explained))
     if explained[worst] < _MIN_EXPLAINED:
         raise BadData(
@@ -198,14 +197,12 @@ def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
         )
     content = json.loads(scene.text)
     content["sensor"] |= {"gain": gain}
-    onsets = [
-        0.0 if blow.force is not None else cut.first + cut.onset for blow, cut in zip(blows, prepared, strict=True)
-    ]
     return Calibration(
         scene=parse_scene(content, source=f"calibration of {scene.name}"),
         gain=gain,
         explained=explained,
-        delays=(delays + onsets) / scene.sampling.sampling_rate,
+        delays=np.array([model.delay + (model.blow.force is None) * model.first for model in models])
+        / scene.sampling.sampling_rate,
     )
 
 
@@ -245,114 +242,122 @@ def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
 
 
 class _Model:
-    """The motion of one blow that the scene predicts, over the largest sample of the recording."""
+    """The motion of one impact that the scene predicts, for any delay of the force.
 
-    def __init__(self, scene: Scene, blow: _Prepared, modes: Any, participation: Floats) -> None:
-        sensor, rate = scene.sensor, scene.sampling.sampling_rate
-        assert sensor.quantity != "force"
-        self.blow, self._sensor, self._rate, self._participation = blow, sensor, rate, participation
-        self._response = Response(
-            sampling_rate=rate, quantity=sensor.quantity, modes=modes, filters=blow.filters, tolerance=_TOLERANCE
-        )
-
-    def motion(self, delays: Floats, n_samples: int | None = None) -> Floats:
-        """Return the motion without its mean for some delays [samples], (n_delays, n_samples)."""
-        blow, n = self.blow, len(delays)
-        frames: NDArray[Any] = np.zeros((n, n_samples or blow.samples.size))
-        onset = (blow.onset + delays) / self._rate
-        self._response.add_to_frames(frames, _Repeated(blow.pulse, n), onset, np.tile(self._participation, (n, 1)))
-        if blow.limited:
-            frames = self._sensor.limit_band(frames, self._rate)
-        return np.asarray((frames - frames.mean(axis=1, keepdims=True)) / blow.level, np.float64)
-
-
-class _Repeated:
-    """The force of a blow, repeated for each frame."""
-
-    def __init__(self, pulse: Pulses, n: int) -> None:
-        self.contact_duration = np.broadcast_to(np.ravel(pulse.contact_duration), (n,))
-        self.end_of_contact = np.broadcast_to(np.ravel(pulse.end_of_contact), (n,))
-        self.add_to_frames = pulse.add_to_frames
-
-
-def _aligned(models: Sequence[_Model]) -> tuple[float, Floats]:
-    """Return the gain and the best delay of each blow [samples], (n_blows,), on the grid of its shifts.
-
-    A shift by half a period with the opposite sign fits almost as well, so the clearest blow sets the sign.
+    Force and response are transformed along `s = decay + i omega`, where what rings for longer than the transform does
+    not come back.
     """
-    squares, products, energies = [], [], []
-    for model in models:
-        samples = model.blow.samples[:_ALIGNED]
-        samples = samples - samples.mean()
-        motion = model.motion(model.blow.shifts, samples.size)
-        squares.append(np.maximum(np.sum(motion**2, axis=1), 1e-300))
-        products.append(motion @ samples)
-        energies.append(float(samples @ samples))
-    explained = [h**2 / g / energy for g, h, energy in zip(squares, products, energies, strict=True)]
-    clearest = int(np.argmax([part.max() for part in explained]))
-    best = int(np.argmax(explained[clearest]))
-    gain = products[clearest][best] / squares[clearest][best]
-    for _ in range(3):
-        at = [int(np.argmin(gain**2 * g - 2 * gain * h)) for g, h in zip(squares, products, strict=True)]
-        chosen = np.array([(h[k], g[k]) for g, h, k in zip(squares, products, at, strict=True)])
-        gain = chosen[:, 0].sum() / chosen[:, 1].sum()
-    return float(gain), np.array([model.blow.shifts[k] for model, k in zip(models, at, strict=True)])
+
+    def __init__(self, scene: Scene, blow: Blow, participation: Floats) -> None:
+        self.blow, self._sensor, self._rate = blow, scene.sensor, scene.sampling.sampling_rate
+        samples, filters = _motion(scene, blow), scene.sensor.filters
+        self.first = max(int(np.argmax(np.abs(samples))) - _AROUND, 0)
+        part = slice(self.first, self.first + 2 * _AROUND)
+        self.samples = samples[part] - samples[part].mean()
+        n = self.samples.size
+        self.onset, self._limited = 0, True
+        if blow.force is not None:
+            start, force = _hammered(blow.force)
+            self.onset, force = start - self.first, force[part]
+            if blow.force_filtered:  # the filter is in both channels
+                filters, self._limited = tuple(part for part in filters if isinstance(part, Resonance)), False
+            lags = np.arange(-_CHANNELS_APART, _CHANNELS_APART + 1)
+        else:
+            assert blow.impact is not None
+            force = np.ravel(blow.impact.force(np.arange(_FINER * n) / (_FINER * self._rate)))
+            lags = np.arange(n)
+        self._lags, finer = lags, force.size // n
+        decay = -np.log(_WRAPPED) / (2 * n)
+        self._shrink = np.exp(-decay * np.arange(n))
+        self._s = decay + 1j * np.pi * np.arange(n + 1) / n
+        spectrum = np.fft.rfft(force * np.exp(-decay / finer * np.arange(force.size)), 2 * force.size)[: n + 1] / finer
+        response = Response(
+            sampling_rate=self._rate, quantity=scene.sensor.quantity, modes=beam_modes(scene), filters=filters
+        )
+        frequency = self._s * self._rate / (2j * np.pi)
+        parts = np.array_split(frequency, 1 + frequency.size * participation.size // _AT_ONCE)
+        self._spectrum = spectrum * np.concatenate([response.frequency_response(part, participation) for part in parts])
+
+    def _shifted(self, spectrum: Complex, delay: float) -> Floats:
+        motion = np.fft.irfft(spectrum * np.exp(-self._s * delay), 2 * self._shrink.size)[: self._shrink.size]
+        motion = motion / self._shrink
+        return np.asarray(self._sensor.limit_band(motion[None], self._rate)[0] if self._limited else motion)
+
+    def correlation(self, sign: float = 0.0) -> tuple[float, float, float]:
+        """Return the whole delay at which the motion is most like the recording, the square of this, and the product.
+
+        With a sign, products of the other sign do not count.
+        """
+        motion = self._shifted(self._spectrum, 0.0)
+        both = [np.fft.rfft(part, 2 * motion.size) for part in (self.samples, motion)]
+        product = np.fft.irfft(both[0] * both[1].conj())[self._lags]
+        best = int(np.argmax(np.abs(product) if not sign else sign * product))
+        size = float(np.sum(motion**2) * np.sum(self.samples**2))
+        return float(self._lags[best]), float(product[best] ** 2 / max(size, 1e-300)), float(product[best])
+
+    def begin(self, delay: float) -> None:
+        """Cut the recording to the impact, and require that it stands out."""
+        self.delay, stop, blow = delay, self.samples.size, self.blow
+        if blow.impact is not None:
+            self.onset = int(delay)
+            if self.onset < _QUIET:
+                raise BadData(
+                    f"{blow.motion.name}: motion must begin {_QUIET} samples or more after the recording, got "
+                    f"{self.onset}; leave a quiet stretch before the blow"
+                )
+            flight = 2 * blow.impact.rebound_velocity.item() / STANDARD_GRAVITY
+            lasts = blow.impact.contact_duration.item() + _FLIGHT * flight
+            stop = min(self.onset + int(np.ceil(lasts * self._rate)), stop)
+        self._part = slice(max(self.onset - _BEFORE, 0), stop)
+        own, before = self.samples[self._part], self.samples[self._part.start : self.onset]
+        noise = float(before.std()) if before.size >= 2 else 0.0
+        self.level = float(np.abs(own).max())
+        if not self.level > _STANDS_OUT * noise:
+            raise BadData(
+                f"{blow.motion.name}: motion must stand out of its noise {_STANDS_OUT:g} times, its peak is "
+                f"{self.level:.3g} over a noise of {noise:.3g} before the blow; tap harder, or cut the recording to "
+                "one blow"
+            )
+
+    def motion(self, *, slope: bool = False) -> Floats:
+        """Return the motion of a gain of 1, or its slope in the delay, as `recorded`."""
+        return self._scaled(self._shifted(-self._s * self._spectrum if slope else self._spectrum, self.delay))
+
+    @property
+    def recorded(self) -> Floats:
+        """The recording over its largest sample, without its mean."""
+        return self._scaled(self.samples)
+
+    def _scaled(self, samples: Floats) -> Floats:
+        own = samples[self._part]
+        return np.asarray((own - own.mean()) / self.level)
 
 
-def _refined(models: Sequence[_Model], gain: float, delays: Floats) -> tuple[float, Floats, Floats]:
-    """Return gain, delays and explained fractions of the energy by Gauss-Newton steps over whole recordings."""
+def _fitted(models: Sequence[_Model]) -> tuple[float, Floats]:
+    """Return the gain and explained fractions of the energy, by Gauss-Newton steps in the gain and all delays."""
+    gain = 0.0
     for _ in range(_STEPS):
         information = pull = 0.0
-        slopes, rests = [], []
-        for model, delay in zip(models, delays, strict=True):
-            motion, late = model.motion(np.array([delay, delay + _STEP]))
-            slopes.append((motion, gain * (late - motion) / _STEP))
-            rests.append(model.blow.samples - gain * motion)
+        parts = []
+        for model in models:
+            motion, slope, recorded = model.motion(), model.motion(slope=True), model.recorded
             # What a delay of its own explains tells nothing of the gain.
-            free = _without(*slopes[-1])
-            information, pull = information + float(free @ free), pull + float(free @ rests[-1])
-        change = pull / information
-        steps = [
-            float(slope @ (rest - change * motion)) / max(float(slope @ slope), 1e-300)
-            for (motion, slope), rest in zip(slopes, rests, strict=True)
-        ]
-        gain, delays = gain + change, delays + np.clip(steps, -_MAX_CHANGE, _MAX_CHANGE)
-    explained = []
-    for model, delay in zip(models, delays, strict=True):
-        samples = model.blow.samples
-        rest = samples - gain * model.motion(np.array([delay]))[0]
-        explained.append(1 - rest @ rest / (samples @ samples))
-    return gain, delays, np.array(explained)
+            free = motion - slope * (float(slope @ motion) / max(float(slope @ slope), 1e-300))
+            information, pull = information + float(free @ free), pull + float(free @ recorded)
+            parts.append((motion, slope, recorded))
+        gain = pull / information
+        for model, (motion, slope, recorded) in zip(models, parts, strict=True):
+            step = float(slope @ (recorded - gain * motion)) / max(gain * float(slope @ slope), 1e-300, key=abs)
+            model.delay += float(np.clip(step, -_MAX_CHANGE, _MAX_CHANGE))
+    left = [model.recorded - gain * model.motion() for model in models]
+    return gain, np.array([1 - (own @ own) / (m.recorded @ m.recorded) for own, m in zip(left, models, strict=True)])
 
 
-def _without(values: Floats, direction: Floats) -> Floats:
-    """Return values without their part along a direction."""
-    return np.asarray(values - direction * (float(direction @ values) / max(float(direction @ direction), 1e-300)))
+# ---- recordings ------------------------------------------------------------------------------------------------------
 
 
-# ---- blows -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Prepared:
-    """A blow prepared for the fit: cut out, without its mean, over its largest sample."""
-
-    samples: Floats
-    first: int  # first sample of the cut in the recording
-    level: float  # the divisor of the samples, in the SI unit of the sensor
-    pulse: Pulses  # one force, for any number of frames
-    onset: float  # apparent start of the force in the cut [samples], to be corrected by one of the shifts
-    shifts: Floats  # [samples], (n_shifts,)
-    filters: tuple[Resonance | LowPass, ...]  # between force and recorded motion, in addition to the beam
-    limited: bool  # whether the sensor's zero-phase low-pass lies between them as well
-
-
-def _prepared(scene: Scene, blow: Blow) -> _Prepared:
-    """Return a blow prepared for the fit.
-
-    Raises `InvalidValue` if quantity or rate differ from those of the scene, and `BadData` if the recording is clipped
-    or starts too late, or if no blow stands out of it.
-    """
+def _motion(scene: Scene, blow: Blow) -> Floats:
+    """Return the samples of a motion in SI, checked against the scene."""
     motion, sensor, rate = blow.motion, scene.sensor, scene.sampling.sampling_rate
     if motion.quantity != sensor.quantity:
         raise InvalidValue(
@@ -365,70 +370,15 @@ def _prepared(scene: Scene, blow: Blow) -> _Prepared:
             f"{motion.sampling_rate:g} Hz; change the scene with varied(scene, sampling_rate=...) or resample"
         )
     samples = np.asarray(motion.in_si().samples, np.float64)
-    highest = np.abs(samples).max()
-    if sensor.range is not None and highest >= 0.999 * sensor.range:
+    if sensor.range is not None and np.abs(samples).max() >= 0.999 * sensor.range:
         raise BadData(
             f"{motion.name}: motion must stay within the range of {sensor.range:g} {sensor.unit}; tap lighter"
         )
-    filters = sensor.filters
-    if blow.force is not None:
-        start, pulse = _hammered(blow.force, rate)
-        onset, shifts = float(start), np.arange(-_CHANNELS_APART, _CHANNELS_APART + 0.25, 0.5)
-        last = len(samples)
-        if blow.force_filtered:
-            filters = tuple(part for part in filters if isinstance(part, Resonance))
-    else:
-        assert blow.impact is not None
-        onset, lasts = float(_first_motion(samples, motion.name)), blow.impact.contact_duration.item() * rate
-        shifts = np.arange(-_UNSEEN - _UNSEEN_SHARE * lasts, _CHANNELS_APART, 0.5)
-        pulse = blow.impact
-        flight = 2 * blow.impact.rebound_velocity.item() / STANDARD_GRAVITY
-        last = int(np.ceil(onset + lasts)) + int(_FLIGHT * flight * rate)
-    first = max(int(onset) - _BEFORE, 0)
-    cut = samples[first : min(last, int(onset) + _BEHIND)]
-    level = float(np.abs(cut).max())
-    _require_noise_below(cut[: int(onset) - first], level, motion.name)
-    return _Prepared(
-        samples=(cut - cut.mean()) / level,
-        first=first,
-        level=level,
-        pulse=pulse,
-        onset=onset - first,
-        shifts=shifts,
-        filters=filters,
-        limited=sensor.bandwidth is not None and not (blow.force is not None and blow.force_filtered),
-    )
+    return samples
 
 
-def _require_noise_below(before: Floats, level: float, name: str) -> None:
-    noise = float(before.std()) if before.size >= 2 else 0.0
-    if not level > _STANDS_OUT * noise:
-        raise BadData(
-            f"{name}: motion must stand out of its noise {_STANDS_OUT:g} times, its peak is {level:.3g} over a noise "
-            f"of {noise:.3g} before the blow; tap harder, or cut the recording to one blow"
-        )
-
-
-def _first_motion(samples: Floats, name: str) -> int:
-    """Return the sample at which noise turns into motion, up to the largest sample.
-
-    It is the likeliest boundary of two stretches of white noise with different variances: Maeda (1985), Zisin 38, 365.
-    """
-    peak = int(np.argmax(np.abs(samples)))
-    if peak < 2 * _QUIET:
-        raise BadData(
-            f"{name}: motion must begin {2 * _QUIET} samples or more before its peak, got {peak}; leave a quiet "
-            "stretch before the blow"
-        )
-    squares = np.cumsum(np.square(samples[: peak + 1] - np.median(samples[: peak // 2 + 1])))
-    k = np.arange(_QUIET, peak)
-    floor = 1e-12 * squares[-1]
-    before, behind = squares[k - 1] + floor, squares[-1] - squares[k - 1] + floor
-    return int(k[np.argmin(k * np.log(before / k) + (peak + 1 - k) * np.log(behind / (peak + 1 - k)))])
-
-
-def _hammered(force: Signal, rate: float) -> tuple[int, Pulses]:
-    """Return the first sample of a hammer's force, and the force itself."""
+def _hammered(force: Signal) -> tuple[int, Floats]:
+    """Return the first sample of a hammer's force, and the force, 0 before and after its blow."""
     samples = np.asarray(force.in_si().samples, np.float64)
     samples = samples - np.median(samples)
     peak, lowest = float(samples.max()), float(-samples.min())
@@ -452,25 +402,6 @@ def _hammered(force: Signal, rate: float) -> tuple[int, Pulses]:
     if start < 0 or stop > len(samples):
         raise BadData(f"{force.name}: force must rise and fall within the recording, {_MARGIN} samples off its ends")
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_TAPER) + 0.5) / _TAPER)
-    window = np.concatenate([rise, np.ones(stop - start - 2 * _TAPER), rise[::-1]])
-    return start, _RecordedForce(window * samples[start:stop], rate)
-
-
-class _RecordedForce:
-    """The force of a hammer: band-limited interpolation of its samples."""
-
-    def __init__(self, samples: Floats, rate: float) -> None:
-        from scipy.interpolate import CubicSpline
-        from scipy.signal import resample
-
-        self.contact_duration = self.end_of_contact = np.array([(samples.size - 1) / rate])
-        # Zeros avoid a jump where the end of the period meets its start.
-        padded = np.concatenate([samples, np.zeros(samples.size)])
-        finer = resample(padded, _FINER * padded.size)[: _FINER * (samples.size - 1) + 1]
-        self._force = CubicSpline(np.arange(finer.size) / (_FINER * rate), finer)
-
-    def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
-        """Add the force to each frame, from its own onset on."""
-        times = np.arange(frames.shape[1]) / np.reshape(sampling_rate, (-1, 1)) - np.reshape(onset, (-1, 1))
-        inside = (times > 0) & (times < self.contact_duration[0])
-        frames[inside] += self._force(times[inside])
+    window = np.zeros(samples.size)
+    window[start:stop] = np.concatenate([rise, np.ones(stop - start - 2 * _TAPER), rise[::-1]])
+    return start, window * samples
