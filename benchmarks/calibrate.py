@@ -204,7 +204,7 @@ def from_its_modes(
     change = np.log(np.abs(own.poles) / np.abs(exact.poles))[heard]
     covered = np.mean(np.abs(change) < 1.96 * found.deviation[0, heard])
     middle, most = 100 * np.quantile(np.abs(change), [0.5, 0.9])
-    evidence = " / ".join(f"{_evidence(one, blows):.3g}" for one in (begun, own, exact))
+    evidence = " / ".join(f"{_evidence(one, blows, 0.2):.3g}" for one in (begun, own, exact))
     head = f"{middle:.3f} / {most:.3f} % | {covered:.2f} | {evidence} | {asked(begun)} | {asked(own)}"
     return head, f"{clock:.0f}"
 

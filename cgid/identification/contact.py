@@ -19,6 +19,7 @@ from cgid import family
 from cgid.identification.inversion import Inversion, Inverted, Ringing, Rowwise, Sought
 from cgid.measure.ar_noise import ARNoise, ar_noise_of
 from cgid.measure.beam import FINE, SPAN_TIME, TOUCH, Beam, gain
+from cgid.measure.least_squares import least_squares
 from cgid.measure.template import relative_times
 from cgid.measure.vibration import VibrationBatch
 from cgid.validation import Floats
@@ -249,12 +250,12 @@ class ContactFit:
         """Return ln width, shape and touch [samples]; peak over noise, coefficients, and covariance as in `Contact`."""
         n = len(vector)
         starts = self._starts(information, vector)
-        refined, cost = self._descended(
+        at, cost = self._descended(
             starts.reshape(-1, 3), np.repeat(information, _KEPT, 0), np.repeat(vector, _KEPT, 0), _FEW
-        )[:2]
+        )
         best = np.argmin(cost.reshape(n, _KEPT), axis=1)
-        at = refined.reshape(n, _KEPT, 3)[np.arange(n), best]
-        at, _, peak, ways, own = self._descended(at, information, vector, _MORE)
+        at = self._descended(at.reshape(n, _KEPT, 3)[np.arange(n), best], information, vector, _MORE)[0]
+        peak, _, own, ways = self._pulses(at, information, vector)
         covariance = np.linalg.inv(_curvature(ways, information))[:, :3, :3]
         # Rounding may leave a variance below 0 where a force is far too large.
         covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], _LEAST_VARIANCE)
@@ -295,36 +296,36 @@ class ContactFit:
         found = weights.transpose(1, 0, 2) @ flat[index]
         return found[:, 0].astype(np.float64), found[:, 1:].astype(np.float64)
 
-    def _descended(self, at: Floats, information: Floats, vector: Floats, n_steps: int) -> tuple[Floats, ...]:
-        """Return parameters, cost, peak, slopes (of ln peak, too) and coefficients after Levenberg-Marquardt steps."""
+    def _pulses(self, at: Floats, information: Floats, vector: Floats) -> tuple[Floats, ...]:
+        """Return the best peaks of pulses, cost, coefficients, and their slopes in ln peak and the parameters."""
+        own, slopes = self.table_coefficients(at)
+        size = np.sum(own * (information @ own[:, :, None])[:, :, 0], axis=1)
+        told = np.sum(own * vector, axis=1)
+        peak = np.maximum(told, 1e-12) / np.maximum(size, 1e-30)
+        cost = -0.5 * peak * np.maximum(told, 0.0) + _cost_of_prior(at)
+        ways = np.concatenate([own[:, None], slopes], axis=1) * peak[:, None, None]
+        return peak, cost, ways[:, 0].copy(), ways
 
-        def look(at: Floats, information: Floats, vector: Floats) -> tuple[Floats, ...]:
-            own, slopes = self.table_coefficients(at)
-            size = np.sum(own * (information @ own[:, :, None])[:, :, 0], axis=1)
-            told = np.sum(own * vector, axis=1)
-            peak = np.maximum(told, 1e-12) / np.maximum(size, 1e-30)
-            cost = -0.5 * peak * np.maximum(told, 0.0) + _cost_of_prior(at)
-            ways = np.concatenate([own[:, None], slopes], axis=1) * peak[:, None, None]
-            return at, cost, peak, ways, ways[:, 0].copy()
+    def _descended(self, at: Floats, information: Floats, vector: Floats, n_steps: int) -> tuple[Floats, Floats]:
+        """Return the best parameters near some, and their cost."""
 
-        found, damping, rows = look(at, information, vector), np.full(len(at), 1e-3), np.arange(len(at))
-        for _ in range(n_steps):
-            at, cost, _, ways, own = (part[rows] for part in found)
+        def equations(at: Floats, rows: NDArray[np.intp]) -> Floats:
+            _, cost, own, ways = self._pulses(at, information[rows], vector[rows])
             left = vector[rows] - (information[rows] @ own[:, :, None])[:, :, 0]
-            pull = (ways @ left[:, :, None])[:, :, 0]
-            pull[:, 1:] -= (at - _MIDDLE) * _PRIOR
-            raised = _curvature(ways, information[rows])
-            raised[:, range(4), range(4)] *= 1 + damping[rows, None]
-            move = np.linalg.solve(raised, pull[:, :, None])[:, 1:, 0]
-            new = look(np.clip(at + move, *_LIMITS), information[rows], vector[rows])
-            better = new[1] <= cost
-            for part, other in zip(found, new, strict=True):
-                part[rows[better]] = other[better]
-            damping[rows] *= np.where(better, 0.2, 8.0)
-            rows = rows[~better | (cost - new[1] > _LEAST_GAIN)]
-            if not rows.size:
-                break
-        return found
+            out = np.empty((len(at), 5, 5))
+            out[:, :4, :4] = _curvature(ways, information[rows])
+            out[:, :4, 4] = (ways @ left[:, :, None])[:, :, 0]
+            out[:, 1:4, 4] -= (at - _MIDDLE) * _PRIOR
+            out[:, 4, 4] = 2 * cost
+            return out
+
+        def moved(at: Floats, step: Floats, _: NDArray[np.intp]) -> Floats:
+            return np.clip(at + np.nan_to_num(step[:, 1:]), *_LIMITS)
+
+        small = np.full(len(at), 2 * _LEAST_GAIN)
+        with np.errstate(over="ignore", invalid="ignore"):  # where nothing is told
+            at, products, _ = least_squares(at.copy(), equations, moved, small, n_steps)
+        return at, 0.5 * products[:, 4, 4]
 
 
 #: Lowest and highest ln width, shape and touch [samples]; middle and precision of their prior.

@@ -12,10 +12,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
+from cgid.measure.ar_noise import ORDER, ar_noise_of
 from cgid.measure.fit_samples import Rows, rows_of, windows
 from cgid.measure.frames import constant_signal
-from cgid.measure.optimum import Optimum, Problem, Problems, search_nearby
+from cgid.measure.optimum import Optimum, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
 from cgid.measure.search import Found, around, last_bin, search
 from cgid.measure.template import relative_times
@@ -171,20 +171,14 @@ def fit_pulses(
     n = len(samples)
     offset = np.zeros(n) if offset is None else offset
     clip_level = np.full(n, np.inf) if clip_level is None else clip_level
-    blocks = (slice(first, first + _ROWS) for first in range(0, n, _ROWS))
-    parts = (
-        (
-            samples[rows],
-            start.rows(rows),
-            noise[rows],
-            offset[rows],
-            clip_level[rows],
-            rows_of(onset, rows),
-            rows_of(n_quiet, rows),
-        )
-        for rows in blocks
-    )
-    return PulseFit.joined([_fit_block(*part, fit_baseline, response) for part in parts])
+    parts = []
+    for first in range(0, n, _ROWS):
+        rows = slice(first, first + _ROWS)
+        own = (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows])
+        more = (rows_of(onset, rows), rows_of(n_quiet, rows), fit_baseline, response)
+        with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
+            parts.append(_fit_block(*own, *more))
+    return PulseFit.joined(parts)
 
 
 def _fit_block(
@@ -199,42 +193,32 @@ def _fit_block(
     response: Floats | None,
 ) -> PulseFit:
     # In units of its first peak, every pulse is of order 1.
-    unit = start.peak
+    unit, n = start.peak, len(samples)
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
-    with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-        guess, found_of = np.empty((len(samples), 5)), []
-        reach = np.zeros(len(samples))
-        for rows, own in around(samples, start.place, start.width, offset, clip_level, _REACH):
-            own_found = search(own, start.place[rows], start.width[rows], fit_baseline)
-            found_of.append((rows, own_found))
-            guess[rows] = own_found.start()
-            reach[rows] = own.reach
-        found = Found.joined(found_of)
-        parts, sigma = [], noise_over_peak.copy()
-        colour = None if n_quiet is None else ar_noise_of(samples, n_quiet, MODEL_ERROR * unit)
-        for rows, coloured in _by_colour(len(samples), colour):
-            levels = (offset[rows], clip_level[rows], unit[rows])
-            for window in windows(samples, guess[rows], *levels, response is None, ORDER * coloured, rows):
-                own_rows = window.rows
-                problem = Problem(window, fit_baseline, rows_of(onset, own_rows), response)
-                if coloured and colour is not None and n_quiet is not None:
-                    problem.colour = colour.of(own_rows)
-                    if window.run > 1:
-                        floor = MODEL_ERROR * unit[own_rows]
-                        problem.colour = ar_noise_of(samples[own_rows], n_quiet[own_rows], floor, window.run)
-                    sigma[own_rows] = problem.colour.innovation / unit[own_rows] * np.sqrt(window.run)
-                parts.append((own_rows, problem))
-        guess[:, [0, 4]] /= unit[:, None]
-        problems = Problems(parts, onset)
-        best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(len(samples)))
-        return _report(problems, best, sigma, noise_over_peak, unit, found, reach)
-
-
-def _by_colour(n: int, colour: ARNoise | None) -> list[tuple[NDArray[np.intp], bool]]:
-    """Return the rows with white noise, and those with coloured noise and True; without the empty ones."""
+    guess, reach, found_of = np.empty((n, 5)), np.zeros(n), []
+    for rows, own in around(samples, start.place, start.width, offset, clip_level, _REACH):
+        found = search(own, start.place[rows], start.width[rows], fit_baseline)
+        found_of.append((rows, found))
+        guess[rows], reach[rows] = found.start(), own.reach
+    parts, sigma = [], noise_over_peak.copy()
+    floor = MODEL_ERROR * unit
+    colour = None if n_quiet is None else ar_noise_of(samples, n_quiet, floor)
     coloured = np.empty(0, np.intp) if colour is None else colour.rows
-    white = np.delete(np.arange(n), coloured)
-    return [(part, flag) for part, flag in ((white, False), (coloured, True)) if part.size]
+    for rows, before in ((np.delete(np.arange(n), coloured), 0), (coloured, ORDER)):
+        levels = (offset[rows], clip_level[rows], unit[rows])
+        curve = {"fit_baseline": fit_baseline, "onset": rows_of(onset, rows), "response": response}
+        for window in windows(samples, guess[rows], *levels, **curve, before=before, among=rows):
+            if before and colour is not None and n_quiet is not None:
+                some = window.rows
+                window.colour = colour.of(some)
+                if window.run > 1:
+                    window.colour = ar_noise_of(samples[some], n_quiet[some], floor[some], window.run)
+                sigma[some] = window.colour.innovation / unit[some] * np.sqrt(window.run)
+            parts.append(window)
+    guess[:, [0, 4]] /= unit[:, None]
+    problems = Problems(parts, onset)
+    best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(n))
+    return _report(problems, best, sigma, noise_over_peak, unit, Found.joined(found_of), reach)
 
 
 def _report(
@@ -261,10 +245,8 @@ def _report(
     duration, lead, _, _ = relative_times(shape)
     covariance[:, 4] *= unit[:, None]
     covariance[:, :, 4] *= unit[:, None]
-    elsewhere, end, clipped, counted = (
-        problems.gathered([getattr(problem.window, name) for _, problem in problems.parts])
-        for name in ("elsewhere", "reach", "n_clipped", "n_counted")
-    )
+    each = [(window.elsewhere, window.reach, *window.counts()) for window in problems.windows]
+    elsewhere, end, clipped, counted = (problems.gathered(part) for part in zip(*each, strict=True))
     reach = np.maximum(np.maximum(end, reach), last_bin(place, width, shape))
     freedom = np.maximum(counted - clipped - len(problems.free), 1)
     strange = (elsewhere / _OUTLIER) ** 2

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.template import relative_times
+from cgid.measure.ar_noise import ARNoise
+from cgid.measure.filters import mixing_matrix
+from cgid.measure.template import free_parameters, relative_times, slopes_and_pulse
 from cgid.validation import Floats
 
 #: Margin of a window around the contact found by the search, and its largest extent after the peak, in widths: less
@@ -32,10 +34,11 @@ def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
 
 
 class Window:
-    """The samples of some rows that a fit uses.
+    """The samples of some rows that a fit uses, and the curve to fit to them.
 
-    Each row has `length` columns from `first` (n,) on; a `run` of them makes a point. `unit` (n,) divides the samples
-    less `offset` (n,); at `clip_level` (n,) the sensor is at its limit.
+    Each row has `length` columns from `first` (n,) on; a `run` of them makes a point. `levels` (3, n) are an offset,
+    the sensor's limit, and what divides the samples less the offset. Onset (n,) [samples] and the sensor's response may
+    be unknown.
 
     Attributes
     ----------
@@ -44,8 +47,9 @@ class Window:
     averaged : samples per point, (n,)
     outside, clipped : points outside the frame and at the sensor's limit, (n, n_points); None if there are none
     elsewhere : largest magnitude of the samples outside the window, (n,)
-    run : samples per point if equal for all rows by design, else 1
     reach : last column of the window, in the frame or beyond it, (n,)
+    free : columns of the parameters that are fitted
+    colour : of the noise; None for white noise
     """
 
     def __init__(
@@ -55,12 +59,14 @@ class Window:
         first: NDArray[np.intp],
         length: int,
         run: int,
-        offset: Floats,
-        clip_level: Floats,
-        unit: Floats,
+        levels: Floats,
+        fit_baseline: bool,
+        onset: Floats | None,
+        response: Floats | None,
     ) -> None:
-        n, n_samples = len(rows), samples.shape[1]
+        (n, n_samples), (offset, clip_level, unit) = (len(rows), samples.shape[1]), levels
         self.rows, self.run, self.averaged, self.reach = rows, run, np.full(n, float(run)), first + length - 1
+        self.fit_baseline, self.onset, self.free = fit_baseline, onset, free_parameters(onset is not None, fit_baseline)
         self.elsewhere = _largest_elsewhere(samples, rows, first, length, offset) / unit
         self.times = first[:, None] + (0.5 * (run - 1) + run * np.arange(length // run, dtype=np.float64))
         columns = first[:, None] + np.arange(length)
@@ -83,17 +89,53 @@ class Window:
         values /= unit[:, None]
         self.values, self.outside = values, beyond
         self.clipped = clipped if clipped is not None and clipped.any() else None
+        self.colour: ARNoise | None = None
+        self._mixing = None if response is None else mixing_matrix(response, values.shape[1])
 
-    @property
-    def n_clipped(self) -> NDArray[np.intp]:
-        """Number of points at the sensor's limit, (n,)."""
-        return np.zeros(len(self.rows), np.intp) if self.clipped is None else self.clipped.sum(axis=1)
+    def counts(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the numbers of points at the sensor's limit and inside the frame, each (n,)."""
+        clipped, outside = (
+            np.zeros(len(self.rows), np.intp) if flags is None else flags.sum(axis=1)
+            for flags in (self.clipped, self.outside)
+        )
+        return clipped, self.values.shape[1] - outside
 
-    @property
-    def n_counted(self) -> NDArray[np.intp]:
-        """Number of points inside the frame, (n,)."""
-        beyond = 0 if self.outside is None else self.outside.sum(axis=1)
-        return np.full(len(self.rows), self.values.shape[1]) - beyond
+    def tied(self, parameters: Floats) -> Floats:
+        """Return the parameters, with the place that follows from a known onset."""
+        return tied(parameters, self.onset)
+
+    def residual(self, parameters: Floats) -> tuple[Floats, Floats]:
+        """Return samples minus curve (n, n_points), and the slopes of the curve (n, n_free, n_points)."""
+        both = self.slopes_and_residual(parameters)
+        return both[:, -1], both[:, :-1]
+
+    def slopes_and_residual(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
+        """Return the slopes of the curve and, last, samples minus curve, (n, n_free + 1, n_points)."""
+        curves = slopes_and_pulse(parameters, self.times[rows], self.onset is not None, self.fit_baseline)
+        if self._mixing is not None:
+            curves = curves @ self._mixing
+        if self.run > 1:
+            # The mean over a run of samples is the curve at its middle plus this part of its second difference.
+            curves[..., 1:-1] += (1 - self.run**-2) / 24 * np.diff(curves, n=2)
+        residual = curves[:, -1]
+        np.subtract(self.values[rows], residual, out=residual)
+        if self.fit_baseline:
+            residual -= parameters[:, 4:]
+        # Points outside the frame count nothing, nor do clipped samples below the curve.
+        ignored = rows_of(self.outside, rows)
+        if self.clipped is not None:
+            above = self.clipped[rows] & (residual < 0)
+            ignored = above if ignored is None else ignored | above
+        if ignored is not None:
+            curves[np.broadcast_to(ignored[:, None], curves.shape)] = 0.0
+        return curves if self.colour is None else self.colour.whitened(curves, np.arange(len(self.rows))[rows])
+
+
+def tied(parameters: Floats, onset: Floats | None) -> Floats:
+    """Return the parameters (n, 5), with the place that follows from a known onset, (n,), in place."""
+    if onset is not None:
+        parameters[:, 2] = onset + relative_times(parameters[:, 3])[1] * np.exp(parameters[:, 1])
+    return parameters
 
 
 def windows(
@@ -102,27 +144,31 @@ def windows(
     offset: Floats | float,
     clip_level: Floats | float,
     unit: Floats | float = 1.0,
-    averaged: bool = True,
+    *,
+    fit_baseline: bool = False,
+    onset: Floats | None = None,
+    response: Floats | None = None,
     before: int = 0,
     among: NDArray[np.intp] | None = None,
 ) -> Iterator[Window]:
     """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length.
 
     The pulses are those of all rows of samples, or of the rows `among`. Values are divided by `unit`; `offset` and
-    `clip_level` are in the unit of the samples. Each window begins `before` points earlier than the pulse needs.
+    `clip_level` are in the unit of the samples. Each window begins `before` points earlier than the pulse needs. With a
+    sensor's response samples are not averaged.
     """
-    offset, clip_level, unit = (np.broadcast_to(value, len(guess)) for value in (offset, clip_level, unit))
+    levels = np.stack([np.broadcast_to(value, len(guess)) for value in (offset, clip_level, unit)])
     width = np.exp(guess[:, 1])
     duration, lead, _, _ = relative_times(guess[:, 3])
     first = np.floor(guess[:, 2] - (lead + _MARGIN) * width).astype(np.intp) - 2
     lengths = np.minimum(duration + 2 * _MARGIN, lead + _MARGIN + _FURTHEST) * width
     for rows, length in by_length(lengths):
         length += 4
-        run = max(-(-length // _LONGEST), 1) if averaged else 1
+        run = max(-(-length // _LONGEST), 1) if response is None else 1
         length = -(-length // run) * run + before * run
-        levels = (offset[rows], clip_level[rows], unit[rows])
         own = rows if among is None else among[rows]
-        yield Window(samples, own, first[rows] - before * run, length, run, *levels)
+        curve = (fit_baseline, rows_of(onset, rows), response)
+        yield Window(samples, own, first[rows] - before * run, length, run, levels[:, rows], *curve)
 
 
 def by_length(wanted: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:

@@ -22,7 +22,8 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.measure.filters import low_pass_response, mixing_matrix
 from cgid.measure.fit_samples import rows_of, windows
-from cgid.measure.optimum import Problem, bounded, normal_equations
+from cgid.measure.least_squares import solve_scaled
+from cgid.measure.optimum import bounded, normal_equations
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -32,7 +33,6 @@ from cgid.measure.template import (
     pulse_and_slopes,
     relative_times,
     shape_deviation,
-    solve_scaled,
 )
 from cgid.validation import Floats, rates
 
@@ -227,7 +227,7 @@ class Profile:
 
 
 class Residual(Protocol):
-    """Samples and a curve to fit to them, as `cgid.measure.optimum.Problem`."""
+    """Samples and a curve to fit to them, as `cgid.measure.fit_samples.Window`."""
 
     @property
     def free(self) -> list[int]:
@@ -236,7 +236,7 @@ class Residual(Protocol):
     def tied(self, parameters: Floats) -> Floats:
         """Return the parameters, with those that follow from others."""
 
-    def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]:
+    def residual(self, parameters: Floats) -> tuple[Floats, Floats]:
         """Return samples minus curve (n, n_points), and the slopes of the curve (n, n_free, n_points)."""
 
 
@@ -290,12 +290,12 @@ def profile(
                 _fill(out, first + rows, residual, guess[rows], np.ones(rows.size), None, onset_between)
             continue
         own = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
-        for window in windows(samples[block], longest, *own, averaged=response is None):
+        curve = {"fit_baseline": n_quiet is not None, "onset": rows_of(onset, block), "response": response}
+        for window in windows(samples[block], longest, *own, **curve):
             rows = first + window.rows
-            problem = Problem(window, n_quiet is not None, rows_of(onset, rows), response)
             sigma = noise[rows] / np.sqrt(window.averaged)
             hold = None if n_quiet is None else n_quiet[rows] / window.averaged
-            _fill(out, rows, problem, guess[window.rows], sigma, hold, onset_between)
+            _fill(out, rows, window, guess[window.rows], sigma, hold, onset_between)
     widths = np.gradient(shapes, axis=1) if n_nodes > 1 else np.ones_like(shapes)
     with np.errstate(divide="ignore"):
         log_weight = out.log_weight + np.log(np.maximum(widths, 0.0))
@@ -351,7 +351,7 @@ def _at(
     kept = [k for k, column in enumerate(problem.free) if column != 3]
     columns = [problem.free[k] for k in kept]
     for iteration in range(_ITERATIONS):
-        residual, slopes = problem.residual(parameters, slice(None))
+        residual, slopes = problem.residual(parameters)
         squared, information, gradient = normal_equations(residual, slopes[:, kept])
         if hold is not None:
             information[:, -1, -1] += hold

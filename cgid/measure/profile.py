@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.measure.least_squares import solve_scaled
 from cgid.measure.optimum import Optimum, Problems, bounded
 from cgid.measure.search import BIN, NODES, Found
-from cgid.measure.template import covariance_of, relative_times, solve_scaled
+from cgid.measure.template import covariance_of, relative_times
 from cgid.validation import Floats
 
 #: Shapes at which the likelihood is profiled (every other one of the search).

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import family
+from cgid.measure.least_squares import scaled
 from cgid.validation import Floats
 
 #: Bounds of the shape s = ln e.
@@ -214,22 +215,9 @@ def covariance_of(
         turn[:, 2, 1], turn[:, 2, 2], turn[:, 2, 3] = -lead * width, 1.0, -lead_slope * width
     turn[:, 3, 3] = turn[:, 4, 4] = 1.0
     turn = turn[:, :, free_parameters(onset_known, fit_baseline)]
-    scale, unit = _scaled(information, 1e-12)
+    scale, unit = scaled(information, 1e-12)
     inverse = np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :])
     return np.asarray(turn @ inverse @ np.swapaxes(turn, 1, 2))
-
-
-def solve_scaled(information: Floats, right: Floats, ridge: Floats | float) -> Floats:
-    """Return the solutions (n, n_free) of `information @ x = right`, with a ridge in scaled parameters."""
-    scale, unit = _scaled(information, ridge)
-    return np.asarray(np.linalg.solve(unit, (right / scale)[..., None])[..., 0] / scale)
-
-
-def _scaled(information: Floats, ridge: Floats | float) -> tuple[Floats, Floats]:
-    """Return scales and the information with ones on the diagonal, since peaks are newtons and shapes are ratios."""
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
-    unit = information / (scale[:, :, None] * scale[:, None, :])
-    return scale, unit + ridge * np.eye(information.shape[1])
 
 
 @cache

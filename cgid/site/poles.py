@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.measure.least_squares import least_squares
 from cgid.validation import Floats
 
 Complexes = NDArray[np.complex128]
@@ -444,33 +445,24 @@ def _double(pole: Complexes) -> tuple[int, int] | None:
 
 
 def _refined(fit: _Fit) -> _Fit:
-    """Return the fit of maximum likelihood near a fit (Levenberg 1944, Marquardt 1963)."""
-    damping, n = 1e-3, fit.pole.size
+    """Return the fit of maximum likelihood near a fit."""
+    band, n = fit.band, fit.pole.size
     if not n:
         return fit
-    for _ in range(_ROUNDS):
-        curvature, pulls = fit.equations()
-        weight = np.maximum(np.diag(curvature), 1e-300)
-        pull = pulls.sum(axis=0)
-        better = None
-        while damping < 1e8:
-            step = np.linalg.solve(curvature + damping * np.diag(weight), pull)
-            moved = fit.pole + step[:n] + 1j * step[n:]
-            centre, beyond = fit.band.centre, 4 * fit.band.half
-            moved = np.clip(moved.real, -beyond, -1e-9 * centre) + 1j * np.clip(
-                moved.imag, centre - beyond, centre + beyond
-            )
-            better = _Fit(fit.band, np.asarray(moved, complex), fit.blur)
-            if better.power <= fit.power:
-                break
-            damping, better = 10 * damping, None
-        if better is None:
-            return fit
-        gain = (fit.power - better.power) / max(better.noise, 1e-300)
-        fit, damping = better, max(damping / 10, 1e-9)
-        if gain < _AT_REST:
-            return fit
-    return fit
+
+    def equations(parts: Floats, _: NDArray[np.intp]) -> Floats:
+        own = _Fit(band, parts[0, :n] + 1j * parts[0, n:])
+        curvature, pulls = own.equations()
+        pull = pulls.sum(axis=0)[:, None]
+        return np.block([[curvature, pull], [pull.T, np.full((1, 1), own.power)]])[None]
+
+    def moved(parts: Floats, step: Floats, _: NDArray[np.intp]) -> Floats:
+        beyond, middle = 4 * band.half, np.repeat([0.0, band.centre], n)
+        return np.clip(parts + step, middle - beyond, np.where(middle > 0, middle + beyond, -1e-9 * band.centre))
+
+    start = np.concatenate([fit.pole.real, fit.pole.imag])[None]
+    found = least_squares(start, equations, moved, np.array([_AT_REST * fit.noise]), _ROUNDS)[0][0]
+    return _Fit(band, found[:n] + 1j * found[n:], fit.blur)
 
 
 def _inverse(matrix: Floats) -> Floats:

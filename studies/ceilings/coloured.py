@@ -32,9 +32,10 @@ from cgid.ceiling import (
 )
 from cgid.errors import InvalidValue
 from cgid.measure.filters import mixing_matrix
-from cgid.measure.fit_samples import by_length
+from cgid.measure.fit_samples import by_length, tied
+from cgid.measure.least_squares import solve_scaled
 from cgid.measure.likelihood import Profile, profile
-from cgid.measure.optimum import LARGEST_STEPS, bounded, normal_equations, tied
+from cgid.measure.optimum import LARGEST_STEPS, bounded, normal_equations
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -42,7 +43,6 @@ from cgid.measure.template import (
     pulse_and_slopes,
     relative_times,
     shape_deviation,
-    solve_scaled,
 )
 from cgid.scene import Scene
 from cgid.scene.draws import COLOURED
@@ -263,7 +263,7 @@ class Whitened:
         """Return the parameters, with the place that follows from a known onset."""
         return tied(parameters, self.onset)
 
-    def residual(self, parameters: Floats, rows: slice) -> tuple[Floats, Floats]:
+    def residual(self, parameters: Floats) -> tuple[Floats, Floats]:
         """Return whitened samples minus curve (n, n_points), and the slopes of the curve (n, n_free, n_points)."""
         times = np.broadcast_to(self.times, (len(parameters), self.times.size))
         model, slopes = pulse_and_slopes(parameters, times, self.onset is not None)
@@ -417,7 +417,7 @@ def _search(points: Whitened, near: Floats, lowest: float, highest: float) -> tu
     best, damping = parameters.copy(), np.full(len(near), 1e-3)
     information = np.empty(0)
     for _ in range(_ITERATIONS):
-        residual, slopes = points.residual(parameters, slice(None))
+        residual, slopes = points.residual(parameters)
         squared, new, gradient = normal_equations(residual, slopes)
         if not information.size:
             information, pull = new, gradient
