@@ -58,11 +58,6 @@ class Workers:
         """Whether this process does all the work itself."""
         return self.jobs == 1 and self.client is None
 
-    @property
-    def elsewhere(self) -> bool:
-        """Whether a cluster does the work; its machines share one folder."""
-        return self.client is not None
-
     def each(
         self,
         function: Callable[[Common, Part], Result],

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -26,7 +25,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from cgid import __version__, validation
-from cgid.errors import CannotCreate, InvalidValue
+from cgid.errors import InvalidValue
 from cgid.files import require_room, write_whole
 from cgid.scene.draws import BLOCK, parameter_units, require_seed
 from cgid.scene.plan import Plan
@@ -45,8 +44,6 @@ from cgid.workers import ALONE, Workers, workers
 SHARD_SIGNALS = 4096
 #: Most signals of a dataset or table.
 MOST_SIGNALS = 10**9
-#: Longest delay until a shard of another machine appears here [s]: network file systems cache missing names.
-PATIENCE = 30.0
 #: Limits of the signals made ahead: memory [bytes], but at least one block, and number of blocks.
 _AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
 #: Largest size of a number in a table, and in CSV with its comma [bytes].
@@ -213,7 +210,6 @@ class _Shard(NamedTuple):
 class _Written(NamedTuple):
     file: str
     n_signals: int
-    n_bytes: int
     sha256: str
 
 
@@ -248,17 +244,15 @@ def make_shards(
     names = [run.output.name] if run.is_single else run.description.names
     shards = [_Shard(names[number], **run.description.part(number)) for number in missing]
     work = _Work(scene=scene, seed=seed, plan=plan, place=place, digest=digest, overwrite=overwrite)
-    parts = (
+    here = run.is_single or crew.alone
+    with closing(
         _write_in_turn(work, shards, progress)
-        if crew.alone
+        if here
         else crew.each(_write_one, _anywhere(work), shards, ordered=False)
-    )
-    with closing(parts) as written:
+    ) as written:
         for shard in written:
-            if crew.elsewhere:
-                _require_shared(place / shard.file, shard.n_bytes)
             run.add(shard.file, shard.sha256)
-            if progress is not None and not crew.alone:
+            if progress is not None and not here:
                 progress(shard.n_signals)
 
 
@@ -290,7 +284,7 @@ def _write(work: _Work, shard: _Shard, batches: Iterator[Batch]) -> _Written:
     content = shard_content(work.plan, shard.first_signal, shard.n_signals, batches)
     check = None if work.digest is None else partial(require_description, work.place, work.digest)
     write_whole(work.place / shard.file, content, overwrite=work.overwrite, check=check)
-    return _Written(shard.file, shard.n_signals, len(content), hashlib.sha256(content).hexdigest())
+    return _Written(shard.file, shard.n_signals, hashlib.sha256(content).hexdigest())
 
 
 def _write_one(work: _Work, shard: _Shard) -> _Written:
@@ -298,19 +292,6 @@ def _write_one(work: _Work, shard: _Shard) -> _Written:
         require_description(work.place, work.digest)  # a worker of a cluster may not share the folder
     (written,) = _write_in_turn(work, [shard])
     return written
-
-
-def _require_shared(path: Path, n_bytes: int) -> None:
-    """Raise `CannotCreate` unless a shard written by a worker appears here."""
-    until = time.monotonic() + PATIENCE
-    while (size := path.stat().st_size if path.exists() else None) != n_bytes:
-        if time.monotonic() > until:
-            raise CannotCreate(
-                f"{path}: must be here with the {n_bytes} bytes a worker has written, "
-                f"{'is not' if size is None else f'has {size}'}; choose a folder that all machines share"
-            )
-        time.sleep(0.2)
-        next(path.parent.iterdir(), None)  # makes the system reread the folder
 
 
 def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:

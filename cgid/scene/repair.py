@@ -13,7 +13,7 @@ from cgid.files import require_room
 from cgid.scene import generation, recordings
 from cgid.scene.schema import Scene, stored_scene
 from cgid.store.description import DIGEST, FORMAT, RECORDING_FORMAT
-from cgid.store.folder import DESCRIPTION, Description, first_difference, read_folder
+from cgid.store.folder import DESCRIPTION, Description, read_folder, require_same
 from cgid.store.run import begun
 from cgid.store.verification import Verified, examine_file
 
@@ -37,9 +37,9 @@ def repair(verified: Verified, scene: Scene | None = None, progress: Progress | 
     Raises
     ------
     BadData
-        It is no folder of this version with a sound description, or its files do not follow from that here.
+        It is no folder of this version with a sound description.
     CannotCreate
-        A run writes into the folder, or the disk has no room.
+        Its files do not follow from the description here, a run writes into the folder, or the disk has no room.
     WriteFailed
         The disk is full.
     """
@@ -77,13 +77,7 @@ def _maker(path: Path, description: Description, given: Scene | None, n_files: i
         counts = content["n_signals"], content["shard_signals"]
         plan, here = generation.planned(path, scene, seed, *counts, dtype, content["compression"])
         make, size = generation.make_shards, plan.size(content["shard_signals"])
-    name = first_difference(content, here.content)
-    if name is not None:
-        there, now = ({**one.content, **one.content["attributes"]}.get(name) for one in (description, here))
-        raise BadData(
-            f"{file}: {name} must be that of this cgid and scene to make the same files again, {now!s:.200}, got "
-            f"{there!s:.200}; use what made it, or generate it again with --overwrite"
-        )
+    require_same(path, content, here.content, "use the versions and the scene that made it, or generate it again")
     require_room(path, path, n_files * size, "files that are made again", "make room")
     return partial(make, scene=scene, seed=seed, plan=plan)
 

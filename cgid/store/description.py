@@ -50,9 +50,9 @@ class ShardHeader:
 def require_schema(source: str, version: Any, known: int) -> None:
     """Raise `BadData` unless a file has the schema version that this cgid reads."""
     if type(version) is int and version > known:
-        raise BadData(f"{source}: schema_version {version} is newer than this cgid, which reads {known}: upgrade cgid")
-    if version != known:
-        raise BadData(f"{source}: schema_version must be {known}, got {version!r:.80}: use the cgid that wrote it")
+        raise BadData(f"{source}: schema_version {version!s:.20} is newer than this cgid ({known}): upgrade cgid")
+    if type(version) is not int or version != known:
+        raise BadData(f"{source}: schema_version must be {known}, got {version!r:.40}: use the cgid that wrote it")
 
 
 def require_scene(source: str, attributes: Mapping[str, Any]) -> None:

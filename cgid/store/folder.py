@@ -24,7 +24,7 @@ from typing import Any
 
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.files import half_written
-from cgid.store.description import COMPRESSIONS, FORMAT, RECORDING_FORMAT, is_sound
+from cgid.store.description import COMPRESSIONS, FORMAT, RECORDING_FORMAT, is_sound, require_schema
 from cgid.validation import RATES
 
 DESCRIPTION, SUMS, LOCK = "description.json", "SHA256SUMS", ".lock"
@@ -135,7 +135,7 @@ def parse_description(text: bytes, file: Path) -> Description:
     content = _json(text, file)
     if content.get("format") not in _FIELDS:
         raise BadData(f"{file}: must have format {' or '.join(map(repr, _FIELDS))}; it belongs to another program")
-    _require_version(content, FOLDER_VERSION, FOLDER_VERSION, file)
+    require_schema(str(file), content.get("schema_version"), FOLDER_VERSION)
     _require_fields(content, file)
     return Description(content, text)
 
@@ -148,16 +148,6 @@ def _json(text: bytes, file: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise BadData(f"{file}: must be an object of JSON, it is not: it is damaged; copy it again")
     return content
-
-
-def _require_version(content: Mapping[str, Any], lowest: int, highest: int, file: Path) -> None:
-    version = content.get("schema_version")
-    if type(version) is int and version > highest:
-        raise BadData(f"{file}: schema_version {str(version)[:20]} is newer than this cgid ({highest}): upgrade cgid")
-    if type(version) is not int or version < lowest:
-        raise BadData(
-            f"{file}: schema_version must be {lowest}, got {version!r:.40}: an early cgid wrote it; generate it again"
-        )
 
 
 def _require_fields(content: Mapping[str, Any], file: Path) -> None:
@@ -182,14 +172,18 @@ def _is_attribute(name: str, value: Any) -> bool:
         return False
 
 
-def require_same(output: Path, there: Mapping[str, Any], required: Mapping[str, Any]) -> None:
+def require_same(
+    output: Path,
+    there: Mapping[str, Any],
+    required: Mapping[str, Any],
+    cure: str = "give the options of the first run, or start again with --overwrite",
+) -> None:
     """Raise `CannotCreate` with the first option that differs, unless two descriptions agree."""
     name = first_difference(there, required)
     if name is not None:
         values = [flat.get(name, "nothing") for flat in (_flat(there), _flat(required))]
         raise CannotCreate(
-            f"{output}: {name} must be that of the run to be resumed, {values[0]!s:.80}, got {values[1]!s:.80}; give "
-            "the options of the first run, or start again with --overwrite"
+            f"{output}: {name} must be that of the description, {values[0]!s:.200}, got {values[1]!s:.200}; {cure}"
         )
 
 
@@ -261,7 +255,7 @@ def _of_manifest(path: Path, content: dict[str, Any]) -> Folder:
     file = path / MANIFEST
     if content.get("format") != FORMAT:
         raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
-    _require_version(content, MANIFEST_VERSION, MANIFEST_VERSION, file)
+    require_schema(str(file), content.get("schema_version"), MANIFEST_VERSION)
     if not is_sound(content):
         raise BadData(f"{file}: must fit the SHA-256 that it says of itself, it does not: it is damaged; copy it again")
     _require_fields(content, file)

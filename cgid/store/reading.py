@@ -291,21 +291,22 @@ class Recording:
     Raises `NoInput` if the path does not exist, `BadData` if it is no recording or damaged.
     """
 
+    n_samples: int
+    dtype: str
+    n_impacts: int
+    sampling_rate: float
+    start: float
+    unit: str
+    impact_units: dict[str, str]
+    attributes: dict[str, Any]
+
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         if not self.path.exists():
             raise NoInput(f"{path}: no such file; give a recording made by cgid generate")
         self._identity = state_of(self.path)
         with opened(self.path, str(self.path), self._identity) as file:
-            about = recording_header(file, str(self.path))
-        self.attributes: dict[str, Any] = about["attributes"]
-        self.n_samples: int = about["n_samples"]
-        self.dtype: str = about["dtype"]
-        self.n_impacts: int = about["n_impacts"]
-        self.sampling_rate: float = about["sampling_rate"]
-        self.start: float = about["start"]
-        self.unit: str = about["unit"]
-        self.impact_units: dict[str, str] = about["impact_units"]
+            self.__dict__.update(recording_header(file, str(self.path)))
 
     def __repr__(self) -> str:
         return (

@@ -170,25 +170,10 @@ def is_single_file(output: str | Path) -> bool:
 
 
 def check_output(output: str | Path, kind: str, overwrite: bool = False) -> Path:
-    """Return the output as a path if it may be written; run before any work is done.
+    """Return the output as a path, links to a folder resolved, if it may be written; run before any work is done.
 
-    Parameters
-    ----------
-    output : str or Path
-        Links to a folder are resolved.
-    kind : str
-        The format of its files.
-    overwrite : bool
-        Whether an existing output is allowed.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    CannotCreate
-        The output exists or holds other files, or the parent folder is missing.
+    `kind` is the format of its files. Raises `CannotCreate` if it exists and must not be overwritten, or holds other
+    files, or the parent folder is missing.
     """
     path, ours = Path(output), names_of(kind)
     with looking_at(path):
