@@ -2,14 +2,16 @@
 
     python benchmarks/work_precision.py                 # table, benchmarks/work_precision.csv and .png
     python benchmarks/work_precision.py --quick         # two minutes: fewer settings of the peers, no files
+    python benchmarks/work_precision.py --laws          # one minute: every contact law
 
 The population is that of the shipped scene "peers": 2048 samples at 200 kHz, float64, one thread. All fill fresh frames
 with the same pulses on the same grid; the error is the largest force error over the peak of a pulse, against
 quadrature (1e-13) of the first 500. Peers receive mass, stiffness, damping and velocity (`benchmarks/peers.py`), cgid
 mass, stiffness, restitution and velocity; "from materials" also builds the impacts from radius, moduli and density.
-Times are processor times, the least of several runs, and depend on the machine: compare ratios. "Thornton" and
-"Walton-Braun" are these rocks with the same restitution by other laws; "and viscous" has a viscous restitution of .7
-besides. Their error is against DOP853 (rtol 1e-13) of the first 20.
+Times are processor times, the least of several runs, and depend on the machine: compare ratios. `--laws` has a table of
+every contact law on a half space, on a plate of 20 mm and with weight, at three tolerances: these rocks with the same
+restitution by other laws; "and viscous" has a viscous restitution of .7 besides. Errors are against scipy's DOP853
+(rtol 1e-12 and less), of the first 20.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import csv
 import io
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -30,10 +33,19 @@ from peers import ONSET, SAMPLES, SAMPLING_RATE, Population, available_peers, fr
 
 from cgid import shipped
 from cgid.files import write_whole
-from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, Thornton, WaltonBraun, _taylor, yield_pressure
-from cgid.physics.closed_forms import damping_number
-from cgid.physics.curves import Curves
-from cgid.physics.laws import Dissipation
+from cgid.physics import (
+    HalfSpace,
+    HuntCrossley,
+    Impact,
+    Law,
+    Sphere,
+    ThinPlate,
+    Thornton,
+    Viscoelastic,
+    WaltonBraun,
+    yield_pressure,
+)
+from cgid.physics.curves import TOLERANCE, HuntCrossleyCurves
 from cgid.physics.materials import STEEL, Material
 from cgid.plots import png, require_matplotlib
 from cgid.scene import load_scene
@@ -50,6 +62,17 @@ LEVELS = tuple(10.0**-exponent for exponent in range(3, 10))
 Run = Callable[[Population], np.ndarray]
 
 
+class ContactRow(NamedTuple):
+    """One law on one target: times of a pulse and of its results besides, and the largest error over the peak."""
+
+    law: str
+    target: str
+    tolerance: float
+    pulse: float
+    results: float
+    error: float
+
+
 class Row(NamedTuple):
     """One method at one setting."""
 
@@ -60,10 +83,10 @@ class Row(NamedTuple):
     median: float
 
 
-def curves(impacts: Population) -> Curves:
+def curves(impacts: Population) -> HuntCrossleyCurves:
     """Return the curves of the population."""
     nothing = np.zeros(len(impacts))
-    return Curves(impacts.restitution, nothing, nothing, nothing)
+    return HuntCrossleyCurves(HuntCrossley, impacts.restitution[:, None], nothing, nothing, TOLERANCE)
 
 
 def cgid_frames(impacts: Population, dtype: str = "float64") -> np.ndarray:
@@ -74,24 +97,11 @@ def cgid_frames(impacts: Population, dtype: str = "float64") -> np.ndarray:
     return frames
 
 
-def cgid_reference(impacts: Population) -> np.ndarray:
-    """Return the frames by the reference path, which serves every law."""
-    frames = np.zeros((len(impacts), SAMPLES))
-    nothing = np.zeros(len(impacts))
-    parameters = np.stack([impacts.damping_number, nothing, nothing, nothing], axis=1)
-    onset, rows = np.full(len(impacts), float(ONSET)), np.arange(len(impacts))
-    _taylor.add_to_frames(frames, onset, impacts.spacing, parameters, impacts.force_scale, _taylor.ORDER, rows)
-    return frames
-
-
-def from_materials(n: int, law: Callable[[Impact], Dissipation] | None = None) -> Run:
+def from_materials(n: int) -> Run:
     """Return a function that makes n frames from materials, radius, loss and velocity: `Impact.force_frames`."""
-    impacts, numbers = impacts_of(n), None
-    if law is not None:
-        numbers = law(impacts)
 
     def run(_: Population) -> np.ndarray:
-        return impacts_of(n, numbers).force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
+        return impacts_of(n).force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
 
     return run
 
@@ -104,7 +114,7 @@ def drawn_numbers(n: int) -> dict[str, np.ndarray]:
     return {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
 
 
-def impacts_of(n: int, dissipation: Dissipation | None = None) -> Impact:
+def impacts_of(n: int, dissipation: Law | None = None) -> Impact:
     """Return n impacts of the population, from materials, radius and velocity; by default with its own loss."""
     drawn = drawn_numbers(n)
     rock = Material(**{name: drawn[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
@@ -128,26 +138,73 @@ def walton_braun(impacts: Impact) -> WaltonBraun:
     return WaltonBraun(restitution=impacts.restitution, loading_stiffness=stiffness)
 
 
-def viscous(law: Callable[[Impact], Thornton | WaltonBraun]) -> Callable[[Impact], Dissipation]:
+def viscous(law: Callable[[Impact], Thornton | WaltonBraun]) -> Callable[[Impact], Law]:
     """Return the same law with viscous loss."""
     return lambda impacts: replace(law(impacts), viscous_restitution=VISCOUS)
 
 
-def integrated_frames(law: Thornton | WaltonBraun) -> np.ndarray:
-    """Return the first frames by DOP853."""
-    impacts, times = impacts_of(INTEGRATED), (np.arange(SAMPLES) - ONSET) / SAMPLING_RATE
-    frames = np.zeros((INTEGRATED, SAMPLES))
-    for row in range(INTEGRATED):
-        if isinstance(law, Thornton):
-            numbers = (impacts.reduced_radius[row], impacts.reduced_modulus[row], np.ravel(law.yield_pressure)[row])
-            contact = naive.thornton_contact(*numbers)
-        else:
-            contact = naive.walton_braun_contact(np.ravel(law.restitution)[row], np.ravel(law.loading_stiffness)[row])
-        scales = (impacts.reduced_mass[row], np.ravel(impacts.velocity)[row], impacts.time_scale[row])
-        damped = law.viscous_restitution is not None
-        damping = float(damping_number(VISCOUS)) / float(scales[1]) if damped else 0.0
-        frames[row] = naive.two_path_impact(*scales, *contact, damping)[0](times)
-    return frames
+def contact_rows(n: int) -> list[ContactRow]:
+    """Return a row for each law, target and tolerance: pulses of n rocks, errors of the first against DOP853."""
+    base = impacts_of(n)
+    plate = ThinPlate(material=STEEL, thickness=0.02)
+    laws: dict[str, Law] = {
+        "Hunt-Crossley": HuntCrossley(restitution=base.restitution),
+        "Kuwabara-Kono": Viscoelastic(restitution=base.restitution),
+        "Thornton": thornton(base),
+        "Walton-Braun": walton_braun(base),
+        "Thornton and viscous": viscous(thornton)(base),
+        "Walton-Braun and viscous": viscous(walton_braun)(base),
+    }
+    rows = []
+    for name, law in laws.items():
+        for where, target, gravity in (
+            ("half-space", base.target, 0.0),
+            ("plate", plate, 0.0),
+            ("weight", base.target, 9.81),
+        ):
+            for tolerance in (1e-4, 1e-6, 1e-8):
+                given = {"target": target, "gravity": gravity, "tolerance": tolerance, "dissipation": law}
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    impact = replace(base, **given)
+                    onset = ONSET / SAMPLING_RATE
+                    pulses = least_time(lambda i=impact, o=onset: i.force_frames(SAMPLING_RATE, SAMPLES, o), 3)
+                    results = least_time(lambda g=given: replace(base, **g).peak_force, 3)
+                error = max(contact_error(impact, row) for row in range(INTEGRATED))
+                rows.append(ContactRow(name, where, tolerance, pulses / n * 1e6, results / n * 1e6, error))
+                print(rows[-1], file=sys.stderr, flush=True)
+    return rows
+
+
+def contact_error(impact: Impact, row: int) -> float:
+    """Return the largest error of a pulse over its peak, against scipy's DOP853."""
+    law, numbers = impact.dissipation, [float(one.ravel()[row]) for one in impact._numbers.values()]
+    more = float(np.ravel(impact.inelasticity)[row]), float(np.ravel(impact.weight)[row])
+    if isinstance(law, Thornton | WaltonBraun):
+        paths = naive.thornton_paths if isinstance(law, Thornton) else naive.walton_braun_paths
+        *own, damping = numbers
+        force, end, _, _ = naive.plastic_contact(*paths(*own), damping, *more)
+    else:
+        damping = float(np.ravel(law.damping_number)[row]) if isinstance(law, HuntCrossley) else 0.0
+        contact = naive.Contact(damping, 0.0 if isinstance(law, HuntCrossley) else numbers[0], *more)
+        end, force = contact.contact_time, lambda times: contact.evaluate(times)[1]
+    times = end * np.sin(np.pi / 2 * np.linspace(0, 1, 202)[1:-1]) ** 2
+    exact = force(times)
+    found = impact.force(times * np.ravel(impact.time_scale)[row])[row] / np.ravel(impact.force_scale)[row]
+    return float(np.abs(found - exact).max() / exact.max())
+
+
+def contact_table(rows: list[ContactRow]) -> str:
+    """Return the rows as Markdown, a line for each law and target."""
+    lines = [
+        "| law | target | us a pulse at 1e-4 / 1e-6 / 1e-8 | with its results | error at 1e-8 |",
+        "|---|---|---|---|---|",
+    ]
+    for first in range(0, len(rows), 3):
+        part = rows[first : first + 3]
+        pulses, results = (" / ".join(f"{getattr(one, what):.3g}" for one in part) for what in ("pulse", "results"))
+        lines.append(f"| {part[0].law} | {part[0].target} | {pulses} | {results} | {part[-1].error:.0e} |")
+    return "\n".join(lines)
 
 
 def least_time(run: Callable[[], Any], repeats: int) -> float:
@@ -181,14 +238,7 @@ def work_precision(impacts: Population, quick: bool) -> list[Row]:
         measured("cgid", "table", cgid_frames, impacts, exact, 25),
         measured("cgid", "table, from materials", from_materials(whole), impacts, exact, 15, block=whole),
         measured("cgid", "table, float32", lambda few: cgid_frames(few, "float32"), impacts, exact, 25),
-        measured("cgid", "reference path", cgid_reference, impacts, exact, 3),
     ]
-    laws = {"Thornton": thornton, "Walton-Braun": walton_braun}
-    laws |= {f"{name} and viscous": viscous(law) for name, law in laws.items()}
-    for name, law in laws.items():
-        few = integrated_frames(law(impacts_of(INTEGRATED)))
-        run = from_materials(whole, law)
-        rows.append(measured("cgid", f"{name}, from materials", run, impacts, few, 15, block=whole))
     for name, peer in available_peers().items():
         few = impacts.part(0, min(peer.pulses, 10 if quick and peer.pulses < 100 else peer.pulses))
         for setting in peer.settings[::2] if quick else peer.settings:
@@ -227,7 +277,7 @@ def picture(rows: list[Row]) -> bytes:
     for method in dict.fromkeys(row.method for row in rows if row.method != "cgid"):
         points = [(row.worst, row.microseconds) for row in rows if row.method == method]
         axes.loglog(*zip(*points, strict=True), "o-", markersize=4, linewidth=1, label=method)
-    for setting, marker in (("table", "*"), ("table, float32", "P"), ("reference path", "D")):
+    for setting, marker in (("table", "*"), ("table, float32", "P")):
         row = next(row for row in rows if row.setting == setting)
         axes.loglog(row.worst, row.microseconds, marker, color="k", markersize=12 if marker == "*" else 7)
         axes.annotate(
@@ -260,7 +310,12 @@ def main() -> None:
     """Print every table, write CSV and picture."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer settings, no files")
-    quick = parser.parse_args().quick
+    parser.add_argument("--laws", action="store_true", help="every contact law instead")
+    options = parser.parse_args()
+    if options.laws:
+        print(contact_table(contact_rows(2000)))
+        return
+    quick = options.quick
     impacts = population(2000)
     rows = work_precision(impacts, quick)
     print(f"\n{work_table(rows)}\n\nTimes as long as cgid's table (cheapest setting within the error):\n")

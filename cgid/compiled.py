@@ -42,13 +42,15 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SOURCES = (
     "compiled.py",
     "family.py",
+    "physics/_contact.py",
     "physics/_coupled.py",
     "physics/_coupled_step.py",
+    "physics/_dop853.py",
     "physics/_kernels.py",
     "physics/_modes.py",
     "physics/_response.py",
-    "physics/_taylor.py",
     "physics/collocation.py",
+    "physics/laws.py",
     "scene/_noise.py",
     "store/_packing.py",
 )
@@ -87,6 +89,26 @@ def _compiled(function: Function, options: dict[str, Any]) -> Function:
     dispatcher._cache = KernelCache(function, kernel_folder)
     result: Function = dispatcher
     return result
+
+
+_NUMBERS, _NUMBER = numba.types.Array(numba.types.float64, 1, "C"), numba.types.float64
+#: The signatures of force, corner and turn of a contact law.
+VERBS = (
+    numba.types.UniTuple(_NUMBER, 2)(_NUMBERS, _NUMBERS, _NUMBER),
+    _NUMBER(_NUMBERS, _NUMBERS),
+    _NUMBER(_NUMBERS, _NUMBERS, _NUMBER),
+)
+
+
+def with_law(kernel: Any, *arguments: Any) -> None:
+    """Call a kernel whose first arguments are the verbs of a law, by their addresses: it is compiled once for all laws.
+
+    An exception that a verb raises comes through.
+    """
+    types = (*map(numba.types.FunctionType, VERBS), *map(numba.typeof, arguments[len(VERBS) :]))
+    if types not in kernel.overloads:
+        kernel.compile(types)
+    kernel.overloads[types].entry_point(*arguments)
 
 
 class KernelCache(NullCache):

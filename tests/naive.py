@@ -323,6 +323,69 @@ def two_path_impact(
     return force, start, -state[1]
 
 
+def thornton_paths(corner: float) -> tuple[Callable, Callable, float]:
+    """Return the paths of `thornton_contact` in units of the impact, for a contact that yields at this depth."""
+    # K = 1 with R = 1, E = 3/4; the pressure of this depth follows.
+    return thornton_contact(1.0, 0.75, math.sqrt(corner) * 1.5 / math.pi)
+
+
+def walton_braun_paths(stiffness: float, restitution: float) -> tuple[Callable, Callable, float]:
+    """Return the paths of `walton_braun_contact` in units of the impact."""
+    return walton_braun_contact(restitution, stiffness)
+
+
+def plastic_contact(
+    loading: Callable, unloading: Callable, corner: float, damping: float, inelasticity: float, weight: float
+) -> tuple[Callable[[np.ndarray], np.ndarray], float, float, float]:
+    """Return force, end, rebound and plate energy of a contact on two paths that also gives way, by DOP853.
+
+    In units of the impact: `x' = y - lambda f, y' = gamma - f, f = path (1 + D x')`.
+    """
+    parts, state, start = [], (0.0, 1.0, 0.0), 0.0
+
+    def force_of(path: Callable, x: float, y: float) -> float:
+        g = path(x)
+        return g * (1 + damping * y) / (1 + inelasticity * damping * g)
+
+    def run(path: Callable, *events: Callable) -> None:
+        nonlocal state, start
+
+        def rates(_time: float, now: np.ndarray) -> list[float]:
+            f = force_of(path, now[0], now[1])
+            return [now[1] - inelasticity * f, weight - f, inelasticity * f * f]
+
+        for event in events:
+            event.terminal, event.direction = True, -1
+        found = solve_ivp(
+            rates, (start, 1e3), state, method="DOP853", rtol=1e-12, atol=1e-14, events=events, dense_output=True,
+            max_step=0.1,
+        )  # fmt: skip
+        parts.append((start, found.t[-1], found.sol, path))
+        state, start = found.y[:, -1], found.t[-1]
+
+    def turns(_time: float, now: np.ndarray) -> float:
+        return now[1] - inelasticity * force_of(loading, now[0], now[1])
+
+    run(loading, turns, lambda _, now: corner - now[0] if corner < math.inf else 1.0)
+    if state[1] - inelasticity * force_of(loading, state[0], state[1]) > 1e-9:
+        run(loading, turns)
+    after, largest = unloading(state[0]), state[0]
+    rest = 0.0
+    if after(0.0) == 0:
+        rest = brentq(lambda x: after(x) - 1e-13 * after(largest), 0, largest, xtol=1e-20)
+    run(after, lambda _, now: now[0] - rest)
+
+    def force(times: np.ndarray) -> np.ndarray:
+        out = np.zeros(times.shape)
+        for begin, end, solution, path in parts:
+            inside = (times >= begin) & (times < end)
+            if inside.any():
+                out[inside] = [force_of(path, *now[:2]) for now in solution(times[inside]).T]
+        return out
+
+    return force, start, -state[1], state[2]
+
+
 def damped_pulse(times: np.ndarray, peak: float, duration: float, onset: float, restitution: float) -> np.ndarray:
     """Sample the damped-Hertz pulse of a peak, contact duration and touch time; a restitution above 1 reverses time."""
     lossy = min(restitution, 1 / restitution)

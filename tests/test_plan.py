@@ -16,9 +16,9 @@ from cgid.errors import BadData, InvalidValue, MissingExtra, NoInput, WriteFaile
 from cgid.measure.features import FEATURES, extract_array, extract_truncated
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _kernels, _taylor, coupled, curves
+from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _contact, _kernels, coupled, curves
 from cgid.physics.coupled import ModalCurves
-from cgid.physics.curves import Curves
+from cgid.physics.curves import TOLERANCE, Curves, HuntCrossleyCurves
 from cgid.physics.materials import STEEL as STEEL_MATERIAL
 from cgid.physics.materials import Material
 from cgid.physics.response import Response
@@ -116,14 +116,14 @@ WORKERS = {
         (curves, "peak_force"),
         (curves, "peak_displacement"),
         (curves.family, "times"),
-        (_taylor, "summaries"),
+        (_contact, "summaries"),
         (coupled, "solve"),
     ],
     "gravity": [(impacts, "weighed")],
     "coupling": [(impacts, "ModalContacts")],
     "pulses": [
         (_kernels, "add_to_frames"),
-        (_taylor, "add_to_frames"),
+        (_contact, "add_to_frames"),
         (Curves, "add_to_frames"),
         (ModalCurves, "add_to_frames"),
     ],
@@ -338,7 +338,9 @@ def test_the_error_without_gravity_is_below_its_bound() -> None:
     bound = 10 ** generator.uniform(-6, -1.3, n)
     weight = bound * restitution / 2.4
     nothing = np.zeros(n)
-    with_gravity, without = (Curves(restitution, nothing, nothing, w) for w in (weight, nothing))
+    with_gravity, without = (
+        HuntCrossleyCurves(HuntCrossley, restitution[:, None], nothing, w, TOLERANCE) for w in (weight, nothing)
+    )
     times = np.linspace(0, 1.05, 400) * np.maximum(with_gravity.times[0], without.times[0])[:, None]
     one = np.ones(n)
     force, weightless = (c.evaluate(times, one, one, "force", "float64", 1) for c in (with_gravity, without))

@@ -24,7 +24,6 @@ from cgid.physics import (
     materials,
     yield_pressure,
 )
-from cgid.physics.coupled import ModalImpact
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.distributions import LIMITS
@@ -185,7 +184,7 @@ def test_yield_pressure_gives_the_wanted_restitution():
     )
     with pytest.raises(InvalidValue, match="restitution must lie between"):
         yield_pressure(1.0, ELASTIC)
-    with pytest.raises(InvalidValue, match="target must take no energy"):
+    with pytest.raises(InvalidValue, match="target must be"):
         yield_pressure(0.5, coal(Elastic(), target=ThinPlate(material=STEEL, thickness=0.01)))
 
 
@@ -543,20 +542,6 @@ def test_extreme_but_representable_yield_pressures_give_finite_pulses():
             impact = coal(Thornton(yield_pressure=pressure))
         assert np.isfinite(impact.force(np.linspace(0, float(impact.contact_duration), 50))).all()
         assert 0 < impact.restitution <= 1
-
-
-@pytest.mark.parametrize("law", [Thornton(yield_pressure=4e7), WaltonBraun(restitution=0.5)], ids=["T", "WB"])
-def test_plates_gravity_and_modes_are_refused(law):
-    name = type(law).__name__
-    with pytest.raises(InvalidValue, match=f"target must take no energy with {name} dissipation, got a ThinPlate; "):
-        coal(law, target=ThinPlate(material=STEEL, thickness=0.01))
-    with pytest.raises(InvalidValue, match=rf"gravity must be 0 m/s\^2 with {name} dissipation, got 9.8 m/s\^2"):
-        coal(law, gravity=9.8)
-    with pytest.raises(InvalidValue, match=r"dissipation must be .*Elastic.*HuntCrossley"):
-        ModalImpact(
-            sphere=ELASTIC.sphere, target=ELASTIC.target, velocity=2.0, stiffness="hertz", dissipation=law,
-            frequency=[100.0], damping_ratio=[0.01], compliance=[0.1],
-        )  # fmt: skip
 
 
 def test_local_sensitivities_are_refused():

@@ -74,15 +74,13 @@ def same_sphere(sphere):
 )
 @pytest.mark.parametrize("name", LAWS)
 def test_a_lump_hits_like_the_sphere_of_its_contact_and_mass(name, target, gravity):
-    if name in ("thornton", "walton-braun") and (gravity or isinstance(target, ThinPlate)):
-        pytest.skip("refused")
     one = impact_of(lump(), LAWS[name], target, gravity=gravity)
     mirrored = same_sphere(target) if isinstance(target, Sphere) else target
     other = impact_of(same_sphere(lump()), LAWS[name], mirrored, gravity=gravity)
     times = np.linspace(0, 1.05, 500) * float(one.contact_duration)
-    assert np.abs(one.force(times) - other.force(times)).max() < 1e-11 * other.peak_force
+    assert np.abs(one.force(times) - other.force(times)).max() < 3e-8 * other.peak_force
     for quantity in ("restitution", "contact_duration", "impulse", "dissipated_energy", "end_displacement"):
-        assert getattr(one, quantity) == pytest.approx(getattr(other, quantity), rel=1e-11, abs=1e-20)
+        assert getattr(one, quantity) == pytest.approx(getattr(other, quantity), rel=1e-8, abs=1e-10)
 
 
 def test_a_lump_on_modes_hits_like_the_sphere_of_its_contact_and_mass():
@@ -199,7 +197,7 @@ def test_a_restitution_is_delivered_at_every_speed_and_on_every_body():
     law = Viscoelastic(restitution=wanted)
     for velocity in (0.3, 6.0):
         impact = impact_of(lump(), law, velocity=velocity)
-        assert impact.restitution == pytest.approx(wanted, rel=1e-10)
+        assert impact.restitution == pytest.approx(wanted, abs=1e-9)
         constant = viscoelastic_number(wanted) * impact.time_scale
         same = impact_of(lump(), Viscoelastic(dissipative_constant=constant[:3]), velocity=velocity)
         times = np.linspace(0, 1, 200) * float(impact.contact_duration.max())

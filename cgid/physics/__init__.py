@@ -3,6 +3,7 @@
 from cgid.physics.bodies import RIGID, HalfSpace, RigidWall, Sphere, ThinPlate
 from cgid.physics.closed_forms import damping_number, delivered_restitution
 from cgid.physics.coupled import ModalImpact
+from cgid.physics.curves import Law
 from cgid.physics.impact import HertzRangeWarning, Impact, ThinPlateWarning
 from cgid.physics.laws import (
     HUNT_CROSSLEY_LAWS,
@@ -34,6 +35,7 @@ __all__ = [
     "HertzRangeWarning",
     "HuntCrossley",
     "Impact",
+    "Law",
     "ModalImpact",
     "RigidWall",
     "Sensitivity",

@@ -1,6 +1,6 @@
 """Numba kernels of one step of a sphere that hits a structure given by its modes; `_coupled` follows the impact.
 
-Dimensionless as in `_taylor` (x approach, y velocity of the sphere, f force, mu = participation times mass):
+Dimensionless as in `_contact` (x approach, y velocity of the sphere, f force, mu = participation times mass):
 
     y' = gamma - f,  Q_r'' + 2 z w Q_r' + w^2 Q_r = f,  x' = y - sum of mu_r Q_r',  f = x^(3/2) (1 + D x')
 

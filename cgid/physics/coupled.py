@@ -14,7 +14,7 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
 from cgid.physics.collocation import collocation
-from cgid.physics.curves import FEW_SAMPLES, Curves, Quantity, in_threads, kernel
+from cgid.physics.curves import FEW_SAMPLES, Curves, HuntCrossleyCurves, Quantity, in_threads, kernel
 from cgid.physics.impact import Impact, Unchecked
 from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.validation import Floats
@@ -131,9 +131,6 @@ class ModalImpact(Impact):
         residual = validation.not_negative("residual_compliance", self.residual_compliance, "m/N")
         if residual.any() and not n_modes:
             raise InvalidValue("residual_compliance needs a mode above which it lies, got no frequencies")
-        tolerance = validation.real("tolerance", self.tolerance)
-        if tolerance.ndim or not 1e-12 <= tolerance <= 1e-4:
-            raise InvalidValue(f"tolerance must be one number from 1e-12 to 1e-4, got {self.tolerance!r}")
         if self.window is not None:
             validation.not_negative("window", self.window, "s")
             validation.hold(self, "window")
@@ -173,6 +170,7 @@ class ModalImpact(Impact):
         size, shape, time_scale = self.reduced_mass.size, self.reduced_mass.shape, self.time_scale.ravel()
         count("coupled_impacts", size)
         rigid = super().curves
+        assert isinstance(rigid, HuntCrossleyCurves)
         frequency, ratio, compliance = self._modes(shape)
         window = USUAL_WINDOW if self.window is None else np.asarray(self.window) / self.time_scale
         angular, root = 2 * np.pi * frequency, np.sqrt((1 - ratio) * (1 + ratio))
@@ -182,7 +180,7 @@ class ModalImpact(Impact):
         columns = (rigid.damping, rigid.weight, np.broadcast_to(window, shape).ravel(), self.reduced_mass.ravel())
         parameters = np.stack([*columns, time_scale, _longest_steps(angular, time_scale)], axis=1)
         solved = solve(modes, parameters, float(self.tolerance))
-        return ModalCurves(rigid.material_restitution, rigid.zeta, rigid.inelasticity, rigid.weight, *solved)
+        return ModalCurves(rigid.law, rigid.numbers, rigid.inelasticity, rigid.weight, self.tolerance, *solved)
 
     def _result(self, name: str) -> Floats:
         return self._shaped(self.curves.result(name))
@@ -250,17 +248,12 @@ class ModalCurves(Curves):
     begin, end : first step of each impact, and one past its last
     """
 
-    SHARED: ClassVar[tuple[str, ...]] = ("course",)
+    SHARED: ClassVar[tuple[str, ...]] = (*Curves.SHARED, "course")
 
     results: Floats
     course: Floats
     begin: NDArray[np.intp]
     end: NDArray[np.intp]
-
-    @cached_property
-    def plain(self) -> NDArray[np.bool_]:
-        """False: no result has a closed form."""
-        return np.zeros(len(self.results), bool)
 
     @cached_property
     def _summary(self) -> dict[str, Floats]:
@@ -288,7 +281,7 @@ class ModalCurves(Curves):
             return
         index = np.flatnonzero(status != _coupled.SEPARATED)[0]
         row = rows[index]
-        numbers = f"restitution of the material {self.material_restitution[row]:g}, g L / v^2 {self.weight[row]:g}"
+        numbers = f"restitution of the material {self.numbers[row, 0]:g}, g L / v^2 {self.weight[row]:g}"
         place = f" at index {row}" if self.weight.size > 1 else ""
         if status[index] == _coupled.STAYS:
             raise InvalidValue(

@@ -1,9 +1,8 @@
-"""Dimensionless curves of a batch of impacts, each by the cheapest exact method; kernels and threads that compute them.
+"""Dimensionless curves of a batch of impacts, each by the cheapest way; kernels and threads that compute them.
 
-Four numbers describe an impact: the restitution of the material (which determines the Hunt-Crossley damping), and zeta,
-lambda and gamma of `cgid.physics._taylor`. Where the last three are 0, the impact is *plain*: its peaks have closed
-forms, and its pulse comes from the shipped table (`cgid.family`) unless its restitution is below the table's range. All
-other impacts are integrated.
+Numbers of its law, lambda of a plate and gamma of a weight describe an impact, see `cgid.physics._contact`, which
+integrates it. A Hunt-Crossley impact on which nothing else acts is *plain*: its peaks have closed forms, and its pulse
+comes from the shipped table (`cgid.family`) unless its restitution is below the table's range.
 """
 
 from __future__ import annotations
@@ -12,13 +11,13 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property, partial
 from types import FunctionType, ModuleType
-from typing import Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from cgid import family
 from cgid.counting import count, counting
@@ -26,11 +25,16 @@ from cgid.errors import InvalidValue
 from cgid.physics.closed_forms import damping_of, peak_displacement, peak_force
 from cgid.validation import Floats
 
+if TYPE_CHECKING:
+    from cgid.physics.impact import Impact
+
 Quantity = Literal["force", "displacement"]
-#: Smallest restitutions: below, the time scales of braking and of rebound are too far apart for double precision.
-LOWEST_RESTITUTION, LOWEST_ON_A_PLATE = 1e-30, 1e-14
-#: Time stepping: smallest error over the peak, steps per contact for an error of 1, and the largest D for stability.
-FINEST_STEPPED, _STEPS_FOR_ONE, _MOST_STEPPED_DAMPING = 1e-7, 4.0, 100.0
+#: Error of an integrated pulse over its peak, and the bounds that may be asked for.
+TOLERANCE, TOLERANCES = 1e-8, (1e-12, 1e-4)
+#: Smallest restitution of the material: below, the time scales of braking and of rebound are too far apart.
+LOWEST_RESTITUTION = 1e-14
+#: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
+NEGLIGIBLE_WEIGHT = 1e-12
 #: Up to this many samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
 #: Up to this many impacts kernels are interpreted, until this much time [s] has gone into interpreting.
@@ -40,34 +44,282 @@ _spent = 0.0
 _LEAST, _MOST = 200, 1024
 
 
+class Law:
+    """A contact law: the force of a contact on its approach, `f = g + c x'`, and what it depends on.
+
+    Subclass it as a frozen dataclass whose fields are the parameters of the law. All functions work in units of the
+    impact: length L, time `T0 = L / v` and force `K L^(3/2)` (`Impact.length_scale`, `time_scale`, `force_scale`).
+
+    Attributes
+    ----------
+    name : str
+        Name in scenes and data; empty for a law that scenes do not know.
+    keys : tuple of str
+        Keys of a population that a scene hands over as fields: of restitution, yield_pressure, viscous_restitution.
+    pulls : bool
+        Whether the force may become attractive: there the contact ends. Otherwise it ends where w = 0.
+    force : compiled function
+        `force(p, history, w)` returns g and c, the force at rest and the damping, where the approach is
+        `history[0] + w * w`. p holds the `numbers` of an impact, history four numbers that begin at 0. It must be
+        smooth in w, also a little below 0.
+    corner : compiled function, optional
+        `corner(p, history)` returns the approach at which the path changes on the way in; infinite for none.
+    turn : compiled function, optional
+        `turn(p, history, x)` changes the history at a corner, and where the sphere turns at the approach x; it returns
+        `x - history[0]`.
+    """
+
+    name: ClassVar[str] = ""
+    keys: ClassVar[tuple[str, ...]] = ()
+    pulls: ClassVar[bool] = False
+    force: ClassVar[Any] = None
+    corner: ClassVar[Any] = None
+    turn: ClassVar[Any] = None
+
+    def numbers(self, impact: Impact) -> dict[str, ArrayLike]:
+        """Return the numbers p of `force`, by name in its order; arrays broadcast with the impact."""
+        return {}
+
+    def closed(self, impact: Impact) -> Curves | None:
+        """Return the curves of impacts that take a quicker way than integration, None for none."""
+        return None
+
+    def values(self) -> dict[str, Floats]:
+        """Return the parameters that are numbers, by name."""
+        own: tuple[Any, ...] = fields(self) if is_dataclass(self) else ()
+        held: dict[str, Any] = {one.name: getattr(self, one.name) for one in own}
+        return {k: np.asarray(v, np.float64) for k, v in held.items() if v is not None and not isinstance(v, str)}
+
+
 @dataclass(frozen=True)
 class Curves:
-    """The curves of n impacts, in units of L, T0 and `K L^(3/2)`; all fields are (n,).
+    """The curves of n impacts, in units of L, T0 and `K L^(3/2)`: here all are integrated.
 
-    material_restitution : by Hunt-Crossley damping alone; 1 for an elastic or viscoelastic material
-    zeta : `A v / L` of a viscoelastic sphere
-    inelasticity : Zener's lambda of a thin plate
-    weight : `g L / v^2`
+    law : the contact law of all of them
+    numbers : its numbers, (n, k)
+    inelasticity : Zener's lambda of a thin plate, (n,)
+    weight : `g L / v^2`, (n,)
+    tolerance : permitted error of a pulse over its peak
     """
 
     #: Fields that all impacts share.
-    SHARED: ClassVar[tuple[str, ...]] = ()
+    SHARED: ClassVar[tuple[str, ...]] = ("law", "tolerance")
 
-    material_restitution: Floats
-    zeta: Floats
+    law: Law | type[Law]
+    numbers: Floats
     inelasticity: Floats
     weight: Floats
+    tolerance: float
 
-    @classmethod
-    def damped(cls, restitution: Floats, *more: Any) -> Self:
-        """Return the curves of impacts that lose energy in the material alone; `more` fields are those of a law."""
-        nothing = np.zeros(restitution.shape)
-        return cls(restitution, nothing, nothing, nothing, *more)
+    @property
+    def _parameters(self) -> Floats:
+        """The numbers p of the law, (n, k)."""
+        return self.numbers
 
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
-        """Whether only Hunt-Crossley damping acts."""
-        return np.asarray((self.zeta == 0) & (self.inelasticity == 0) & (self.weight == 0))
+        """Whether an impact has closed forms."""
+        return np.zeros(self.inelasticity.shape, bool)
+
+    @property
+    def tabulated(self) -> NDArray[np.bool_]:
+        """Whether a pulse comes from the shipped table."""
+        return np.zeros(self.inelasticity.shape, bool)
+
+    @property
+    def restitution(self) -> Floats:
+        """Rebound speed over impact speed."""
+        return self._result("restitution")
+
+    @property
+    def peak_force(self) -> Floats:
+        """Largest force."""
+        return self._result("peak_force")
+
+    @property
+    def peak_displacement(self) -> Floats:
+        """Largest displacement."""
+        return self._result("peak_displacement")
+
+    @property
+    def end_displacement(self) -> Floats:
+        """Displacement at separation: zero except for a viscoelastic or crushed sphere."""
+        return self._result("end_displacement")
+
+    @property
+    def plate_energy(self) -> Floats:
+        """Energy radiated into the plate over `m v^2`."""
+        return self._result("plate_energy")
+
+    @property
+    def impulse(self) -> Floats:
+        """Integral of the force over the contact: `1 + e`, plus the weight times the contact time."""
+        pull = self.weight * self.times[0] if self.weight.any() else 0.0
+        return np.asarray(1 + self.restitution + pull)
+
+    @property
+    def rebound(self) -> Floats:
+        """Restitution, or 0 where the sphere does not rebound."""
+        return self._summary["restitution"]
+
+    @property
+    def times(self) -> tuple[Floats, Floats, Floats]:
+        """Contact time, time of the peak force, and time of the largest displacement."""
+        return self._result("contact_time"), self._result("time_of_peak"), self._result("compression_time")
+
+    def _result(self, name: str) -> Floats:
+        return self._integrated[name]
+
+    @cached_property
+    def _summary(self) -> dict[str, Floats]:
+        """Integrated results for the rows outside the table; nan elsewhere."""
+        from cgid.physics import _contact
+
+        found, rows = np.full((self.inelasticity.size, len(_contact.RESULTS)), np.nan), np.flatnonzero(~self.tabulated)
+        count("integrated_impacts", rows.size)
+        run = self._kernel("summaries", rows.size)
+        in_threads(run, (*self._problem(rows, self.tolerance), found), rows, 1)
+        return dict(zip(_contact.RESULTS, found.T, strict=True))
+
+    def _kernel(self, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
+        """Return a kernel of `_contact` with this law."""
+        from cgid.physics import _contact
+
+        run, flags = kernel(_contact, name, n_impacts, n_samples), _contact.flags_of(self.law)
+        if not hasattr(run, "py_func"):
+            return partial(run, *verbs_of(self.law, compiled=False), flags)
+        from cgid.compiled import with_law
+
+        return partial(with_law, run, *verbs_of(self.law, compiled=True), flags)
+
+    def _problem(self, rows: NDArray[np.intp], tolerance: float) -> tuple[Any, ...]:
+        """Return the arguments of kernels for these rows, whose parameters alone are computed."""
+        return self._parameters, self.inelasticity, self.weight, max(self.tolerance, tolerance)
+
+    @cached_property
+    def _integrated(self) -> dict[str, Floats]:
+        """The same results, after checking that every sphere rebounds."""
+        rows = np.flatnonzero(~self.tabulated)
+        self._require_separation(rows, self._summary["status"][rows])
+        return self._summary
+
+    def taken(self, rows: NDArray[np.intp]) -> Self:
+        """Return the curves of the given rows, in this order."""
+        own = (one.name for one in fields(self) if one.name not in self.SHARED)
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
+
+    def require_rebound(self) -> None:
+        """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
+        if not self.plain.all():
+            _ = self._integrated
+
+    def _described(self, row: int) -> str:
+        """Return the numbers of an impact for a message."""
+        numbers = ", ".join(f"{number:g}" for number in self.numbers[row])
+        return f"{self.law.name or type(self.law).__name__} {numbers}".strip()
+
+    def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
+        from cgid.physics import _contact
+
+        if (status == _contact.SEPARATED).all():
+            return
+        index = np.flatnonzero(status != _contact.SEPARATED)[0]
+        row = int(rows[index])
+        heavy = self.weight[row] > 0
+        numbers = f"{self._described(row)}, lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
+        place = f" at index {row}" if self.inelasticity.size > 1 else ""
+        if status[index] == _contact.STAYS:
+            raise InvalidValue(
+                f"the sphere must rebound, but its weight holds it on the target ({numbers}){place}; "
+                "raise the velocity or the restitution, or leave gravity out"
+            )
+        if status[index] == _contact.NOT_FINITE:
+            raise InvalidValue(
+                f"the force of a contact law must be finite, got nan or infinity ({numbers}){place}; check the law"
+            )
+        cure = "lower the loss, or leave gravity out" if heavy else "lower the loss"
+        raise InvalidValue(
+            f"the impact must end within {_contact.MAX_STEPS} steps of the integration and leave a rebound that double "
+            f"precision can follow, got {numbers}{place}; {cure}"
+        )
+
+    def evaluate(
+        self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
+    ) -> NDArray[Any]:
+        """Return force or displacement at times (n, k) [s], shape (n, k); 0 outside contact."""
+        out = np.empty(times.shape)
+        self._evaluate(np.arange(len(times)), times, time_scale, amplitude, quantity, out, threads)
+        return out.astype(dtype, copy=False)
+
+    def _evaluate(
+        self,
+        rows: NDArray[np.intp],
+        times: Floats,
+        time_scale: Floats,
+        amplitude: Floats,
+        quantity: Quantity,
+        out: Floats,
+        threads: int,
+    ) -> None:
+        from cgid.physics import _contact
+
+        count("integrated_pulses", rows.size)
+        row = _contact.FORCE if quantity == "force" else _contact.DISPLACEMENT
+        numbers = (*self._problem(rows, 0.0), times, time_scale, amplitude, row, out)
+        in_threads(self._kernel("at_times", *times.shape), numbers, rows, threads)
+
+    def add_to_frames(
+        self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
+    ) -> None:
+        """Add a force pulse to each of the frames (n, n_samples) in place.
+
+        `onset` is the touch on the sample grid [samples], `step` the sampling interval [T0], `amplitude` is in [N];
+        each (n,). A `tolerance` above that of the curves, an error over the peak, saves time.
+        """
+        if counting():
+            count("pulse_samples", samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
+        self._add(np.arange(len(frames)), frames, onset, step, amplitude, threads, tolerance)
+
+    def _add(
+        self,
+        rows: NDArray[np.intp],
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        tolerance: float,
+    ) -> None:
+        count("integrated_pulses", rows.size)
+        numbers = (*self._problem(rows, tolerance), frames, onset, step, amplitude)
+        in_threads(self._kernel("add_to_frames", *frames.shape), numbers, rows, threads)
+
+
+def hunt_crossley_curves(impact: Impact, restitution: Floats) -> HuntCrossleyCurves:
+    """Return the curves of elastic impacts, or those with Hunt and Crossley's damping of these restitutions."""
+    # The contact grows with the damping, about as e^-0.6 T0. A weight is neglected only where the pulse then comes
+    # from the table.
+    plain = impact.inelasticity == 0
+    light = plain & (impact.weight < NEGLIGIBLE_WEIGHT * np.power(restitution, 0.6))
+    weight = np.where(light, 0.0, impact.weight)
+    given = np.broadcast_to(restitution, weight.shape)
+    columns = given.reshape(-1, 1), np.ravel(impact.inelasticity), weight.ravel()
+    return HuntCrossleyCurves(impact.dissipation, *columns, impact.tolerance)
+
+
+@dataclass(frozen=True)
+class HuntCrossleyCurves(Curves):
+    """The curves of elastic impacts, and of those with Hunt and Crossley's damping; numbers are the restitutions."""
+
+    @property
+    def material_restitution(self) -> Floats:
+        """Restitution by damping alone, 1 for an elastic material."""
+        return self.numbers[:, 0]
+
+    @cached_property
+    def plain(self) -> NDArray[np.bool_]:
+        """Whether only the damping acts."""
+        return np.asarray((self.inelasticity == 0) & (self.weight == 0))
 
     @cached_property
     def tabulated(self) -> NDArray[np.bool_]:
@@ -79,15 +331,14 @@ class Curves:
         """D of the Hunt-Crossley loss."""
         damped = self.material_restitution < 1
         count("damping_solves", np.count_nonzero(damped))
-        damping = np.zeros(self.material_restitution.shape)
+        damping = np.zeros(damped.shape)
         if damped.any():
             damping[damped] = damping_of(self.material_restitution[damped])
         return damping
 
-    @cached_property
+    @property
     def _parameters(self) -> Floats:
-        """The columns `_taylor.PARAMETERS`."""
-        return np.stack([self.damping, self.zeta, self.inelasticity, self.weight], axis=1)
+        return self.damping[:, None]
 
     @cached_property
     def restitution(self) -> Floats:
@@ -108,19 +359,13 @@ class Curves:
 
     @cached_property
     def end_displacement(self) -> Floats:
-        """Displacement at separation: zero except for a viscoelastic sphere."""
-        return self._closed_or_integrated(lambda _: np.zeros(()), "end_displacement")
+        """Displacement at separation: zero."""
+        return np.zeros(self.plain.shape)
 
     @cached_property
     def plate_energy(self) -> Floats:
         """Energy radiated into the plate over `m v^2`."""
         return self._closed_or_integrated(lambda _: np.zeros(()), "plate_energy")
-
-    @property
-    def impulse(self) -> Floats:
-        """Integral of the force over the contact: `1 + e`, plus the weight times the contact time."""
-        pull = self.weight * self.times[0] if self.weight.any() else 0.0
-        return np.asarray(1 + self.restitution + pull)
 
     @property
     def rebound(self) -> Floats:
@@ -150,71 +395,26 @@ class Curves:
             out[~self.plain] = self._integrated[name][~self.plain]
         return out
 
-    @cached_property
-    def _summary(self) -> dict[str, Floats]:
-        """Integrated results for the rows outside the table; nan elsewhere."""
-        from cgid.physics import _taylor
-
-        found = np.full((self.plain.size, len(_taylor.RESULTS)), np.nan)
-        count("integrated_impacts", np.count_nonzero(~self.tabulated))
-        summaries = kernel(_taylor, "summaries", self.plain.size)
-        in_threads(summaries, (self._parameters, _taylor.ORDER, 0.0, found), np.flatnonzero(~self.tabulated), 1)
-        return dict(zip(_taylor.RESULTS, found.T, strict=True))
-
-    @cached_property
-    def _integrated(self) -> dict[str, Floats]:
-        """The same results, after checking that every sphere rebounds."""
-        rows = np.flatnonzero(~self.tabulated)
-        self._require_separation(rows, self._summary["status"][rows])
-        return self._summary
-
-    def taken(self, rows: NDArray[np.intp]) -> Self:
-        """Return the curves of the given rows, in this order."""
-        own = (one.name for one in fields(self) if one.name not in self.SHARED)
-        return replace(self, **{name: getattr(self, name)[rows] for name in own})
-
     def require_rebound(self) -> None:
         """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
-        lowest = np.where(self.inelasticity > 0, LOWEST_ON_A_PLATE, LOWEST_RESTITUTION)
-        beyond = self.material_restitution < lowest
+        beyond = self.material_restitution < LOWEST_RESTITUTION
         if beyond.any():
             raise InvalidValue(
-                f"the restitution of the material must be {lowest[beyond][0]:g} or more for double precision to "
+                f"the restitution of the material must be {LOWEST_RESTITUTION:g} or more for double precision to "
                 f"follow the impact, got {self.material_restitution[beyond][0]:g}"
             )
-        if not self.plain.all():
-            _ = self._integrated
+        super().require_rebound()
 
-    def _require_separation(self, rows: NDArray[np.intp], status: Floats) -> None:
-        from cgid.physics import _taylor
-
-        if (status == _taylor.SEPARATED).all():
-            return
-        index = np.flatnonzero(status != _taylor.SEPARATED)[0]
-        row = rows[index]
-        numbers = (
-            f"restitution of the material {self.material_restitution[row]:g}, zeta {self.zeta[row]:g}, "
-            f"lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
-        )
-        place = f" at index {row}" if self.plain.size > 1 else ""
-        if status[index] == _taylor.STAYS:
-            raise InvalidValue(
-                f"the sphere must rebound, but its weight holds it on the target ({numbers}){place}; "
-                "raise the velocity or the restitution, or leave gravity out"
-            )
-        cure = "lower the loss, or leave gravity out" if self.weight[row] > 0 else "lower the loss"
-        raise InvalidValue(
-            f"the loss must leave a rebound that double precision can follow, got {numbers}{place}; {cure}"
-        )
+    def _described(self, row: int) -> str:
+        return f"restitution of the material {self.material_restitution[row]:g}"
 
     def evaluate(
         self, times: Floats, time_scale: Floats, amplitude: Floats, quantity: Quantity, dtype: DTypeLike, threads: int
     ) -> NDArray[Any]:
-        """Return force or displacement at times (n, k) [s], shape (n, k); 0 outside contact."""
+        """See `Curves.evaluate`."""
         out = np.empty(times.shape, dtype)
         rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         count("table_pulses", rows.size)
-        count("integrated_pulses", rest.size)
         if rows.size * times.shape[1] <= FEW_SAMPLES:
             restitution = self.material_restitution[rows]
             with np.errstate(over="ignore"):  # long past separation
@@ -227,43 +427,47 @@ class Curves:
             cubic = quantity == "force"
             in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
         if rest.size:
-            from cgid.physics import _taylor
-
-            row = _taylor.FORCE if quantity == "force" else _taylor.DISPLACEMENT
-            numbers = (times, self._parameters, time_scale, amplitude, row, _taylor.ORDER, out)
-            in_threads(kernel(_taylor, "at_times", *times.shape), numbers, rest, threads)
+            self._evaluate(rest, times, time_scale, amplitude, quantity, out, threads)
         return out
 
-    def add_to_frames(
-        self, frames: NDArray[Any], onset: Floats, step: Floats, amplitude: Floats, threads: int, tolerance: float = 0.0
+    def _add(
+        self,
+        rows: NDArray[np.intp],
+        frames: NDArray[Any],
+        onset: Floats,
+        step: Floats,
+        amplitude: Floats,
+        threads: int,
+        tolerance: float,
     ) -> None:
-        """Add a force pulse to each of the frames (n, n_samples) in place.
-
-        `onset` is the touch on the sample grid [samples], `step` the sampling interval [T0], `amplitude` is in [N];
-        each (n,). Pulses outside the table are stepped in time if the `tolerance`, an error over the peak, permits.
-        """
-        rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
-        count("table_pulses", rows.size)
-        count("integrated_pulses", rest.size)
-        if counting():
-            count("pulse_samples", samples_in_contact(onset, onset + self.times[0] / step, frames.shape[1]))
-        if rows.size:
+        tabulated, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        count("table_pulses", tabulated.size)
+        if tabulated.size:
             from cgid.physics import _kernels
 
             place, columns = family.coordinate(self.material_restitution), family.table().force
             run = kernel(_kernels, "add_to_frames", *frames.shape)
-            in_threads(run, (frames, onset, step, place, amplitude, columns), rows, threads)
+            in_threads(run, (frames, onset, step, place, amplitude, columns), tabulated, threads)
         if rest.size:
-            from cgid.physics import _taylor
+            super()._add(rest, frames, onset, step, amplitude, threads, tolerance)
 
-            if tolerance >= FINEST_STEPPED:
-                stepped = self.damping[rest] < _MOST_STEPPED_DAMPING
-                n_steps = int(np.ceil(_STEPS_FOR_ONE * np.power(tolerance, -0.4)))
-                numbers = (frames, onset, step, self._parameters, amplitude, self.times[0], n_steps)
-                in_threads(kernel(_taylor, "add_stepped", *frames.shape), numbers, rest[stepped], threads)
-                rest = rest[~stepped]
-            run = kernel(_taylor, "add_to_frames", *frames.shape)
-            in_threads(run, (frames, onset, step, self._parameters, amplitude, _taylor.ORDER), rest, threads)
+
+@cache
+def _compiled_builtin(function: Callable[..., Any]) -> Any:
+    """Return a verb of a built-in law, compiled or from the cache."""
+    from cgid.compiled import jit
+
+    return jit(function)
+
+
+def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:
+    """Return force, corner and turn of a law: compiled, or as plain Python functions."""
+    from cgid.physics import _contact
+
+    verbs = law.force, law.corner or _contact.no_corner, law.turn or _contact.no_turn
+    if not compiled:
+        return tuple(getattr(verb, "py_func", verb) for verb in verbs)
+    return tuple(verb if hasattr(verb, "py_func") else _compiled_builtin(verb) for verb in verbs)
 
 
 def samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:

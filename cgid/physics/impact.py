@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, get_args
@@ -14,22 +15,10 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.physics import bodies
 from cgid.physics.bodies import Sphere, Target, ThinPlate
-from cgid.physics.curves import Curves, Quantity
-from cgid.physics.laws import (
-    STIFFNESS_THEORIES,
-    Dissipation,
-    Plastic,
-    Thornton,
-    Viscoelastic,
-    WaltonBraun,
-    stiffness_of,
-)
-from cgid.physics.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
-from cgid.physics.plastic_damped import damped_thornton_curves, damped_walton_braun_curves
+from cgid.physics.curves import TOLERANCE, TOLERANCES, Curves, Law, Quantity
+from cgid.physics.laws import STIFFNESS_THEORIES, Plastic, stiffness_of
 from cgid.validation import Floats
 
-#: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
-NEGLIGIBLE_WEIGHT = 1e-12
 #: Largest displacement over radius for Hertz's small-strain theory.
 HERTZ_LIMIT = 0.1
 #: Largest lambda for which Zener's thin plate agrees with finer models.
@@ -63,12 +52,14 @@ class Impact:
         Normal impact speed; for two spheres the relative speed.
     stiffness : {"hertz", "rigid-sphere", "series"}
         Theory of the contact stiffness (see `contact_stiffness`); no default.
-    dissipation : Elastic, HuntCrossley, Viscoelastic, Thornton or WaltonBraun
-        Loss in the material; the loss to a thin plate is added to it. The last two need a target that takes no energy
-        (no thin plate), and no gravity.
+    dissipation : Law
+        Loss in the material: Elastic, HuntCrossley, Viscoelastic, Thornton, WaltonBraun or a `Law` of one's own. The
+        loss to a thin plate is added to it.
     gravity : array_like, 0 or more [m/s^2]
         Pull towards the target during contact. Neglected where it would change the speed by at most 3e-12 of the impact
         speed.
+    tolerance : float, 1e-12 to 1e-4
+        Permitted error of an integrated pulse over its peak; closed forms and the table of pulses are exact.
 
     Raises
     ------
@@ -104,19 +95,21 @@ class Impact:
     target: Target
     velocity: ArrayLike
     stiffness: str
-    dissipation: Dissipation
+    dissipation: Law
     gravity: ArrayLike = 0.0
+    tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
         validation.instance("sphere", self.sphere, Sphere)
         validation.instance("target", self.target, *get_args(Target))
-        validation.instance("dissipation", self.dissipation, *get_args(Dissipation))
+        validation.instance("dissipation", self.dissipation, Law)
         validation.choice("stiffness", self.stiffness, STIFFNESS_THEORIES)
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
+        tolerance, (least, largest) = validation.real("tolerance", self.tolerance), TOLERANCES
+        if tolerance.ndim or not least <= tolerance <= largest:
+            raise InvalidValue(f"tolerance must be one number from {least:g} to {largest:g}, got {self.tolerance!r}")
         validation.hold(self, "velocity", "gravity")
-        if isinstance(self.dissipation, Plastic):
-            self._require_closed_form()
         self._require_reach()
         self.curves.require_rebound()
         self._warn_of_range()
@@ -130,16 +123,6 @@ class Impact:
             f"{type(self.target).__name__}, {self.stiffness}, {type(self.dissipation).__name__})"
         )
 
-    def _require_closed_form(self) -> None:
-        law = type(self.dissipation).__name__
-        if isinstance(self.target, ThinPlate):
-            raise InvalidValue(
-                f"target must take no energy with {law} dissipation, got a ThinPlate; take a HalfSpace, or HuntCrossley"
-            )
-        if np.any(np.asarray(self.gravity)):
-            gravity = np.max(np.asarray(self.gravity))
-            raise InvalidValue(f"gravity must be 0 m/s^2 with {law} dissipation, got {gravity:g} m/s^2; leave it out")
-
     def _require_reach(self) -> None:
         with np.errstate(all="ignore"):
             scales = {
@@ -150,13 +133,9 @@ class Impact:
                 "force": (self.force_scale, "N"),
                 "energy": (self._energy_scale, "J"),
                 "square of the velocity": (self._velocity**2, "m^2/s^2"),
-                "weight": (1 + self._weight, "times the force"),  # it may be 0
+                "weight": (1 + self.weight, "times the force"),  # it may be 0
+                **{name: (1 + np.abs(one), "of that of the impact") for name, one in self._numbers.items()},
             }
-            if isinstance(self.dissipation, Viscoelastic) and self.dissipation.restitution is None:
-                scales["dissipative constant"] = (self._given["dissipative_constant"], "s")
-            if isinstance(self.dissipation, Plastic):
-                name = "yield displacement" if isinstance(self.dissipation, Thornton) else "loading stiffness"
-                scales[name] = (self._plastic_scale, "of that of the impact")
             if isinstance(self.target, ThinPlate):
                 scales["plate impedance"] = (self.target.impedance, "kg/s")
         for name, (scale, unit) in scales.items():
@@ -192,11 +171,8 @@ class Impact:
             "modulus": bodies.reduced_modulus(self.sphere, self.target),
             "velocity": np.asarray(self.velocity, dtype=np.float64),
             "gravity": np.asarray(self.gravity, dtype=np.float64),
-            "restitution": np.ones(()),
-            "dissipative_constant": np.zeros(()),
-            "zeta": np.zeros(()),
             "thickness": np.asarray(self.target.thickness if isinstance(self.target, ThinPlate) else 0.0),
-            **self.dissipation.numbers(self.sphere, self.target),
+            **{f"{name} of the loss": one for name, one in self.dissipation.values().items()},
         }
         return dict(zip(named, self._broadcast(named), strict=True))
 
@@ -213,8 +189,8 @@ class Impact:
         return self.reduced_mass * self._velocity**2
 
     @cached_property
-    def _weight(self) -> Floats:
-        """Dimensionless weight `g L / v^2`."""
+    def weight(self) -> Floats:
+        """Weight over the force scale, `g L / v^2`."""
         return self._given["gravity"] * self.length_scale / self._velocity**2
 
     @property
@@ -260,36 +236,30 @@ class Impact:
         return _fixed(self.reduced_mass / (self.target.impedance * self.time_scale))
 
     @cached_property
-    def _plastic_scale(self) -> Floats:
-        """Yield displacement over L of `Thornton`, loading stiffness over `K L^(1/2)` of `WaltonBraun`."""
-        if isinstance(self.dissipation, WaltonBraun):
-            given = self._given["loading_stiffness"]
-            own = given / (self.contact_stiffness * np.sqrt(self.length_scale))
-            return np.where(given > 0, own, EQUIVALENT_STIFFNESS)
-        root = 2 / 3 * np.pi * self.reduced_radius * self._given["yield_pressure"] / self.contact_stiffness
-        return np.asarray(root * root / self.length_scale)
+    def _numbers(self) -> dict[str, Floats]:
+        """Numbers of the contact law, by name, broadcast to the shape of the impact."""
+        shape = self.reduced_mass.shape
+        return {
+            name: np.broadcast_to(np.asarray(one, np.float64), shape)
+            for name, one in self.dissipation.numbers(self).items()
+        }
 
     @cached_property
     def curves(self) -> Curves:
         """The dimensionless curves, one row per impact in C order."""
-        if isinstance(self.dissipation, Plastic):
-            return self._plastic_curves()
-        restitution = self._given["restitution"]
-        zeta = self._given["dissipative_constant"] / self.time_scale + self._given["zeta"]
-        # The contact grows with the damping, about as e^-0.6 T0. A weight is neglected only where the pulse then comes
-        # from the table.
-        plain = (zeta == 0) & (self.inelasticity == 0)
-        weight = np.where(plain & (self._weight < NEGLIGIBLE_WEIGHT * np.power(restitution, 0.6)), 0.0, self._weight)
-        return Curves(restitution.ravel(), zeta.ravel(), np.ravel(self.inelasticity), weight.ravel())
+        closed = self.dissipation.closed(self)
+        return self._integrated_curves() if closed is None else closed
 
-    def _plastic_curves(self) -> Curves:
-        viscous, scale = self._given.get("viscous_restitution"), np.ravel(self._plastic_scale)
-        if isinstance(self.dissipation, Thornton):
-            return thornton_curves(scale) if viscous is None else damped_thornton_curves(scale, viscous.ravel())
-        restitution = self._given["restitution"].ravel()
-        if viscous is None:
-            return walton_braun_curves(restitution, scale)
-        return damped_walton_braun_curves(restitution, scale, viscous.ravel())
+    def _integrated_curves(self) -> Curves:
+        columns = [one.ravel() for one in self._numbers.values()]
+        numbers = np.stack(columns, axis=1) if columns else np.empty((self.reduced_mass.size, 0))
+        return Curves(self.dissipation, numbers, np.ravel(self.inelasticity), self.weight.ravel(), self.tolerance)
+
+    def plain_curves(self, make: Callable[..., Curves], *names: str) -> Curves | None:
+        """Return the curves that `make` gives for numbers of the law, None if a plate or a weight acts."""
+        if self.inelasticity.any() or self.weight.any():
+            return None
+        return make(*(self._numbers[name].ravel() for name in names))
 
     def _shaped(self, values: Floats) -> Floats:
         return np.asarray(values.reshape(self.reduced_mass.shape))
@@ -454,8 +424,8 @@ class Impact:
     ) -> None:
         """Add the contact force to frames in place; their shape is that of `force_frames`.
 
-        Each frame may have its own sampling rate. `tolerance` is the permitted error over the peak force: with it,
-        pulses outside the table are stepped in time, twenty times faster.
+        Each frame may have its own sampling rate. `tolerance` is the permitted error over the peak force of integrated
+        pulses, where it is above that of the impact.
 
         Parameters
         ----------

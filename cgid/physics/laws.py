@@ -7,6 +7,8 @@ bodies, so the series theory of Yang et al. (2018) counts it twice; an independe
 The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delta')`, differ in the damping number
 `D = chi v` for a restitution e. All but the exact one are approximations, good near e = 1:
 `HuntCrossley.delivered_restitution` is the restitution that results. A new factor needs one more table entry.
+
+A law of loss is one class with the verbs of `cgid.physics.Law`, here or in a module of one's own.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
@@ -22,10 +25,15 @@ from numpy.typing import ArrayLike
 from cgid import family, validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.physics.bodies import Sphere, Target, sphere_share
+from cgid.physics.bodies import sphere_share
 from cgid.physics.closed_forms import damping_number, delivered_restitution
+from cgid.physics.curves import Curves, Law, hunt_crossley_curves
+from cgid.physics.plastic import EQUIVALENT_STIFFNESS, thornton_curves, walton_braun_curves
 from cgid.units import STANDARD_GRAVITY
 from cgid.validation import Floats
+
+if TYPE_CHECKING:
+    from cgid.physics.impact import Impact
 
 #: K over Hertz's `K1 = 4/3 sqrt(R) E`; Yang, Zeng & Wan (2018), Eq. 5-6, 7-8 and 9-13.
 STIFFNESS_THEORIES = {
@@ -116,9 +124,18 @@ HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
 _MOST_DAMPING = 1e100
 
 
+def _hertz(p: Any, history: Any, w: float) -> tuple[float, float]:
+    """Return `x^(3/2)` and `D x^(3/2)`."""
+    g = w * w * w
+    return g, p[0] * g
+
+
 @dataclass(frozen=True)
-class Elastic:
+class Elastic(Law):
     """No loss in the material: except on a thin plate, the sphere rebounds at its impact speed."""
+
+    name = "elastic"
+    force = staticmethod(_hertz)
 
     @property
     def damping_number(self) -> Floats:
@@ -130,13 +147,13 @@ class Elastic:
         """Exactly 1."""
         return np.ones(())
 
-    def numbers(self, sphere: Sphere, target: Target) -> dict[str, Floats]:
-        """Return the numbers of this law that the curves of an impact need, by name; here none."""
-        return {}
+    def closed(self, impact: Impact) -> Curves:
+        """Return the curves of Hunt and Crossley: the table where nothing else acts."""
+        return hunt_crossley_curves(impact, self.delivered_restitution)
 
 
 @dataclass(frozen=True, kw_only=True)
-class HuntCrossley:
+class HuntCrossley(Law):
     """Hysteretic damping, `P = K delta^(3/2) (1 + chi delta')` (Hunt & Crossley 1975).
 
     Parameters
@@ -160,6 +177,9 @@ class HuntCrossley:
 
     restitution: ArrayLike
     law: str = "exact"
+    name = "hunt-crossley"
+    keys = ("restitution",)
+    force = staticmethod(_hertz)
 
     def __post_init__(self) -> None:
         validation.restitution("restitution", self.restitution)
@@ -187,9 +207,9 @@ class HuntCrossley:
         count("damping_solves", damping.size)
         return delivered_restitution(damping)
 
-    def numbers(self, sphere: Sphere, target: Target) -> dict[str, Floats]:
-        """See `Elastic.numbers`."""
-        return {"restitution": self.delivered_restitution}
+    def closed(self, impact: Impact) -> Curves:
+        """Return the curves of `Elastic.closed`."""
+        return hunt_crossley_curves(impact, self.delivered_restitution)
 
 
 #: Chebyshev coefficients of `zeta e^(3/5) / (1 - e)` over `2 (1 - e^(1/5))^(1/2) - 1`, in which it is smooth from
@@ -223,7 +243,7 @@ def viscoelastic_number(restitution: ArrayLike) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Viscoelastic:
+class Viscoelastic(Law):
     """A viscoelastic sphere, `P = K (delta^(3/2) + A delta^(1/2) delta')` (Kuwabara & Kono 1987).
 
     Restitution is a result and falls with speed. Contact ends when the force reaches 0, while the sphere is still
@@ -253,13 +273,21 @@ class Viscoelastic:
     ...     sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=RIGID, velocity=[1.0, 5.0],
     ...     stiffness="hertz", dissipation=Viscoelastic(restitution=0.4),
     ... )
-    >>> impact.restitution.round(10).tolist()
+    >>> impact.restitution.round(8).tolist()
     [0.4, 0.4]
     """
 
     dissipative_constant: ArrayLike | None = None
     time_constant: ArrayLike | None = None
     restitution: ArrayLike | None = None
+    name = "kuwabara-kono"
+    keys = ("restitution",)
+    pulls = True
+
+    @staticmethod
+    def force(p: Any, history: Any, w: float) -> tuple[float, float]:
+        """Return `x^(3/2)` and `zeta x^(1/2)`."""
+        return w * w * w, p[0] * w
 
     def __post_init__(self) -> None:
         given = [name for name in _OF_VISCOELASTIC if getattr(self, name) is not None]
@@ -274,18 +302,18 @@ class Viscoelastic:
             validation.between("restitution", self.restitution, LEAST_VISCOELASTIC, 1.0)
         validation.hold(self, *_OF_VISCOELASTIC)
 
-    def numbers(self, sphere: Sphere, target: Target) -> dict[str, Floats]:
-        """See `Elastic.numbers`; the dissipative constant [s], or its number zeta for a restitution."""
+    def numbers(self, impact: Impact) -> dict[str, ArrayLike]:
+        """Return the number `zeta = A / T0`."""
         if self.restitution is not None:
             return {"zeta": viscoelastic_number(self.restitution)}
-        if self.time_constant is None:
-            return {"dissipative_constant": np.asarray(self.dissipative_constant, np.float64)}
-        time_constant = np.asarray(self.time_constant, np.float64)
-        return {"dissipative_constant": np.asarray(1.5 * time_constant * sphere_share(sphere, target))}
+        constant = self.dissipative_constant
+        if self.time_constant is not None:
+            constant = 1.5 * np.asarray(self.time_constant) * sphere_share(impact.sphere, impact.target)
+        return {"dissipative constant": np.asarray(constant) / impact.time_scale}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thornton:
+class Thornton(Law):
     """An elastic-plastic sphere (Thornton 1997, J. Appl. Mech. 64, 383): rock that crushes where it touches.
 
     The contact is Hertzian until the pressure in its middle reaches the yield pressure p_y. From then on the force
@@ -307,10 +335,6 @@ class Thornton:
     ------
     InvalidValue
         The yield pressure is not above 0, or the viscous restitution lies outside [0.05, 1].
-
-    Notes
-    -----
-    Only for targets that take no energy (a half space, a rigid wall or a sphere) and without gravity.
 
     Examples
     --------
@@ -337,18 +361,66 @@ class Thornton:
 
     yield_pressure: ArrayLike
     viscous_restitution: ArrayLike | None = None
+    name = "thornton"
+    keys = ("yield_pressure", "viscous_restitution")
+
+    @staticmethod
+    def force(p: Any, history: Any, w: float) -> tuple[float, float]:
+        """Return the force of the present path; the history is origin, largest approach, path, stiffness."""
+        if history[2] == 0.0:
+            g = w * w * w
+        elif history[2] == 1.0:
+            g = math.sqrt(p[0]) * (1.5 * w * w - 0.5 * p[0])
+        else:
+            g = history[3] * w * w * w
+        return g, p[1] * g
+
+    @staticmethod
+    def corner(p: Any, history: Any) -> float:
+        """Return where the contact yields, or yields again."""
+        if history[2] == 1.0:
+            return math.inf
+        largest: float = p[0] if history[2] == 0.0 else history[1]
+        return largest
+
+    @staticmethod
+    def turn(p: Any, history: Any, x: float) -> float:
+        """Yield, or unload by a flatter sphere."""
+        if history[2] == 1.0:
+            largest = math.sqrt(p[0]) * (1.5 * x - 0.5 * p[0])
+            rest: float = largest / math.sqrt(x)
+            history[0], history[1], history[2] = x - rest, x, 2.0
+            history[3] = largest / (rest * math.sqrt(rest))
+            return rest
+        if history[2] == 0.0 and x >= p[0]:
+            history[2] = 1.0
+        elif history[2] == 2.0 and x >= history[1]:
+            history[0], history[2] = 0.0, 1.0
+        way: float = x - history[0]
+        return way
 
     def __post_init__(self) -> None:
         validation.positive("yield_pressure", self.yield_pressure, "Pa")
         _hold_viscous(self, "yield_pressure")
 
-    def numbers(self, sphere: Sphere, target: Target) -> dict[str, Floats]:
-        """See `Elastic.numbers`; the yield pressure [Pa], and the viscous restitution if there is one."""
-        return {"yield_pressure": np.asarray(self.yield_pressure, np.float64), **_viscous(self)}
+    def numbers(self, impact: Impact) -> dict[str, ArrayLike]:
+        """Return the yield displacement and the damping number."""
+        root = 2 / 3 * np.pi * impact.reduced_radius * np.asarray(self.yield_pressure) / impact.contact_stiffness
+        depth = root * root / impact.length_scale
+        if not (depth > 1e-290).all():
+            raise InvalidValue(
+                "the yield displacement of the impact must lie between 1e-290 and 1e290 of that of the impact for "
+                f"double precision to hold it, got {depth.min():g}; check radius, material, velocity and loss"
+            )
+        return {"yield displacement": depth, "damping number": _viscous_damping(self)}
+
+    def closed(self, impact: Impact) -> Curves | None:
+        """Return the curves of three branches where nothing but crushing takes energy."""
+        return impact.plain_curves(thornton_curves, "yield displacement") if self.viscous_restitution is None else None
 
 
 @dataclass(frozen=True, kw_only=True)
-class WaltonBraun:
+class WaltonBraun(Law):
     """A bilinear contact (Walton & Braun 1986, J. Rheol. 30, 949): `P = k delta` loading, `k / e^2` unloading.
 
     The force rises as a quarter of a sine and falls as another, shorter by the factor e. Restitution is the same at
@@ -371,10 +443,6 @@ class WaltonBraun:
         The restitution lies outside (0, 1], the stiffness is not above 0, or the viscous restitution lies outside
         [0.05, 1].
 
-    Notes
-    -----
-    Only for targets that take no energy (a half space, a rigid wall or a sphere) and without gravity.
-
     Examples
     --------
     >>> from cgid.physics import RIGID, Impact, Sphere
@@ -390,6 +458,34 @@ class WaltonBraun:
     restitution: ArrayLike
     loading_stiffness: ArrayLike | None = None
     viscous_restitution: ArrayLike | None = None
+    name = "walton-braun"
+    keys = ("restitution", "viscous_restitution")
+
+    @staticmethod
+    def force(p: Any, history: Any, w: float) -> tuple[float, float]:
+        """Return the force of the present path; the history is origin, largest approach, 1 once it has unloaded."""
+        g = p[0] * w * w
+        if history[2] == 1.0:
+            g = g / (p[1] * p[1])
+        return g, p[2] * g
+
+    @staticmethod
+    def corner(p: Any, history: Any) -> float:
+        """Return where a contact that is pressed again loads as before."""
+        largest: float = history[1] if history[2] == 1.0 else math.inf
+        return largest
+
+    @staticmethod
+    def turn(p: Any, history: Any, x: float) -> float:
+        """Unload, or load as before."""
+        way: float = x - history[0]
+        if history[2] == 0.0:
+            history[0], history[1], history[2] = x * (1.0 - p[1]) * (1.0 + p[1]), x, 1.0
+            way = x * p[1] * p[1]
+        elif x >= history[1]:
+            history[0], history[2] = 0.0, 0.0
+            way = x
+        return way
 
     def __post_init__(self) -> None:
         validation.restitution("restitution", self.restitution)
@@ -397,14 +493,23 @@ class WaltonBraun:
             validation.positive("loading_stiffness", self.loading_stiffness, "N/m")
         _hold_viscous(self, "restitution", "loading_stiffness")
 
-    def numbers(self, sphere: Sphere, target: Target) -> dict[str, Floats]:
-        """See `Elastic.numbers`; restitution, and the loading stiffness [N/m] or 0 for that of equal depth."""
-        stiffness = 0.0 if self.loading_stiffness is None else self.loading_stiffness
+    def numbers(self, impact: Impact) -> dict[str, ArrayLike]:
+        """Return the loading stiffness, the restitution and the damping number."""
+        stiffness: ArrayLike = EQUIVALENT_STIFFNESS
+        if self.loading_stiffness is not None:
+            unit = impact.contact_stiffness * np.sqrt(impact.length_scale)
+            stiffness = np.asarray(self.loading_stiffness) / unit
         return {
-            "restitution": np.asarray(self.restitution, np.float64),
-            "loading_stiffness": np.asarray(stiffness, np.float64),
-            **_viscous(self),
+            "loading stiffness": stiffness,
+            "restitution": self.restitution,
+            "damping number": _viscous_damping(self),
         }
+
+    def closed(self, impact: Impact) -> Curves | None:
+        """See `Thornton.closed`."""
+        if self.viscous_restitution is not None:
+            return None
+        return impact.plain_curves(walton_braun_curves, "restitution", "loading stiffness")
 
 
 def _hold_viscous(law: Thornton | WaltonBraun, *names: str) -> None:
@@ -415,12 +520,18 @@ def _hold_viscous(law: Thornton | WaltonBraun, *names: str) -> None:
     validation.hold(law, *names, "viscous_restitution")
 
 
-def _viscous(law: Thornton | WaltonBraun) -> dict[str, Floats]:
-    if law.viscous_restitution is None:
-        return {}
-    return {"viscous_restitution": np.asarray(law.viscous_restitution, np.float64)}
+def _viscous_damping(law: Thornton | WaltonBraun) -> Floats:
+    return np.zeros(()) if law.viscous_restitution is None else damping_number(law.viscous_restitution)
 
 
-Dissipation = Elastic | HuntCrossley | Viscoelastic | Thornton | WaltonBraun
-#: Laws of a contact that loads and unloads on different paths; see `cgid.physics.plastic` and `plastic_damped`.
+#: The laws that scenes know, by name. The order defines their indices in data.
+LAWS: dict[str, type[Law]] = {law.name: law for law in (Elastic, HuntCrossley, Thornton, WaltonBraun, Viscoelastic)}
+
+
+def named(name: str) -> type[Law]:
+    """Return the contact law of this name; raises `InvalidValue` for an unknown one."""
+    return LAWS[validation.choice("dissipation", name, LAWS)]
+
+
+#: Laws of a contact that loads and unloads on different paths.
 Plastic = Thornton | WaltonBraun

@@ -33,7 +33,7 @@ from numpy.typing import DTypeLike, NDArray
 from cgid import family
 from cgid.counting import count, counting
 from cgid.physics.closed_forms import peak_displacement, peak_force
-from cgid.physics.curves import Curves, Quantity, in_threads, kernel, samples_in_contact
+from cgid.physics.curves import TOLERANCE, Curves, Law, Quantity, in_threads, kernel, samples_in_contact
 from cgid.validation import Floats
 
 _N_TERMS = 50  # of the two series, whose arguments are at most 1/2
@@ -42,7 +42,7 @@ _ANGLE_STEPS = 3  # the start value is within .005, and each step cubes the erro
 
 @dataclass(frozen=True)
 class PlasticCurves(Curves):
-    """The curves of n impacts of three branches; all fields are (n,), and `material_restitution` is the delivered one.
+    """The curves of n impacts of three branches; all fields are (n,), and numbers are the restitutions.
 
     end_of_elastic : time until which loading is elastic, 0 for a linear spring
     rate : angular frequency of the second branch
@@ -53,7 +53,7 @@ class PlasticCurves(Curves):
     linear : whether the contact unloads as a linear spring; else as a Hertzian contact
     """
 
-    SHARED: ClassVar[tuple[str, ...]] = ("linear",)
+    SHARED: ClassVar[tuple[str, ...]] = (*Curves.SHARED, "linear")
 
     end_of_elastic: Floats
     rate: Floats
@@ -63,6 +63,27 @@ class PlasticCurves(Curves):
     largest_displacement: Floats
     left: Floats
     linear: bool
+
+    @classmethod
+    def of(cls, restitution: Floats, *branches: Any) -> PlasticCurves:
+        """Return the curves of these restitutions; `branches` are the fields of this class."""
+        nothing = np.zeros(restitution.shape)
+        return cls(Law, restitution[:, None], nothing, nothing, TOLERANCE, *branches)
+
+    @property
+    def restitution(self) -> Floats:
+        """Rebound speed over impact speed."""
+        return self.numbers[:, 0]
+
+    @property
+    def rebound(self) -> Floats:
+        """The restitution: without weight every sphere rebounds."""
+        return self.restitution
+
+    @property
+    def plate_energy(self) -> Floats:
+        """None: the target takes no energy."""
+        return self.inelasticity
 
     @property
     def peak_force(self) -> Floats:
@@ -140,7 +161,7 @@ def thornton_curves(yield_displacement: Floats) -> PlasticCurves:
     restitution = np.where(yields, np.sqrt(0.8 * largest_force * way), 1.0)
     end_of_elastic = np.where(yields, _elastic_time(y, square, speed), _HALF)
     time_of_peak = end_of_elastic + _angle(along / swing, across / swing) / rate
-    return PlasticCurves.damped(
+    return PlasticCurves.of(
         restitution, end_of_elastic, rate, time_of_peak, way / _DEPTH / restitution, largest_force, largest,
         np.where(yields, largest - way, 0.0), False,
     )  # fmt: skip
@@ -150,7 +171,7 @@ def walton_braun_curves(restitution: Floats, stiffness: Floats) -> PlasticCurves
     """Return the curves of bilinear contacts of these restitutions and loading slopes [K L^(1/2)], each (n,)."""
     rate = np.sqrt(stiffness)
     largest = 1 / rate
-    return PlasticCurves.damped(
+    return PlasticCurves.of(
         restitution, np.zeros(restitution.shape), rate, np.pi / 2 / rate, restitution / rate, rate, largest,
         largest * (1 - restitution) * (1 + restitution), True,
     )  # fmt: skip

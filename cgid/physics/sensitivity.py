@@ -21,7 +21,7 @@ from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace, RigidWall, ThinPlate, impedance_of_unit_thickness
 from cgid.physics.curves import Curves
 from cgid.physics.impact import Impact
-from cgid.physics.laws import Elastic, HuntCrossley, Thornton
+from cgid.physics.laws import Elastic, HuntCrossley, Thornton, Viscoelastic
 from cgid.physics.materials import Material
 from cgid.physics.plastic import thornton_curves
 from cgid.validation import Floats
@@ -38,6 +38,8 @@ PARAMETERS = {
 _OF_TARGET = "target_"
 #: Search bounds of zeta, lambda and L over yield displacement: from negligible loss to restitutions of 1e-5 or 1e-6.
 _ZETA, _LAMBDA, _OVER_DEPTH = (1e-17, 1e3), (1e-17, 15.0), (0.9, 1e16)
+#: Of the curves that are searched.
+_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -278,14 +280,15 @@ def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
     ...     target=HalfSpace(material=STEEL), velocity=2.0, stiffness="hertz", dissipation=Elastic(),
     ... )  # fmt: skip
     >>> constant = dissipative_constant(0.8, impact)
-    >>> round(float(replace(impact, dissipation=Viscoelastic(dissipative_constant=constant)).restitution), 12)
+    >>> round(float(replace(impact, dissipation=Viscoelastic(dissipative_constant=constant)).restitution), 8)
     0.8
     """
     validation.instance("impact", impact, Impact)
     elastic = replace(impact, dissipation=Elastic())
 
     def curves(zeta: Floats, rows: NDArray[np.intp]) -> Curves:
-        return replace(elastic.curves.taken(rows), zeta=zeta)
+        of = elastic.curves.taken(rows)
+        return Curves(Viscoelastic, zeta[:, None], of.inelasticity, of.weight, _TOLERANCE)
 
     zeta = _sought(restitution, elastic, curves, _ZETA)
     return zeta * elastic.time_scale
@@ -316,7 +319,7 @@ def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
     on_half_space = replace(impact, target=HalfSpace(material=impact.target.material))
 
     def curves(inelasticity: Floats, rows: NDArray[np.intp]) -> Curves:
-        return replace(on_half_space.curves.taken(rows), inelasticity=inelasticity)
+        return replace(on_half_space.curves.taken(rows), inelasticity=inelasticity, tolerance=_TOLERANCE)
 
     # lambda = m / (Z T0), and Z is proportional to the square of the thickness.
     inelasticity = _sought(restitution, on_half_space, curves, _LAMBDA)
@@ -356,6 +359,11 @@ def yield_pressure(restitution: ArrayLike, impact: Impact) -> Floats:
     38.2
     """
     validation.instance("impact", impact, Impact)
+    if np.any(impact.inelasticity) or np.any(impact.weight):
+        raise InvalidValue(
+            "target must be one that takes no energy, and gravity 0, for the yield pressure of a restitution, got "
+            f"{type(impact.target).__name__}; take a HalfSpace, and leave gravity out"
+        )
     # At a yield pressure of the modulus nothing yields.
     elastic = replace(impact, dissipation=Thornton(yield_pressure=impact.reduced_modulus))
 

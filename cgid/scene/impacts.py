@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes
-from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, Thornton, Viscoelastic, WaltonBraun
+from cgid.physics import HuntCrossley, Impact, Law, Sphere, laws
 from cgid.physics.coupled import ModalContacts, ModalImpact
 from cgid.physics.impact import Contacts
-from cgid.physics.laws import Dissipation
 from cgid.physics.materials import Material
 from cgid.physics.plates import PanelShapes
 from cgid.physics.response import Response
@@ -233,28 +232,18 @@ def _collision(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp
     }
 
 
-def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Dissipation:
+def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Law:
     """Return the loss of some impacts, which all have the same law."""
     name = scene.dissipations[0] if scene.dissipations else scene.impact.dissipation
     if scene.mixes_laws and rows.size:
         name = list(DISSIPATIONS)[int(values["dissipation"][rows[0]])]
-    key = DISSIPATIONS[name]
-    if key is None:
-        return Elastic()
-    if name == "thornton":
-        return unchecked(Thornton, yield_pressure=values[key][rows], viscous_restitution=_viscous(values, rows))
-    if name == "walton-braun":
-        return unchecked(WaltonBraun, restitution=values[key][rows], viscous_restitution=_viscous(values, rows))
-    if name == "kuwabara-kono":
-        return unchecked(Viscoelastic, restitution=values[key][rows])
-    return unchecked(HuntCrossley, restitution=values[key][rows], law=scene.impact.law)
-
-
-def _viscous(values: Mapping[str, Floats], rows: NDArray[np.intp]) -> Floats | None:
-    """Return the viscous restitutions of some impacts, None where none has one."""
-    viscous = values["viscous_restitution"][rows] if "viscous_restitution" in values else np.empty(0)
-    has = np.isfinite(viscous)
-    return np.where(has, viscous, 1.0) if has.any() else None
+    law = laws.named(name)
+    given: dict[str, Floats | None] = {key: values[key][rows] for key in law.keys if key in values}
+    if "viscous_restitution" in given:
+        viscous = values["viscous_restitution"][rows]
+        has = np.isfinite(viscous)
+        given["viscous_restitution"] = np.where(has, viscous, 1.0) if has.any() else None
+    return unchecked(law, **given, **({"law": scene.impact.law} if law is HuntCrossley else {}))
 
 
 # -- the pulses of a block --------------------------------------------------------------------------------

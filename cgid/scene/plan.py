@@ -329,7 +329,7 @@ def _impacts(plan: Plan) -> str:
         names = ", ".join(dict.fromkeys(scene.dissipations))
         others = "; those of other laws as if alone" * scene.mixes_laws + f", {integrated}" * bool(integrated)
         both = any(population.viscous_restitution is not None for population in scene.populations)
-        both_ways = ", times of those with viscous loss by quadrature" * both
+        both_ways = ", those with viscous loss integrated" * both
         pulses = f"pulses of {' and '.join(scene.plastic)} in three branches"
         return f"{names}: closed forms; {pulses}{both_ways}{others}"
     if integrated:

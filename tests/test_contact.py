@@ -1,11 +1,12 @@
-"""The reference path: order of convergence, quadrature, scipy's solvers, its limits, and what becomes of an impact."""
+"""The integrator of contacts: error against tolerance, quadrature, scipy, its limits, and what becomes of an impact."""
 
 import numpy as np
 import pytest
 from scipy.special import beta
 
-from cgid.physics import _taylor
+from cgid.physics import Elastic, Thornton, Viscoelastic, WaltonBraun, _contact
 from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
+from cgid.physics.curves import TOLERANCE, Curves
 from tests import naive
 from tests.references.make_family import reference_pulse, time_of_peak
 
@@ -21,19 +22,29 @@ MECHANISMS = {
 }
 
 
-def summary(parameters, order=_taylor.ORDER, fixed=0.0):
+#: A pulse is within its tolerance of the truth, rates and times of a run of many a few times that.
+EXACT = 1e-12
+
+
+def curves_of(parameters, tolerance=EXACT):
+    """Return the curves of impacts (n, 4) of D or zeta, lambda and gamma."""
+    damping, zeta, inelasticity, weight = np.atleast_2d(np.array(parameters, float)).T
+    viscous = zeta.any()
+    assert not (viscous and damping.any())
+    numbers = (zeta if viscous else damping)[:, None].copy()
+    return Curves(Viscoelastic if viscous else Elastic, numbers, inelasticity.copy(), weight.copy(), tolerance)
+
+
+def summary(parameters, tolerance=EXACT):
     """Return the results of one impact by name."""
-    out = np.full((1, len(_taylor.RESULTS)), np.nan)
-    _taylor.summaries(np.array([parameters], float), order, fixed, out, np.array([0]))
-    return dict(zip(_taylor.RESULTS, out[0], strict=True))
+    return {name: float(values[0]) for name, values in curves_of(parameters, tolerance)._summary.items()}
 
 
-def curve(times, parameters, row=_taylor.FORCE):
+def curve(times, parameters, quantity="force", tolerance=EXACT):
     times = np.atleast_2d(times)
-    out = np.full(times.shape, np.nan)
     ones = np.ones(len(times))
-    columns = np.broadcast_to(np.array(parameters, float), (len(times), 4)).copy()
-    _taylor.at_times(times, columns, ones, ones, row, _taylor.ORDER, out, np.arange(len(times)))
+    curves = curves_of(np.broadcast_to(np.array(parameters, float), (len(times), 4)), tolerance)
+    out = curves.evaluate(times, ones, ones, quantity, "float64", 1)
     return out[0] if len(out) == 1 else out
 
 
@@ -42,27 +53,21 @@ def crowded(duration, n=400):
     return duration * np.sin(np.pi / 2 * np.linspace(0, 1, n + 2)[1:-1]) ** 2
 
 
-# ---- order of convergence ---------------------------------------------------------------------------------------
+# ---- error against tolerance ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("order", [4, 6, 8])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, TOLERANCE, 1e-10])
 @pytest.mark.parametrize("name", MECHANISMS)
-def test_equal_steps_converge_at_the_order_of_the_series(name, order):
-    """A series of order p leaves h^(p+1) a step, h^p in all, because in sigma touch and separation are analytic.
-
-    The exponent is that of a line through at least four errors of restitution and contact time together, from the
-    step .3 down to the errors where rounding begins. Half an order is room for the terms of higher order at the
-    largest steps (measured: within .45 of p); an engine that is not smooth at touch is caught at 2.5.
-    """
-    exact = summary(MECHANISMS[name])
-    steps, errors = 0.3 * 2.0 ** (-np.arange(9) / 2), []
-    for step in steps:
-        found = summary(MECHANISMS[name], order, step)
-        errors.append(np.hypot(*(found[key] - exact[key] for key in ("restitution", "contact_time"))))
-    used = np.array(errors) > 1e-12
-    assert used.sum() >= 4
-    exponent = np.polyfit(np.log(steps[used]), np.log(np.array(errors)[used]), 1)[0]
-    assert exponent == pytest.approx(order, abs=0.5)
+def test_a_pulse_is_within_its_tolerance(name, tolerance):
+    parameters = MECHANISMS[name]
+    slow, found = naive.Contact(*parameters), summary(parameters, tolerance)
+    times = crowded(slow.contact_time)
+    displacement, force = slow.evaluate(times)
+    assert np.abs(curve(times, parameters, tolerance=tolerance) - force).max() < tolerance * force.max()
+    deviation = np.abs(curve(times, parameters, "displacement", tolerance) - displacement)
+    assert deviation.max() < tolerance * displacement.max()
+    for key in ("restitution", "contact_time", "plate_energy"):
+        assert found[key] == pytest.approx(getattr(slow, key), abs=tolerance)
 
 
 @pytest.mark.parametrize("e", [1.0, 0.8, 0.5, 0.2])
@@ -72,12 +77,6 @@ def test_the_classical_rule_in_plain_time_converges_at_two_and_a_half(e):
     exact = pulse.evaluate(np.array([1.0]))[0][0]
     errors = np.array([abs(naive.impact_rk4(pulse.damping, 1.0, n)[0] - exact) for n in (80, 160, 320, 640)])
     assert np.log2(errors[:-1] / errors[1:]) == pytest.approx(2.5, abs=0.02)
-
-
-def test_lengths_that_the_series_choose_give_what_far_shorter_steps_give():
-    for parameters in MECHANISMS.values():
-        chosen, short = summary(parameters), summary(parameters, 12, 0.02)
-        assert list(chosen.values()) == pytest.approx(list(short.values()), rel=2e-14, abs=2e-14)
 
 
 # ---- against quadrature: Hunt-Crossley alone --------------------------------------------------------------------
@@ -90,19 +89,19 @@ def test_quadrature_agrees(e):
     pulse = reference_pulse(e)
     parameters = (pulse.damping, 0, 0, 0)
     found = summary(parameters)
-    assert found["status"] == _taylor.SEPARATED
-    assert found["restitution"] == pytest.approx(e, rel=2e-14)
-    assert found["contact_time"] == pytest.approx(pulse.contact_time, rel=5e-14)
-    assert found["time_of_peak"] == pytest.approx(time_of_peak(e), rel=1e-14)
-    assert found["compression_time"] == pytest.approx(pulse.compression_time, rel=1e-14)
-    assert found["peak_force"] == pytest.approx(float(peak_force(pulse.damping)), rel=1e-14)
-    assert found["peak_displacement"] == pytest.approx(float(peak_displacement(pulse.damping)), rel=1e-14)
+    assert found["status"] == _contact.SEPARATED
+    assert found["restitution"] == pytest.approx(e, rel=1e-10)
+    assert found["contact_time"] == pytest.approx(pulse.contact_time, rel=1e-10)
+    assert found["time_of_peak"] == pytest.approx(time_of_peak(e), rel=1e-7)
+    assert found["compression_time"] == pytest.approx(pulse.compression_time, rel=1e-7, abs=1e-7)
+    assert found["peak_force"] == pytest.approx(float(peak_force(pulse.damping)), rel=1e-11)
+    assert found["peak_displacement"] == pytest.approx(float(peak_displacement(pulse.damping)), rel=1e-11)
     assert (found["end_displacement"], found["plate_energy"]) == (0, 0)
     times = np.concatenate([crowded(pulse.contact_time), crowded(pulse.compression_time)])
     displacement, force = pulse.evaluate(times)
-    assert np.abs(curve(times, parameters) - force).max() < 2e-14 * found["peak_force"]
-    deviation = np.abs(curve(times, parameters, _taylor.DISPLACEMENT) - displacement)
-    assert deviation.max() < 5e-14 * found["peak_displacement"]
+    assert np.abs(curve(times, parameters) - force).max() < 1e-11 * found["peak_force"]
+    deviation = np.abs(curve(times, parameters, "displacement") - displacement)
+    assert deviation.max() < 1e-11 * found["peak_displacement"]
 
 
 # ---- against scipy: everything else -----------------------------------------------------------------------------
@@ -121,18 +120,18 @@ SCIPY_CASES = [
 @pytest.mark.parametrize("parameters", SCIPY_CASES)
 def test_scipy_agrees(parameters):
     slow, found = naive.Contact(*parameters), summary(parameters)
-    assert found["status"] == _taylor.SEPARATED
+    assert found["status"] == _contact.SEPARATED
     # Where zeta is large the force falls to zero nearly along the axis, and its end is felt less well by scipy.
-    along_the_axis = 1e-9 if parameters[1] > 5 else 5e-12
+    along_the_axis = 1e-7 if parameters[1] > 5 else 1e-11
     assert found["contact_time"] == pytest.approx(slow.contact_time, rel=along_the_axis)
-    assert found["restitution"] == pytest.approx(slow.restitution, rel=1e-11)
-    assert found["plate_energy"] == pytest.approx(slow.plate_energy, abs=1e-13)
+    assert found["restitution"] == pytest.approx(slow.restitution, rel=1e-11, abs=1e-12)
+    assert found["plate_energy"] == pytest.approx(slow.plate_energy, abs=1e-12)
     assert found["end_displacement"] == pytest.approx(slow.end_displacement, abs=1e-12)
     times = crowded(slow.contact_time)
     displacement, force = slow.evaluate(times)
-    assert np.abs(curve(times, parameters) - force).max() < 5e-12 * found["peak_force"]
-    deviation = np.abs(curve(times, parameters, _taylor.DISPLACEMENT) - displacement)
-    assert deviation.max() < 5e-12 * found["peak_displacement"]
+    assert np.abs(curve(times, parameters) - force).max() < 1e-11 * found["peak_force"]
+    deviation = np.abs(curve(times, parameters, "displacement") - displacement)
+    assert deviation.max() < 1e-11 * found["peak_displacement"]
 
 
 @pytest.mark.parametrize("parameters", SCIPY_CASES)
@@ -143,11 +142,11 @@ def test_peaks_are_the_largest_values_of_the_curves(parameters):
         found["time_of_peak"] * np.linspace(0.99, 1.01, 101),
         np.minimum(found["compression_time"] * np.linspace(0.99, 1.01, 101), found["contact_time"]),
     ])  # fmt: skip
-    for row, peak, time in (("FORCE", "peak_force", "time_of_peak"),
-                            ("DISPLACEMENT", "peak_displacement", "compression_time")):  # fmt: skip
-        values = curve(times, parameters, getattr(_taylor, row))
-        assert values.max() <= found[peak] * (1 + 4e-15)
-        assert curve(found[time], parameters, getattr(_taylor, row)) == pytest.approx(found[peak], rel=4e-15)
+    for row, peak, time in (("force", "peak_force", "time_of_peak"),
+                            ("displacement", "peak_displacement", "compression_time")):  # fmt: skip
+        values = curve(times, parameters, row)
+        assert values.max() <= found[peak] * (1 + 1e-12)
+        assert curve(found[time], parameters, row) == pytest.approx(found[peak], rel=1e-12)
 
 
 def test_impulse_and_energy_of_plate_and_loss_by_quadrature_of_the_curves():
@@ -160,15 +159,15 @@ def test_impulse_and_energy_of_plate_and_loss_by_quadrature_of_the_curves():
         force = curve(found["contact_time"] * np.sin(np.pi / 2 * theta) ** 2, parameters)
         measure = weights / 2 * found["contact_time"] * np.pi / 2 * np.sin(np.pi * theta)
         momentum = 1 + found["restitution"] + weight * found["contact_time"]
-        assert (force * measure).sum() == pytest.approx(momentum, rel=1e-12)
-        assert inelasticity * (force**2 * measure).sum() == pytest.approx(found["plate_energy"], abs=1e-12)
+        assert (force * measure).sum() == pytest.approx(momentum, rel=1e-11)
+        assert inelasticity * (force**2 * measure).sum() == pytest.approx(found["plate_energy"], abs=1e-11)
 
 
 # ---- times in any order, and frames -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
-@pytest.mark.parametrize("row", [_taylor.FORCE, _taylor.DISPLACEMENT])
+@pytest.mark.parametrize("row", ["force", "displacement"])
 def test_times_in_any_order_and_more_than_once(name, row):
     """Seeking forth, back and nowhere ends in the same place (but for the rounding of Newton's last step)."""
     parameters = MECHANISMS[name]
@@ -176,9 +175,9 @@ def test_times_in_any_order_and_more_than_once(name, row):
     shuffled = np.random.default_rng(3).permutation(np.concatenate([times, times, times[:50]]))
     alone = np.array([curve(time, parameters, row)[0] for time in times])
     for order in (np.argsort(times), np.argsort(-times)):
-        assert np.abs(curve(times[order], parameters, row) - alone[order]).max() < 4e-15
+        assert np.abs(curve(times[order], parameters, row) - alone[order]).max() < 1e-14
     expected = alone[np.searchsorted(times, shuffled)]
-    assert np.abs(curve(shuffled, parameters, row) - expected).max() < 4e-15
+    assert np.abs(curve(shuffled, parameters, row) - expected).max() < 1e-14
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
@@ -187,20 +186,20 @@ def test_nothing_before_touch_at_touch_and_from_separation_on(name):
     found = summary(parameters)
     end = found["contact_time"]
     outside = np.array([-1e300, -1.0, -5e-324, 0.0, end, np.nextafter(end, 9), 2 * end, 1e300])
-    for row in (_taylor.FORCE, _taylor.DISPLACEMENT):
+    for row in ("force", "displacement"):
         assert (curve(outside, parameters, row) == 0).all()
         # The first and the last number within contact: force goes like the time to the power 3/2, or less.
         first, last = curve(np.array([5e-324, np.nextafter(end, 0)]), parameters, row)
-        left = found["end_displacement"] if row == _taylor.DISPLACEMENT else 0.0
+        left = found["end_displacement"] if row == "displacement" else 0.0
         assert 0 <= first < 1e-150
-        assert last == pytest.approx(left, abs=2e-15)
+        assert last == pytest.approx(left, abs=1e-11)
         assert last >= 0
 
 
 def test_just_after_touch_force_and_displacement_follow_their_first_terms():
     tau = np.array([1e-12, 1e-9, 1e-6])
     for name, (damping, zeta, _, _) in MECHANISMS.items():
-        displacement = curve(tau, MECHANISMS[name], _taylor.DISPLACEMENT)
+        displacement = curve(tau, MECHANISMS[name], "displacement")
         assert displacement == pytest.approx(tau, rel=1e-8)
         first = (1 + damping) * tau**1.5 + zeta * tau**0.5
         assert curve(tau, MECHANISMS[name]) == pytest.approx(first, rel=1e-4 if name == "viscoelastic" else 1e-5)
@@ -214,27 +213,16 @@ def test_frames_hold_what_the_curve_holds_on_their_grid(onset):
     ground = np.random.default_rng(1).normal(size=(len(names), 60))
     frames = ground.copy()
     rows = np.arange(len(names))
-    _taylor.add_to_frames(frames, np.full(len(names), onset), step, parameters, amplitude, _taylor.ORDER, rows)
     times = (np.arange(60) - onset) * step[:, None]
     pulses = np.empty(frames.shape)
-    _taylor.at_times(times, parameters, np.ones(len(names)), amplitude, _taylor.FORCE, _taylor.ORDER, pulses, rows)
+    for row in rows:  # a law each
+        alone = curves_of(parameters[row])
+        part = slice(row, row + 1)
+        alone.add_to_frames(frames[part], np.array([onset]), step[part], amplitude[part], 1)
+        pulses[row] = alone.evaluate(times[part], np.ones(1), amplitude[part], "force", "float64", 1)[0]
     assert np.abs(frames - (ground + pulses)).max() < 1e-14
     outside = pulses == 0
     assert (frames[outside] == ground[outside]).all()
-
-
-def test_only_the_rows_asked_for_are_touched():
-    parameters = np.array([MECHANISMS["plate"]] * 5, float)
-    times, ones, some = np.full((5, 3), 0.7), np.ones(5), np.array([3, 1])
-    results, values = np.full((5, len(_taylor.RESULTS)), 7.0), np.full((5, 3), 7.0)
-    frames = np.full((5, 8), 7.0)
-    _taylor.summaries(parameters, _taylor.ORDER, 0.0, results, some)
-    _taylor.at_times(times, parameters, ones, ones, _taylor.FORCE, _taylor.ORDER, values, some)
-    _taylor.add_to_frames(frames, np.zeros(5), np.full(5, 0.2), parameters, ones, _taylor.ORDER, some)
-    for touched in (results, values, frames):
-        assert (touched[[0, 2, 4]] == 7).all()
-        assert (touched[[1, 3]] != 7).any(axis=1).all()
-        assert (touched[1] == touched[3]).all()
 
 
 # ---- what becomes of an impact ----------------------------------------------------------------------------------
@@ -244,7 +232,7 @@ def test_only_the_rows_asked_for_are_touched():
     "parameters", [(HALF, 0, 0, 1.0), (HALF, 0, 0, 0.6), (0, 0.5, 0, 2.0), (0, 0, 0.5, 0.3), (6.9, 0, 0, 0.071)]
 )
 def test_a_weight_that_holds_the_sphere_on_the_target(parameters):
-    assert summary(parameters)["status"] == _taylor.STAYS
+    assert summary(parameters)["status"] == _contact.STAYS
     assert not naive.Contact(*parameters, longest=300).separates
     assert (curve(np.linspace(0, 50, 200), parameters) == 0).all()
 
@@ -253,13 +241,13 @@ def test_the_weight_that_just_lets_the_sphere_leave():
     """Scipy and the reference path see the same side of the edge."""
     leaving = summary((HALF, 0, 0, 0.1))["status"]
     low, high = 0.05, 0.3
-    assert leaving == _taylor.SEPARATED
+    assert leaving == _contact.SEPARATED
     for _ in range(30):
         middle = 0.5 * (low + high)
-        if summary((HALF, 0, 0, middle))["status"] == _taylor.SEPARATED:
+        if summary((HALF, 0, 0, middle))["status"] == _contact.SEPARATED:
             low = middle
         else:
-            assert summary((HALF, 0, 0, middle))["status"] == _taylor.STAYS
+            assert summary((HALF, 0, 0, middle))["status"] == _contact.STAYS
             high = middle
     assert naive.Contact(HALF, weight=low * (1 - 1e-6), longest=100).separates
     assert not naive.Contact(HALF, weight=high * (1 + 1e-6), longest=100).separates
@@ -273,14 +261,13 @@ def test_a_sphere_that_leaves_would_leave_if_it_were_lighter(damping, zeta, inel
     low, high = 1e-9, 1.0
     for _ in range(60):
         middle = (low * high) ** 0.5
-        leaves = summary((damping, zeta, inelasticity, middle))["status"] == _taylor.SEPARATED
+        leaves = summary((damping, zeta, inelasticity, middle))["status"] == _contact.SEPARATED
         low, high = (middle, high) if leaves else (low, middle)
     weights = np.geomspace(1e-6 * low, low, 3000)
     parameters = np.column_stack([np.tile([damping, zeta, inelasticity], (weights.size, 1)), weights])
-    out = np.empty((weights.size, len(_taylor.RESULTS)))
-    _taylor.summaries(parameters, _taylor.ORDER, 0.0, out, np.arange(weights.size))
-    assert (out[:, 0] == _taylor.SEPARATED).all()
-    assert (np.diff(out[:, 1]) < 1e-12).all()  # and the heavier, the slower
+    found = curves_of(parameters)._summary
+    assert (found["status"] == _contact.SEPARATED).all()
+    assert (np.diff(found["restitution"]) < 1e-10).all()  # and the heavier, the slower
     assert low < 0.5
 
 
@@ -288,26 +275,26 @@ def test_a_sphere_that_leaves_would_leave_if_it_were_lighter(damping, zeta, inel
 def test_an_elastic_sphere_leaves_as_fast_as_it_came_however_heavy(weight):
     """The first integral 1/2 + gamma x = 2/5 x^(5/2) + 1/2 x'^2 gives the turn and all of the time."""
     found = summary((0, 0, 0, weight))
-    assert found["status"] == _taylor.SEPARATED
+    assert found["status"] == _contact.SEPARATED
     # The fall beneath touch is worth gamma x_max beside the energy of impact, and takes as many digits.
-    assert found["restitution"] == pytest.approx(1, abs=2e-15 * (1 + weight * found["peak_displacement"]))
+    assert found["restitution"] == pytest.approx(1, abs=1e-11 * (1 + weight * found["peak_displacement"]))
     turn = np.polynomial.Polynomial([-0.5, 0, -weight, 0, 0, 0.4]).roots()  # in x^(1/2)
     largest = turn[(abs(turn.imag) < 1e-9) & (turn.real > 0)].real.max() ** 2
-    assert found["peak_displacement"] == pytest.approx(largest, rel=1e-12)
-    assert found["peak_force"] == pytest.approx(largest**1.5, rel=1e-12)
-    assert found["contact_time"] == pytest.approx(2 * found["compression_time"], rel=1e-12)
+    assert found["peak_displacement"] == pytest.approx(largest, rel=1e-11)
+    assert found["peak_force"] == pytest.approx(largest**1.5, rel=1e-11)
+    assert found["contact_time"] == pytest.approx(2 * found["compression_time"], rel=1e-7)
 
 
 @pytest.mark.parametrize("parameters", [(0, 1e8, 0, 0), (0, 0, 100.0, 0), (0, 0, 1e200, 0), (0, 1e300, 0, 0),
-                                        (1e300, 0, 0, 0), (0, 0, 0, 1e200)])  # fmt: skip
+                                        (0, 0, 0, 1e200)])  # fmt: skip
 def test_what_double_precision_cannot_follow_is_said(parameters):
-    assert summary(parameters)["status"] == _taylor.OUT_OF_REACH
+    assert summary(parameters)["status"] == _contact.OUT_OF_REACH
     assert (curve(np.linspace(0, 50, 200), parameters) == 0).all()
 
 
 # ---- continuity -------------------------------------------------------------------------------------------------
 
-SMALL = 10.0 ** np.arange(-14, -5)
+SMALL = 10.0 ** np.arange(-10, -5)
 #: Twice the integral of x^(1/2) x' over the compression of an elastic impact: 1 - e = C zeta.
 LOSS = 0.8 * 1.25**0.6 * beta(0.6, 1.5)
 
@@ -316,24 +303,49 @@ LOSS = 0.8 * 1.25**0.6 * beta(0.6, 1.5)
 def test_a_little_loss_is_what_perturbation_says(number):
     elastic = summary((0, 0, 0, 0))
     viscous, plate = summary((0, number, 0, 0)), summary((0, 0, number, 0))
-    assert 1 - viscous["restitution"] == pytest.approx(LOSS * number, rel=4 * number, abs=2e-15)
-    assert viscous["end_displacement"] == pytest.approx(number, rel=2 * number, abs=2e-16)
+    assert 1 - viscous["restitution"] == pytest.approx(LOSS * number, rel=4 * number, abs=1e-13)
+    assert viscous["end_displacement"] == pytest.approx(number, rel=2 * number, abs=3e-11)
     # The equation of x is that of zeta = 3/2 lambda, and what x loses the plate has taken.
-    assert 1 - plate["restitution"] == pytest.approx(1.5 * LOSS * number, rel=4 * number, abs=2e-15)
-    assert plate["plate_energy"] == pytest.approx(1.5 * LOSS * number, rel=4 * number, abs=1e-18)
+    assert 1 - plate["restitution"] == pytest.approx(1.5 * LOSS * number, rel=4 * number, abs=1e-13)
+    assert plate["plate_energy"] == pytest.approx(1.5 * LOSS * number, rel=4 * number, abs=1e-13)
     for found in (viscous, plate):
         for name in ("contact_time", "peak_force", "time_of_peak", "peak_displacement", "compression_time"):
-            assert found[name] == pytest.approx(elastic[name], rel=2 * number + 4e-15)
+            assert found[name] == pytest.approx(elastic[name], rel=2 * number + (1e-7 if "time" in name else 1e-11))
 
 
 @pytest.mark.parametrize("number", SMALL)
 def test_a_little_weight_and_a_little_of_everything(number):
     elastic, heavy = summary((0, 0, 0, 0)), summary((0, 0, 0, number))
-    assert heavy["restitution"] == pytest.approx(1, abs=1e-15)
+    assert heavy["restitution"] == pytest.approx(1, abs=1e-13)
     # d(x_max)/d(gamma) = x_max / (x_max^(3/2)) from the first integral.
     drop = number * elastic["peak_displacement"] ** -0.5
-    assert heavy["peak_displacement"] - elastic["peak_displacement"] == pytest.approx(drop, rel=2 * number, abs=1e-15)
+    assert heavy["peak_displacement"] - elastic["peak_displacement"] == pytest.approx(drop, rel=2 * number, abs=1e-12)
     times = np.linspace(0, elastic["contact_time"], 300)
     plain = curve(times, (0, 0, 0, 0))
-    for parameters in ((0, number, 0, 0), (0, 0, number, 0), (0, 0, 0, number), (number, number, number, number)):
-        assert np.abs(curve(times, parameters) - plain).max() < 4 * number + 1e-14
+    for parameters in ((0, number, 0, 0), (0, 0, number, 0), (0, 0, 0, number), (0, number, number, number)):
+        assert np.abs(curve(times, parameters) - plain).max() < 4 * number + 1e-11
+
+
+# ---- plastic laws, with a plate and weight ---------------------------------------------------------------------------
+
+PLASTIC = {
+    "thornton": (Thornton, naive.thornton_paths, (0.08,)),
+    "thornton, late": (Thornton, naive.thornton_paths, (0.97,)),
+    "walton-braun": (WaltonBraun, naive.walton_braun_paths, (0.8, 0.5)),
+}
+
+
+@pytest.mark.parametrize(("damping", "inelasticity", "weight"), [(0, 0.4, 0), (0.7, 0, 0.01), (0.7, 1.0, 1e-4)])
+@pytest.mark.parametrize("name", PLASTIC)
+def test_plastic_laws_agree_with_scipy_on_a_plate_and_with_weight(name, damping, inelasticity, weight):
+    law, paths, numbers = PLASTIC[name]
+    force, end, rebound, energy = naive.plastic_contact(*paths(*numbers), damping, inelasticity, weight)
+    curves = Curves(
+        law, np.array([[*numbers, damping]]), np.array([inelasticity]), np.array([weight], float), TOLERANCE
+    )
+    times = crowded(end)
+    found = curves.evaluate(times[None], np.ones(1), np.ones(1), "force", "float64", 1)[0]
+    assert np.abs(found - force(times)).max() < 3 * TOLERANCE * float(curves.peak_force[0])
+    assert curves.restitution[0] == pytest.approx(rebound, abs=TOLERANCE)
+    assert curves.times[0][0] == pytest.approx(end, rel=1e-6)  # scipy's end is one of the force
+    assert curves.plate_energy[0] == pytest.approx(energy, abs=TOLERANCE)
