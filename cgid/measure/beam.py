@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cgid import validation
 from cgid.errors import BadData
-from cgid.measure.modes import CORRECTED, Modes, NodeShapes, lagrange
+from cgid.measure.modes import CORRECTED, Modes, NodeShapes, lagrange, phi, residues
 from cgid.validation import Floats
 
 #: Places of an average over the error of a frequency.
@@ -288,12 +288,6 @@ def filtered(beam: Beam, forces: Floats) -> Floats:
     return np.asarray(np.fft.irfft(spectrum, axis=-1)[..., :n_points])
 
 
-def _second(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return `(exp(z) - 1 - z) / z^2`, by its series where the terms would cancel."""
-    series = np.polynomial.polynomial.polyval(z, 1 / np.cumprod(np.arange(2.0, 11.0) * 1.0))
-    return np.where(np.abs(z) < 0.1, series, (np.expm1(z) - z) / z**2)
-
-
 def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
     """Return the response of every mode to forces (n_forces, n_points) at samples, (n_modes, n_forces, n_samples).
 
@@ -303,13 +297,13 @@ def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
     pole, step = beam.poles, 1 / (FINE * beam.sampling_rate)
     z = pole * step
     grown = np.exp(z)
-    late = step * _second(z)
-    early = step * np.expm1(z) / z - late
+    first, second = phi(z)
+    late, early = step * second, step * (first - second)
     powers = grown[:, None] ** np.arange(FINE - 1, -1, -1)
     points = np.zeros((len(pole), FINE + 1), complex)
     points[:, :FINE] += powers * early[:, None]
     points[:, 1:] += powers * late[:, None]
-    amplitude = pole**beam.derivatives / (1j * pole.imag)
+    amplitude = residues(pole, beam.derivatives)
     over_a_sample = grown**FINE
     state = np.zeros((len(pole), len(forces)), complex)
     out = np.empty((len(pole), len(forces), n_samples))

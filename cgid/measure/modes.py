@@ -208,6 +208,27 @@ def resonator_poles(frequency: ArrayLike, damping_ratio: ArrayLike) -> Complex:
     return np.asarray(angular * (-ratio + 1j * np.sqrt((1 - ratio) * (1 + ratio))))
 
 
+def residues(poles: Complex, derivatives: int) -> Complex:
+    """Return by what the states of poles are multiplied, `x' = s x + F`, so that the real part is a motion.
+
+    It is the displacement, velocity or acceleration for 0, 1 or 2 derivatives, of a shape of 1 at impact and sensor.
+    """
+    return np.asarray(poles**derivatives / (1j * poles.imag))
+
+
+def phi(x: Complex) -> tuple[Complex, Complex]:
+    """Return (e^x - 1) / x and (e^x - 1 - x) / x^2, by series for small x, where these would cancel."""
+    small = np.abs(x) < 0.5
+    safe = np.where(small, 1.0, x)
+    grown = np.exp(safe) - 1
+    first, second = np.ones_like(x), np.full_like(x, 0.5)
+    term = np.ones_like(x)
+    for n in range(2, 20):
+        term = term * np.where(small, x, 0.0) / n
+        first, second = first + term, second + term / (n + 1)
+    return np.where(small, first, grown / safe), np.where(small, second, (grown / safe - 1) / safe)
+
+
 # -- shapes at nodes -----------------------------------------------------------------------------------------------
 
 

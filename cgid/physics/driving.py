@@ -10,6 +10,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
+from cgid.measure.modes import phi
 from cgid.validation import Complex, Floats
 
 #: Steps per contact for an error of 1 (see `steps_for`), fewest steps per contact, most steps per sample.
@@ -51,7 +52,7 @@ class DrivenSample:
     def __init__(self, poles: Complex, sampling_rate: float, stride: int, n_polynomials: int) -> None:
         h = 1 / (sampling_rate * stride)
         # g0 = h (phi1 - phi2), g1 = h phi2 with phi1 = (e^x - 1) / x, phi2 = (e^x - 1 - x) / x^2.
-        phi1, phi2 = _phi(poles * h)
+        phi1, phi2 = phi(poles * h)
         edge = h * phi2
         drive = h * (phi1 - phi2) + np.exp(poles * h) * edge
         self.polynomials = np.zeros((stride, n_polynomials))
@@ -97,19 +98,6 @@ def polynomials_for(phase: float, tolerance: float) -> int:
     size = (2 * n + 1) * _bessel(np.array([phase / 2 + 0j]), n.size)[:, 0].real
     quiet = np.flatnonzero(size[2:] < 1e-2 * tolerance)
     return 2 + int(quiet[0]) if quiet.size else n.size
-
-
-def _phi(x: Complex) -> tuple[Complex, Complex]:
-    """Return (e^x - 1) / x and (e^x - 1 - x) / x^2, by series for small x, where these would cancel."""
-    small = np.abs(x) < 0.5
-    safe = np.where(small, 1.0, x)
-    grown = np.exp(safe) - 1
-    first, second = np.ones_like(x), np.full_like(x, 0.5)
-    term = np.ones_like(x)
-    for n in range(2, 20):
-        term = term * np.where(small, x, 0.0) / n
-        first, second = first + term, second + term / (n + 1)
-    return np.where(small, first, grown / safe), np.where(small, second, (grown / safe - 1) / safe)
 
 
 class Windows:

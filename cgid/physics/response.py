@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from cgid import validation
 from cgid.counting import count
 from cgid.errors import InvalidValue
-from cgid.measure.modes import Modes, resonator_poles
+from cgid.measure.modes import Modes, residues, resonator_poles
 from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
 from cgid.validation import Complex, Floats
@@ -174,10 +174,10 @@ class Response:
         k = DERIVATIVES[self.quantity]
         w, zeta = 2 * np.pi * self.modes.frequency, self.modes.damping_ratio
         own = self.modes.poles
-        at_modes = _power(own, k) / (2j * own.imag) * self._filtered(own)
+        at_modes = residues(own, k) / 2 * self._filtered(own)
         s = self._filter_poles[None, :]
-        beam = _power(s, 2) + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
-        at_filters = after[None] * _power(s, k) / beam
+        beam = s**2 + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
+        at_filters = after[None] * s**k / beam
         return fold[: self.n_modes] * at_modes, fold[None, self.n_modes :] * at_filters
 
     @cached_property
@@ -346,8 +346,3 @@ class Response:
         if stride not in self._kept:
             self._kept[stride] = DrivenSample(self.poles, self.sampling_rate, stride, self._n_polynomials)
         return self._kept[stride]
-
-
-def _power(x: Complex, k: int) -> Complex:
-    """Return x^k for k = 0, 1 or 2."""
-    return np.ones_like(x) if k == 0 else x if k == 1 else x * x

@@ -19,7 +19,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, read_cells, write_whole
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
-from cgid.measure.modes import Modes, text_of_table
+from cgid.measure.modes import Modes, residues, text_of_table
 from cgid.physics.response import DERIVATIVES
 from cgid.site.poles import Complexes, Poles, poles_of
 from cgid.terminal import counted
@@ -416,7 +416,7 @@ def _participation(
     """Return the participations at the first sensor and the standard deviations of their logarithms, (n_modes,)."""
     n_taps, pole = len(taps), poles.pole
     # Of q'' + 2 z w q' + w^2 q = p f: the decay is p Re(s^d F(s) exp(s t) / (j Im s)).
-    unit = pole**derivatives / (1j * pole.imag)
+    unit = residues(pole, derivatives)
     amplitude = poles.amplitude[:n_taps] / unit
     noise, shared = poles.amplitude_deviation[:, :n_taps] / np.abs(unit)
     if force is None or hits is None:
