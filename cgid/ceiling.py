@@ -214,17 +214,7 @@ def require_supported(scene: Scene) -> None:
 
 
 def uncovered(scene: Scene) -> str:
-    """Return what the integration needs that a scene does not have.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    str
-        Empty if it covers the scene.
-    """
+    """Return what the integration needs that a scene does not have."""
     sensor = scene.sensor
     if sensor.coloured or scene.background is not None or sensor.offset or sensor.drift:
         return "white noise alone: take noise_exponent, noise_spectrum, [background], offset and drift out"
@@ -263,17 +253,7 @@ def uncovered_pulses(scene: Scene, *, noisy: bool) -> str:
 
 
 def untrusted(scene: Scene) -> str:
-    """Return why Laplace's approximation fails in a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    str
-        Empty if it holds.
-    """
+    """Return why Laplace's approximation fails in a scene."""
     sampled = [one.parameters for one in draws(scene, 0, _BLOCKS)]
     peak, duration = (np.concatenate([d[name] for d in sampled]) for name in ("peak_force", "contact_duration"))
     rate = scene.sampling.sampling_rate

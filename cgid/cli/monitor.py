@@ -71,10 +71,7 @@ class Inbox:
     An exception of `blocks` is raised again for the consumer, after the blocks before it. If more than `max_waiting`
     bytes wait, reading stops and the source has to wait.
 
-    Attributes
-    ----------
-    n_taken : samples of each channel that the consumer has taken
-    is_held_up : whether the stream ever had to wait
+    `n_taken`: samples of each channel that the consumer has taken; `is_held_up`: whether the stream ever had to wait.
     """
 
     def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, max_waiting: int = MAX_WAITING) -> None:

@@ -42,48 +42,24 @@ LEAST_SCATTER = 0.035
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreamAnswers:
-    """What was heard of a recording with known rocks.
+    """What was heard of a recording with known rocks."""
 
-    Attributes
-    ----------
-    logits : ndarray, (n,)
-        Of the probability of the second label; nan for unknown impacts.
-    second : ndarray of bool, (n,)
-        Whether the rock has the second label.
-    time : ndarray, (n,) [s]
-    n_rocks : (int, int)
-        Rocks of both labels.
-    share : float
-        Of the second label among the rocks that may come.
-    """
-
-    logits: Floats
-    second: NDArray[np.bool_]
-    time: Floats
-    n_rocks: tuple[int, int]
-    share: float
+    logits: Floats  # (n,) of the probability of the second label; nan for unknown impacts
+    second: NDArray[np.bool_]  # (n,) whether the rock has the second label
+    time: Floats  # (n,) [s]
+    n_rocks: tuple[int, int]  # rocks of both labels
+    share: float  # of the second label among the rocks that may come
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Confusion:
-    """How often rocks of two labels make a model answer what.
+    """How often rocks of two labels make a model answer what."""
 
-    Attributes
-    ----------
-    edges : ndarray, (n_bins - 1,)
-        Of the logit of the probability of the second label, ascending.
-    rates : ndarray, (2, n_bins)
-        Answers in each bin a rock of the first and of the second label.
-    overdispersion : float
-        Variance of the estimate about the share of the rocks that came, over that of independent answers, at least 1.
-    scatter : float
-        Standard deviation of the estimated share from stream to stream, with any number of impacts.
-    """
-
-    edges: Floats
-    rates: Floats
+    edges: Floats  # (n_bins - 1,) of the logit of the probability of the second label, ascending
+    rates: Floats  # (2, n_bins) answers in each bin a rock of the first and of the second label
+    # variance of the estimate about the share of the rocks that came, over that of independent answers, at least 1
     overdispersion: float = 1.0
-    scatter: float = 0.0
+    scatter: float = 0.0  # standard deviation of the estimated share from stream to stream, with any number of impacts
 
     ARRAYS: ClassVar = ("edges", "rates", "spread")
     PREFIX: ClassVar = "share."

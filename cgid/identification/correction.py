@@ -75,53 +75,21 @@ class Shift:
 
 @dataclass(frozen=True)
 class Correction:
-    """A model corrected for a site, and how good it and the former one are there.
-
-    Attributes
-    ----------
-    model : Model
-    shift : Shift
-    before, after : dict
-        What `cgid.identification.metrics.evaluate` measures, of the former model, and of the corrected one with each
-        impact judged by a correction that the others teach.
-    labels : ndarray of str, (n_lumps,)
-    probabilities : ndarray, (n_lumps, n_labels)
-        Of each impact by a correction that the others teach.
-    n_unknown : int
-        Labelled impacts outside of the training, which teach nothing.
-    """
+    """A model corrected for a site, and how good it and the former one are there."""
 
     model: Model
     shift: Shift
+    # `before`, `after`: what `cgid.identification.metrics.evaluate` measures, of the former model, and of the corrected
+    # one with each impact judged by a correction that the others teach
     before: Mapping[str, Any]
     after: Mapping[str, Any]
-    labels: NDArray[np.str_]
-    probabilities: Floats
-    n_unknown: int
+    labels: NDArray[np.str_]  # (n_lumps,)
+    probabilities: Floats  # (n_lumps, n_labels) of each impact by a correction that the others teach
+    n_unknown: int  # labelled impacts outside of the training, which teach nothing
 
 
 def correct(model: Model, rows: Rows) -> Correction:
-    """Return a model corrected by labelled impacts of a site.
-
-    Parameters
-    ----------
-    model : Model
-        Of impacts, without known quantities besides the signal.
-    rows : Rows
-        Labelled impacts with the features and guards of the model, in its unit.
-
-    Returns
-    -------
-    Correction
-
-    Raises
-    ------
-    InvalidValue
-        The model is one of windows, or needs a drop height.
-    BadData
-        A label is not one of the model's, or there is only one, or fewer than `FEWEST_LUMPS` impacts that the model
-        knows.
-    """
+    """Return a model corrected by labelled impacts of a site."""
     require_correctable(model)
     _require_lumps(model, rows)
     features, guards = rows.columns(model.features), rows.columns(model.guards)

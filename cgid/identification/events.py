@@ -47,26 +47,15 @@ _CLIPPED_SHARE = 0.5
 
 @dataclass(eq=False)
 class Onset:
-    """The beginning of an impact, before its frame is cut.
+    """The beginning of an impact, before its frame is cut."""
 
-    Attributes
-    ----------
-    row : unit of dead time and neighbours: the channel, or 0 for joint channels
-    channel : where it was found; of joint channels, the one with the strongest signal
-    sample : index in the recording
-    noise : of a vibration, the energy of the noise in each band; of a pulse, the baseline of each channel
-    last : of a pulse, its last high sample so far
-    closed : whether no later sample can belong to it
-    again : sample of another impact that follows too closely to be separated
-    """
-
-    row: int
-    channel: int
-    sample: int
-    noise: Floats
-    last: int | None = None
-    closed: bool = True
-    again: int | None = None
+    row: int  # unit of dead time and neighbours: the channel, or 0 for joint channels
+    channel: int  # where it was found; of joint channels, the one with the strongest signal
+    sample: int  # index in the recording
+    noise: Floats  # of a vibration, the energy of the noise in each band; of a pulse, the baseline of each channel
+    last: int | None = None  # of a pulse, its last high sample so far
+    closed: bool = True  # whether no later sample can belong to it
+    again: int | None = None  # sample of another impact that follows too closely to be separated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,24 +153,15 @@ def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[A
 
 @dataclass(frozen=True)
 class Framing:
-    """Lengths of frames in samples.
-
-    Attributes
-    ----------
-    quiet : before the onset
-    lead : last part of `quiet`, which may already belong to the impact
-    length, longest : from the onset on, by default and for the longest impact
-    pre_trigger : see `Event`
-    shortest : an impact that the recording cuts off sooner after its onset cannot be measured
-    """
+    """Lengths of frames in samples."""
 
     sampling_rate: float
-    quiet: int
-    lead: int
-    length: int
+    quiet: int  # before the onset
+    lead: int  # last part of `quiet`, which may already belong to the impact
+    length: int  # `length`, `longest`: from the onset on, by default and for the longest impact
     longest: int
-    pre_trigger: int | None
-    shortest: int
+    pre_trigger: int | None  # see `Event`
+    shortest: int  # an impact that the recording cuts off sooner after its onset cannot be measured
 
     @classmethod
     def of(cls, kind: str, sampling_rate: float) -> Framing:

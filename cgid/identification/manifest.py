@@ -81,36 +81,23 @@ _MAX_MISTAKES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Annotation:
-    """One row of a manifest: a recording, or an interval of it.
-
-    Attributes
-    ----------
-    written : path as in the manifest
-    label : empty for a reference run
-    group : unit that splits keep together, such as a day or a support; default: the recording
-    start, end : [s]; `end` is infinite for the end of the recording
-    channels : numbers from 1, or names, of the channels of a row; None for all
-    gain : divisor of the samples of the interval, None if none is stated
-    recording_gain : gain that differs between the channels, or is that of a charge amplifier; for the whole recording
-    sensor : sensor whose reference run equalises the response; empty for none
-    reference : whether this is the reference run of the sensor
-    invert : whether the samples are turned over, because impacts must point upwards
-    sampling_rate, unit, variable, format, sensitivity, full_scale : for files without them, see
-        `cgid.recordings.open_recording`
-    """
+    """One row of a manifest: a recording, or an interval of it."""
 
     path: Path
-    written: str
-    label: str = ""
-    group: str = ""
-    start: float = 0.0
+    written: str  # path as in the manifest
+    label: str = ""  # empty for a reference run
+    group: str = ""  # unit that splits keep together, such as a day or a support; default: the recording
+    start: float = 0.0  # `start`, `end`: [s]; `end` is infinite for the end of the recording
     end: float = math.inf
-    channels: tuple[int | str, ...] | None = None
-    gain: float | None = None
+    channels: tuple[int | str, ...] | None = None  # numbers from 1, or names, of the channels of a row; None for all
+    gain: float | None = None  # divisor of the samples of the interval, None if none is stated
+    # gain that differs between the channels, or is that of a charge amplifier; for the whole recording
     recording_gain: tuple[str, ...] | None = None
-    sensor: str = ""
-    reference: bool = False
-    invert: bool = False
+    sensor: str = ""  # sensor whose reference run equalises the response; empty for none
+    reference: bool = False  # whether this is the reference run of the sensor
+    invert: bool = False  # whether the samples are turned over, because impacts must point upwards
+    # `sampling_rate`, `unit`, `variable`, `format`, `sensitivity`, `full_scale`: for files without them, see
+    # `cgid.recordings.open_recording`
     sampling_rate: float | None = None
     unit: str | None = None
     variable: str | None = None

@@ -28,20 +28,13 @@ _FLOOR = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Density of the pulses of one population.
+    """Density of the pulses of one population."""
 
-    Attributes
-    ----------
-    log_scales : ln of the density of (ln P0 - 2 ln T0, ln T0), (n_cells, n_cells); the first is independent of size
-    scale_edges : first edge and width of its cells, each (2,)
-    log_shape : ln of the density of s = ln e, (n_cells,)
-    shape_edges : first edge and width of its cells
-    """
-
+    # ln of the density of (ln P0 - 2 ln T0, ln T0), (n_cells, n_cells); the first is independent of size
     log_scales: Floats
-    scale_edges: tuple[Floats, Floats]
-    log_shape: Floats
-    shape_edges: tuple[float, float]
+    scale_edges: tuple[Floats, Floats]  # first edge and width of its cells, each (2,)
+    log_shape: Floats  # ln of the density of s = ln e, (n_cells,)
+    shape_edges: tuple[float, float]  # first edge and width of its cells
 
     @classmethod
     def from_draws(cls, log_peak: Floats, log_duration: Floats, restitution: Floats) -> Prior:

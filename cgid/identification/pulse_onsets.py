@@ -122,12 +122,9 @@ class PulseOnsets:
     than `START_CHUNKS` is one window. High samples at most `dead_time` [s] apart belong to one blow. A blow ends after
     `longest` samples at the latest; a signal that stays high starts no new one until it falls.
 
-    Attributes
-    ----------
-    chunk : `take` accepts multiples of this many samples, at first `START_CHUNKS` chunks or more
-    lag : onsets within this many samples of the end so far may not be known yet
-    rise, fall : largest deviation above and below the baseline so far, (n_channels,)
-    noise : latest estimate of its standard deviation, (n_channels,)
+    `chunk`: `take` accepts multiples of this many samples, at first `START_CHUNKS` chunks or more; `lag`: onsets within
+    this many samples of the end so far may not be known yet; `rise, fall`: largest deviation above and below the
+    baseline so far, (n_channels,); `noise`: latest estimate of its standard deviation, (n_channels,).
     """
 
     lag = 0

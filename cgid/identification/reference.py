@@ -108,20 +108,12 @@ def equalisations_of(spectra: Mapping[str, Floats]) -> Equalisations:
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """The difference of a session from the reference run of its sensor.
+    """The difference of a session from the reference run of its sensor."""
 
-    Attributes
-    ----------
-    level : mean over the bands [dB]
-    largest : difference in the band that differs most clearly [dB]
-    frequency : centre of that band [Hz]
-    certain : smallest difference in that band compatible with the variation between windows [dB]
-    """
-
-    level: float
-    largest: float
-    frequency: float
-    certain: float
+    level: float  # mean over the bands [dB]
+    largest: float  # difference in the band that differs most clearly [dB]
+    frequency: float  # centre of that band [Hz]
+    certain: float  # smallest difference in that band compatible with the variation between windows [dB]
 
     def warning(self, sensor: str) -> str | None:
         """Return a one-line warning, or None if the drift is small enough."""

@@ -287,20 +287,12 @@ FEWEST_IMPACTS = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """Going on costs more than shutting, or less again, with the evidence that was asked for.
+    """Going on costs more than shutting, or less again, with the evidence that was asked for."""
 
-    Attributes
-    ----------
-    time : end of the first window that shows it [s]
-    shut : True: shut the window; False: going on pays again
-    cost : expected one of going on minus shutting [lost coal rocks per rock]
-    evidence : probability of being right: that the share is above the threshold, or below
-    """
-
-    time: float
-    shut: bool
-    cost: float
-    evidence: float
+    time: float  # end of the first window that shows it [s]
+    shut: bool  # True: shut the window; False: going on pays again
+    cost: float  # expected one of going on minus shutting [lost coal rocks per rock]
+    evidence: float  # probability of being right: that the share is above the threshold, or below
     share: Share
 
 

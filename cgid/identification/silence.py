@@ -31,19 +31,12 @@ MAX_SEARCH_TIME = 120.0
 
 @dataclass(frozen=True, kw_only=True)
 class Silence:
-    """What recordings hold within their annotated intervals.
+    """What recordings hold within their annotated intervals."""
 
-    Attributes
-    ----------
-    n_impacts : impacts
-    n_windows, n_silent : windows of `WINDOW_TIME`, and how many of them are silent
-    n_intervals, n_cut : intervals, and how many of them were cut out around an impact
-    """
-
-    n_impacts: int = 0
-    n_windows: int = 0
+    n_impacts: int = 0  # impacts
+    n_windows: int = 0  # `n_windows`, `n_silent`: windows of `WINDOW_TIME`, and how many of them are silent
     n_silent: int = 0
-    n_intervals: int = 0
+    n_intervals: int = 0  # `n_intervals`, `n_cut`: intervals, and how many of them were cut out around an impact
     n_cut: int = 0
 
     def __add__(self, other: Silence) -> Silence:

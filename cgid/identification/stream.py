@@ -50,22 +50,13 @@ _NEVER_QUIET = (
 
 @dataclass(frozen=True)
 class Step:
-    """The next answers.
+    """The next answers."""
 
-    Attributes
-    ----------
-    answers : in order of time
-    until : all answers before this time have arrived [s]
-    silent : at the end, one reason for each channel without answers
-    warnings : at the end, or once for a channel that is never quiet
-    upside_down : at the end, the channels whose pulses seem to point downwards
-    """
-
-    answers: list[Answer]
-    until: float
-    silent: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    upside_down: tuple[str, ...] = ()
+    answers: list[Answer]  # in order of time
+    until: float  # all answers before this time have arrived [s]
+    silent: tuple[str, ...] = ()  # at the end, one reason for each channel without answers
+    warnings: tuple[str, ...] = ()  # at the end, or once for a channel that is never quiet
+    upside_down: tuple[str, ...] = ()  # at the end, the channels whose pulses seem to point downwards
 
 
 @renamed_arguments(question="settings")

@@ -60,12 +60,9 @@ class VibrationOnsets:
     Each channel counts by itself or, if `joint`, a blow in one channel is one in all. A rise within `dead_time` [s]
     after a blow, at least 4 ms, is not a new one.
 
-    Attributes
-    ----------
-    hop : samples from one window to the next
-    chunk : `take` accepts multiples of this many samples, at first `START_CHUNKS` chunks or more
-    lag : onsets within this many samples of the end so far may not be known yet
-    steepest : highest rise so far, (n_channels,); a blow is above `RISE`
+    `hop`: samples from one window to the next; `chunk`: `take` accepts multiples of this many samples, at first
+    `START_CHUNKS` chunks or more; `lag`: onsets within this many samples of the end so far may not be known yet;
+    `steepest`: highest rise so far, (n_channels,); a blow is above `RISE`.
     """
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:

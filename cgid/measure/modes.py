@@ -234,16 +234,10 @@ def phi(x: Complex) -> tuple[Complex, Complex]:
 
 @dataclass(frozen=True, eq=False)
 class NodeShapes:
-    """Shapes at the Chebyshev `nodes` of a region, and between them.
+    """Shapes at the Chebyshev `nodes` of a region, and between them."""
 
-    Attributes
-    ----------
-    values : (n_modes, n_x, n_y)
-    region : lowest and highest x, lowest and highest y, (4,) [m]
-    """
-
-    values: Floats
-    region: Floats
+    values: Floats  # (n_modes, n_x, n_y)
+    region: Floats  # lowest and highest x, lowest and highest y, (4,) [m]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Return the shapes at points [m], which broadcast, (..., n_modes)."""

@@ -33,34 +33,23 @@ _LARGEST = 1e140
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overview:
-    """The content of a recording's picture; its size hardly depends on the length of the recording.
-
-    Attributes
-    ----------
-    n_samples : per channel
-    waveform_step : samples per column of the waveform; the last column may have fewer
-    lowest, highest : smallest and largest sample of each column, (n_channels, n_columns)
-    mean, deviation : mean and standard deviation of all samples, (n_channels,)
-    frequency : (n_bins,) [Hz]; empty if the recording is too short for a spectrum
-    spectrum : one-sided power density, (n_channels, n_bins) [unit^2/Hz]; mean over half-overlapping Hann windows,
-        each less its mean (Welch)
-    band_edges : of the spectrogram, (n_bands + 1,) [Hz]; a band is one bin or several, without 0 Hz
-    time_edges : of the spectrogram, (n_times + 1,) [s]; all columns but the last have the same number of segments
-    spectrogram : mean power density, (n_channels, n_bands, n_times) [unit^2/Hz]
-    """
+    """The content of a recording's picture; its size hardly depends on the length of the recording."""
 
     sampling_rate: float
-    n_samples: int
-    waveform_step: int
-    lowest: Floats
+    n_samples: int  # per channel
+    waveform_step: int  # samples per column of the waveform; the last column may have fewer
+    lowest: Floats  # `lowest`, `highest`: smallest and largest sample of each column, (n_channels, n_columns)
     highest: Floats
-    mean: Floats
+    mean: Floats  # `mean`, `deviation`: mean and standard deviation of all samples, (n_channels,)
     deviation: Floats
-    frequency: Floats
+    frequency: Floats  # (n_bins,) [Hz]; empty if the recording is too short for a spectrum
+    # one-sided power density, (n_channels, n_bins) [unit^2/Hz]; mean over half-overlapping Hann windows, each less its
+    # mean (Welch)
     spectrum: Floats
-    band_edges: Floats
+    band_edges: Floats  # of the spectrogram, (n_bands + 1,) [Hz]; a band is one bin or several, without 0 Hz
+    # of the spectrogram, (n_times + 1,) [s]; all columns but the last have the same number of segments
     time_edges: Floats
-    spectrogram: Floats
+    spectrogram: Floats  # mean power density, (n_channels, n_bands, n_times) [unit^2/Hz]
 
     @property
     def duration(self) -> float:

@@ -62,16 +62,10 @@ def _components() -> tuple[Floats, Floats, Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What a fitted damped-Hertz pulse leaves of the samples.
+    """What a fitted damped-Hertz pulse leaves of the samples."""
 
-    Attributes
-    ----------
-    components : over the peak, (n, N_SHAPES), drawn towards 0 where the noise hides them
-    unexplained : mean square of the rest over what the noise and `SHAPE_ERROR` would leave, (n,)
-    """
-
-    components: Floats
-    unexplained: Floats
+    components: Floats  # over the peak, (n, N_SHAPES), drawn towards 0 where the noise hides them
+    unexplained: Floats  # mean square of the rest over what the noise and `SHAPE_ERROR` would leave, (n,)
 
 
 def fit_residual(

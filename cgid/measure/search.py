@@ -43,23 +43,16 @@ _FAR, _SURE = 0.5, 16.0
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """Pulses of peak 1 in common coordinates.
+    """Pulses of peak 1 in common coordinates."""
 
-    Attributes
-    ----------
-    place, width : of each node's peak and of its width (impulse over peak) in common coordinates, (n_nodes,)
-    basis : pulse, slopes in place and ln(width), perhaps a constant, averaged over bins, (n_nodes, n_bins, n_free)
-    products : of the columns of the basis, (n_bins, n_nodes n_free n_free)
-    inverse : of the information of all bins, (n_nodes, n_free, n_free)
-    tangents : how changes of peak, place, width and shape change the pulses, (n_nodes, n_bins, 4)
-    """
-
+    # `place`, `width`: of each node's peak and of its width (impulse over peak) in common coordinates, (n_nodes,)
     place: Floats
     width: Floats
+    # pulse, slopes in place and ln(width), perhaps a constant, averaged over bins, (n_nodes, n_bins, n_free)
     basis: Floats
-    products: Floats
-    inverse: Floats
-    tangents: Floats
+    products: Floats  # of the columns of the basis, (n_bins, n_nodes n_free n_free)
+    inverse: Floats  # of the information of all bins, (n_nodes, n_free, n_free)
+    tangents: Floats  # how changes of peak, place, width and shape change the pulses, (n_nodes, n_bins, 4)
 
     @cached_property
     def flat(self) -> Floats:
@@ -187,16 +180,10 @@ def last_bin(place: Floats, width: Floats, shape: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The result of the search, each (n, n_nodes); `unit` [samples] is (n,).
+    """The result of the search, each (n, n_nodes); `unit` [samples] is (n,)."""
 
-    Attributes
-    ----------
-    cost : sum over the bins of the squared residual
-    peak, place, width, baseline : the best at each shape; place and width of the pulse [samples]
-    """
-
-    cost: Floats
-    peak: Floats
+    cost: Floats  # sum over the bins of the squared residual
+    peak: Floats  # `peak`, `place`, `width`, `baseline`: the best at each shape; place and width of the pulse [samples]
     place: Floats
     width: Floats
     baseline: Floats

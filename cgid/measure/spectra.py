@@ -120,16 +120,11 @@ EVEN_BANDS = TriangularBands(_EVEN_STEP * np.arange(_EVEN_BANDS + 2, dtype=np.fl
 
 @dataclass(frozen=True, eq=False)
 class EnergySpectrum:
-    """One-sided energy spectra of rows of samples, all at the same frequencies.
+    """One-sided energy spectra of rows of samples, all at the same frequencies."""
 
-    Attributes
-    ----------
-    spacing : width of a bin [Hz]; the first is centred at 0 Hz
-    energy : in each bin, (n_signals, n_bins) [unit^2 s]; the bins of a row add up to its sum of squares over the
-        sampling rate (Parseval)
-    """
-
-    spacing: float
+    spacing: float  # width of a bin [Hz]; the first is centred at 0 Hz
+    # in each bin, (n_signals, n_bins) [unit^2 s]; the bins of a row add up to its sum of squares over the sampling rate
+    # (Parseval)
     energy: Floats
 
     @classmethod
@@ -243,10 +238,8 @@ class PulseSpectrum:
     [samples]. The transform is zero-padded to a power of two of at least `_ZERO_PADDING` times the row's own contact,
     so a row does not depend on the others.
 
-    Attributes
-    ----------
-    frequency, power : (n_signals, n_bins), each row at its own frequencies [Hz] from 0
-    n_bins : number of bins of each row, (n_signals,); beyond them power is zero
+    `frequency, power`: (n_signals, n_bins), each row at its own frequencies [Hz] from 0; `n_bins`: number of bins of
+    each row, (n_signals,); beyond them power is zero.
     """
 
     def __init__(self, windows: Floats, touch: Floats, separation: Floats, sampling_rate: float) -> None:

@@ -37,36 +37,22 @@ LEAST_BANDWIDTH = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """One feature.
-
-    Attributes
-    ----------
-    unit : `U` stands for the unit of the signal
-    measure : from a `PulseBatch`, `VibrationBatch` or `WindowBatch` to one number per row
-    fitted : read from the fitted pulse, which exists even where the samples alone do not show the pulse
-    positive : without a unit but always above 0, so that ratios are meaningful
-    spectral : read from the spectrum
-    whole_frame : depends on samples far from the pulse
-    highest_frequency : lower limit of half the sampling rate [Hz]
-    shortest_frame : least duration of a frame [s]
-    extra : the extra of cgid that it needs; such a feature is measured only if named
-    beam : read through a beam whose modes are known; the same holds
-    """
+    """One feature."""
 
     name: str
-    unit: str
+    unit: str  # `U` stands for the unit of the signal
     definition: str
     source: str
-    measure: Callable[[Any], Floats]
-    fitted: bool = False
-    positive: bool = False
-    spectral: bool = False
-    whole_frame: bool = False
+    measure: Callable[[Any], Floats]  # from a `PulseBatch`, `VibrationBatch` or `WindowBatch` to one number per row
+    fitted: bool = False  # read from the fitted pulse, which exists even where the samples alone do not show the pulse
+    positive: bool = False  # without a unit but always above 0, so that ratios are meaningful
+    spectral: bool = False  # read from the spectrum
+    whole_frame: bool = False  # depends on samples far from the pulse
     kind: Kind = "pulse"
-    highest_frequency: float = 0.0
-    shortest_frame: float = 0.0
-    extra: str = ""
-    beam: bool = False
+    highest_frequency: float = 0.0  # lower limit of half the sampling rate [Hz]
+    shortest_frame: float = 0.0  # least duration of a frame [s]
+    extra: str = ""  # the extra of cgid that it needs; such a feature is measured only if named
+    beam: bool = False  # read through a beam whose modes are known; the same holds
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -108,25 +94,18 @@ def _descriptions() -> dict[str, dict[str, str]]:
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """Features that differ only in a band, a packet or a lag: one entry with a column for each label.
+    """Features that differ only in a band, a packet or a lag: one entry with a column for each label."""
 
-    Attributes
-    ----------
-    name : with `*` in place of the label: `mel_*_hz` has the column `mel_1000_hz`
-    definition : with `*` for the label
-    measure : from a batch and the number of a column to one number per row
-    highest_frequency, shortest_frame : as in `Feature`, for all columns or for each
-    """
-
-    name: str
+    name: str  # with `*` in place of the label: `mel_*_hz` has the column `mel_1000_hz`
     unit: str
-    definition: str
+    definition: str  # with `*` for the label
     source: str
-    measure: Callable[[Any, int], Floats]
+    measure: Callable[[Any, int], Floats]  # from a batch and the number of a column to one number per row
     labels: Sequence[str]
     fitted: bool = False
     spectral: bool = False
     kind: Kind = "pulse"
+    # `highest_frequency`, `shortest_frame`: as in `Feature`, for all columns or for each
     highest_frequency: float | Sequence[float] = 0.0
     shortest_frame: float | Sequence[float] = 0.0
     extra: str = ""

@@ -42,12 +42,6 @@ def polynomial_shapes(x: Array, y: Array, along: Array, across: Array, coefficie
     """Fill out (points, modes) with sums of `P_i(2x - 1) P_j(2y - 1)`, i = along, j = across (terms).
 
     Points are taken in blocks: each row of coefficients is then fetched once for all of them.
-
-    Parameters
-    ----------
-    coefficients : ndarray, (terms, modes)
-        Their number of modes is best a multiple of 16, so that the compiler vectorises over them. The number of terms
-        must be a multiple of 4.
     """
     legendre_along, legendre_across = np.empty(along.max() + 1), np.empty(across.max() + 1)
     weights = np.empty((_POINTS, along.size))

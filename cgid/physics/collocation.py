@@ -25,33 +25,20 @@ _RATE: tuple[Callable[[Floats], Floats], ...] = (lambda s: np.ones_like(s), lamb
 
 
 class Collocation(NamedTuple):
-    """Weights of a step; the first axis of most is its kind.
+    """Weights of a step; the first axis of most is its kind."""
 
-    Attributes
-    ----------
-    place : time at the Gauss nodes over h, (3, n)
-    measure : weights of an integral over the step, of values at the Gauss nodes, (3, n)
-    integral : weights of the integrals from 0 to each Gauss node, (3, n, n)
-    memory : `memory[kind, k, i, j]`: response at Gauss node i to a force of 1 at Gauss node j, 0 at the others, for a
-        unit impulse response of 1 at Chebyshev time k, 0 at the others, (3, k, n, n)
-    moment : the same at the end of the step, (3, k, n)
-    cardinal : from values at the Chebyshev times to those at the Gauss nodes, (3, n, k)
-    legendre : from values at the Gauss nodes to the coefficients of Legendre polynomials of `2 s - 1`, (n, n)
-    times : the Chebyshev times over h, 0 and 1 included, (k,)
-    barycentric : their barycentric weights, (k,)
-    flight : weights of the integrals from 0 to each Chebyshev time, (k, k)
-    """
-
-    place: Floats
-    measure: Floats
-    integral: Floats
+    place: Floats  # time at the Gauss nodes over h, (3, n)
+    measure: Floats  # weights of an integral over the step, of values at the Gauss nodes, (3, n)
+    integral: Floats  # weights of the integrals from 0 to each Gauss node, (3, n, n)
+    # `memory[kind, k, i, j]`: response at Gauss node i to a force of 1 at Gauss node j, 0 at the others, for a unit
+    # impulse response of 1 at Chebyshev time k, 0 at the others, (3, k, n, n)
     memory: Floats
-    moment: Floats
-    cardinal: Floats
-    legendre: Floats
-    times: Floats
-    barycentric: Floats
-    flight: Floats
+    moment: Floats  # the same at the end of the step, (3, k, n)
+    cardinal: Floats  # from values at the Chebyshev times to those at the Gauss nodes, (3, n, k)
+    legendre: Floats  # from values at the Gauss nodes to the coefficients of Legendre polynomials of `2 s - 1`, (n, n)
+    times: Floats  # the Chebyshev times over h, 0 and 1 included, (k,)
+    barycentric: Floats  # their barycentric weights, (k,)
+    flight: Floats  # weights of the integrals from 0 to each Chebyshev time, (k, k)
 
 
 @cache

@@ -73,10 +73,8 @@ class Service:
 class Output(Service):
     """A service with a queue of messages; when it is full, the oldest is dropped and counted.
 
-    Attributes
-    ----------
-    passed, dropped : messages that arrived where they should, and those that did not fit into the queue
-    up : whether the receiver is there
+    `passed, dropped`: messages that arrived where they should, and those that did not fit into the queue; `up`: whether
+    the receiver is there.
     """
 
     def __init__(self, name: str, warn: Callable[[str], None], max_waiting: int = MAX_WAITING) -> None:

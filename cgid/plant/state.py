@@ -76,10 +76,7 @@ class Support:
 class PlantState:
     """All supports of a stream, and whether it is alive; several threads may ask.
 
-    Attributes
-    ----------
-    supports : by the name of the channel
-    beats : blocks of the stream that were taken
+    `supports`: by the name of the channel; `beats`: blocks of the stream that were taken.
     """
 
     def __init__(self) -> None:

@@ -234,15 +234,6 @@ class Chain:
         """Return the link of each channel, from the statements of user and file, which must agree.
 
         A sensitivity or charge gain for all channels is for those in volts or coulombs, of which there must be one.
-
-        Raises
-        ------
-        MissingOption
-            A part of the chain is missing: the unit of the numbers, or the gain of a charge amplifier.
-        InvalidValue
-            Two statements contradict each other, or one does not fit the channel.
-        BadData
-            The file states an impossible sensitivity, or a unit other than the user's.
         """
         units = units_of(unit)
         scaled_links = [self._scaled(contents, index, units, source) for index in channels]

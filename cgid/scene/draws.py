@@ -112,21 +112,14 @@ def parameter_units(scene: Scene) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Drawn:
-    """The drawn numbers of one block, before any law of impact is applied.
-
-    Attributes
-    ----------
-    values : by the names of `parameter_units`, each (n_signals,), nan where not drawn; restitution as requested
-    specimen : equal for equal particles or equal taps, (n_signals,)
-    shapes : index in `SHAPES` of a tap, -1 for an impact, (n_signals,)
-    scene : that of this block, with its randomised settings drawn
-    """
+    """The drawn numbers of one block, before any law of impact is applied."""
 
     labels: NDArray[np.str_]
+    # by the names of `parameter_units`, each (n_signals,), nan where not drawn; restitution as requested
     values: dict[str, Floats]
-    specimen: NDArray[np.uint64]
-    shapes: NDArray[np.intp]
-    scene: Scene
+    specimen: NDArray[np.uint64]  # equal for equal particles or equal taps, (n_signals,)
+    shapes: NDArray[np.intp]  # index in `SHAPES` of a tap, -1 for an impact, (n_signals,)
+    scene: Scene  # that of this block, with its randomised settings drawn
 
     @property
     def fallen(self) -> NDArray[np.intp]:

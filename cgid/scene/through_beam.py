@@ -38,27 +38,7 @@ _LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
 def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[float, float]] = ()) -> Beam:
     """Return the beam of a scene as arrays, with the principal shapes of its contact forces.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a tail beam and one sampling rate.
-    n_shapes : int
-        Number of principal shapes.
-    sensors : iterable of tuple of two floats, optional [m]
-        Points (x, y) of sensors that record together, each with the scene's sensor chain; by default there is one, at
-        the scene's own point.
-
-    Returns
-    -------
-    Beam
-
-    Raises
-    ------
-    InvalidValue
-        The scene has no beam, records a force, or draws the band of its recorder; or it has measured modes, whose
-        table has one sensor.
-    BadData
-        A sensor is not on the beam.
+    `sensors` [m].
     """
     if scene.tail_beam is None or scene.sensor.quantity == "force":
         raise InvalidValue(
@@ -212,24 +192,7 @@ def recorded_together(
 ) -> Iterator[Batch]:
     """Yield the signals of a scene as several sensors of its beam record them, each with noise of its own.
 
-    Parameters
-    ----------
-    scene : Scene
-        With the dimensions of a tail beam.
-    sensors : sequence of tuple of two floats [m]
-        Points (x, y) of the sensors, as in `beam_of`.
-    n_signals, seed : int
-        As in `cgid.scene.synthesise`: the impacts are those of the scene with this seed.
-
-    Yields
-    ------
-    Batch
-        With signals (n_signals, n_sensors, n_samples).
-
-    Raises
-    ------
-    InvalidValue, BadData
-        As `moved` and `cgid.scene.synthesise`.
+    `sensors` [m].
     """
     n_signals, _ = require_count(n_signals, 0)
     seed = require_seed(seed)

@@ -45,19 +45,12 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Dimension:
-    """A dimension of a beam before and after blows have taught it.
+    """A dimension of a beam before and after blows have taught it."""
 
-    Attributes
-    ----------
-    name : key of the scene, below `tail_beam`
-    before, after : in the SI unit of the scene
-    deviation : standard deviation of the logarithm
-    """
-
-    name: str
-    before: float
+    name: str  # key of the scene, below `tail_beam`
+    before: float  # `before`, `after`: in the SI unit of the scene
     after: float
-    deviation: float
+    deviation: float  # standard deviation of the logarithm
 
 
 def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[str, float]:

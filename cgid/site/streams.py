@@ -50,20 +50,12 @@ UNKNOWN_SHARE = 0.035
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreamRows:
-    """The measured impacts of a simulated stream.
+    """The measured impacts of a simulated stream."""
 
-    Attributes
-    ----------
-    rows : without those that cannot be measured, or belong to no blow
-    n_found : impacts found
-    n_rocks : rocks of each of the two labels, in alphabetical order
-    share : of the second label among the rocks that may come
-    """
-
-    rows: Rows
-    n_found: int
-    n_rocks: tuple[int, int]
-    share: float
+    rows: Rows  # without those that cannot be measured, or belong to no blow
+    n_found: int  # impacts found
+    n_rocks: tuple[int, int]  # rocks of each of the two labels, in alphabetical order
+    share: float  # of the second label among the rocks that may come
 
 
 def labels_of(scene: Scene) -> tuple[str, ...]:

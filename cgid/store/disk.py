@@ -134,8 +134,8 @@ class Hdf5OnDisk:
 def hdf5_on_disk(path: Path) -> Iterator[Hdf5OnDisk]:
     """Yield a new HDF5 file in an empty file; it is whole and flushed when this context ends without an error.
 
-    Used within `cgid.files.whole_file`, which names the file in its errors.
-    Raises `OSError` if the disk is full or broken.
+    Used within `cgid.files.whole_file`, which names the file in its errors. Raises `OSError` if the disk is full or
+    broken.
 
     Examples
     --------

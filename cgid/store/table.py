@@ -278,16 +278,6 @@ def plain_writer(
     """Yield a function that appends a row to a table of any columns, in Parquet or HDF5.
 
     In HDF5 texts have a fixed length, that of the longest, so the rows wait in memory for the last one.
-
-    Parameters
-    ----------
-    path : Path
-        An empty file, as of `cgid.files.whole_file`.
-    suffix : str
-        .parquet, else HDF5: /columns/<title>, with their units as attributes.
-    types : dict
-        "string", "float64", "int64" or "bool" of each (name, unit). None is missing: null in Parquet; an empty text,
-        nan, -1 or false in HDF5.
     """
     titles = {column_title(name, unit): dtype for (name, unit), dtype in types.items()}
     written = _parquet_columns(path, titles, {}) if suffix == ".parquet" else _plain_hdf5(path, types)
