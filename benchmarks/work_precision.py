@@ -47,7 +47,7 @@ from cgid.physics import (
 )
 from cgid.physics.curves import TOLERANCE, HuntCrossleyCurves
 from cgid.physics.materials import STEEL, Material
-from cgid.plots import png, require_matplotlib
+from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import load_scene
 from cgid.scene.impacts import draw
 from tests import naive

@@ -30,6 +30,8 @@ from cgid.signals import KNOWN
 from cgid.units import column_title
 from cgid.validation import Floats
 
+__all__ = ["c_source"]
+
 #: Most numbers in an exported file: 8 MiB of constants in double precision.
 MOST_NUMBERS = 1 << 20
 #: Largest and smallest constants of a file that may be compiled with single precision.

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+__all__ = ["TrainingStream", "from_xarray", "to_xarray"]
+
 #: A batch of a training stream: signals (n_signals, n_samples), numbers of the labels (n_signals,), and parameters,
 #: each (n_signals,).
 TrainingBatch = tuple[NDArray[Any], NDArray[np.int64], dict[str, Floats]]

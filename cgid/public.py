@@ -23,6 +23,8 @@ from cgid import shipped, validation
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.files import looking_at, write_whole
 
+__all__ = ["PublicData", "fetch"]
+
 #: Waiting time for an answer [s], and rate from which on the rest must arrive [bytes/s].
 PATIENCE, MIN_RATE = 30.0, 5e3
 _HINT = "check the connection, or give --mirror with the address of a copy"

@@ -24,21 +24,15 @@ from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
 from cgid.identification.share import FEWEST_IMPACTS, Share, Switch
 from cgid.measure.overview import Overview
-from cgid.plots import (
-    COLOURS,
-    Mark,
-    colours_of,
-    drawn_figure,
-    hertz,
-    overview_figure,
-    picture,
-    share_figure,
-    written,
-)
-from cgid.plots.figure import NEUTRAL
+from cgid.plots import picture, share_figure
+from cgid.plots.answers import drawn_figure
+from cgid.plots.figure import COLOURS, NEUTRAL, colours_of
+from cgid.plots.recording import Mark, hertz, overview_figure, written
 from cgid.recordings import Channel, RecordingFile
 from cgid.terminal import counted, printable
 from cgid.validation import UNKNOWN
+
+__all__ = ["Report", "report_page", "write_report"]
 
 #: Longest list of names that is written in full.
 _MAX_NAMES = 8
@@ -421,6 +415,3 @@ def _resource(name: str) -> str:
 def _hash(text: str) -> str:
     """Return the hash by which the page's policy admits its own style or script."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-__all__ = ["ENDINGS", "Report", "model_facts", "recording_facts", "report_page", "write_report"]

@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import doctest
 import importlib
+import importlib.util
 import inspect
 import io
 import os
@@ -277,8 +278,8 @@ def test_docstrings_of_the_reference_are_complete(monkeypatch: pytest.MonkeyPatc
     pages = importlib.import_module("api_pages")
     problems = []
     for _, modules in pages.PAGES.values():
-        for module, names in modules.items():
-            for name in pages.names_of(module, names):
+        for module in modules:
+            for name in pages.names_of(module):
                 found = getattr(importlib.import_module(module), name)
                 if not (inspect.isfunction(found) or (inspect.isclass(found) and not issubclass(found, Warning))):
                     continue
@@ -294,6 +295,19 @@ def test_docstrings_of_the_reference_are_complete(monkeypatch: pytest.MonkeyPatc
                 if returns and not text["Returns"] and not text["Yields"]:
                     problems.append(f"{module}.{name}: what it returns is not described")
     assert not problems
+
+
+def test_packages_say_what_is_public(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each package has `__all__`, whose names exist, and the reference describes what has one."""
+    pytest.importorskip("numpydoc")
+    monkeypatch.syspath_prepend(str(DOCS / "_extensions"))
+    described = {module for _, modules in importlib.import_module("api_pages").PAGES.values() for module in modules}
+    packages = {f"cgid.{path.parent.name}" for path in ROOT.glob("cgid/*/__init__.py")}
+    for name in sorted(packages | described):
+        module = importlib.import_module(name)
+        assert module.__all__, name
+        for one in module.__all__:
+            assert hasattr(module, one) or importlib.util.find_spec(f"{name}.{one}"), f"{name}.{one}"
 
 
 def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> None:

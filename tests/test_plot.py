@@ -17,8 +17,10 @@ from scipy import signal as scipy_signal
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.measure.overview import OverviewStream
-from cgid.plots import COLOURS, FORMATS, Mark, drawn_figure, judgement_pictures, overview_figure, picture, share_figure
-from cgid.plots.figure import NEUTRAL
+from cgid.plots import picture, share_figure
+from cgid.plots.answers import drawn_figure
+from cgid.plots.figure import COLOURS, FORMATS, NEUTRAL, judgement_pictures
+from cgid.plots.recording import Mark, overview_figure
 from cgid.recordings import Channel
 from cgid.scene import generate
 

@@ -26,7 +26,7 @@ from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
 from cgid.identification.share import Share, ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
-from cgid.plots import Mark
+from cgid.plots.recording import Mark
 from cgid.recordings import open_recording
 from cgid.report import Report, model_facts, recording_facts, report_page, write_report
 

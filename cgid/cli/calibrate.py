@@ -92,7 +92,7 @@ def calibrate(
     check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
     drawing = None
     if picture is not None:
-        from cgid.plots import new_picture
+        from cgid.plots.figure import new_picture
 
         drawing = new_picture(picture, overwrite=overwrite)
     scene = load_scene(scene_name)
@@ -206,7 +206,7 @@ def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, i
 
 def _draw(found: SiteCalibration, path: Path, overwrite: bool) -> None:
     from cgid.files import write_whole
-    from cgid.plots import modes_picture
+    from cgid.plots.figure import modes_picture
 
     write_whole(path, modes_picture(found.start, found.learned), overwrite=overwrite)
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from cgid.identification.events import Event
     from cgid.measure.table import ImpactKind
-    from cgid.plots import Mark
+    from cgid.plots.recording import Mark
     from cgid.recordings import Channel, RecordingFile
 
 
@@ -66,7 +66,9 @@ def plot(
     from cgid.files import write_whole
     from cgid.identification.detection import TURN_OVER
     from cgid.measure.overview import OverviewStream
-    from cgid.plots import FORMATS, MOST_CHANNELS, new_picture, overview_figure, picture
+    from cgid.plots import picture
+    from cgid.plots.figure import FORMATS, new_picture
+    from cgid.plots.recording import MOST_CHANNELS, overview_figure
 
     path = new_picture(output, endings=FORMATS, overwrite=overwrite)
     gap = reading.dead_time
@@ -156,7 +158,7 @@ class _Finder:
         return [name for name, detector in self._detectors if name not in with_impacts and detector.is_upside_down(0)]
 
     def _keep(self, channel: str, events: Iterable[Event]) -> None:
-        from cgid.plots import Mark
+        from cgid.plots.recording import Mark
 
         for event in events:
             self._marks.append(
@@ -225,7 +227,7 @@ def _between(recording: RecordingFile, begin: float, end: float | None) -> Itera
 
 def _facts(recording: RecordingFile, duration: float, marks: Sequence[Mark] | None) -> str:
     """Return the line below the title."""
-    from cgid.plots import hertz
+    from cgid.plots.recording import hertz
 
     facts = [recording.format, hertz(recording.sampling_rate), f"{duration:.4g} s"]
     if recording.start_time is not None:

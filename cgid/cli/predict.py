@@ -59,7 +59,7 @@ class _Passing:
         self.stream: OverviewStream | None = None
         if draw:
             from cgid.measure.overview import OverviewStream
-            from cgid.plots import MOST_CHANNELS
+            from cgid.plots.recording import MOST_CHANNELS
 
             self.channels = [recording.channels[number] for number in numbers[:MOST_CHANNELS]]
             self.stream = OverviewStream(recording.sampling_rate, len(self.channels))
@@ -330,7 +330,7 @@ def predict(
         raise click.UsageError("--masses needs to know what can have struck; give --impactor SCENE, too")
     picture = None
     if masses is not None:
-        from cgid.plots import FORMATS, new_picture
+        from cgid.plots.figure import FORMATS, new_picture
 
         picture = new_picture(masses, endings=FORMATS, overwrite=overwrite)
     impactors = impactor_columns_for(impactor, keep=picture is not None)
@@ -341,7 +341,7 @@ def predict(
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
         files = (*files, str(shipped.path_of("datasets", name)))
     if report is not None:
-        from cgid.plots import new_picture
+        from cgid.plots.figure import new_picture
         from cgid.report import ENDINGS
 
         new_picture(report, "a report", ENDINGS, overwrite=overwrite)

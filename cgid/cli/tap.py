@@ -80,7 +80,7 @@ def tap(
     path = check_new(Path(output), "a table of modes", (".csv",), overwrite=overwrite)
     drawing = None
     if picture is not None:
-        from cgid.plots import new_picture
+        from cgid.plots.figure import new_picture
 
         drawing = new_picture(picture, overwrite=overwrite)
     modes = None if scene_name is None else _modes_of(scene_name)
@@ -112,7 +112,7 @@ def tap(
         save_learned(learned, path, overwrite=overwrite)
     if drawing is not None:
         from cgid.files import write_whole
-        from cgid.plots import stabilisation_picture
+        from cgid.plots.figure import stabilisation_picture
 
         write_whole(drawing, stabilisation_picture(test), overwrite=overwrite)
     if len(test.used) == 1:

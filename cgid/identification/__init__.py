@@ -1,4 +1,15 @@
-"""From a signal to a material: find the impacts, measure them, answer; and train the models for it.
+"""From a signal to a material: detect impacts, measure features, predict labels, and train models for this.
 
-Prediction (`events`, `model`, `answers`) needs numpy only, training (`training`, `classifier`) scikit-learn.
+Prediction (`events`, `model`, `answers`) needs numpy alone, training (`training`, `classifier`) scikit-learn.
 """
+
+__all__ = [  # the modules with public names
+    "answers",
+    "card",
+    "estimation",
+    "events",
+    "prediction_settings",
+    "rows",
+    "share",
+    "training",
+]

@@ -27,6 +27,8 @@ from cgid.validation import UNKNOWN, Floats
 if TYPE_CHECKING:
     from cgid.identification.contact import BeamStream
 
+__all__ = ["Answer", "identify", "identify_frames", "suited"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
@@ -167,7 +169,7 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
     signal : Signal
         In the quantity and unit of the model; see `suited`.
     model : Model
-    question : PredictionSettings, optional
+    settings : PredictionSettings, optional
         Costs, coverage, drop height and more; by default the most probable label is the answer.
     **fields
         Fields that replace those of the settings, such as `costs={"gangue": 3.0}` or `drop_height=1.5` [m].
@@ -279,7 +281,7 @@ def identify_frames(
         In the unit of the model; (n_signals, n_sensors, n_samples) if it looks through a beam with several sensors.
     sampling_rate : float [Hz]
     model : Model
-    question : PredictionSettings, optional
+    settings : PredictionSettings, optional
         Only its settings of decision count, such as costs and coverage.
     pre_trigger : int or None
         Samples before touch, which show baseline and noise; None if they follow from the pulse itself.

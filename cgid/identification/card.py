@@ -18,6 +18,8 @@ from cgid.terminal import counted, printable
 if TYPE_CHECKING:
     from cgid.identification.training import Training
 
+__all__ = ["write_card"]
+
 Record = Mapping[str, Any]
 #: Title and lines of a section.
 Section = tuple[str, list[str]]
@@ -46,7 +48,7 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
     for name in (path.name, f"{path.stem}.md", *pictures):
         check_new(path.with_name(name), "a file beside a model", (Path(name).suffix,), overwrite=overwrite)
     if plots:
-        from cgid.plots import require_matplotlib
+        from cgid.plots.figure import require_matplotlib
 
         require_matplotlib()
     return path
@@ -62,7 +64,7 @@ def write_model(
     """
     pictures: dict[str, bytes] = {}
     if plots:
-        from cgid.plots import judgement_pictures
+        from cgid.plots.figure import judgement_pictures
 
         labels, probabilities = training.test_labels, training.test_probabilities
         drawn = judgement_pictures(labels, probabilities, training.model.labels, training.metrics)

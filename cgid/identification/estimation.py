@@ -18,12 +18,13 @@ from cgid.identification.prior import Prior
 from cgid.measure.filters import low_pass_response
 from cgid.measure.fit import PulseFit, fit_pulses, without_impact
 from cgid.measure.frames import LARGEST, frames_of
-from cgid.measure.likelihood import Bound, cramer_rao_bound, profile
+from cgid.measure.likelihood import cramer_rao_bound, profile
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import parameters_of
 from cgid.validation import Floats, require_rate
 
-__all__ = ["Bound", "Estimates", "Posterior", "Prior", "cramer_rao_bound", "estimate", "posterior"]
+__all__ = ["Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"]
+
 
 #: Rows processed at once, and most nodes of a posterior.
 _ROWS, _MAX_NODES = 512, 4096

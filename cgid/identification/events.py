@@ -14,6 +14,8 @@ from cgid.measure.vibration import SHORTEST_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats
 
+__all__ = ["Event"]
+
 #: Returns the samples (n_channels, n) of a recording between two indices, as far as they exist.
 Read = Callable[[int, int], Floats]
 

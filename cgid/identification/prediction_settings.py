@@ -17,6 +17,8 @@ from cgid.identification.windows import VOTE_TIME
 from cgid.signals import KNOWN
 from cgid.validation import UNKNOWN, Floats, shown
 
+__all__ = ["PredictionSettings"]
+
 #: Impacts identified in one batch, which costs little more than a single one.
 BATCH = 256
 #: Default window of a gangue share [s].

@@ -31,6 +31,8 @@ from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
+__all__ = ["Rows", "measure"]
+
 #: Guards of a model of pulses: how badly a signal fits the shape of a pulse. They show novelty, not the material.
 DEFAULT_GUARDS = ("unexplained",)
 #: Features of a model of pulses: the fitted pulse, and the uncertainty of its shape.

@@ -41,6 +41,8 @@ from cgid.identification.model import Model
 from cgid.identification.prediction_settings import EVIDENCE, PredictionSettings, require_evidence
 from cgid.validation import Floats
 
+__all__ = ["CavingWatch", "Share", "ShareWindow", "wilson_interval"]
+
 #: Probability of the share to lie in its interval.
 LEVEL = 0.95
 #: Nodes of the density, evenly spaced in the angle of share = sin^2(angle): finer towards 0 and 1.
@@ -334,7 +336,7 @@ class CavingWatch:
     model : Model
     channels : sequence of str
         Names of the channels.
-    question : PredictionSettings
+    settings : PredictionSettings
         Holds the share window, its step, the labels and the cost of gangue.
     weight : float
         As in `ShareWindow`.

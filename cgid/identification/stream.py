@@ -73,7 +73,7 @@ def identify_recording(
     recording : RecordingFile
         From `cgid.recordings.open_recording`; all channels in the quantity of the model.
     model : Model
-    question : PredictionSettings, optional
+    settings : PredictionSettings, optional
     **fields
         Override those of the settings, such as `invert=True`, `mass=2.5` [kg] or `coverage=0.9`.
 

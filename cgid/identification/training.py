@@ -63,6 +63,8 @@ from cgid.units import quantity_of
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
+__all__ = ["Training", "train"]
+
 #: Share of the specimens that only judge.
 TEST_SHARE = 0.25
 #: Share of the specimens that only calibrate the prediction sets.

@@ -27,6 +27,8 @@ from cgid.validation import Floats, require_rate
 if TYPE_CHECKING:
     import pandas
 
+__all__ = ["FEATURES", "choose", "extract"]
+
 #: Most samples and rows measured at once: enough to share the overhead of the fit, few enough to bound the memory.
 BLOCK_SAMPLES, _ROWS = 1 << 21, 1024
 #: Most samples of windows measured at once: their overlapping frames fit in the processor's cache.

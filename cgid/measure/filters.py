@@ -27,6 +27,8 @@ from cgid.errors import InvalidValue
 from cgid.measure.spectra import MEL_BANDS, mel, padded_length
 from cgid.validation import Floats, require_rate
 
+__all__ = ["Equalisation", "fft_filter", "filter_gain"]
+
 #: Rows transformed at once: their spectra fit in the processor's cache.
 _ROWS = 32
 #: Width of the edge of a scene's sensor, over the edge frequency.

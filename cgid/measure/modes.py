@@ -20,6 +20,8 @@ from cgid.errors import BadData, InvalidValue
 from cgid.files import read_cells
 from cgid.validation import Complex, Floats
 
+__all__ = ["Modes", "read_modes"]
+
 #: What may be wrong about a mode, in logarithms.
 CORRECTED = ("frequency", "damping_ratio", "participation")
 #: Columns of a table of measured modes, with their units.

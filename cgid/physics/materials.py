@@ -9,6 +9,20 @@ from numpy.typing import ArrayLike
 
 from cgid import validation
 
+__all__ = [
+    "COAL",
+    "COAL_STRENGTH",
+    "LIMESTONE_STRENGTH",
+    "MUDSTONE_STRENGTH",
+    "SANDSTONE",
+    "SANDSTONE_STRENGTH",
+    "SHALE",
+    "STEEL",
+    "YANG2018_SPHERES",
+    "MaterialRange",
+    "StrengthRange",
+]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Material:

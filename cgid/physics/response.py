@@ -23,6 +23,8 @@ from cgid.physics.curves import in_parts
 from cgid.physics.driving import DrivenSample, Pulses, Windows, polynomials_for
 from cgid.validation import Complex, Floats
 
+__all__ = ["LowPass", "Resonance", "Response"]
+
 #: Quantities that a sensor on a beam measures: the number of time derivatives of the displacement.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Quantity = Literal["force", "displacement", "velocity", "acceleration"]

@@ -14,6 +14,8 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.validation import Floats
 
+__all__ = ["SampledPulses"]
+
 #: Fewest points of a pulse, as a cubic spline needs.
 FEWEST_POINTS = 4
 #: Points per interval around the largest sample in the peak search, and the degree of the splines.

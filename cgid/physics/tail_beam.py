@@ -17,6 +17,8 @@ from cgid.physics.materials import Material
 from cgid.physics.plates import PanelShapes, PolynomialShapes, Rigidities, SineShapes, on_panel, ritz_modes
 from cgid.validation import Floats
 
+__all__ = ["Ribs", "TailBeam"]
+
 #: Ends along x and y where value and slope are 0, by type of edges; None has a closed form.
 EDGES: dict[str, tuple[str, str] | None] = {
     "simply-supported": None,

@@ -45,6 +45,8 @@ from cgid.scene.synthesis import batch_of, make_frames, require_frames
 from cgid.signals import Batch
 from cgid.validation import Floats
 
+__all__ = ["SolvedImpacts"]
+
 #: Parameters that follow from the pulses and may not be given.
 _OF_PULSES = ("peak_force", "contact_duration")
 #: The rules of parameters; others may be any finite number.

@@ -26,6 +26,8 @@ from cgid.scene.gravity import largest_error, tolerance_of
 from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.sensor import CHUNK
 
+__all__ = ["Decision", "Plan", "plan"]
+
 #: The possible outputs.
 OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
 #: Properties of `Impact` and their units.

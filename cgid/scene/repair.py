@@ -17,6 +17,8 @@ from cgid.store.folder import DESCRIPTION, Description, read_folder, require_sam
 from cgid.store.run import begun
 from cgid.store.verification import Verified, examine_file
 
+__all__ = ["repair"]
+
 Progress = Callable[[int], object]
 
 

@@ -18,6 +18,8 @@ from cgid.store.hdf5 import ShardBuilder, ShardPlan, lay_out, say_kind
 from cgid.store.reading import Dataset
 from cgid.store.run import SUFFIXES, is_single_file
 
+__all__ = ["export"]
+
 
 def describe_dataset(output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> Description:
     """Return the description of a dataset: one file, or a folder with `shard_signals` in each shard.

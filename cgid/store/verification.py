@@ -28,6 +28,8 @@ from cgid.store.headers import KINDS, damaged_rows, header_of
 from cgid.store.reading import require_own
 from cgid.store.table import TABLE_SUFFIXES, read_table
 
+__all__ = ["Verified", "verify"]
+
 _NOUNS = {FORMAT: "dataset", RECORDING_FORMAT: "recording", TABLE_FORMAT: "table"}
 #: By HDF5's numbers of filters; see `cgid.store.hdf5`.
 _COMPRESSIONS = {1: "gzip", 32015: "zstd", 32026: "blosc2"}

@@ -1,4 +1,4 @@
-"""The pages of the Python API: one for each part of the package, with the names that it gives to users.
+"""The pages of the Python API: one for each part of the package, with the names in `__all__`.
 
 The pages are written before every build, because they follow from `__all__`. What stands in `cgid` itself is documented
 there alone.
@@ -15,97 +15,90 @@ from typing import Any
 from numpydoc.xref import DEFAULT_LINKS
 from sphinx.application import Sphinx
 
-#: Page -> title, and modules with the names that users meet; None for all of `__all__`.
-PAGES: dict[str, tuple[str, dict[str, tuple[str, ...] | None]]] = {
-    "cgid": ("Everyday names: cgid", {"cgid": None}),
+#: Page -> title, and modules whose `__all__` is public.
+PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "cgid": ("Everyday names: cgid", ("cgid",)),
     "physics": (
         "Physics of an impact: cgid.physics",
-        {
-            "cgid.physics": None,
-            "cgid.physics.materials": (
-                "MaterialRange",
-                "StrengthRange",
-                "STEEL",
-                "COAL",
-                "SHALE",
-                "SANDSTONE",
-                "COAL_STRENGTH",
-                "MUDSTONE_STRENGTH",
-                "SANDSTONE_STRENGTH",
-                "LIMESTONE_STRENGTH",
-                "YANG2018_SPHERES",
-            ),
-            "cgid.physics.tail_beam": ("TailBeam", "Ribs"),
-            "cgid.measure.modes": ("Modes", "read_modes"),
-            "cgid.physics.response": ("Response", "Resonance", "LowPass"),
-            "cgid.physics.sampled": ("SampledPulses",),
-        },
+        (
+            "cgid.physics",
+            "cgid.physics.materials",
+            "cgid.physics.tail_beam",
+            "cgid.measure.modes",
+            "cgid.physics.response",
+            "cgid.physics.sampled",
+        ),
     ),
     "scene": (
         "Scenes and synthetic signals: cgid.scene",
-        {
-            "cgid.scene": None,
-            "cgid.scene.plan": ("Decision", "Plan", "plan"),
-            "cgid.scene.given_pulses": ("SolvedImpacts",),
-        },
+        (
+            "cgid.scene",
+            "cgid.scene.plan",
+            "cgid.scene.given_pulses",
+        ),
     ),
     "recordings": (
         "Recordings: cgid.recordings",
-        {"cgid.recordings": None, "cgid.identification.events": ("Event",)},
+        (
+            "cgid.recordings",
+            "cgid.identification.events",
+        ),
     ),
     "measure": (
         "Measuring: cgid.measure",
-        {
-            "cgid.measure.features": ("FEATURES", "choose", "extract"),
-            "cgid.measure.filters": ("fft_filter", "filter_gain", "Equalisation"),
-            "cgid.identification.estimation": ("Estimates", "Posterior", "cramer_rao_bound", "estimate", "posterior"),
-        },
+        (
+            "cgid.measure.features",
+            "cgid.measure.filters",
+            "cgid.identification.estimation",
+        ),
     ),
     "identification": (
         "Identifying and training: cgid.identification",
-        {
-            "cgid.identification.prediction_settings": ("PredictionSettings",),
-            "cgid.identification.answers": ("Answer", "identify", "identify_frames", "suited"),
-            "cgid.identification.share": ("CavingWatch", "Share", "ShareWindow", "wilson_interval"),
-            "cgid.identification.rows": ("Rows", "measure"),
-            "cgid.identification.training": ("Training", "train"),
-            "cgid.identification.card": ("write_card",),
-            "cgid.export_c": ("c_source",),
-            "cgid.learn": ("TrainingStream", "to_xarray", "from_xarray"),
-        },
+        (
+            "cgid.identification.prediction_settings",
+            "cgid.identification.answers",
+            "cgid.identification.share",
+            "cgid.identification.rows",
+            "cgid.identification.training",
+            "cgid.identification.card",
+            "cgid.export_c",
+            "cgid.learn",
+        ),
     ),
     "store": (
         "Datasets on disk: cgid.store",
-        {
-            "cgid.store": None,
-            "cgid.store.verification": ("Verified", "verify"),
-            "cgid.scene.repair": ("repair",),
-            "cgid.store.dataset": ("export",),
-        },
+        (
+            "cgid.store",
+            "cgid.store.verification",
+            "cgid.scene.repair",
+            "cgid.store.dataset",
+        ),
     ),
-    "ceiling": ("The best possible accuracy: cgid.ceiling", {"cgid.ceiling": None}),
-    "site": ("The beam of a site: cgid.site", {"cgid.site": None}),
+    "ceiling": ("The best possible accuracy: cgid.ceiling", ("cgid.ceiling",)),
+    "site": ("The beam of a site: cgid.site", ("cgid.site",)),
     "impactor": (
         "What struck, and public recordings: cgid.impactor, cgid.public",
-        {"cgid.impactor": None, "cgid.public": ("PublicData", "fetch")},
+        (
+            "cgid.impactor",
+            "cgid.public",
+        ),
     ),
     "output": (
         "Pictures and reports: cgid.plots, cgid.report",
-        {
-            "cgid.plots": ("picture", "recording_picture", "share_figure"),
-            "cgid.report": ("Report", "report_page", "write_report"),
-        },
+        (
+            "cgid.plots",
+            "cgid.report",
+        ),
     ),
 }
 
 
-def names_of(module: str, names: tuple[str, ...] | None) -> list[str]:
-    """Return the documented names of a module that it has; those of `cgid` itself only there."""
-    found, everyday = import_module(module), import_module("cgid")
-    given = names if names is not None else tuple(getattr(found, "__all__", ()))
-    public = {id(getattr(everyday, name)) for name in everyday.__all__} if found is not everyday else set()
-    here = [name for name in given if hasattr(found, name) and not name.startswith("__")]
-    return sorted((name for name in here if id(getattr(found, name)) not in public), key=str.lower)
+def names_of(module: str) -> list[str]:
+    """Return the public names of a module; those of `cgid` itself only there."""
+    described, top = import_module(module), import_module("cgid")
+    elsewhere = {id(getattr(top, name)) for name in top.__all__} if described is not top else set()
+    names = [name for name in described.__all__ if not name.startswith("__")]
+    return sorted((name for name in names if id(getattr(described, name)) not in elsewhere), key=str.lower)
 
 
 def write_pages(app: Sphinx, _: Any) -> None:
@@ -113,8 +106,8 @@ def write_pages(app: Sphinx, _: Any) -> None:
     folder = Path(app.srcdir) / "reference" / "api"
     for page, (title, modules) in PAGES.items():
         lines, described = [title, "=" * len(title), ""], []
-        for module, chosen in modules.items():
-            names = names_of(module, chosen)
+        for module in modules:
+            names = names_of(module)
             for name in names:
                 found, full = getattr(import_module(module), name), f"{module}.{name}"
                 kind = "class" if inspect.isclass(found) else "function" if callable(found) else "data"

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from cgid.ceiling import MOST_SIGNALS, Ceiling, Learner, check_training, learner, require_supported, untrusted
 from cgid.files import write_whole
-from cgid.plots import new_picture
+from cgid.plots.figure import new_picture
 from cgid.scene import load_scene
 from cgid.validation import whole
 from studies import run

@@ -10,7 +10,7 @@ import numpy as np
 
 from cgid.ceiling import untrusted
 from cgid.errors import BadData
-from cgid.plots import png, require_matplotlib
+from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import Scene, varied
 from cgid.scene.impacts import draws
 from cgid.scene.sections import Population

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from cgid.errors import CannotCreate
 from cgid.files import looking_at, write_together
 from cgid.physics import HertzRangeWarning
-from cgid.plots import require_matplotlib
+from cgid.plots.figure import require_matplotlib
 from studies import run
 from studies.paper.drawing import csv_title, draw, draw_table
 from studies.paper.figures import FIGURES

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cgid.plots import COLOURS, png, require_matplotlib
+from cgid.plots.figure import COLOURS, png, require_matplotlib
 
 
 @dataclass(frozen=True)
