@@ -265,14 +265,14 @@ def test_plot_finds_the_impacts(wav: Path, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_plot_passes_marks_on(wav: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import cgid.plots
+    import cgid.plots.recording
 
     seen: dict[str, Any] = {}
 
     def drawn(overview: Any, channels: Any, **more: Any) -> None:
         seen.update(more, overview=overview)
 
-    monkeypatch.setattr(cgid.plots, "overview_figure", drawn)
+    monkeypatch.setattr(cgid.plots.recording, "overview_figure", drawn)
     monkeypatch.setattr(cgid.plots, "picture", lambda *_, **__: b"")
     assert run(["plot", str(wav), "-o", str(tmp_path / "a.png"), "--from", "0.5"]) == 0
     times = [(mark.time, mark.channel) for mark in seen["marks"]]
@@ -300,10 +300,10 @@ def test_plot_draws_one_signal_of_a_dataset(tmp_path: Path, reference_scene: Any
 
 
 def test_plot_draws_eight_channels_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    import cgid.plots
+    import cgid.plots.recording
 
     monkeypatch.setattr(cgid.plots, "picture", lambda *_, **__: b"")
-    monkeypatch.setattr(cgid.plots, "overview_figure", lambda *_, **__: None)
+    monkeypatch.setattr(cgid.plots.recording, "overview_figure", lambda *_, **__: None)
     np.save(tmp_path / "ten.npy", np.random.default_rng(0).normal(size=(10, 5000)))
     arguments = ["plot", str(tmp_path / "ten.npy"), "--rate", "1e4", "-o", str(tmp_path / "a.png"), "--no-events"]
     assert run(arguments) == 0
