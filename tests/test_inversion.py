@@ -23,7 +23,7 @@ from cgid.cli.main import run
 from cgid.errors import InvalidValue
 from cgid.identification.answers import identify_frames
 from cgid.identification.contact import BeamStream, Contact, ThroughBeam
-from cgid.identification.inversion import Inversion, Inverted, Sought
+from cgid.identification.inversion import ForceEstimate, Inversion, Observations, Start
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.training import train
@@ -64,7 +64,7 @@ def at_rate(rate: float, n: int = 256) -> Batch:
 
 
 @functools.cache
-def blows() -> tuple[Batch, Inverted, Contact]:
+def blows() -> tuple[Batch, ForceEstimate, Contact]:
     """256 impacts of the shipped scene, inverted, and their pulses."""
     batch = at_rate(25_600)
     inverted = tail_beam().look(vibrations(batch))[0]
@@ -182,7 +182,7 @@ def basis(inversion: Inversion) -> np.ndarray:
     """Cosines and sines of the frequencies that tell, orthonormal, (n_coefficients, n_samples)."""
     n = inversion.n_samples
     turn = 2 * np.pi * np.outer(np.arange(inversion.bins.start, inversion.bins.stop), np.arange(n)) / n
-    return np.concatenate([np.cos(turn), -np.sin(turn)]) * np.sqrt(2 / n)
+    return np.stack([np.cos(turn), -np.sin(turn)], axis=1).reshape(-1, n) * np.sqrt(2 / n)
 
 
 def dense(inversion: Inversion, x: float, y: float) -> np.ndarray:
@@ -211,34 +211,39 @@ def test_the_search_maximises_the_evidence_of_a_gaussian(height: float) -> None:
     """Over all places and levels, against covariance matrices in time."""
     inversion = eight_modes()
     sample = rung(inversion, 0.93, 0.31, height, 3)
-    weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
-    found, place, level = inversion._search(inversion.transformed(sample[None]), weight, np.zeros(1), None, np.ones(1))
+    found = started(inversion, sample)
 
-    def evidence(place: int, height: float) -> float:
-        response = dense(inversion, inversion._grid.x[place], inversion._grid.y[place])
+    def evidence(x: float, y: float, height: float) -> float:
+        response = dense(inversion, x, y)
         covariance = np.eye(inversion.n_samples) + height**2 * response @ response.T
         quadratic = sample @ sample - sample @ np.linalg.solve(covariance, sample)
         return 0.5 * quadratic - 0.5 * np.linalg.slogdet(covariance)[1]
 
-    assert evidence(place[0], level[0]) == pytest.approx(found[0], rel=1e-3, abs=0.02)
-    levels = inversion._coarse(0.0)[1].levels
-    own = int(np.argmin(np.abs(levels - level[0])))
-    best = max(evidence(other, h) for other in range(len(inversion._grid.x)) for h in levels[max(own - 1, 0) :][:3])
-    assert best <= found[0] + max(0.02, 1e-3 * found[0])
+    gained = found.evidence[0]
+    assert evidence(found.x[0], found.y[0], found.level[0]) == pytest.approx(gained, rel=1e-3, abs=0.02)
+    grid, levels = inversion.grid.fine, inversion.grid.noise_tables(0.0)[1].levels
+    own = int(np.argmin(np.abs(levels - found.level[0])))
+    near = levels[max(own - 1, 0) :][:3]
+    best = max(evidence(x, y, h) for x, y in zip(grid.x, grid.y, strict=True) for h in near)
+    assert best <= gained + max(0.02, 1e-3 * gained)
+
+
+def started(inversion: Inversion, sample: np.ndarray) -> Start:
+    """The best location of the grid for samples (n_samples,) in white noise of deviation 1."""
+    seen = Observations(sample[None], np.ones(1)).by_sensor()
+    return inversion.grid.search(seen, *inversion.weights(seen), np.zeros(1, int))
 
 
 def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     """Information and vector, against a dense covariance with the unknown place in it; and the place's deviation."""
     inversion = eight_modes()
     sample = rung(inversion, 0.93, 0.31, 30.0, 4)
-    weight = np.ones((1, 2 * (inversion.bins.stop - inversion.bins.start)), np.float32)
-    samples = inversion.transformed(sample[None])
-    _, place, level = inversion._search(samples, weight, np.zeros(1), None, np.ones(1))
-    x, y = inversion._grid.x[place], inversion._grid.y[place]
-    found = inversion._refined(samples, weight, x, y, level)
+    seen, start = Observations(sample[None], np.ones(1)), started(inversion, sample)
+    level = start.level
+    found = inversion.refine(seen, start)
     for _ in range(5):  # to where the last step is none
-        found = inversion._refined(samples, weight, found["x"], found["y"], level)
-    x, y, force = found["x"][0], found["y"][0], found["coefficients"][0]
+        found = inversion.refine(seen, replace(start, x=found.x, y=found.y))
+    x, y, force = found.x[0], found.y[0], found.coefficients[0]
     step = 1e-5
     response = dense(inversion, x, y)
     slopes = np.stack(
@@ -252,18 +257,18 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     information = response.T @ np.linalg.solve(free, response)
     vector = response.T @ np.linalg.solve(free, sample)
     size = np.abs(information).max()
-    np.testing.assert_allclose(found["information"][0], information, rtol=2e-3, atol=1e-4 * size)
-    np.testing.assert_allclose(found["vector"][0], vector, rtol=2e-3, atol=1e-4 * np.abs(vector).max())
+    np.testing.assert_allclose(found.information[0], information, rtol=2e-3, atol=1e-4 * size)
+    np.testing.assert_allclose(found.vector[0], vector, rtol=2e-3, atol=1e-4 * np.abs(vector).max())
     felt = np.eye(inversion.n_samples) + level[0] ** 2 * response @ response.T
     curvature = slopes.T @ np.linalg.solve(felt, slopes) + np.eye(2) / 0.1**2
-    np.testing.assert_allclose(found["place_deviation"][0], np.sqrt(np.diag(np.linalg.inv(curvature))), rtol=5e-3)
+    np.testing.assert_allclose(found.place_deviation[0], np.sqrt(np.diag(np.linalg.inv(curvature))), rtol=5e-3)
     quadratic = sample @ sample - sample @ np.linalg.solve(felt, sample)
     gained = 0.5 * quadratic - 0.5 * np.linalg.slogdet(felt)[1]
-    assert found["evidence"][0] * inversion.n_samples == pytest.approx(gained, rel=1e-3)
+    assert found.evidence[0] * inversion.n_samples == pytest.approx(gained, rel=1e-3)
 
 
-def sought(colour: ARNoise, noise: np.ndarray) -> Sought:
-    return Sought(np.zeros((len(noise), 1)), noise, colour.coefficients, colour.innovation).by_sensor()
+def sought(colour: ARNoise, noise: np.ndarray) -> Observations:
+    return Observations(np.zeros((len(noise), 1)), noise, colour.coefficients, colour.innovation).by_sensor()
 
 
 @pytest.mark.parametrize("rho", [0.8, -0.5, 0.97])
@@ -275,8 +280,8 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     known = ARNoise(np.zeros((1, ORDER)), np.ones(1))
     known.coefficients[0, 0] = rho
     noise = np.array([1 / np.sqrt(1 - rho**2)])
-    weight, exponent = inversion._weights(sought(known, noise))
-    np.testing.assert_allclose(np.tile(noise[0] ** 2 / true, 2), weight[0], rtol=1e-5)
+    weight, exponent = inversion.weights(sought(known, noise))
+    np.testing.assert_allclose(np.repeat(noise[0] ** 2 / true, 2), weight[0], rtol=1e-5)
     assert (exponent[0] > 0) == (rho > 0)
     # One that is estimated: the weighted coefficients of fresh noise have deviation 1.
     drawn = np.random.default_rng(5).normal(size=(n, 2048))
@@ -284,13 +289,13 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     quiet, fresh = frames[:, 200:712], frames[:, -640:]
     colour = ar_noise_of(quiet, np.full(n, 512.0), np.zeros(n))
     sizes = np.std(quiet, axis=1)
-    weight, _ = inversion._weights(sought(colour, sizes))
+    weight, _ = inversion.weights(sought(colour, sizes))
     white = inversion.transformed(fresh / sizes[:, None]) * np.sqrt(weight)
-    by_frequency = np.sqrt(np.mean(white**2, axis=0)).reshape(2, -1)
+    by_frequency = np.sqrt(np.mean(white**2, axis=0))
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.1)
     assert np.abs(by_frequency - 1).mean() < 0.12
     white_noise = ARNoise(np.zeros((1, ORDER)), np.ones(1))
-    assert (inversion._weights(sought(white_noise, np.ones(1)))[0] == 1).all()
+    assert (inversion.weights(sought(white_noise, np.ones(1)))[0] == 1).all()
 
 
 # -- modes that are not known exactly -------------------------------------------------------------------------------
@@ -345,7 +350,7 @@ def test_errors_of_the_modes_are_noise_of_their_covariance(height: float) -> Non
     response = own @ np.einsum("m,mkt->tk", at, mean)
     strength = height**2 / np.mean(np.square(response).sum(axis=0))
     noise = np.eye(len(own)) + strength * own @ covariance @ own.T
-    errors = inversion._errors
+    errors = inversion.errors
     assert errors is not None
     # Noise as a weight: turned coefficients are independent, and tell what the dense covariance tells.
     weight = errors.weight(np.ones((1, len(own)), np.float32), np.array([strength]))[0]
@@ -361,7 +366,7 @@ def test_errors_of_the_modes_are_noise_of_their_covariance(height: float) -> Non
 @pytest.mark.long
 def test_tiny_errors_of_the_modes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the beam's own rate, at another, in coloured noise and where samples are clipped."""
-    monkeypatch.setattr("cgid.identification.inversion._NEGLIGIBLE", 0.0)
+    monkeypatch.setattr("cgid.identification.beam_responses._NEGLIGIBLE", 0.0)
     batch = at_rate(25_600, 96)
     certain, exact = ThroughBeam(with_errors(tail_beam().beam, np.full((3, 188), 1e-6))), tail_beam()
     loud = np.abs(batch.signals).max(axis=1, keepdims=True)
@@ -380,9 +385,9 @@ def test_tiny_errors_of_the_modes_change_nothing(monkeypatch: pytest.MonkeyPatch
         assert np.median(apart) < 5e-4 and np.quantile(apart, 0.9) < 5e-3, (rate, apart)
         # Two steps to the place leave some .1 % of the peak, whose error is .6 %.
         assert np.median(change) < 2e-3 and np.quantile(change, 0.9) < 0.03, (rate, change)
-    assert certain.inversion._errors is not None and Inversion(tail_beam().beam)._errors is None
+    assert certain.inversion.errors is not None and Inversion(tail_beam().beam).errors is None
     monkeypatch.undo()
-    assert Inversion(certain.beam)._errors is None
+    assert Inversion(certain.beam).errors is None
 
 
 def test_stated_errors_of_the_modes_leave_true_deviations() -> None:

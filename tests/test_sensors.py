@@ -14,7 +14,7 @@ from scipy import signal
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify, identify_frames
 from cgid.identification.contact import ThroughBeam, clipped_samples
-from cgid.identification.inversion import Inversion, Inverted, Sought
+from cgid.identification.inversion import ForceEstimate, Inversion, Observations
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES
@@ -67,7 +67,7 @@ def test_the_samples_of_two_sensors_are_one_gaussian(louder: float) -> None:
     noise = np.array([1.0, louder])
     blow = dense(inversion, 0.927, 0.302) @ random.normal(size=4)
     frames = n * blow / np.std(blow) + noise[:, None] * (random.normal(size=(2, len(own))) @ own)
-    found = inversion.invert(Sought(frames[None], noise[None]), np.array([[3, 3]]))
+    found = inversion.invert(Observations(frames[None], noise[None]), np.array([[3, 3]]))
     assert found.start[0] == 0
     assert found.x[0] == pytest.approx(0.927, abs=3e-3)
     assert found.y[0] == pytest.approx(0.302, abs=1e-3)
@@ -84,7 +84,7 @@ def test_the_samples_of_two_sensors_are_one_gaussian(louder: float) -> None:
     # It is told before the last step to the place.
     np.testing.assert_allclose(found.information[0], information, rtol=1e-2, atol=1e-3 * np.abs(information).max())
     np.testing.assert_allclose(found.vector[0], vector, rtol=1e-2, atol=5e-3 * np.abs(vector).max())
-    levels = inversion._coarse(0.0)[1].levels
+    levels = inversion.grid.noise_tables(0.0)[1].levels
     gains = []
     for level in levels:
         covariance = np.eye(sample.size) + level**2 * both @ both.T
@@ -102,10 +102,10 @@ def test_a_sensor_twice_is_one_with_less_noise() -> None:
     own = basis(one)
     frames = 20 * blows / np.std(blows, axis=1, keepdims=True) + random.normal(size=(20, len(own))) @ own
     start = np.full((20, 2), 3)
-    single = one.invert(Sought(frames, np.full(20, 0.25)), start)
+    single = one.invert(Observations(frames, np.full(20, 0.25)), start)
     for parts in ((8.0, 8.0), (4.0, 12.0), (1e-12, 16.0)):
         noise = np.tile(np.array(parts) ** -0.5, (20, 1))
-        both = two.invert(Sought(np.stack([frames, frames], axis=1), noise), start)
+        both = two.invert(Observations(np.stack([frames, frames], axis=1), noise), start)
         np.testing.assert_allclose(both.x, single.x, atol=1e-4)
         np.testing.assert_allclose(both.y, single.y, atol=1e-4)
         np.testing.assert_allclose(both.place_deviation, single.place_deviation, rtol=2e-2)
@@ -133,7 +133,7 @@ def features_of(signals: np.ndarray, batch: Batch, beam: ThroughBeam) -> np.ndar
 
 
 @functools.cache
-def looked(points: tuple[tuple[float, float], ...]) -> tuple[Batch, Inverted, np.ndarray]:
+def looked(points: tuple[tuple[float, float], ...]) -> tuple[Batch, ForceEstimate, np.ndarray]:
     """Impacts of the shipped scene at several sensors, each with its own noise; what is found, and the features."""
     scene, random = load_scene("tail_beam"), np.random.default_rng(1)
     noise = float(scene.sensor.noise_level(np.zeros(1), scene.sampling.sampling_rate)[0])

@@ -1,8 +1,8 @@
 """The pulse family fitted to a force that is known in principal shapes, as from the acceleration of a beam.
 
-The samples tell of the force no more than a quadratic form in some 16 coefficients (`Inverted.information`). A pulse of
-the family has such coefficients, too: its spectrum is a table in shape and in frequency times width, and the projection
-onto the shapes is linear. So a pulse is fitted in 16 numbers, whatever the length of the signal was.
+The samples indicate of the force no more than a quadratic form in some 16 coefficients (`ForceEstimate.information`). A
+pulse of the family has such coefficients, too: its spectrum is a table in shape and in frequency times width, and the
+projection onto the shapes is linear. So a pulse is fitted in 16 numbers, whatever the length of the signal was.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid import family
-from cgid.identification.inversion import Inversion, Inverted, Ringing, Rowwise, Sought
+from cgid.identification.beam_responses import Observations, Rowwise
+from cgid.identification.inversion import ForceEstimate, Inversion
+from cgid.identification.ring_down import RingDown
 from cgid.measure.ar_noise import ARNoise, ar_noise_of
 from cgid.measure.beam import FINE, SPAN_TIME, TOUCH, Beam, gain
 from cgid.measure.least_squares import least_squares
@@ -80,7 +82,7 @@ class Contact(Rowwise):
     shape : ndarray, (n,)
         ln e, above 0 for a pulse that rises more slowly than it falls.
     touch : ndarray, (n,)
-        After `Inverted.start` [samples].
+        After `ForceEstimate.start` [samples].
     covariance : ndarray, (n, 3, 3)
         Of ln peak, ln width and shape; times the misfit if that is above 1.
     coefficients : ndarray, (n, n_shapes)
@@ -177,7 +179,7 @@ class ContactFit:
         table, step = _spectra(), _SHAPES[1] - _SHAPES[0]
         place = (np.clip(shape, _SHAPES[0], _SHAPES[-1]) - _SHAPES[0]) / step
         node = np.clip(np.floor(place).astype(np.intp) - 1, 0, _SHAPES.size - 4)
-        weight, weight_slope = _cubic(place - node)
+        weight, weight_slope = _cubic(place - node).swapaxes(0, 1)
         scaled = width[:, None] * self._frequencies * (_LENGTH / _POINTS)
         index = np.minimum(scaled.astype(np.intp), table.shape[1] - 2)
         share = scaled - index
@@ -219,61 +221,61 @@ class ContactFit:
     def _tried(self) -> tuple[Floats, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """The pulses that are tried first, those of one shape together.
 
-        Parameters (n_shapes_tried, n_each, 3) and minus the logarithm of their prior; coefficients (n, n_shapes) and
-        products of two of these, (n, n_products).
+        Parameters (n_shapes_tried, n_each, 3) and minus the logarithm of their prior (n,); coefficients (n_shapes, n)
+        and products of two of these, (n_products, n).
         """
         sides = [
             np.linspace(low, high, n)[::every] for low, high, n, every in zip(*_LIMITS, _NODES, _FIRST, strict=True)
         ]
         likely = (sides[2] >= 0) & (sides[2] <= TOUCH)
-        bank = self._bank[:: _FIRST[0], :: _FIRST[1], :: _FIRST[2]][:, :, likely].transpose(1, 0, 2, 3)
+        bank = self._bank[:: _FIRST[0], :: _FIRST[1], :: _FIRST[2]][:, :, likely].transpose(3, 1, 0, 2)
         mesh = np.meshgrid(sides[1], sides[0], sides[2][likely], indexing="ij")
         at = np.stack([mesh[1], mesh[0], mesh[2]], axis=-1).reshape(len(sides[1]), -1, 3)
-        flat = np.ascontiguousarray(bank.reshape(-1, bank.shape[-1]))
-        first, second = np.triu_indices(flat.shape[1])
-        return at, _cost_of_prior(at).astype(np.float32), flat, flat[:, first] * flat[:, second]
+        flat = np.ascontiguousarray(bank.reshape(len(bank), -1))
+        first, second = np.triu_indices(len(flat))
+        return at, _cost_of_prior(at).ravel().astype(np.float32), flat, flat[first] * flat[second]
 
-    def fit(self, inverted: Inverted) -> Contact:
+    def fit(self, estimate: ForceEstimate) -> Contact:
         """Return the pulses that agree best with recovered forces."""
         parts = [
-            self._fit(inverted.information[rows], inverted.vector[rows])
-            for rows in (slice(first, first + _ROWS) for first in range(0, max(len(inverted.vector), 1), _ROWS))
+            self._fit(estimate.information[rows], estimate.vector[rows])
+            for rows in (slice(first, first + _ROWS) for first in range(0, max(len(estimate.vector), 1), _ROWS))
         ]
         at, peak, own, covariance = (np.concatenate(part) for part in zip(*parts, strict=True))
-        apart = inverted.coefficients - own
-        misfit = np.einsum("nk,nkl,nl->n", apart, inverted.information, apart) / max(own.shape[1] - 4, 1)
+        apart = estimate.coefficients - own
+        misfit = np.einsum("nk,nkl,nl->n", apart, estimate.information, apart) / max(own.shape[1] - 4, 1)
         # True pulses are not quite of the family, as strong blows tell; Birge (1932, Phys. Rev. 40, 207) widens so.
         covariance *= np.maximum(misfit, 1.0)[:, None, None]
-        return Contact(peak * inverted.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
+        return Contact(peak * estimate.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
 
     def _fit(self, information: Floats, vector: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return ln width, shape and touch [samples]; peak over noise, coefficients, and covariance as in `Contact`."""
-        n = len(vector)
         starts = self._starts(information, vector)
-        at, cost = self._descended(
-            starts.reshape(-1, 3), np.repeat(information, _KEPT, 0), np.repeat(vector, _KEPT, 0), _FEW
-        )
-        best = np.argmin(cost.reshape(n, _KEPT), axis=1)
-        at = self._descended(at.reshape(n, _KEPT, 3)[np.arange(n), best], information, vector, _MORE)[0]
-        peak, _, own, ways = self._pulses(at, information, vector)
-        covariance = np.linalg.inv(_curvature(ways, information))[:, :3, :3]
+        rows = np.repeat(np.arange(len(starts)), _KEPT)
+        at, products = self._descended(starts.reshape(-1, 3), information[rows], vector[rows], _FEW)
+        best = np.argmin(products[:, 4, 4].reshape(-1, _KEPT), axis=1)
+        at = at.reshape(*starts.shape)[np.arange(len(starts)), best]
+        at = self._descended(at, information, vector, _MORE)[0]
+        peak, products = self._products(at, information, vector)
+        covariance = np.linalg.inv(products[:, :4, :4])[:, :3, :3]
         # Rounding may leave a variance below 0 where a force is far too large.
         covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], _LEAST_VARIANCE)
-        return at, peak, own, np.asarray(covariance, np.float64)
+        return at, peak, self._between(at)[:, 0] * peak[:, None], np.asarray(covariance, np.float64)
 
     def _starts(self, information: Floats, vector: Floats) -> Floats:
-        """Return the most probable pulses tried, of the best shapes one each, (n, _KEPT, 3)."""
+        """Return the most probable pulses tried, of the best shapes one each, (n, n_starts, 3)."""
         at, prior, bank, products = self._tried
-        first, second = np.triu_indices(bank.shape[1])
-        both = np.where(first == second, 1.0, 2.0) * information[:, first, second]
-        size = products @ both.T.astype(np.float32)
-        along = np.maximum(bank @ vector.T.astype(np.float32), 0)
-        told = 0.5 * np.square(along) / np.maximum(size, 1e-30)
-        gained = told.reshape(*prior.shape, len(vector)) - prior[:, :, None]
-        best = np.argmax(gained, axis=1)
-        top = np.take_along_axis(gained, best[:, None], axis=1)[:, 0]
-        shapes = np.argsort(-top, axis=0)[:_KEPT]
-        return np.asarray(at[shapes, np.take_along_axis(best, shapes, axis=0)].transpose(1, 0, 2))
+        first, second = np.triu_indices(len(bank))
+        both = np.where(first == second, 2.0, 4.0) * information[:, first, second]
+        gained = np.maximum(vector.astype(np.float32) @ bank, 0)
+        gained *= gained
+        gained /= np.maximum(both.astype(np.float32) @ products, 1e-30)
+        gained -= prior
+        gained = gained.reshape(len(gained), len(at), -1)
+        best = np.argmax(gained, axis=2)
+        top = np.take_along_axis(gained, best[:, :, None], axis=2)[:, :, 0]
+        shapes = np.argsort(-top, axis=1)[:, :_KEPT]
+        return np.asarray(at[shapes, np.take_along_axis(best, shapes, axis=1)])
 
     def exact_coefficients(self, at: Floats) -> tuple[Floats, Floats]:
         """Return the coefficients of pulses of ln width, shape and onset [samples], (n, 3), and their slopes."""
@@ -283,49 +285,54 @@ class ContactFit:
 
     def table_coefficients(self, at: Floats) -> tuple[Floats, Floats]:
         """Return coefficients and slopes as `exact_coefficients`, by cubic interpolation of the table."""
-        weights, index = np.ones((4, len(at), 1), np.float32), np.zeros((len(at), 1), np.intp)
-        for axis, (low, high, n) in enumerate(zip(*_LIMITS, _NODES, strict=True)):
-            place = (at[:, axis] - low) * ((n - 1) / (high - low))
-            node = np.clip(np.floor(place).astype(np.intp) - 1, 0, n - 4)
-            value, slope = _cubic(place - node)
-            own = np.repeat(value[None].astype(np.float32), 4, axis=0)
-            own[axis + 1] = slope * ((n - 1) / (high - low))
-            weights = (weights[:, :, :, None] * own[:, :, None]).reshape(4, len(at), -1)
-            index = (index[:, :, None] * n + (node[:, None] + np.arange(4))[:, None]).reshape(len(at), -1)
-        flat = self._bank.reshape(-1, self._bank.shape[-1])
-        found = weights.transpose(1, 0, 2) @ flat[index]
-        return found[:, 0].astype(np.float64), found[:, 1:].astype(np.float64)
+        found = self._between(at).astype(np.float64)
+        return found[:, 0], found[:, 1:]
 
-    def _pulses(self, at: Floats, information: Floats, vector: Floats) -> tuple[Floats, ...]:
-        """Return the best peaks of pulses, cost, coefficients, and their slopes in ln peak and the parameters."""
-        own, slopes = self.table_coefficients(at)
-        size = np.sum(own * (information @ own[:, :, None])[:, :, 0], axis=1)
-        told = np.sum(own * vector, axis=1)
-        peak = np.maximum(told, 1e-12) / np.maximum(size, 1e-30)
-        cost = -0.5 * peak * np.maximum(told, 0.0) + _cost_of_prior(at)
-        ways = np.concatenate([own[:, None], slopes], axis=1) * peak[:, None, None]
-        return peak, cost, ways[:, 0].copy(), ways
+    def _between(self, at: Floats) -> NDArray[np.float32]:
+        """Return coefficients and slopes in one array, (n, 4, n_shapes)."""
+        (low, high), counts = _LIMITS, np.array(_NODES)
+        scale = (counts - 1) / (high - low)
+        place = (at - low) * scale
+        node = np.clip(place.astype(np.intp) - 1, 0, counts - 4)
+        weights = _cubic((place - node).astype(np.float32))
+        weights[:, :, 1] *= scale[:, None].astype(np.float32)
+        # Value, and slope in each parameter: the products of the weights along the three axes.
+        along, across, later = (weights[:, axis, which] for axis, which in enumerate(_IS_SLOPE))
+        both = (across[:, :, :, None] * later[:, :, None]).reshape(len(at), 4, 1, 16)
+        product = (along[:, :, :, None] * both).reshape(len(at), 4, 64)
+        steps = np.array([counts[1] * counts[2], counts[2], 1])
+        around = np.indices((4, 4, 4)).reshape(3, -1).T @ steps
+        nodes = self._bank.reshape(-1, self._bank.shape[-1]).take(np.add.outer(node @ steps, around), axis=0)
+        return np.asarray(product @ nodes)
+
+    def _products(self, at: Floats, information: Floats, vector: Floats) -> tuple[Floats, Floats]:
+        """Return the best peaks of pulses (n,), and products as of `least_squares`: of ln peak and the parameters."""
+        ways = self._between(at).astype(np.float64)
+        along = (ways @ vector[:, :, None])[:, :, 0]
+        power = ways @ information @ ways.transpose(0, 2, 1)
+        peak = np.maximum(along[:, 0], 1e-12) / np.maximum(power[:, 0, 0], 1e-30)
+        out = np.empty((len(at), 5, 5))
+        out[:, :4, :4] = power * np.square(peak)[:, None, None]
+        out[:, [1, 2, 3], [1, 2, 3]] += _PRIOR
+        # Never singular, even where nothing is told.
+        out[:, range(4), range(4)] = out[:, range(4), range(4)] * (1 + 1e-9) + 1e-30
+        out[:, :4, 4] = peak[:, None] * (along - peak[:, None] * power[:, 0])
+        out[:, 1:4, 4] -= (at - _MIDDLE) * _PRIOR
+        out[:, 4, 4] = 2 * _cost_of_prior(at) - peak * np.maximum(along[:, 0], 0.0)
+        return peak, out
 
     def _descended(self, at: Floats, information: Floats, vector: Floats, n_steps: int) -> tuple[Floats, Floats]:
-        """Return the best parameters near some, and their cost."""
+        """Return the best parameters near some, and the products there."""
 
         def equations(at: Floats, rows: NDArray[np.intp]) -> Floats:
-            _, cost, own, ways = self._pulses(at, information[rows], vector[rows])
-            left = vector[rows] - (information[rows] @ own[:, :, None])[:, :, 0]
-            out = np.empty((len(at), 5, 5))
-            out[:, :4, :4] = _curvature(ways, information[rows])
-            out[:, :4, 4] = (ways @ left[:, :, None])[:, :, 0]
-            out[:, 1:4, 4] -= (at - _MIDDLE) * _PRIOR
-            out[:, 4, 4] = 2 * cost
-            return out
+            return self._products(at, information[rows], vector[rows])[1]
 
         def moved(at: Floats, step: Floats, _: NDArray[np.intp]) -> Floats:
             return np.clip(at + np.nan_to_num(step[:, 1:]), *_LIMITS)
 
         small = np.full(len(at), 2 * _LEAST_GAIN)
         with np.errstate(over="ignore", invalid="ignore"):  # where nothing is told
-            at, products, _ = least_squares(at.copy(), equations, moved, small, n_steps)
-        return at, 0.5 * products[:, 4, 4]
+            return least_squares(at.copy(), equations, moved, small, n_steps)[:2]
 
 
 #: Lowest and highest ln width, shape and touch [samples]; middle and precision of their prior.
@@ -335,6 +342,12 @@ _LIMITS = (
 )
 #: The same of ln width and shape alone.
 LOWEST, HIGHEST = tuple(_LIMITS[0][:2].tolist()), tuple(_LIMITS[1][:2].tolist())
+#: Powers of a place between four nodes -> weight of each, and its slope.
+_POWERS = np.linalg.inv(np.vander(np.arange(4.0), increasing=True))
+_POWERS = np.concatenate([_POWERS, np.arange(1, 5)[:, None] * np.roll(_POWERS, -1, axis=0)], axis=1)
+_POWERS[3, 4:] = 0
+#: Whether the weights of an axis (ln width, shape, touch) are slopes, in the value and in each of the three slopes.
+_IS_SLOPE = np.eye(4, dtype=np.intp)[1:]
 _MIDDLE, _PRIOR = np.array([0.0, _SHAPE_PRIOR[0], _TOUCH_PRIOR[0]]), np.array([0, _SHAPE_PRIOR[1], _TOUCH_PRIOR[1]])
 _PRIOR[1:] **= -2
 
@@ -343,22 +356,11 @@ def _cost_of_prior(at: Floats) -> Floats:
     return np.asarray(0.5 * np.sum((at - _MIDDLE) ** 2 * _PRIOR, axis=-1))
 
 
-def _curvature(ways: Floats, information: Floats) -> Floats:
-    """Return the precision of ln peak, ln width, shape and touch, (n, 4, 4), from the slopes of coefficients."""
-    found = ways @ information @ ways.transpose(0, 2, 1)
-    found[:, [1, 2, 3], [1, 2, 3]] += _PRIOR
-    # Never singular, even where nothing is told.
-    found[:, range(4), range(4)] = found[:, range(4), range(4)] * (1 + 1e-9) + 1e-30
-    return np.asarray(found)
-
-
-def _cubic(place: Floats) -> tuple[Floats, Floats]:
-    """Return the weights of four nodes at places from node 0 (n,), and their slopes, each (n, 4)."""
-    a, b, c, d = place, place - 1, place - 2, place - 3
-    weights = np.stack([b * c * d / -6, a * c * d / 2, a * b * d / -2, a * b * c / 6], axis=1)
-    bc, bd, cd, ac, ad, ab = b * c, b * d, c * d, a * c, a * d, a * b
-    slopes = np.stack([(bc + bd + cd) / -6, (ac + ad + cd) / 2, (ab + ad + bd) / -2, (ab + ac + bc) / 6], axis=1)
-    return weights, slopes
+def _cubic(place: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the weights of nodes 0 to 3 at places, and their slopes, (..., 2, 4)."""
+    square = place * place
+    powers = np.stack([np.ones_like(place), place, square, square * place], axis=-1)
+    return (powers @ _POWERS.astype(place.dtype)).reshape(*place.shape, 2, 4)
 
 
 def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
@@ -400,7 +402,7 @@ class ThroughBeam:
         self.beam = beam
         self.inversion = Inversion(beam)
         self.fit = ContactFit(self.inversion)
-        self._ringing: dict[tuple[int, int], Ringing] = {}
+        self._ring_down: dict[tuple[int, int], RingDown] = {}
 
     @property
     def n_sensors(self) -> int:
@@ -415,16 +417,16 @@ class ThroughBeam:
         """Return the features of the contact forces of vibrations by name, nan where there is no impact."""
         return self.features(vibrations, *self.look(vibrations))
 
-    def features(self, vibrations: VibrationBatch, inverted: Inverted, contact: Contact) -> dict[str, Floats]:
+    def features(self, vibrations: VibrationBatch, estimate: ForceEstimate, contact: Contact) -> dict[str, Floats]:
         """Return the features of vibrations by name, from what was found for them."""
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = np.clip(contact.covariance / (deviation[:, :, None] * deviation[:, None]), -1.0, 1.0)
         # Noise leaves no more than chance; what was there before touch, such as ringing, may go on beside its model.
-        surely = np.maximum(inverted.misfit - _BY_NOISE, 0.0) / np.maximum(inverted.misfit - 1, 1e-9)
+        surely = np.maximum(estimate.misfit - _BY_NOISE, 0.0) / np.maximum(estimate.misfit - 1, 1e-9)
         event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
         before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
         energy = np.maximum(self._loudest(np.sum(np.square(event), axis=1)), 1e-300)
-        surely = np.maximum(inverted.unexplained * surely - before / energy, 0.0)
+        surely = np.maximum(estimate.unexplained * surely - before / energy, 0.0)
         return {
             "beam_peak_force": contact.peak,
             "beam_pulse_width": contact.width,
@@ -435,11 +437,11 @@ class ThroughBeam:
             "beam_peak_width_correlation": correlation[:, 0, 1],
             "beam_peak_restitution_correlation": correlation[:, 0, 2],
             "beam_width_restitution_correlation": correlation[:, 1, 2],
-            "beam_impact_x": inverted.x,
-            "beam_impact_y": inverted.y,
-            "beam_place_deviation": np.hypot(*inverted.place_deviation.T),
-            "beam_misfit": inverted.misfit,
-            "beam_unexplained": 100 * inverted.unexplained,
+            "beam_impact_x": estimate.x,
+            "beam_impact_y": estimate.y,
+            "beam_place_deviation": np.hypot(*estimate.place_deviation.T),
+            "beam_misfit": estimate.misfit,
+            "beam_unexplained": 100 * estimate.unexplained,
             "beam_surely_unexplained": 100 * surely,
         }
 
@@ -447,14 +449,14 @@ class ThroughBeam:
         """Return the largest value of the sensors of each blow."""
         return np.asarray(values.reshape(-1, self.n_sensors).max(axis=1))
 
-    def look(self, vibrations: VibrationBatch) -> tuple[Inverted, Contact]:
+    def look(self, vibrations: VibrationBatch) -> tuple[ForceEstimate, Contact]:
         """Return the forces behind vibrations at any sampling rate, and the pulses fitted to them."""
         n = len(vibrations.samples) // self.n_sensors
         return self.look_as(vibrations, np.ones((n, 2), bool), np.ones(n, bool))[:2]
 
     def look_as(
         self, vibrations: VibrationBatch, filters: NDArray[np.bool_], again: NDArray[np.bool_]
-    ) -> tuple[Inverted, Contact, Floats]:
+    ) -> tuple[ForceEstimate, Contact, Floats]:
         """Return the same, and the misfits of the pulses for each filter (n, 2), infinite for one that is not tried.
 
         `filters` (n, 2) says for each impact whether a filter is tried that is higher by the ratio of the rates, and
@@ -465,53 +467,54 @@ class ThroughBeam:
             filters = np.broadcast_to([True, False], filters.shape)
         rows = [np.flatnonzero(column) for column in filters.T]
         parts = [
-            self._looked(vibrations, ratio, part, again[part])
+            self._estimated(vibrations, ratio, part, again[part])
             for ratio, part in zip((rate / own, 1.0), rows, strict=True)
             if part.size or not filters.size
         ]
-        inverted, contact = Inverted.joined([part[0] for part in parts]), Contact.joined([part[1] for part in parts])
-        # A wrong filter distorts the force rather than leaving a rest: the pulse fits it worse.
+        estimates, contacts = zip(*parts, strict=True)
+        estimate, contact = ForceEstimate.joined(list(estimates)), Contact.joined(list(contacts))
+        # A wrong filter distorts the force rather than leaving a residual: the pulse fits it worse.
         misfit = np.full(filters.shape, np.inf)
         misfit.T[filters.T] = contact.misfit
         place = np.cumsum(filters.T).reshape(filters.T.shape).T - 1
         best = place[np.arange(len(filters)), misfit.argmin(axis=1)]
-        return inverted.rows(best), contact.rows(best), misfit
+        return estimate.rows(best), contact.rows(best), misfit
 
-    def _looked(
+    def _estimated(
         self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp], again: NDArray[np.bool_]
-    ) -> tuple[Inverted, Contact]:
+    ) -> tuple[ForceEstimate, Contact]:
         """Return the same of some rows, for a recorder whose anti-alias filter is so many times that of the beam."""
-        sought, start = self._prepared(vibrations, filters, rows)
-        inverted = self.inversion.invert(sought, start)
-        contact = self.fit.fit(inverted)
-        # Where touch lies at the edge of the table of forces, look there. Where it is sought too early, the force is
-        # not found, and much stays unexplained.
+        observations, onset = self._prepared(vibrations, filters, rows)
+        estimate = self.inversion.invert(observations, onset)
+        contact = self.fit.fit(estimate)
+        # Where the onset lies at the edge of the table of forces, look there, at the same location. Where it is taken
+        # too early, the force is not found, and much stays unexplained: compare others.
         edge = np.where(contact.touch < _EDGE, -_BESIDE, np.where(contact.touch > TOUCH - _EDGE, _BESIDE, 0))
-        lost = (inverted.unexplained > _MUCH[0]) & (inverted.misfit > _MUCH[1])
-        touch = inverted.start + edge + TOUCH // 2
-        chosen = np.flatnonzero(again & lost)
-        if chosen.size:
-            touch[chosen] = self.inversion.likeliest(sought.rows(chosen), np.add.outer(touch[chosen], (0, *_LATER)))
-        chosen = np.flatnonzero(again & (touch != inverted.start + TOUCH // 2))
-        if chosen.size:
-            other = self.inversion.invert(sought.rows(chosen), np.stack([touch[chosen]] * 2, axis=1))
-            between = self._between(sought.rows(chosen), inverted.start[chosen], other.start)
-            better = np.flatnonzero(other.misfit + between < inverted.misfit[chosen])
+        start = estimate.later(edge)
+        lost = np.flatnonzero(again & (estimate.unexplained > _MUCH[0]) & (estimate.misfit > _MUCH[1]))
+        if lost.size:
+            others = np.add.outer(start.first[lost] + TOUCH // 2, (0, *_LATER))
+            start = start.replaced(lost, self.inversion.compare(observations.rows(lost), others))
+        rows = np.flatnonzero(again & (start.first != estimate.start))
+        if rows.size:
+            other = self.inversion.refine(observations.rows(rows), start.rows(rows))
+            before = self._before(observations.rows(rows), estimate.start[rows], other.start)
+            better = np.flatnonzero(other.misfit + before < estimate.misfit[rows])
             if better.size:
-                inverted = inverted.replaced(chosen[better], other.rows(better))
-                contact = contact.replaced(chosen[better], self.fit.fit(other.rows(better)))
-        return inverted, contact
+                estimate = estimate.replaced(rows[better], other.rows(better))
+                contact = contact.replaced(rows[better], self.fit.fit(other.rows(better)))
+        return estimate, contact
 
-    def _between(self, sought: Sought, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+    def _before(self, observations: Observations, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
         """Return what a window that begins at the last sample leaves out, in units of the misfit of the whole, (n,)."""
-        columns = np.arange(min(sought.frames.shape[2], int(last.max(initial=0))))
+        columns = np.arange(min(observations.frames.shape[2], int(last.max(initial=0))))
         out = (columns >= first[:, None]) & (columns < last[:, None])
-        power = np.square(sought.frames[:, :, : columns.size] / sought.noise[:, :, None])
+        power = np.square(observations.frames[:, :, : columns.size] / observations.noise[:, :, None])
         return np.asarray(np.sum(power, axis=(1, 2), where=out[:, None]) / (self.n_sensors * self.beam.n_samples))
 
     def _prepared(
         self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp]
-    ) -> tuple[Sought, NDArray[np.intp]]:
+    ) -> tuple[Observations, NDArray[np.intp]]:
         """Return what the inversion needs of some blows, and where touch may lie."""
         if rows.size < len(vibrations.samples) // self.n_sensors:
             vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
@@ -530,12 +533,12 @@ class ThroughBeam:
         )
         start[:, 0] = np.minimum(start[:, 0], start[:, 1])
         noise = self._noise(frames, quiet, vibrations, limit)
-        found = Sought(frames, noise, limit=limit)
+        found = Observations(frames, noise, limit=limit)
         if limit is None:
             colour = ar_noise_of(frames, quiet, np.zeros(len(frames)), 1)
             clipped = clipped_samples(frames)
             frames, noise, error = self._settled(frames, quiet.astype(np.intp), noise, colour)
-            found = Sought(frames, noise, colour.coefficients, colour.innovation, error, clipped)
+            found = Observations(frames, noise, colour.coefficients, colour.innovation, error, clipped)
         return self._together(found, vibrations), start.astype(np.intp)
 
     def _clearest(self, vibrations: VibrationBatch) -> NDArray[np.intp]:
@@ -546,7 +549,7 @@ class ThroughBeam:
         best = np.argmax(clear.reshape(-1, self.n_sensors), axis=1)
         return np.asarray(np.arange(best.size) * self.n_sensors + best)
 
-    def _together(self, found: Sought, vibrations: VibrationBatch) -> Sought:
+    def _together(self, found: Observations, vibrations: VibrationBatch) -> Observations:
         """Return rows of vibrations as blows; a sensor without an impact tells nothing of one that others hear."""
         if self.n_sensors == 1:
             return found.by_sensor()
@@ -571,9 +574,9 @@ class ThroughBeam:
         frames, noise, error = frames.copy(), noise.copy(), None
         lengths, sensors = np.minimum(quiet[rows], _MOST_QUIET) // 32 * 32, rows % self.n_sensors
         for n_quiet, sensor in sorted(set(zip(lengths.tolist(), sensors.tolist(), strict=True))):
-            if (n_quiet, sensor) not in self._ringing:
-                self._ringing[n_quiet, sensor] = Ringing(self.inversion, n_quiet, sensor)
-            ringing, own = self._ringing[n_quiet, sensor], rows[(lengths == n_quiet) & (sensors == sensor)]
+            if (n_quiet, sensor) not in self._ring_down:
+                self._ring_down[n_quiet, sensor] = RingDown(self.inversion, n_quiet, sensor)
+            ringing, own = self._ring_down[n_quiet, sensor], rows[(lengths == n_quiet) & (sensors == sensor)]
             before = np.stack([frames[row, quiet[row] - n_quiet : quiet[row]] for row in own])
             found, level, own_error, rings = ringing.after(before, colour.innovation[own])
             error = np.zeros((len(frames), own_error.shape[1])) if error is None else error
@@ -704,11 +707,11 @@ class BeamStream:
             parts.append(of_all[order])
             part = vibrations.rows(np.add.outer(parts[-1] * n_sensors, np.arange(n_sensors)).ravel())
             filters, again = (np.concatenate(one)[order] for one in zip(*plans, strict=True))
-            inverted, contact, misfit = self.through.look_as(part, filters, again)
-            found.append(self.through.features(part, inverted, contact))
+            estimate, contact, misfit = self.through.look_as(part, filters, again)
+            found.append(self.through.features(part, estimate, contact))
             for state, own in zip(states, rows, strict=True):
                 own = np.searchsorted(parts[-1], own)
-                state.learn(inverted.unexplained[own], misfit[own], inverted.noise[own])
+                state.learn(estimate.unexplained[own], misfit[own], estimate.noise[own])
             rest = np.setdiff1d(rest, parts[-1])
         order = np.argsort(np.concatenate(parts))
         return {name: np.concatenate([one[name] for one in found])[order] for name in found[0]}

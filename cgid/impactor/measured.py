@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cgid.identification.contact import Contact
 from cgid.identification.estimation import FAMILY_LIMIT, Estimates
-from cgid.identification.inversion import Inverted
+from cgid.identification.inversion import ForceEstimate
 from cgid.measure.fit import PulseFit
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, relative_times
@@ -163,7 +163,7 @@ class MeasuredPulses:
         return cls._checked(log_peak, log_width, shape, covariance, problem, usable, strange)
 
     @classmethod
-    def of_contact(cls, contact: Contact, inverted: Inverted) -> MeasuredPulses:
+    def of_contact(cls, contact: Contact, inverted: ForceEstimate) -> MeasuredPulses:
         """Return pulses fitted to forces behind a beam, which are widened by their misfit already.
 
         What the beam leaves unexplained beyond the noise, such as another blow, is an error of the pulse, too.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cgid.errors import InvalidValue
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.estimation import estimate
-from cgid.identification.inversion import Inverted
+from cgid.identification.inversion import ForceEstimate
 from cgid.impactor.posterior import ImpactorPopulation
 from cgid.measure.beam import FINE, TOUCH, filtered, respond
 from cgid.measure.template import relative_times
@@ -183,7 +183,7 @@ def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBe
     louder = _ENERGY / np.einsum("ni,ni->n", vector, coefficients)
     information, vector = information * louder[:, None, None], vector * louder[:, None]
     one, pair = np.ones(peak.size), np.ones((peak.size, 2))
-    fitted = beam.fit.fit(Inverted(one, one, pair, order, coefficients, information, vector, one, one, one, one))
+    fitted = beam.fit.fit(ForceEstimate(one, one, pair, order, coefficients, information, vector, one, one, one, one))
     return np.log(fitted.peak), np.log(fitted.width), fitted.shape
 
 

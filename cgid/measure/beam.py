@@ -135,6 +135,9 @@ class Beam:
         n_modes, n_x, n_y = self.participation.shape
         along, along_slope = lagrange(n_x, self.region[0], self.region[1], x)
         across, across_slope = lagrange(n_y, self.region[2], self.region[3], y)
+        along, along_slope, across, across_slope = (
+            side.astype(self.participation.dtype) for side in (along, along_slope, across, across_slope)
+        )
         with_y, with_slope = ((side @ self._by_y).reshape(-1, n_x, n_modes) for side in (across, across_slope))
         both = np.stack([along, along_slope], axis=1) @ with_y
         last = along[:, None] @ with_slope

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.identification.inversion import Inversion, Sought
+from cgid.identification.inversion import Inversion, Observations
 from cgid.measure.ar_noise import ARNoise
 from cgid.measure.beam import Beam, Singles, corrected, respond
 from cgid.measure.modes import CORRECTED
@@ -71,10 +71,12 @@ class Blows:
         colour = ARNoise(self.colour.coefficients[rows], self.colour.innovation[rows])
         return Blows(self.frames[rows], self.start[rows], self.noise[rows], colour)
 
-    def sought(self, raised: Floats | float = 1.0, limit: float | None = None) -> Sought:
+    def sought(self, raised: Floats | float = 1.0, limit: float | None = None) -> Observations:
         """Return the blows with their noise raised by factors, (n,)."""
         colour = self.colour
-        return Sought(self.frames, self.noise * raised, colour.coefficients, colour.innovation * raised, limit=limit)
+        return Observations(
+            self.frames, self.noise * raised, colour.coefficients, colour.innovation * raised, limit=limit
+        )
 
     def weight(self, inversion: Inversion) -> Floats:
         """Return the power of white noise of the same deviation over that of the noise, (n, n_coefficients)."""
@@ -82,7 +84,7 @@ class Blows:
         weight = np.ones((len(self), 2 * bins.size))
         rows = self.colour.rows
         if rows.size:
-            weight[rows] = np.tile(self.noise[rows, None] ** 2 / self.colour.of(rows).power(bins), 2)
+            weight[rows] = np.repeat(self.noise[rows, None] ** 2 / self.colour.of(rows).power(bins), 2, axis=1)
         return weight
 
 
@@ -234,7 +236,7 @@ class System:
         bins = self.inversion.bins
         frequency = np.arange(bins.start, bins.stop) / self.inversion.n_samples * beam.sampling_rate
         highest = np.inf if limit is None else limit
-        self.columns = np.flatnonzero(np.tile(frequency, 2) <= highest)
+        self.columns = np.flatnonzero(np.repeat(frequency, 2) <= highest)
         self.active = np.flatnonzero(beam.modes.frequency <= _BEYOND * highest)
         self.found = self.inversion.invert(blows.sought(raised, limit), blows.start)
         self.root = np.sqrt(blows.weight(self.inversion)[:, self.columns]).astype(np.float32)

@@ -1,0 +1,85 @@
+"""Ring-down of earlier impacts: what a beam still does at the onset of an impact, from the samples before it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgid.identification.beam_responses import BeamResponses
+from cgid.measure.beam import gain
+from cgid.validation import Floats
+
+
+class RingDown:
+    """Ring-down of earlier impacts: a Gaussian process, observed before the onset.
+
+    The amplitudes of the modes are those that an impact anywhere leaves after one of `AGES`; their common strength is
+    the one of the highest evidence.
+
+    Parameters
+    ----------
+    responses : BeamResponses
+    n_quiet : int
+        Samples before the onset that are used.
+    sensor : int
+        Which of the beam's sensors.
+    """
+
+    #: Ages of the earlier impact [s], powers of its ring-down over that of the noise, and gain of evidence it takes.
+    AGES, POWERS, CERTAIN = (0.005, 0.02, 0.08), np.geomspace(0.3, 3e6, 15), 12.0
+    #: The tables go on for so many samples longer than the inversion, because the onset is not known yet.
+    LATER = 64
+
+    def __init__(self, responses: BeamResponses, n_quiet: int, sensor: int = 0) -> None:
+        beam, self.n_quiet, self.n_samples = responses.beam, n_quiet, responses.n_samples + self.LATER
+        time = np.arange(n_quiet + self.n_samples) / beam.sampling_rate
+        frequency = np.abs(beam.poles) / (2 * np.pi)
+        loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2))) * np.abs(gain(beam.filters, frequency))
+        loud *= np.abs(beam.poles) ** (beam.derivatives - 1) * np.abs(beam.shares[sensor])
+        self._tables = []
+        for age in self.AGES:
+            size = loud * np.exp(beam.poles.real * age)
+            kept = size > 1e-4 * size.max()
+            waves = size[kept] * np.exp(np.outer(time, beam.poles[kept]))
+            both = np.concatenate([waves.real, waves.imag], axis=1)
+            both /= np.sqrt(np.mean(np.sum(np.square(both[:n_quiet]), axis=1)))
+            before, after = both[:n_quiet], both[n_quiet:]
+            power, turn = np.linalg.eigh(before @ before.T)
+            onward = after @ (before.T @ turn)
+            spectra = [np.square(responses.transformed(part.T[:, : responses.n_samples])) for part in (after, onward)]
+            self._tables.append((np.maximum(power, 0.0), turn, onward, spectra[0].sum(axis=0), spectra[1]))
+
+    def after(self, before: Floats, innovation: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+        """Return the ring-down that follows samples before the onset.
+
+        Parameters
+        ----------
+        before : ndarray, (n, n_quiet)
+        innovation : ndarray, (n,)
+            Standard deviation of what noise of any colour leaves unpredicted: the rival of the ring-down.
+
+        Returns
+        -------
+        tuple of ndarray
+            The ring-down after these samples (n, n_samples), the standard deviation of the noise (n,), the power of the
+            error of the ring-down over that of the noise at each coefficient (n, n_coefficients), and whether there is
+            any (n,).
+        """
+        n = len(before)
+        best = -self.n_quiet * np.log(np.maximum(innovation, 1e-150)) + self.CERTAIN
+        out, level, rings = np.zeros((n, self.n_samples)), innovation.copy(), np.zeros(n, bool)
+        error = np.zeros((n, self._tables[0][3].size))
+        for power, turn, onward, total, spectrum in self._tables:
+            variance = 1 + self.POWERS[:, None] * power
+            # The most likely noise for each power of the ring-down has a closed form.
+            turned = before @ turn
+            noise = np.square(turned) @ (1 / variance.T) / self.n_quiet
+            evidence = -0.5 * self.n_quiet * np.log(np.maximum(noise, 1e-300)) - 0.5 * np.log(variance).sum(axis=1)
+            which = evidence.argmax(axis=1)
+            rows = np.flatnonzero(evidence[np.arange(n), which] > best)
+            which = which[rows]
+            best[rows], rings[rows], level[rows] = evidence[rows, which], True, np.sqrt(noise[rows, which])
+            gain_of = self.POWERS[which, None] / variance[which]
+            out[rows] = (turned[rows] * gain_of) @ onward.T
+            error[rows] = self.POWERS[which, None] * np.maximum(total - gain_of @ spectrum, 0.0)
+        return out, level, error, rings
