@@ -110,16 +110,20 @@ def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floa
 
     It is that where a factor beyond `_MAX_DISTANCE`, on all inputs with that unit, brings the row inside.
     """
+    out = np.full(len(inputs), np.inf)
     powers, logarithmic = _powers(model, symbol)
-    if not len(inputs) or not powers.any():
-        return np.full(len(inputs), np.inf)
-    distances = []
-    for factor in _SCALES:
-        scaled = np.where(logarithmic, inputs + powers * np.log10(factor), inputs * factor**powers)
-        distances.append(model.novelty(scaled, guards))
+    # No factor takes back what a guard has found.
+    rows = np.flatnonzero((guards <= np.array(model.guard_limits)).all(axis=1))
+    if not rows.size or not powers.any():
+        return out
+    factors = _SCALES[:, None, None]
+    scaled = np.where(logarithmic, inputs[rows] + powers * np.log10(factors), inputs[rows] * factors**powers)
+    repeated = np.tile(guards[rows], (len(_SCALES), 1))
+    distances = model.novelty(scaled.reshape(len(repeated), -1), repeated).reshape(len(_SCALES), -1)
     size = 1 / _SCALES[np.argmin(distances, axis=0)]
     is_cause = (np.min(distances, axis=0) <= 1) & ((size >= _MAX_DISTANCE) | (size <= 1 / _MAX_DISTANCE))
-    return np.where(is_cause, size, np.inf)
+    out[rows] = np.where(is_cause, size, np.inf)
+    return out
 
 
 def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
