@@ -88,24 +88,6 @@ class Blows:
         return weight
 
 
-@dataclass(frozen=True, eq=False)
-class Learned:
-    """What blows tell of the modes of a beam.
-
-    Attributes
-    ----------
-    correction, deviation : of ln frequency, ln damping ratio and ln participation, (3, n_modes), and its standard
-        deviation: that of the prior where the blows tell nothing
-    rounds : Gauss-Newton steps
-    at_rest : whether the last step was small against the deviations
-    """
-
-    correction: Floats
-    deviation: Floats
-    rounds: int
-    at_rest: bool
-
-
 def evidence_of(inversion: Inversion, blows: Blows) -> Floats:
     """Return the log evidence of each blow per sample, (n,): 0 would be samples that are known without noise.
 
@@ -130,72 +112,68 @@ def learn(
     `deviation` (3, n_modes) is the prior standard deviation of ln frequency, ln damping ratio and ln participation;
     rows of zeros are not learned. `progress` receives the number of rounds done since the last call.
     """
-    kept = np.flatnonzero(deviation.any(axis=1))
-    state = _State(beam, blows, np.maximum(deviation[kept], 1e-9), kept, progress)
+    found = Learned(beam, blows, deviation, progress)
     few = min(_FEW, len(blows))
     top = Inversion(beam).bins.stop / Inversion(beam).n_samples * beam.sampling_rate
     ratio = float(np.median(beam.modes.damping_ratio))
     # The low modes first: with them come the places, and with these the higher modes. Errors well below the width of
     # a resonance need no such care.
     for share in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
-        state.limit = None if share == 1 else share * top
+        limit = None if share == 1 else share * top
         for search in range(_MOST_SEARCHES + 1):
             for _ in range(_BETWEEN if search else _FIRST):
-                if state.step(few):
+                if found.step(few, limit):
                     break
-            if search == _MOST_SEARCHES or not state.search(few, deviation):
+            if search == _MOST_SEARCHES or not found.search(few, limit):
                 break
-    at_rest = False
     for _ in range(_LAST):
-        at_rest = state.step(len(blows))
-        if at_rest:
+        if found.step(len(blows)):
             break
-    found = deviation.copy()
-    found[kept] = np.minimum(_BEYOND_LINEAR * state.own, state.prior)
-    return Learned(state.now, found, state.rounds, at_rest)
+    return found
 
 
-class _State:
-    """The corrections so far, and the steps that improve them."""
+class Learned:
+    """What blows tell of the modes of a beam, and the steps that improve it.
+
+    Attributes
+    ----------
+    correction, deviation : of ln frequency, ln damping ratio and ln participation, (3, n_modes), and its standard
+        deviation: that of the prior where the blows tell nothing
+    at_rest : whether the last step was small against the deviations
+    """
 
     def __init__(
-        self,
-        beam: Beam,
-        blows: Blows,
-        prior: Floats,
-        kept: NDArray[np.intp],
-        progress: Callable[[int], object] | None,
+        self, beam: Beam, blows: Blows, prior: Floats, progress: Callable[[int], object] | None = None
     ) -> None:
-        self.beam, self.blows, self.prior, self.kept, self.progress = beam, blows, prior, kept, progress
-        self.now = np.zeros((len(CORRECTED), len(beam.poles)))
-        self.own = prior
-        self.raised = np.ones(len(blows))
-        self.rounds = 0
-        self.limit: float | None = None
+        self._beam, self._blows, self._progress, self._prior = beam, blows, progress, prior
+        self.correction, self.deviation, self.at_rest = np.zeros(prior.shape), prior.copy(), False
+        self._kept, self._raised = np.flatnonzero(prior.any(axis=1)), np.ones(len(blows))
 
-    def _system(self, n_blows: int) -> System:
+    def _system(self, n_blows: int, limit: float | None) -> System:
         rows = slice(n_blows)
-        return System(corrected(self.beam, self.now), self.blows.taken(rows), self.raised[rows], self.limit)
+        return System(corrected(self._beam, self.correction), self._blows.taken(rows), self._raised[rows], limit)
 
-    def step(self, n_blows: int) -> bool:
-        """Make a Gauss-Newton step with the first blows; return whether the poles are at rest."""
-        system = self._system(n_blows)
-        own = np.add.outer(np.arange(self.kept.size) * len(self.beam.poles), system.active).ravel()
-        pulls, curvature = np.zeros((n_blows, self.prior.size)), np.zeros((self.prior.size,) * 2)
-        pulls[:, own], curvature[np.ix_(own, own)] = system.equations(system.by_modes(self.kept))
-        self.raised[:n_blows] = np.sqrt(np.maximum(system.power, 1.0))
-        now, step, deviation = newton(curvature, pulls, self.prior.ravel(), self.now[self.kept].ravel())
-        self.now[self.kept], self.own = now.reshape(self.prior.shape), deviation.reshape(self.prior.shape)
-        self.rounds += 1
-        if self.progress is not None:
-            self.progress(1)
-        return bool(np.quantile(np.abs(step) / deviation, _MOST_MODES) < _AT_REST)
+    def step(self, n_blows: int, limit: float | None = None) -> bool:
+        """Make a Gauss-Newton step with the first blows, up to a frequency; return whether the poles are at rest."""
+        system, kept = self._system(n_blows, limit), self._kept
+        prior = np.maximum(self._prior[kept], 1e-9)
+        own = np.add.outer(np.arange(kept.size) * prior.shape[1], system.active).ravel()
+        pulls, curvature = np.zeros((n_blows, prior.size)), np.zeros((prior.size,) * 2)
+        pulls[:, own], curvature[np.ix_(own, own)] = system.equations(system.by_modes(kept))
+        self._raised[:n_blows] = np.sqrt(np.maximum(system.power, 1.0))
+        now, step, deviation = newton(curvature, pulls, prior.ravel(), self.correction[kept].ravel())
+        self.correction[kept] = now.reshape(prior.shape)
+        self.deviation[kept] = np.minimum(_BEYOND_LINEAR * deviation.reshape(prior.shape), prior)
+        if self._progress is not None:
+            self._progress(1)
+        self.at_rest = bool(np.quantile(np.abs(step) / deviation, _MOST_MODES) < _AT_REST)
+        return self.at_rest
 
-    def search(self, n_blows: int, deviation: Floats) -> bool:
+    def search(self, n_blows: int, limit: float | None) -> bool:
         """Move single modes to other valleys; return whether any gains by it."""
-        moved = search_valleys(self.beam, self.now, deviation, self._system(min(n_blows, _SOUGHT)))
-        if moved is not None:
-            self.now = moved
+        system = self._system(min(n_blows, _SOUGHT), limit)
+        moved = search_valleys(self._beam, self.correction, self._prior, system)
+        self.correction = self.correction if moved is None else moved
         return moved is not None
 
 
