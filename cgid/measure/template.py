@@ -71,18 +71,26 @@ def tables() -> tuple[NDArray[np.float32], Floats]:
 
 
 def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return contact duration and time from touch to peak over the width (impulse over peak), and their slopes in s."""
-    node, offset = _nearest(shape)
+    """Return contact duration and time from onset to peak over the width (impulse over peak), and their slopes in s."""
+    return _near_node(shape)[2:]
+
+
+def _near_node(shape: Floats) -> tuple[NDArray[np.intp], Floats, Floats, Floats, Floats, Floats]:
+    """Return the nearest node of s (of -s above 0), the distance from it, and `relative_times`."""
+    place = (-np.abs(shape) - LOWEST_SHAPE) / _SPACING
+    # Of nan, which a fit of no pulse may try, fmax and fmin make a node.
+    node = np.fmin(np.fmax(np.rint(place), 0), N_SHAPES - 1).astype(np.intp)
+    offset = (place - node) * _SPACING
     held = tables()[1][node]
-    at = held[:, :, 0] + offset[:, None] * (held[:, :, 1] + 0.5 * offset[:, None] * held[:, :, 2])
     slopes = held[:, :, 1] + offset[:, None] * held[:, :, 2]
+    at = held[:, :, 0] + 0.5 * offset[:, None] * (held[:, :, 1] + slopes)
     duration, peak_time, duration_slope, peak_slope = at[:, 0], at[:, 1], slopes[:, 0], slopes[:, 1]
     turned = shape > 0
     if turned.any():
         peak_time = np.where(turned, duration - peak_time, peak_time)
         duration_slope = np.where(turned, -duration_slope, duration_slope)
         peak_slope = np.where(turned, duration_slope + peak_slope, peak_slope)
-    return duration, peak_time, duration_slope, peak_slope
+    return node, offset, duration, peak_time, duration_slope, peak_slope
 
 
 def curve(fraction: Floats, shape: Floats) -> Floats:
@@ -93,14 +101,6 @@ def curve(fraction: Floats, shape: Floats) -> Floats:
     restitution, contact, _, peak = dimensionless(-np.abs(shape))
     fraction = np.where(shape[:, None] > 0, 1 - fraction, fraction)
     return family.force(fraction * contact[:, None], restitution) / peak[:, None]
-
-
-def _nearest(shape: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the nearest node of s (of -s above 0) and the distance from it."""
-    place = (-np.abs(shape) - LOWEST_SHAPE) / _SPACING
-    # Of nan, which a fit of no pulse may try, fmax and fmin make a node.
-    node = np.fmin(np.fmax(np.rint(place), 0), N_SHAPES - 1).astype(np.intp)
-    return node, (place - node) * _SPACING
 
 
 #: Order of the parameters in a reported covariance.
@@ -125,8 +125,7 @@ def slopes_and_pulse(
     """
     peak, log_width, place, shape, _ = parameters.T
     width = np.exp(log_width)
-    duration, lead, duration_slope, lead_slope = relative_times(shape)
-    node, offset = _nearest(shape)
+    node, offset, duration, lead, duration_slope, lead_slope = _near_node(shape)
     turned = shape > 0
     sign = np.where(turned, -1.0, 1.0)
     # Time in cells x is linear in time, and what the slopes need of time is linear in x.
