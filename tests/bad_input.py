@@ -190,7 +190,7 @@ def make_files(folder: Path) -> None:
         "toml": scene.replace("[impact]", "[impact"),
         "dotted": f"a{'.a' * 2000} = 1\n{scene}",
         "keys": scene + "".join(f"[k{number}]\n" for number in range(100_000)),
-        "line": f'"a\\nb{"c" * 1000}" = 1\n{scene}',
+        "line": f'"a\\nb{"z" * 1000}" = 1\n{scene}',
         "three": scene.replace("3.1 GPa", "3 s").replace("jitter", "jittter").replace("relative_noise", "noise"),
     }.items():
         (folder / f"{name}.toml").write_text(text)
@@ -526,7 +526,7 @@ _COMMANDS = r"""
 65 | check toml.toml | toml.toml
 65 | check dotted.toml | line 1
 65 | check keys.toml | keys.toml
-65 | check line.toml | line.toml: 'a\nbccc
+65 | check line.toml | line.toml: 'a\nbzzz
 65 | predict whole.npy --rate 2e5 --unit N --model /dev/zero | regular file
 65 | train reference -o new.npz -n 99999999999999 | signals
 65 | check /dev/null | /dev/null

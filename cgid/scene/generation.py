@@ -140,7 +140,7 @@ def generate(
     with workers(jobs, scheduler) as crew, begun(path, description, overwrite=overwrite, resume=resume) as run:
         n_missing = sum(description.part(number)["n_signals"] for number in run.missing)
         if not single and compression == "none":
-            files = [path / description.names[number] for number in run.missing]
+            files = [path / description.name(number) for number in run.missing]
             size = plan.size(n_missing) - sum(file.stat().st_size for file in files if file.exists())
             require_room(path, path.parent, size, "signals", "make room, or fewer signals")
         if progress is not None and n_missing < n_signals:

@@ -141,7 +141,7 @@ def generate_recordings(
     with begun(path, description, overwrite=overwrite, resume=resume) as run:
         if progress is not None and len(run.missing) < n_recordings:
             progress((n_recordings - len(run.missing)) * plan.n_samples)
-        files = [] if single else [path / description.names[number] for number in run.missing]
+        files = [] if single else [path / description.name(number) for number in run.missing]
         size = len(run.missing) * plan.size - sum(file.stat().st_size for file in files if file.exists())
         require_room(path, path.parent, size, "samples", "make room, or a shorter recording")
         make_recordings(run, scene, seed, plan, run.missing, progress, overwrite=overwrite or not single)
@@ -173,7 +173,7 @@ def make_recordings(
 ) -> None:
     """Make the missing recordings of a run, given by their numbers, and list their sums."""
     for number in missing:
-        file = run.output if run.is_single else run.output / run.description.names[number]
+        file = run.output if run.is_single else run.output / run.description.name(number)
         write_recording(file, plan, scene, seed, number, progress, overwrite=overwrite)
         if not run.is_single:
             run.add(file.name, sha256_of(file))

@@ -106,7 +106,11 @@ class Description:
     @property
     def names(self) -> list[str]:
         """Names of the files in a folder, by number."""
-        return [f"{_STEMS[self.kind]}-{number:05d}.h5" for number in range(self.n_files)]
+        return [self.name(number) for number in range(self.n_files)]
+
+    def name(self, number: int) -> str:
+        """Return the name of a file in a folder."""
+        return f"{_STEMS[self.kind]}-{number:05d}.h5"
 
     def part(self, number: int) -> dict[str, int]:
         """Return what a file says of its place: `first_signal` and `n_signals`, or `recording`."""

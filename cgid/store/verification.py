@@ -75,7 +75,7 @@ def examine_file(path: str | Path) -> Examined:
 
 def why_not_whole(folder: Folder, number: int) -> str:
     """Return why a file without a sum is not whole, "" if it is: by its digest, its number and its checksums."""
-    path = folder.path / folder.description.names[number]
+    path = folder.path / folder.description.name(number)
     _, fault, about = examine_file(path)
     try:
         if not fault:
