@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cgid import shipped
-from cgid.ceiling import Ceiling, ceiling, ceilings, learner, untrusted
+from cgid.ceiling import ceiling, ceilings, learner, untrusted
 from cgid.cli.main import run
 from cgid.errors import InvalidValue
 from cgid.measure.template import dimensionless_logarithms
@@ -268,18 +268,6 @@ def test_what_is_not_covered_is_refused_with_the_reason(scene, said):
 def test_roc_wants_a_label(found):
     with pytest.raises(InvalidValue, match="label"):
         found.roc_area("slate")
-
-
-def test_progress_is_told():
-    told = []
-    ceiling(rocks(*PAIR), 300, seed=48, progress=told.append)
-    assert sum(told) == 300
-
-
-def test_ceiling_is_of_its_seed():
-    one, other = (ceiling(rocks(*PAIR), 64, seed=49) for _ in range(2))
-    assert isinstance(one, Ceiling)
-    assert (one.probabilities == other.probabilities).all()
 
 
 # -- from below, and the command ----------------------------------------------------------------------------------

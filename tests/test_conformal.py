@@ -232,13 +232,6 @@ def test_calibration_error_by_chance_is_what_calibrated_answers_show() -> None:
     assert calibration_error_by_chance(confidence) == pytest.approx(np.mean(errors), rel=0.05)
 
 
-def test_card_reports_coverage(trained: Trained) -> None:
-    card = write_card(trained["logistic"].model, "m.npz")
-    row = trained["logistic"].metrics["prediction_sets"][2]
-    assert f"| 0.9 | the mix | {row['achieved']:.4f} |" in card
-    assert f"{trained['logistic'].metrics['calibration_error_by_chance']:.4f} by chance" in card
-
-
 # -- answers ----------------------------------------------------------------------------------------------
 
 
@@ -281,13 +274,6 @@ def test_coverage_survives_the_file(trained: Trained, tmp_path: Path) -> None:
             loaded.prediction_set(training.test_probabilities, 0.93, class_conditional=conditional),
             training.model.prediction_set(training.test_probabilities, 0.93, class_conditional=conditional),
         )
-
-
-def test_costs_and_coverage_do_not_mix() -> None:
-    with pytest.raises(InvalidValue, match="together"):
-        PredictionSettings(costs={"coal": 2.0}, coverage=0.9)
-    with pytest.raises(InvalidValue, match="--coverage"):
-        PredictionSettings(class_conditional=True)
 
 
 def test_predict_rejects_and_counts(trained: Trained, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

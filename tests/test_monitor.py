@@ -242,11 +242,6 @@ def test_streams_that_cannot_be_followed(content, arguments, code, says, tmp_pat
     assert "Traceback" not in err
 
 
-def test_missing_stream_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["monitor", "nowhere/none"]) == 66
-    assert "nowhere/none" in capsys.readouterr().err
-
-
 def test_silence_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "s").write_bytes(np.zeros(200_000, "<f4").tobytes())
     assert run(["monitor", str(tmp_path / "s"), *RAW, "--json", "--window", "0.5"]) == 0

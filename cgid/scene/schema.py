@@ -262,6 +262,13 @@ class Scene(Section):
         """Identity of the scene: the hash of `text`, independent of the layout of the file."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy; what was cached of fields that it replaces is not its own, but its identity stays."""
+        copy = super().model_copy(update=update, deep=deep)
+        for name in ("panel", "body", "dissipations", "mixes_laws", "sources"):
+            copy.__dict__.pop(name, None)
+        return copy
+
 
 def samples_of(scene: Scene) -> int:
     """Return the number of samples of a frame, or of a recording of a stream."""
