@@ -270,7 +270,8 @@ def test_seed_out_of_range(seed):
 
 TAP = {"label": "tap", "shape": "square", "peak_force": "2 kN", "contact_duration": "1 ms"}
 DENSITIES = ["1 N/sqrt(Hz)", "1 N/sqrt(Hz)"]
-MODES = [{"frequency": 90.0, "damping_ratio": 0.01, "modal_mass": 9.0, "shape_impact": 1.0, "shape_sensor": 1.0}]
+MODE = {"frequency": 90.0, "damping_ratio": 0.01, "modal_mass": 9.0, "shape_impact": 1.0, "shape_sensor": 1.0}
+MODES = [MODE]
 BEAM = {
     "length": 1,
     "width": 0.5,
@@ -319,16 +320,21 @@ EVERYTHING = [
 ]
 
 
-def rules(section, path=()):
-    """Yield the path, number by number, and the field of every key that has a rule."""
+def rules():
+    """Yield the path of every key that has a rule, with its field and its quantity."""
+    return (key for key in keys(Scene) if key[-1] is not None and key[-1].rule.limited)
+
+
+def keys(section, path=()):
+    """Yield the path of every key, with its field, and its quantity if it is a number."""
     for name, field in section.model_fields.items():
-        quantity = quantity_of(field)
-        if quantity is not None and quantity.rule.limited:
-            yield (*path, name), field, quantity
-        for inner in sections_in(field.annotation):
+        inside = sections_in(field.annotation)
+        if all("distribution" in inner.model_fields for inner in inside):
+            yield (*path, name), field, quantity_of(field)
+        for inner in inside:
             if "distribution" not in inner.model_fields:
                 rows = "tuple" in str(field.annotation)
-                yield from rules(inner, (*path, name, 0) if rows else (*path, name))
+                yield from keys(inner, (*path, name, 0) if rows else (*path, name))
 
 
 def sections_in(annotation):
@@ -336,8 +342,17 @@ def sections_in(annotation):
     return inner or ([annotation] if inspect.isclass(annotation) and issubclass(annotation, BaseModel) else [])
 
 
+def test_every_number_of_a_scene_has_a_rule():
+    numbers = ("float", "int", "Constant")
+    found = [".".join(map(str, path)) for path, field, _ in keys(Scene) if any(one in str(field) for one in numbers)]
+    ruled = [".".join(map(str, path)) for path, *_ in rules()]
+    # Levels of a density are read once the quantity of the sensor is known.
+    assert len(found) > 90
+    assert set(found) ^ set(ruled) == {"sensor.noise_spectrum.density", "background.coloured.density"}
+
+
 def wrong_numbers():
-    for path, field, quantity in rules(Scene):
+    for path, field, quantity in rules():
         rule, low, high = quantity.rule, quantity.rule.lowest, quantity.rule.highest
         wrong = [low if rule.without in ("lowest", "ends") else low - max(1, abs(low))] if low > -np.inf else []
         wrong += [high if rule.without in ("highest", "ends") else high + max(1, abs(high))] if high < np.inf else []
@@ -450,6 +465,20 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
         ({"impact__stiffness": "soft"}, "impact.stiffness", "'hertz'"),
         ({"impact__target": "wood"}, "impact.target", "'rigid'"),
         ({"impact__target": {"youngs_modulus": "210 GPa"}}, "impact.target.poisson_ratio", "missing"),
+        ({"tail_beam": {"modes": [MODE, {**MODE, "frequency": 80}]}}, "tail_beam", "row 2 has 80 Hz after 90 Hz"),
+        ({"tail_beam": {"modes": [MODE, {**MODE, "shape_sensor": "0.1"}]}}, "tail_beam.modes.1.shape_sensor", "number"),
+        ({"tail_beam": {"modes": [MODE, {**MODE, "frequency": "1 kg"}]}}, "tail_beam.modes.1.frequency", "'1 kg'"),
+        ({"tail_beam": {"modes": [{**MODE, "shape_sensor": 0}]}}, "tail_beam", "nothing would be heard"),
+        ({"tail_beam": {"modes": [MODE] * 10_001}}, "tail_beam.modes", "at most 10000, got 10001"),
+        ({"tail_beam": {**BEAM, "learned": BEAM["learned"] * 10_001}}, "tail_beam.learned", "at most 10000, got 10001"),
+        (
+            {"tail_beam": {**BEAM, "sensor_point": {"x": 2, "y": 0.1}}},
+            "tail_beam",
+            "sensor_point.x must lie on the beam",
+        ),
+        ({"tail_beam": {**BEAM, "ribs": {**BEAM["ribs"], "number": 101}}}, "tail_beam.ribs.number", "got 101"),
+        ({"sampling__samples": 2**20 + 1}, "sampling.samples", "got 1048577"),
+        ({"taps": [TAP] * 65}, "taps", "at most 64, got 65"),
         ({"impact": None}, "impact", "missing: The laws of the impact"),
         ({"impact__dissipation": None}, "impact.dissipation", "missing: How the rock loses energy"),
     ],

@@ -81,7 +81,7 @@ class Quantity:
             raise ValueError(f"must {self.rule.sentence(self.unit)}, got {shown(value)}") from None
         for index in np.flatnonzero(~self.rule.holds(numbers))[:1]:
             wrong, unit = float(numbers[index]), f" {self.unit}" if self.unit else ""
-            text = f", got {wrong:.6g}{unit}"
+            text = f", got {value if isinstance(value, int) else format(wrong, '.6g')}{unit}"
             if isinstance(content, str):
                 text = f", got {shown(content)}"
             elif isinstance(value, tuple):

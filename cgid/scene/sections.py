@@ -70,7 +70,7 @@ ON_SOLID_GROUND = (*PLASTIC, "kuwabara-kono")
 #: any lump.
 CURVATURES, LEAST_MASS = (1e-3, 10.0), 1e-2
 #: Most rows of a table of modes.
-_MOST_MODES = 10_000
+_MAX_MODES = 10_000
 
 if TYPE_CHECKING:
     Law = str
@@ -440,7 +440,7 @@ class TableOf:
     def _columns(self, content: Any) -> dict[str, Floats] | None:
         """Return the columns of numbers in SI units that meet their rules; None for any other content."""
         fields = self.row.model_fields
-        if not isinstance(content, list) or not 1 <= len(content) <= _MOST_MODES:
+        if not isinstance(content, list) or not 1 <= len(content) <= _MAX_MODES:
             return None
         if not all(isinstance(row, dict) and row.keys() <= fields.keys() for row in content):
             return None
@@ -459,7 +459,7 @@ if TYPE_CHECKING:
     ModeTable = Table
     LearnedTable = Table
 else:
-    _SIZE = Field(min_length=1, max_length=_MOST_MODES)
+    _SIZE = Field(min_length=1, max_length=_MAX_MODES)
     ModeTable = Annotated[tuple[ModeRow, ...], _SIZE, TableOf(ModeRow)]
     LearnedTable = Annotated[tuple[LearnedRow, ...], _SIZE, TableOf(LearnedRow)]
 
