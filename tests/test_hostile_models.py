@@ -93,6 +93,12 @@ def test_files_made_by_hand_do_no_harm(audit, tmp_path, monkeypatch, name):
     assert peak < MEMORY_LIMIT
 
 
+@pytest.mark.parametrize("name", ["beam whose pole grows", "beam of errors of other modes", "beam upside down"])
+def test_arrays_of_a_beam_must_fit_each_other(name):
+    with pytest.raises(BadData):
+        Model.from_bytes(HOSTILE[name]())
+
+
 @pytest.mark.parametrize("number", [150, pytest.param(3000, marks=pytest.mark.long)])
 def test_mutants_do_no_harm_and_no_change_goes_unnoticed(audit, tmp_path, number):
     contents = {path: path.read_bytes() for path in golden_files()}

@@ -553,8 +553,9 @@ def test_two_wrong_units_of_one_distribution():
         (b"seed = " + b"9" * 6000, "valid TOML"),
         (b"deep = " + b"[" * 100_000, "valid TOML"),
         (b"", "name: is missing"),
+        (b"#" * ((8 << 20) + 1), "8388609|8 MiB"),
     ],
-    ids=["broken", "not UTF-8", "endless integer", "endless nesting", "empty"],
+    ids=["broken", "not UTF-8", "endless integer", "endless nesting", "empty", "large"],
 )
 def test_files_that_are_no_scene(tmp_path, written, says):
     file = tmp_path / "scene.toml"
