@@ -383,7 +383,7 @@ def test_tiny_errors_of_the_modes_change_nothing(monkeypatch: pytest.MonkeyPatch
         (found, pulse), (true, same) = certain.look(seen), exact.look(seen)
         apart, change = np.hypot(found.x - true.x, found.y - true.y), np.abs(np.log(pulse.peak / same.peak))
         assert np.median(apart) < 5e-4 and np.quantile(apart, 0.9) < 5e-3, (rate, apart)
-        # Two steps to the place leave some .1 % of the peak, whose error is .6 %; at half the rate it is much larger for
+        # Two steps to the place leave some .1 % of the peak, whose error is .6 %; at half the rate it is larger for
         # an impact in ten, which two pulses explain alike.
         assert np.median(change) < 2e-3 and np.quantile(change, 0.9) < 0.06, (rate, change)
     assert certain.inversion.errors is not None and Inversion(tail_beam().beam).errors is None
