@@ -21,7 +21,7 @@ from cgid import __version__
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES
 from cgid.identification.families import Contrast, Network, Standardiser
-from cgid.identification.model import LOWEST_SHARE, Model
+from cgid.identification.model import MIN_SHARE, Model
 from cgid.identification.model_file import STANDARDISER
 from cgid.measure.features import FEATURES
 from cgid.measure.spectra import THIRD_OCTAVES, third_octave
@@ -33,7 +33,7 @@ from cgid.validation import Floats
 __all__ = ["c_source"]
 
 #: Most numbers in an exported file: 8 MiB of constants in double precision.
-MOST_NUMBERS = 1 << 20
+MAX_NUMBERS = 1 << 20
 #: Largest and smallest constants of a file that may be compiled with single precision.
 _SINGLE = (1e-37, 1e37)
 #: Standard deviations from the middle of the training of the rows that a file tests itself with.
@@ -88,9 +88,9 @@ def require_small(model: Model) -> None:
     """Raise `InvalidValue` if a model has more numbers than an exported file may hold."""
     names = ("family.", "neighbourhood.", Contrast.PREFIX)
     n_numbers = sum(array.size for name, array in model.arrays.items() if name.startswith(names))
-    if n_numbers > MOST_NUMBERS:
+    if n_numbers > MAX_NUMBERS:
         raise InvalidValue(
-            f"the model must hold at most {MOST_NUMBERS} numbers to be exported, got {n_numbers} for "
+            f"the model must hold at most {MAX_NUMBERS} numbers to be exported, got {n_numbers} for "
             f"{len(model.inputs)} inputs; train one on fewer features (--features)"
         )
 
@@ -286,7 +286,7 @@ def _novelty(model: Model) -> str:
 def _answer(model: Model) -> str:
     low, high = model.sampling_rates
     if model.beam is not None:
-        low, high = LOWEST_SHARE * low, 1e300
+        low, high = MIN_SHARE * low, 1e300
     ones = ", ".join("1" for _ in model.labels)
     text = _part("answer", ones=ones, lowest=repr(0.99 * low), highest=repr(1.01 * high))
     measuring = _part("body of measure") if _bands(model) is not None else ""

@@ -27,7 +27,7 @@ _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.E
 #: A temporary file that nobody has written to for this long was left by a killed process [s].
 STALE = 3600.0
 #: Limit of parts in a dotted TOML key: time and memory of Python's parser grow with their square.
-_MOST_PARTS = 16
+_MAX_PARTS = 16
 _PART = r"""\.[ \t]*+(?:[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
 #: Limit of digits in a TOML number.
 _MAX_DIGITS = 1000
@@ -83,7 +83,7 @@ def whole_file(
             raise CannotCreate(f"{path}: is a folder; choose another name or move it away") from None
         if isinstance(error, FileExistsError):
             raise CannotCreate(
-                f"{path}: has come into being meanwhile; choose another name or say --overwrite"
+                f"{path}: was created in the meantime; choose another name or give --overwrite"
             ) from None
         if isinstance(error, OSError):
             hint = "free some space" if error.errno in {*FULL, None} else "choose another place, or see to the disk"
@@ -240,7 +240,7 @@ def looking_at(path: Path) -> Iterator[None]:
     except CgidError:
         raise
     except OSError as error:
-        raise CannotCreate(f"{path}: cannot be looked at ({error.strerror}); choose another name") from None
+        raise CannotCreate(f"{path}: cannot be accessed ({error.strerror}); choose another name") from None
 
 
 def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) -> None:
@@ -315,9 +315,9 @@ def parse_toml(text: str, most_keys: int) -> dict[str, Any]:
     if n_keys > most_keys:
         raise ValueError(f"it must have at most {most_keys} keys and tables, got {n_keys}")
     # This also searches strings and comments: telling them apart would need another parser.
-    if long := re.search(f"(?:{_PART}){{{_MOST_PARTS}}}", text):
+    if long := re.search(f"(?:{_PART}){{{_MAX_PARTS}}}", text):
         line = text.count("\n", 0, long.start()) + 1
-        raise ValueError(f"a dotted key must have at most {_MOST_PARTS} parts, that of line {line} has more")
+        raise ValueError(f"a dotted key must have at most {_MAX_PARTS} parts, that of line {line} has more")
     # Python refuses a decimal of thousands of digits as well, after hundreds of times the memory of the text.
     if re.search(f"[0-9A-Fa-f_]{{{_MAX_DIGITS}}}", text):
         raise ValueError(f"a number must have fewer than {_MAX_DIGITS} digits")

@@ -22,7 +22,7 @@ from cgid.files import check_new, write_whole
 from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
-from cgid.identification.share import FEWEST_IMPACTS, Share, Switch
+from cgid.identification.share import MIN_IMPACTS, Share, Switch
 from cgid.measure.overview import Overview
 from cgid.plots import picture, share_figure
 from cgid.plots.answers import drawn_figure
@@ -117,7 +117,7 @@ class Report:
     def times_of_shares(self) -> dict[str, NDArray[np.float64]]:
         """Return the times of the answers of channels whose share has a course, if they are enough for a decision."""
         times = {name: np.array([one.time for one in self.answers if one.channel == name]) for name in self._followed}
-        return {name: one for name, one in times.items() if len(one) >= FEWEST_IMPACTS}
+        return {name: one for name, one in times.items() if len(one) >= MIN_IMPACTS}
 
 
 def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequence[Channel]) -> dict[str, str]:

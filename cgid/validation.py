@@ -23,7 +23,7 @@ RATES = (1e-6, 1e12)
 #: Answer of models for signals of no known class; not allowed as a label.
 UNKNOWN = "unknown"
 #: Longest label [characters].
-LONGEST_LABEL = 100
+MAX_LABEL_LENGTH = 100
 #: Allowed in labels besides letters and digits of any script. Labels appear in file headers, options, tables and pages.
 _LABEL_SIGNS = " _.-"
 
@@ -220,9 +220,9 @@ def label(name: str, value: Any) -> str:
     """
     letters = "".join(sign for sign in value if sign not in _LABEL_SIGNS) if isinstance(value, str) else ""
     # After its first letter, an identifier may hold letters, combining marks and digits.
-    if not letters or len(value) > LONGEST_LABEL or value != value.strip() or not f"a{letters}".isidentifier():
+    if not letters or len(value) > MAX_LABEL_LENGTH or value != value.strip() or not f"a{letters}".isidentifier():
         raise InvalidValue(
-            f"{name} must be 1 to {LONGEST_LABEL} letters, digits, blanks, _, . or -, got {value!r}; rename it"
+            f"{name} must be 1 to {MAX_LABEL_LENGTH} letters, digits, blanks, _, . or -, got {value!r}; rename it"
         )
     if value == UNKNOWN:
         raise InvalidValue(f"{name} must not be {UNKNOWN!r}, which is what models answer strangers with; rename it")

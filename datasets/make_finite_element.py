@@ -54,7 +54,7 @@ MADE = {
     "coarse_steps_per_duration": 200,
     "restitution_within": 0.002,
 }
-_MOST_TRIALS = 8
+_MAX_TRIALS = 8
 _AT_ONCE = 16
 #: Two machines may draw a number apart by so much of it.
 _ROUNDING = 1e-9
@@ -99,7 +99,7 @@ def retardation_time(rock: dict[str, Any], restitution: float) -> float:
     law, sphere = elastic_impact_of(rock), sphere_of(rock)
     share = float(sphere_share(sphere, law.target))
     aim = restitution
-    for _ in range(_MOST_TRIALS):
+    for _ in range(_MAX_TRIALS):
         retardation = float(dissipative_constant(aim, law)) / (1.5 * share)
         found = run(rock, retardation, MADE["coarse_elements"], MADE["coarse_steps_per_duration"])
         if abs(found.restitution - restitution) <= MADE["restitution_within"]:

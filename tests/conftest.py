@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 REAL_DATA = ROOT.parent / "shared" / "realdata"
 
 #: Most processes for the whole suite: each of them makes the session's fixtures anew.
-MOST_WORKERS = 8
+MAX_WORKERS = 8
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -42,7 +42,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     unasked = config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no"
     if whole and unasked and cores > 1 and not (options.usepdb or options.collectonly):
         # Neighbours stay together, so that the shared fixtures of a file are made once.
-        options.numprocesses, options.dist = min(cores, MOST_WORKERS), "worksteal"
+        options.numprocesses, options.dist = min(cores, MAX_WORKERS), "worksteal"
 
 
 @pytest.fixture(scope="session")

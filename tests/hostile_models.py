@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import cgid.identification.contact  # noqa: F401 - loaded here, so that no watched process imports it
-from cgid.identification.model import LARGEST_FILE, Model
+from cgid.identification.model import MAX_FILE_SIZE, Model
 from cgid.identification.model_file import signed
 from cgid.measure.beam import points_of
 from cgid.measure.features import choose
@@ -205,7 +205,7 @@ def _archives() -> dict[str, Callable[[], bytes]]:
         "cut in the directory": lambda: plain[: directory + 30],
         "without a directory": lambda: plain[:directory],
         "empty archive": lambda: archive({}),
-        "larger than any model": lambda: bytes(LARGEST_FILE + 1),
+        "larger than any model": lambda: bytes(MAX_FILE_SIZE + 1),
     }
 
 

@@ -331,7 +331,7 @@ def test_momentum_is_kept(many):
 def test_more_nodes_shorter_steps_and_a_smaller_tail_give_the_same(many, monkeypatch):
     monkeypatch.setattr(coupled, "N_NODES", 20)
     monkeypatch.setattr(coupled, "N_TIMES", 36)
-    monkeypatch.setattr(coupled, "_LARGEST_PHASE", 9.0)
+    monkeypatch.setattr(coupled, "_MAX_PHASE", 9.0)
     given = {name: getattr(many, name) for name in many.__dataclass_fields__}
     finer = ModalImpact(**{**given, "tolerance": 1e-12})
     assert (finer.contacts == many.contacts).all()

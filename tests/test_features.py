@@ -18,7 +18,7 @@ from cgid.identification.detection import find_impacts
 from cgid.measure.features import FEATURES as ALL_FEATURES
 from cgid.measure.features import choose, extract, extract_array
 from cgid.measure.frames import MINIMUM_FRAME
-from cgid.measure.pulses import MOST_RINGING, MOST_UNEXPLAINED, PulseBatch
+from cgid.measure.pulses import MAX_RINGING, MAX_UNEXPLAINED, PulseBatch
 from cgid.measure.spectra import PulseSpectrum
 from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
@@ -71,7 +71,7 @@ def test_what_rings_after_a_force_is_strange(share):
     tone = share * pulse.max() * np.sin(np.pi * after / duration) * (after > 0)
     seen = PulseBatch((pulse + tone)[None], rate, pre_trigger=250)
     assert seen.ringing[0] == pytest.approx(share / np.sqrt(2), rel=0.05)
-    assert (seen.residual.unexplained[0] > MOST_UNEXPLAINED) == (share / np.sqrt(2) > MOST_RINGING)
+    assert (seen.residual.unexplained[0] > MAX_UNEXPLAINED) == (share / np.sqrt(2) > MAX_RINGING)
 
 
 def test_hum_and_noise_do_not_ring():
@@ -80,7 +80,7 @@ def test_hum_and_noise_do_not_ring():
     hum = 0.1 * np.sin(2 * np.pi * 50 * np.arange(4000) / rate + rng.uniform(0, 6, (200, 1)))
     noise = rng.normal(0, 0.1, (200, 4000))
     for disturbed in (pulse + hum, pulse + noise):
-        assert np.mean(PulseBatch(disturbed, rate, pre_trigger=250).ringing < MOST_RINGING) > 0.98
+        assert np.mean(PulseBatch(disturbed, rate, pre_trigger=250).ringing < MAX_RINGING) > 0.98
 
 
 # -- exact pulses ---------------------------------------------------------------------------------------------

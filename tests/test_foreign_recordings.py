@@ -416,7 +416,7 @@ def test_arrays_too_large_to_be_read_whole_are_refused(tmp_path, monkeypatch, wr
     with path.open("wb") as file:
         write(file)
     assert np.array_equal(read(path, sampling_rate=1.0)[1], SAMPLES)
-    monkeypatch.setattr("cgid.recordings.arrays.LARGEST_ARRAYS", SAMPLES.nbytes - 1)
+    monkeypatch.setattr("cgid.recordings.arrays.MAX_ARRAYS", SAMPLES.nbytes - 1)
     refused(path, sampling_rate=1.0)
 
 
@@ -447,7 +447,7 @@ def whole(samples=SAMPLES, group="beam", parts=4):
 def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
     nptdms = pytest.importorskip("nptdms")
     # Channels of longer chunks are read whole.
-    monkeypatch.setattr(tdms_reader, "LONGEST_CHUNK", longest)
+    monkeypatch.setattr(tdms_reader, "MAX_CHUNK_SIZE", longest)
     values = (100 * np.abs(SAMPLES)).astype(dtype)
     path = write_tdms(tmp_path / "a.tdms", whole(values))
     recording, found = read(path)
@@ -678,7 +678,7 @@ def test_damaged_lines_of_uff_are_refused(tmp_path):
 
 
 def test_uff_too_large_to_be_read_whole_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("cgid.recordings.uff.LARGEST_FILE", 1000)
+    monkeypatch.setattr("cgid.recordings.uff.MAX_FILE_SIZE", 1000)
     assert "export fewer data sets" in refused(write_uff(tmp_path / "x.uff", SAMPLES))
 
 

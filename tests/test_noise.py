@@ -17,7 +17,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
 from cgid.scene.draws import BLOCK, NOISE, TAPS, settings_of
-from cgid.scene.noise import MOST_SAMPLES, Coloured, add_noise
+from cgid.scene.noise import MAX_SAMPLES, Coloured, add_noise
 from cgid.scene.plan import plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import CHUNK
@@ -155,7 +155,7 @@ def test_frames_need_not_lie_side_by_side():
 
 
 def test_the_last_sample_that_has_an_address():
-    assert noise(1, first_sample=MOST_SAMPLES - 1)[0, 0] != 0
+    assert noise(1, first_sample=MAX_SAMPLES - 1)[0, 0] != 0
 
 
 # ---- statistics ------------------------------------------------------------------------------------------------------
@@ -234,7 +234,7 @@ def test_spectrum_is_flat(many):
         ({"block": -1}, "block must lie between 0 and 2^56 - 1, got -1"),
         ({"block": 2**56}, "block must lie"),
         ({"first_sample": -1}, "got -1 to 8"),
-        ({"first_sample": MOST_SAMPLES - 9}, f"must lie between 0 and {MOST_SAMPLES - 1}"),
+        ({"first_sample": MAX_SAMPLES - 9}, f"must lie between 0 and {MAX_SAMPLES - 1}"),
     ],
 )
 def test_out_of_range(options, says):

@@ -489,7 +489,7 @@ def test_a_terminal_is_no_recording(monkeypatch):
 
 
 def test_a_stream_without_end_is_refused(monkeypatch):
-    monkeypatch.setattr("cgid.recordings.formats.LARGEST_STREAM", 1000)
+    monkeypatch.setattr("cgid.recordings.formats.MAX_STREAM", 1000)
     monkeypatch.setattr("cgid.recordings.formats.PIECE_LENGTH", 300)
     assert len(read_bytes(b"1\n" * 500, sampling_rate=1)[0].samples) == 500
     with pytest.raises(BadData, match="cgid monitor"):

@@ -10,10 +10,10 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.reference import LARGEST_DRIFT, MeanSpectrum, drift, target_spectrum
+from cgid.identification.reference import MAX_DRIFT, MeanSpectrum, drift, target_spectrum
 from cgid.identification.stream import Drifts
 from cgid.measure.features import choose, extract_array, supported
-from cgid.measure.filters import LARGEST_GAIN, Equalisation
+from cgid.measure.filters import MAX_GAIN, Equalisation
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import read_recording
 
@@ -129,7 +129,7 @@ def test_bad_gains_are_refused():
         Equalisation(gains=np.zeros(3))
     with pytest.raises(InvalidValue, match="gains must be finite"):
         Equalisation(gains=np.full(N_BANDS, np.nan))
-    with pytest.raises(InvalidValue, match=f"gains must lie within {LARGEST_GAIN:g} dB of none, got -60 dB"):
+    with pytest.raises(InvalidValue, match=f"gains must lie within {MAX_GAIN:g} dB of none, got -60 dB"):
         Equalisation(gains=np.full(N_BANDS, -60.0))
     with pytest.raises(InvalidValue, match="equalisation must be of vibrations or windows"):
         extract_array(np.ones((1, 100)), 1e4, ["peak_force"], equalisation=Equalisation(gains=np.zeros(N_BANDS)))
@@ -210,7 +210,7 @@ def test_drift_is_warned_of_beyond_three_decibels():
     assert abs(same.level) < 0.5
     louder = drift(spectrum_of(10**0.25 * flow(51, 3000.0, 300)), reference)
     assert louder.level == pytest.approx(same.level + 5.0, abs=1e-9)
-    assert louder.certain > LARGEST_DRIFT
+    assert louder.certain > MAX_DRIFT
     assert "sensor A1 must be within 3 dB of its reference run, it is +5" in louder.warning("A1")
     # One band alone: 8 dB less at 5 kHz, as of a loose mount.
     notch = signal.firwin2(513, [0, 3500, 4200, 5800, 6500, RATE / 2], [1, 1, 10**-0.4, 10**-0.4, 1, 1], fs=RATE)
@@ -223,7 +223,7 @@ def test_drift_is_warned_of_beyond_three_decibels():
 def test_few_windows_are_no_proof_of_drift():
     reference = spectrum_of(flow(60, 3000.0, 300)).levels
     alone = drift(spectrum_of(3 * flow(61, 3000.0, 1)), reference)
-    assert abs(alone.largest) > LARGEST_DRIFT
+    assert abs(alone.largest) > MAX_DRIFT
     assert alone.warning("A1") is None
 
 

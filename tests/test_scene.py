@@ -20,7 +20,7 @@ import cgid
 from cgid import ceiling, shipped, site
 from cgid.errors import BadData, CgidError, InvalidValue, NoInput
 from cgid.scene import Scene, load_scene, parse_scene, synthesise
-from cgid.scene.distributions import LARGEST_UNIFORM, LIMITS, SMALLEST_UNIFORM, Distribution, Quantity, quantity_of
+from cgid.scene.distributions import LIMITS, MAX_UNIFORM, MIN_UNIFORM, Distribution, Quantity, quantity_of
 from cgid.scene.draws import generator, uniforms
 from cgid.scene.impacts import SHAPES, draw, draws
 from cgid.scene.recordings import require_capacity
@@ -186,7 +186,7 @@ def test_bounds_are_attained_and_never_passed(parameters, _):
     law = distribution(**parameters)
     low, high = law.quantile(np.array([0.0, 1.0]))
     assert (low, high) == pytest.approx((2.0, 9.0), rel=1e-15)
-    near = law.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
+    near = law.quantile(np.array([MIN_UNIFORM, MAX_UNIFORM]))
     assert near.min() >= 2.0
     assert near.max() <= 9.0
 
@@ -212,8 +212,8 @@ def test_choice_at_the_last_uniform_number():
     """The running sum of these weights ends below their sum."""
     weights = [0.1] * 11
     law = distribution(distribution="choice", values=list(range(11)), weights=weights)
-    assert np.cumsum(weights)[-1] / np.sum(weights) < LARGEST_UNIFORM
-    ends = law.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
+    assert np.cumsum(weights)[-1] / np.sum(weights) < MAX_UNIFORM
+    ends = law.quantile(np.array([MIN_UNIFORM, MAX_UNIFORM]))
     assert ends.tolist() == [0, 10]
 
 
@@ -228,7 +228,7 @@ def test_a_mixture_is_each_part_as_often_as_its_weight():
     assert middle.size == 25_000
     np.testing.assert_allclose(middle, 2 + (np.arange(25_000) + 0.5) / 25_000, atol=1e-9)
     assert law.extremes == (0, 6)
-    ends = law.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM, 0.5, np.nextafter(0.75, 0)]))
+    ends = law.quantile(np.array([MIN_UNIFORM, MAX_UNIFORM, 0.5, np.nextafter(0.75, 0)]))
     np.testing.assert_allclose(ends, [0, 6, 2, 3])
 
 

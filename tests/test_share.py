@@ -15,7 +15,7 @@ from cgid.errors import BadData, InvalidValue
 from cgid.identification.confusion import Confusion, StreamAnswers
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import (
-    FEWEST_IMPACTS,
+    MIN_IMPACTS,
     CavingWatch,
     NoConfusion,
     Share,
@@ -232,9 +232,9 @@ def test_turns_are_said_when_they_are_sure_and_the_last_one_was_held() -> None:
 
 def test_few_impacts_decide_nothing() -> None:
     rule = ShutDecision(3.0)
-    assert rule.watch(state(0.9, FEWEST_IMPACTS - 1, above=0.99)) is None
+    assert rule.watch(state(0.9, MIN_IMPACTS - 1, above=0.99)) is None
     assert rule.watch(state(float("nan"), 0, above=float("nan"))) is None
-    assert rule.watch(state(0.9, FEWEST_IMPACTS, above=0.99)).shut
+    assert rule.watch(state(0.9, MIN_IMPACTS, above=0.99)).shut
 
 
 def test_a_share_near_the_threshold_does_not_flap() -> None:

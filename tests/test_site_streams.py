@@ -10,7 +10,7 @@ import pytest
 
 from cgid import shipped
 from cgid.errors import InvalidValue
-from cgid.identification.confusion import LEAST_SCATTER
+from cgid.identification.confusion import MIN_SCATTER
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows
@@ -119,7 +119,7 @@ def test_a_model_is_finished(short, shipped_model: Model) -> None:
     assert again.confusion is not None and model.confusion is not None
     assert again.confusion.rates.tolist() == model.confusion.rates.tolist()
     assert sum(told["answers_a_rock"].values()) == pytest.approx(model.confusion.rates.sum())
-    assert told["overdispersion"] >= 1 and told["scatter"] >= LEAST_SCATTER
+    assert told["overdispersion"] >= 1 and told["scatter"] >= MIN_SCATTER
 
 
 def test_scenes_that_make_no_streams(caving: Scene) -> None:

@@ -138,10 +138,10 @@ def test_a_stretch_never_holds_more_than_a_block():
     # The largest uniform number there is: the count is bounded for certain, not just likely.
     from scipy.special import pdtr
 
-    from cgid.scene.distributions import LARGEST_UNIFORM
+    from cgid.scene.distributions import MAX_UNIFORM
     from cgid.scene.rocks import EXPECTED_ROCKS
 
-    assert np.searchsorted(pdtr(np.arange(BLOCK), EXPECTED_ROCKS), LARGEST_UNIFORM) < BLOCK
+    assert np.searchsorted(pdtr(np.arange(BLOCK), EXPECTED_ROCKS), MAX_UNIFORM) < BLOCK
 
 
 @pytest.mark.parametrize("many", [3, 700])

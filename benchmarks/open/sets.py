@@ -34,7 +34,7 @@ TRAIN_SEED, PUBLIC_SEED = 7_250_000_000, 7_260_000_000
 #: Address of the draws of mixtures among those of a scene.
 _PURPOSE = 7_250
 #: A private seed below this could be found by trying.
-LEAST_PRIVATE = 2**40
+MIN_PRIVATE = 2**40
 #: Labels of rocks; whatever else strikes is `OTHER` and should be called unknown.
 COAL, GANGUE, OTHER = "coal", "gangue", "other"
 #: Share of gangue above which a drawn rock costs more than it gains: a gangue costs as much as a lost coal.
@@ -138,7 +138,7 @@ def make(output: Path, *, private: int | None = None, most: int | None = None) -
     Raises `CannotCreate` if the folder exists and is not empty, `InvalidValue` if the private seed could be guessed,
     `BadData` if a file has another sum than the one kept in the repository.
     """
-    if private is not None and not LEAST_PRIVATE <= private < 2**63 - 100:
+    if private is not None and not MIN_PRIVATE <= private < 2**63 - 100:
         raise InvalidValue(
             f"--private: must lie between 2^40 and 2^63 - 101, as smaller seeds can be guessed, got {private}; leave "
             "the number out to draw one"
@@ -184,7 +184,7 @@ def make(output: Path, *, private: int | None = None, most: int | None = None) -
 
 def draw_seed() -> int:
     """Return a seed that nobody can guess."""
-    return LEAST_PRIVATE + secrets.randbelow(2**62)
+    return MIN_PRIVATE + secrets.randbelow(2**62)
 
 
 def _frames(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]]:

@@ -68,14 +68,14 @@ def plot(
     from cgid.measure.overview import OverviewStream
     from cgid.plots import picture
     from cgid.plots.figure import FORMATS, new_picture
-    from cgid.plots.recording import MOST_CHANNELS, overview_figure
+    from cgid.plots.recording import MAX_CHANNELS, overview_figure
 
     path = new_picture(output, endings=FORMATS, overwrite=overwrite)
     gap = reading.dead_time
     _require_order(begin, end)
     recording = _opened(file, reading)
     warn_of_volts(recording)
-    channels = recording.channels[:MOST_CHANNELS]
+    channels = recording.channels[:MAX_CHANNELS]
     if len(channels) < len(recording.channels):
         warn(
             f"{recording.source}: the first {len(channels)} of {len(recording.channels)} channels are "

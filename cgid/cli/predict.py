@@ -59,9 +59,9 @@ class _Passing:
         self.stream: OverviewStream | None = None
         if draw:
             from cgid.measure.overview import OverviewStream
-            from cgid.plots.recording import MOST_CHANNELS
+            from cgid.plots.recording import MAX_CHANNELS
 
-            self.channels = [recording.channels[number] for number in numbers[:MOST_CHANNELS]]
+            self.channels = [recording.channels[number] for number in numbers[:MAX_CHANNELS]]
             self.stream = OverviewStream(recording.sampling_rate, len(self.channels))
 
     def see(self, block: Any) -> None:

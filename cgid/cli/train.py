@@ -345,7 +345,7 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
 
 def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
-    from cgid.identification.grouped import MOST_FOLDS
+    from cgid.identification.grouped import MAX_FOLDS
     from cgid.identification.labelled_recordings import Reading, record
     from cgid.identification.rows import Slicing
     from cgid.identification.training import train as train_model
@@ -374,7 +374,7 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
     for warning in rows.warnings:
         warn(warning)
     given = {name: options[name] for name in (*_COMMON, "level_free")}
-    n_folds = min(len(rows.groups), MOST_FOLDS) if len(rows.groups) > 1 else None
+    n_folds = min(len(rows.groups), MAX_FOLDS) if len(rows.groups) > 1 else None
     with progress_bar(n_folds, "groups left out", "judging") as progress:
         training = train_model(rows, synthetic=synthetic, progress=progress, **given)
     for warning in training.model.training["recorded"]["warnings"][len(rows.warnings) :]:

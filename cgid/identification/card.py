@@ -11,7 +11,7 @@ from urllib.parse import quote
 from cgid.errors import CannotCreate
 from cgid.files import check_new, write_together
 from cgid.identification.detection import VIBRATION_DEAD_TIME
-from cgid.identification.model import FEWEST_GROUPS, Model
+from cgid.identification.model import MIN_GROUPS, Model
 from cgid.signals import KNOWN
 from cgid.terminal import counted, printable
 
@@ -28,7 +28,7 @@ PICTURES = ("confusion", "reliability", "roc")
 #: Most features that a card lists.
 _MAX_NAMES = 60
 _SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs", "window": "recordings in windows"}
-_FEW = f"With fewer than {FEWEST_GROUPS} groups of a label the next day may be much worse than the intervals say."
+_FEW = f"With fewer than {MIN_GROUPS} groups of a label the next day may be much worse than the intervals say."
 #: Characters that Markdown or HTML interprets within a line; an underscore only at the edge of a word.
 _MARKS = re.compile(r"[\\`*\[\]<>&|~]|\b_|_\b|(?<=_)_|_(?=_)")
 

@@ -37,7 +37,7 @@ _ADDED = 2.0
 _WINDOW = 10.0
 #: Least deviation of the share from stream to stream (assumed): no site is just like its simulation. Another seam and
 #: place move the share by this much (`benchmarks/streams.py`).
-LEAST_SCATTER = 0.035
+MIN_SCATTER = 0.035
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +148,7 @@ class Confusion:
         excess = np.average(
             np.square(errors) - max(squared_residuals, 1.0) / np.asarray(n_informative), weights=n_informative
         )
-        scatter = max(float(np.sqrt(max(excess, 0.0))), LEAST_SCATTER)
+        scatter = max(float(np.sqrt(max(excess, 0.0))), MIN_SCATTER)
         return cls(edges=plain.edges, rates=plain.rates, overdispersion=overdispersion, scatter=scatter)
 
     @property

@@ -36,7 +36,7 @@ from cgid.units import quantity_of
 from cgid.validation import Floats
 
 #: Fewest labelled impacts inside the training of the model; of fewer the interval of the accuracy says nothing.
-FEWEST_LUMPS = 10
+MIN_LUMPS = 10
 #: Prior deviations of a bias, of ln of the slope, and of ln of the gain.
 _BIAS, _SLOPE, _GAIN = 0.7, 0.3, 0.2
 #: Prior probability that there is nothing to correct.
@@ -94,7 +94,7 @@ def correct(model: Model, rows: Rows) -> Correction:
     _require_lumps(model, rows)
     features, guards = rows.columns(model.features), rows.columns(model.guards)
     known = model.novelty(features, guards) <= 1
-    if int(known.sum()) < FEWEST_LUMPS:
+    if int(known.sum()) < MIN_LUMPS:
         raise _too_few_known(int(known.sum()), len(known))
     labels = rows.labels[known]
     _require_labels(labels, model, " within its training")
@@ -140,7 +140,7 @@ def require_known(model: Model, rows: Rows) -> None:
 
 def _too_few_known(n_known: int, n: int) -> BadData:
     return BadData(
-        f"labelled impacts must lie within the training of the model, {FEWEST_LUMPS} at least, got {n_known} of {n}; "
+        f"labelled impacts must lie within the training of the model, {MIN_LUMPS} at least, got {n_known} of {n}; "
         "calibrate the beam (cgid calibrate RECORDING --channel CHANNEL) or train without --from"
     )
 
@@ -149,9 +149,9 @@ def _require_lumps(model: Model, rows: Rows) -> None:
     for label in np.unique(rows.labels).tolist():
         validation.choice("label", label, model.labels)
     _require_labels(rows.labels, model)
-    if len(rows.labels) < FEWEST_LUMPS:
+    if len(rows.labels) < MIN_LUMPS:
         raise BadData(
-            f"labelled impacts must be {FEWEST_LUMPS} at least to correct a model, got {len(rows.labels)}; label more"
+            f"labelled impacts must be {MIN_LUMPS} at least to correct a model, got {len(rows.labels)}; label more"
         )
     if quantity_of(rows.unit) != model.quantity:
         raise BadData(

@@ -23,14 +23,14 @@ from cgid.identification.vibration_onsets import RISE, RISE_OVER_NOISE, Vibratio
 from cgid.identification.vibration_onsets import START_CHUNKS as VIBRATION_START
 from cgid.measure.frames import DETECTION_LIMIT, LARGEST
 from cgid.measure.table import ImpactKind
-from cgid.measure.vibration import SHORTEST_EVENT
+from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats, require_rate
 
 #: Later samples within this time belong to the same blow, because a struck body rings [s].
 DEAD_TIME = 2e-3
 #: The same for vibrations. If the next blow follows sooner, too little is left to measure.
-VIBRATION_DEAD_TIME = SHORTEST_EVENT
+VIBRATION_DEAD_TIME = MIN_EVENT
 #: Highest sampling rate [Hz]; no recorder of impacts is faster, and frames would fill the memory.
 FASTEST = 2e7
 #: Approximate number of samples processed together, so that they and their derived arrays fit into the cache.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import InvalidValue
-from cgid.measure.vibration import SHORTEST_EVENT
+from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats
 
@@ -175,7 +175,7 @@ class Framing:
             return cls(sampling_rate, quiet, min(lead, quiet // 2), length, _LONGEST * length, None, 0)
         quiet = max(round(QUIET_TIME * sampling_rate), 2)
         length = max(round(EVENT_TIME * sampling_rate), 16)
-        shortest = int(np.ceil(SHORTEST_EVENT * sampling_rate))
+        shortest = int(np.ceil(MIN_EVENT * sampling_rate))
         lead = min(lead, quiet // 2)
         return cls(sampling_rate, quiet, lead, length, length, quiet - lead, shortest)
 
@@ -305,7 +305,7 @@ class FrameCutter:
             return f"the pulse must end inside the recording, it is cut off by {by}: record a longer frame"
         if recorded < framing.shortest:  # Even if it is over: what comes then tells one structure from another.
             return (
-                f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the recording, it is cut off by {by} "
+                f"the vibration must last {MIN_EVENT * 1e3:g} ms inside the recording, it is cut off by {by} "
                 f"after {recorded / framing.sampling_rate * 1e3:.3g} ms: record longer"
             )
         return ""

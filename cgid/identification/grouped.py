@@ -24,16 +24,16 @@ from cgid.identification.classifier import ImpactClassifier, best_temperature, l
 from cgid.identification.events import EVENT_TIME
 from cgid.identification.families import Contrast, Neighbourhood, softmax
 from cgid.identification.metrics import paired_difference
-from cgid.identification.model import FEWEST_GROUPS
+from cgid.identification.model import MIN_GROUPS
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
 from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independent_windows
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
 #: Most folds: up to this number of groups each is a fold; more groups share this many folds.
-MOST_FOLDS = 20
-#: Fewest blocks of time of a single recording; more, up to `MOST_FOLDS`, where a label would lie in too few of them.
-FEWEST_BLOCKS = 8
+MAX_FOLDS = 20
+#: Fewest blocks of time of a single recording; more, up to `MAX_FOLDS`, where a label would lie in too few of them.
+MIN_BLOCKS = 8
 #: Impacts on two channels within this time are one blow [s].
 _ONE_BLOW = 10e-3
 Weights = Mapping[str, float] | str | None
@@ -112,7 +112,7 @@ def in_blocks_of_time(rows: Rows) -> Rows:
     assert rows.slicing is not None
     before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (_ONE_BLOW, EVENT_TIME)
     time = np.unique(rows.time)
-    for min_groups, n_blocks in product((3, 2), range(FEWEST_BLOCKS, MOST_FOLDS + 1)):
+    for min_groups, n_blocks in product((3, 2), range(MIN_BLOCKS, MAX_FOLDS + 1)):
         last = np.arange(1, n_blocks) * len(time) // n_blocks
         edges = (time[last - 1] + time[last]) / 2 if len(time) >= n_blocks else np.empty(0)
         block = np.searchsorted(edges, rows.time - before)
@@ -134,12 +134,12 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed:
     """Yield a mask of the rows of each fold: one group, or several if there are many groups."""
     recorded = np.flatnonzero(group >= 0)
     groups = np.unique(group[recorded])
-    if len(groups) <= MOST_FOLDS:
+    if len(groups) <= MAX_FOLDS:
         for one in groups:
             yield group == one
         return
     # StratifiedGroupKFold allows no more folds than the most frequent label has rows.
-    n_folds = min(MOST_FOLDS, int(np.unique(labels[recorded], return_counts=True)[1].max()))
+    n_folds = min(MAX_FOLDS, int(np.unique(labels[recorded], return_counts=True)[1].max()))
     splitter = StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed)
     with warnings.catch_warnings():
         # A rare label may be missing in some folds.
@@ -225,10 +225,10 @@ def groups_of_labels(rows: Rows) -> dict[str, int]:
 def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
     """Return a warning if a label has too few groups for an interval that holds beyond them, else nothing."""
     label = min(counts, key=lambda one: counts[one])
-    if counts[label] >= FEWEST_GROUPS:
+    if counts[label] >= MIN_GROUPS:
         return []
     return [
-        f"label {label} has {counts[label]} groups of recordings (days, supports); with fewer than {FEWEST_GROUPS} of "
+        f"label {label} has {counts[label]} groups of recordings (days, supports); with fewer than {MIN_GROUPS} of "
         "each label the next day may be much worse than the intervals say; add recordings of other days"
     ]
 

@@ -30,7 +30,7 @@ from cgid.identification.silence import Silence, silence_of
 from cgid.identification.windows import Grid, NoisyCopies, measure_windows, whole_windows, windows_of
 from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, require_supported, supported
 from cgid.measure.table import Kind
-from cgid.recordings import LARGEST_STREAM, RecordingFile, open_recording
+from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
 from cgid.recordings.recording import told
 from cgid.units import UNITS, quantity_of
@@ -187,7 +187,7 @@ def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ..
 def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
     first = annotations[0]
     with told(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
-        require_regular(first.path, "a recording of a manifest", LARGEST_STREAM)
+        require_regular(first.path, "a recording of a manifest", MAX_STREAM)
     recording = open_recording(
         first.path,
         sampling_rate=first.sampling_rate or reading.sampling_rate,
@@ -375,7 +375,7 @@ def _decided(
 
 
 def _silence(files: Sequence[AnnotatedFile], slicing: Slicing) -> Silence:
-    """Return what all files hold; those that cannot be read are said when they are measured."""
+    """Return what all files hold; unreadable files are reported later."""
     silence = Silence()
     for file in files:
         with suppress(CgidError):

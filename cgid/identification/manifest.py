@@ -47,7 +47,7 @@ ENDINGS = (
 #: Most characters of a label, group or sensor.
 _MAX_WORD_LENGTH = 100
 #: Largest size [bytes] and number of keys of a manifest.
-LARGEST_FILE, _MAX_KEYS = 16 << 20, 1_000_000
+MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
@@ -347,7 +347,7 @@ Row = tuple[str, Mapping[str, Any]]
 
 def _text(path: Path) -> str:
     try:
-        return read_regular(path, "a manifest", LARGEST_FILE).decode("utf-8-sig")
+        return read_regular(path, "a manifest", MAX_FILE_SIZE).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadData(f"{path}: a manifest must be UTF-8 text, byte {error.start} is not; save it as UTF-8") from None
 

@@ -12,7 +12,7 @@ from sklearn import metrics
 from cgid.errors import InvalidValue
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.share import wilson_interval
-from cgid.identification.windows import LEAST_PROBABILITY, RunningVote
+from cgid.identification.windows import MIN_PROBABILITY, RunningVote
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _BINS = 10
 #: Durations of the running votes that are judged [s].
 VOTE_TIMES = (0.5, 1.0)
 #: Fewest groups with misses (or hits) from which to estimate how much groups differ.
-FEWEST_GROUPS = 3
+MIN_GROUPS = 3
 
 
 def evaluate(
@@ -128,7 +128,7 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
 
     This is the score interval (Wilson 1927) for the number of independent trials with the variance observed between
     groups (Korn & Graubard 1998): at least the number of groups, at most that of the hits and misses. If fewer than
-    `FEWEST_GROUPS` have all misses (or all hits), each group is one trial.
+    `MIN_GROUPS` have all misses (or all hits), each group is one trial.
 
     >>> hits = np.array([1, 1, 1, 1, 0, 0, 1, 1], bool)
     >>> [round(end, 3) for end in clustered_interval(hits, np.array([0, 0, 1, 1, 2, 2, 3, 3]))]
@@ -141,14 +141,14 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     variance = _clustered_variance(hits.astype(float) - share, cluster)
     trials = share * (1 - share) / variance if variance > 0 else 0.0
     trials *= (stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_groups - 1)) ** 2
-    if min(np.unique(cluster[hits]).size, np.unique(cluster[~hits]).size) < FEWEST_GROUPS:
+    if min(np.unique(cluster[hits]).size, np.unique(cluster[~hits]).size) < MIN_GROUPS:
         trials = 0.0
     low, high = wilson_interval(share, min(max(trials, n_groups), len(hits)))
     return max(float(low), 0.0), min(float(high), 1.0)
 
 
 #: A recording or interval of fewer rows than this has no vote worth naming; a blow on two channels is two rows.
-FEWEST_VOTING = 3
+MIN_VOTING = 3
 
 
 def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
@@ -159,7 +159,7 @@ def evaluate_recordings(rows: Rows, probabilities: Floats) -> dict[str, Any]:
     metrics["accuracy_interval_95"] = list(clustered_interval(is_correct, rows.group))
     if rows.kind == "window":
         metrics["running"] = [_running(rows, probabilities, time) for time in VOTE_TIMES]
-    if len(rows.labels) < FEWEST_VOTING * len(rows.sources):  # intervals around single impacts
+    if len(rows.labels) < MIN_VOTING * len(rows.sources):  # intervals around single impacts
         return {**metrics, "prediction_sets": []}
     recordings = _recordings(rows, probabilities)
     voted = np.array([row["vote"] == row["label"] for row in recordings])
@@ -178,7 +178,7 @@ def _recordings(rows: Rows, probabilities: Floats) -> list[dict[str, Any]]:
     votes = []
     for source in np.unique(rows.source):
         of_source = rows.source == source
-        total = np.log(np.maximum(probabilities[of_source], LEAST_PROBABILITY)).mean(axis=0)
+        total = np.log(np.maximum(probabilities[of_source], MIN_PROBABILITY)).mean(axis=0)
         votes.append(
             {
                 "name": rows.sources[source],

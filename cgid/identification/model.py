@@ -49,13 +49,13 @@ if TYPE_CHECKING:
     from cgid.identification.contact import ThroughBeam
 
 #: Largest size of a model file [bytes].
-LARGEST_FILE = 64 << 20
+MAX_FILE_SIZE = 64 << 20
 #: Longest message about a bad model file.
 _MAX_MESSAGE_LENGTH = 400
 #: A beam is looked through at sampling rates from this share of the training's on.
-LOWEST_SHARE = 0.5
+MIN_SHARE = 0.5
 #: Fewest groups of recordings of a label whose spread shows how much the next one may differ (assumed).
-FEWEST_GROUPS = 5
+MIN_GROUPS = 5
 #: Limit of the numbers held in memory during prediction.
 _MAX_BLOCK = 1 << 20
 
@@ -167,7 +167,7 @@ class Model:
     def is_of_few(self) -> bool:
         """Whether a label was recorded in so few groups that the next day may be much worse than the intervals say."""
         recorded = self.training.get("recorded", {})
-        return bool(recorded.get("fewest_groups", FEWEST_GROUPS) < FEWEST_GROUPS)
+        return bool(recorded.get("fewest_groups", MIN_GROUPS) < MIN_GROUPS)
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -426,7 +426,7 @@ class Model:
         """
         low, high = self.sampling_rates
         if self.beam is not None:  # the beam is the same at any rate, and the features tell their deviations
-            low, high = LOWEST_SHARE * low, np.inf
+            low, high = MIN_SHARE * low, np.inf
         return bool(0.99 * low <= sampling_rate <= 1.01 * high)
 
     def decide(self, probabilities: Floats, costs: Mapping[str, float] | None = None) -> NDArray[np.str_]:
@@ -556,7 +556,7 @@ class Model:
         BadData
             The file is not a valid model file, is damaged, or has an unsupported version.
         """
-        content = read_regular(path, "the model", LARGEST_FILE, "give a file made by cgid train")
+        content = read_regular(path, "the model", MAX_FILE_SIZE, "give a file made by cgid train")
         try:
             return cls.from_bytes(content)
         except NewerSchema as error:

@@ -41,7 +41,7 @@ VOTE_CORRELATION = "vote_correlation"
 # -- the archive ------------------------------------------------------------------------------------------
 
 #: Most arrays of a model, and longest directory of its archive [bytes].
-MOST_ENTRIES, _LARGEST_DIRECTORY = 64, 64 * 128
+MAX_ENTRIES, _MAX_DIRECTORY_SIZE = 64, 64 * 128
 _MAX_AXES = 3
 _TYPES = ("<f8", "<i4", "<i8", "|b1", "|u1")
 #: Errors of zipfile and numpy on damaged archives.
@@ -58,13 +58,13 @@ def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
     """
     # zipfile would read a directory of a million entries.
     directory = struct.unpack_from("<L", content, len(content) - 10)[0] if len(content) > 22 else 0
-    if not content.startswith(b"PK") or content[-22:-18] != b"PK\x05\x06" or not 0 < directory <= _LARGEST_DIRECTORY:
+    if not content.startswith(b"PK") or content[-22:-18] != b"PK\x05\x06" or not 0 < directory <= _MAX_DIRECTORY_SIZE:
         raise BadData("it must be a whole .npz archive of numbers; it is damaged, cut off or another file")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
-            if len(entries) > MOST_ENTRIES or len({entry.filename for entry in entries}) != len(entries):
-                raise BadData(f"its archive must hold at most {MOST_ENTRIES} arrays, each once")
+            if len(entries) > MAX_ENTRIES or len({entry.filename for entry in entries}) != len(entries):
+                raise BadData(f"its archive must hold at most {MAX_ENTRIES} arrays, each once")
             for entry in entries:
                 # Nothing unpacked can exceed the file then.
                 if entry.compress_type or entry.flag_bits & 1 or entry.file_size > len(content):
@@ -103,11 +103,11 @@ _OLDEST_SCHEMA = 2
 #: Fields missing in schema 2.
 _SINCE_3: dict[str, Any] = {"window_time": 0.0, "hop_time": 0.0, "n_channels": 1, "sensors": []}
 #: Longest header [bytes]: 100 bytes for each of 20,000 recordings.
-LARGEST_HEADER = 2 << 20
+MAX_HEADER_SIZE = 2 << 20
 #: Deepest nesting of lists and objects; real headers have seven levels.
 _DEEPEST = 32
 #: Largest absolute value of any number: products of three are still finite.
-_LARGEST_NUMBER = 1e100
+_MAX_NUMBER = 1e100
 #: Required fields and their types.
 FIELDS: dict[str, type] = {
     "family": str,
@@ -141,8 +141,8 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
     Raises `NewerSchema` if a later cgid wrote it; `BadData` if it is not JSON, repeats a key, or has another format or
     an unsupported older version.
     """
-    if stored.size > LARGEST_HEADER:
-        raise BadData(f"its header must be at most {LARGEST_HEADER >> 20} MiB, it is {stored.size / 2**20:.1f} MiB")
+    if stored.size > MAX_HEADER_SIZE:
+        raise BadData(f"its header must be at most {MAX_HEADER_SIZE >> 20} MiB, it is {stored.size / 2**20:.1f} MiB")
     try:
         header = json.loads(stored.tobytes(), object_pairs_hook=_unique)
     except BadData:
@@ -216,16 +216,16 @@ def _is(value: Any, kind: type) -> bool:
     """Return whether a JSON value has a type; an integer may stand for a float, a bool for neither."""
     if kind in (int, float):
         number = type(value) is int or (kind is float and type(value) is float)
-        return number and abs(value) <= _LARGEST_NUMBER  # False for nan
+        return number and abs(value) <= _MAX_NUMBER  # False for nan
     return isinstance(value, kind)
 
 
 # -- the model --------------------------------------------------------------------------------------------
 
-MOST_CHANNELS = 64
+MAX_CHANNELS = 64
 #: Prefix of the arrays of the standardiser.
 STANDARDISER = "standardiser."
-MOST_LABELS, _MAX_SENSORS = 1000, 1000
+MAX_LABELS, _MAX_SENSORS = 1000, 1000
 #: Most characters of a label or sensor name.
 _MAX_WORD_LENGTH = 100
 #: Families of earlier versions, no longer supported.
@@ -268,7 +268,7 @@ def check_names(model: Model) -> None:
             )
     for label in model.labels:
         validation.label("labels", label)
-    for name, values, most in (("labels", model.labels, MOST_LABELS), ("sensors", model.sensors, _MAX_SENSORS)):
+    for name, values, most in (("labels", model.labels, MAX_LABELS), ("sensors", model.sensors, _MAX_SENSORS)):
         if len(values) > most:
             raise BadData(f"{name} must be at most {most}, got {len(values)}")
     for feature in model.measured:
@@ -307,8 +307,8 @@ def check_training(model: Model) -> None:
     for name, shape in shapes.items():
         if name in metrics:
             numbers = validation.not_negative(name, metrics[name])
-            if numbers.shape != shape or numbers.max() > _LARGEST_NUMBER:
-                raise BadData(f"{name} must be numbers of shape {shape} up to {_LARGEST_NUMBER:g}")
+            if numbers.shape != shape or numbers.max() > _MAX_NUMBER:
+                raise BadData(f"{name} must be numbers of shape {shape} up to {_MAX_NUMBER:g}")
     for name in (UNEXPLAINED, VOTE_CORRELATION):
         if name in training and np.ndim(validation.not_negative(name, training[name])):
             raise BadData(f"{name} must be one number")
@@ -321,7 +321,7 @@ def check_training(model: Model) -> None:
     for weights in (training.get("class_weights"), recorded.get("class_weights")):
         if isinstance(weights, Mapping):
             numbers = validation.positive("class_weights", list(weights.values()))
-            low, high = 1 / _LARGEST_NUMBER, _LARGEST_NUMBER  # products with counts neither vanish nor overflow
+            low, high = 1 / _MAX_NUMBER, _MAX_NUMBER  # products with counts neither vanish nor overflow
             if numbers.ndim != 1 or (numbers > high).any() or (numbers < low).any():
                 raise BadData(f"class_weights must be one number for each label, {low:g} to {high:g}")
         elif weights not in (None, "balanced"):
@@ -356,7 +356,7 @@ def _check_arrays(model: Model) -> None:
         kinds = "b" if name.endswith(".logarithmic") else "fi"
         plain = array.dtype.kind in kinds and array.size > 0
         # Without np.abs, which would copy a large array. False for nan.
-        if not plain or not (array.min() >= -_LARGEST_NUMBER and array.max() <= _LARGEST_NUMBER):
+        if not plain or not (array.min() >= -_MAX_NUMBER and array.max() <= _MAX_NUMBER):
             raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
     if n_classes != 2 and any(name.startswith(Confusion.PREFIX) for name in arrays):
         raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
@@ -367,8 +367,8 @@ def _check_arrays(model: Model) -> None:
 
 def _check_windows(model: Model) -> None:
     """Raise unless windows, channels and reference spectra are consistent."""
-    if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MOST_CHANNELS:
-        raise BadData(f"n_channels must lie between 1 and {MOST_CHANNELS}, got {model.n_channels}")
+    if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MAX_CHANNELS:
+        raise BadData(f"n_channels must lie between 1 and {MAX_CHANNELS}, got {model.n_channels}")
     if model.n_channels > 1 and (model.guards or model.known):
         raise BadData("guards and known quantities must be left out in a model of several channels")
     if model.kind == "window":

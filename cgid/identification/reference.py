@@ -22,7 +22,7 @@ from cgid.measure.windows import WindowBatch
 from cgid.validation import Floats, require_rate
 
 #: Drift of a session that causes a warning [dB].
-LARGEST_DRIFT = 3.0
+MAX_DRIFT = 3.0
 #: Standard errors that the warning allows for: the spectrum of few impacts is uncertain.
 _STANDARD_ERRORS = 2.0
 #: Windows measured at once.
@@ -117,10 +117,10 @@ class Drift:
 
     def warning(self, sensor: str) -> str | None:
         """Return a one-line warning, or None if the drift is small enough."""
-        if self.certain <= LARGEST_DRIFT:
+        if self.certain <= MAX_DRIFT:
             return None
         return (
-            f"sensor {sensor} must be within {LARGEST_DRIFT:g} dB of its reference run, it is {self.largest:+.1f} dB "
+            f"sensor {sensor} must be within {MAX_DRIFT:g} dB of its reference run, it is {self.largest:+.1f} dB "
             f"off at {self.frequency:.0f} Hz ({self.level:+.1f} dB in the mean): check its mount, cable and gain, or "
             "record a new reference run"
         )

@@ -63,7 +63,7 @@ BEAM_FEATURES = (
 )
 BEAM_GUARDS = ("beam_unexplained", "beam_surely_unexplained")
 #: Synthetic rows of a label per recorded one; more would outweigh the measurements.
-MOST_SYNTHETIC = 10
+MAX_SYNTHETIC = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -498,10 +498,10 @@ def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], sy
 
 
 def thinned(labels: NDArray[np.str_], recorded: NDArray[np.str_], seed: int) -> NDArray[np.bool_]:
-    """Return a mask of the synthetic rows to keep: at most `MOST_SYNTHETIC` per recorded row of the same label."""
+    """Return a mask of the synthetic rows to keep: at most `MAX_SYNTHETIC` per recorded row of the same label."""
     order = np.random.default_rng(seed).permutation(len(labels))
     selected = np.zeros(len(labels), bool)
     for label in np.unique(recorded):
         of_label = order[labels[order] == label]
-        selected[of_label[: MOST_SYNTHETIC * int(np.sum(recorded == label))]] = True
+        selected[of_label[: MAX_SYNTHETIC * int(np.sum(recorded == label))]] = True
     return selected

@@ -284,7 +284,7 @@ def _blur(scatter: float) -> Floats | None:
 
 
 #: Fewest impacts for a decision; with fewer, the uniform prior would decide.
-FEWEST_IMPACTS = 10
+MIN_IMPACTS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -322,7 +322,7 @@ class ShutDecision:
     def watch(self, share: Share) -> Switch | None:
         """Return the turn at this window; None without one. The share's `above` must be that of `threshold`."""
         evidence = 1.0 - share.above if self._shut else share.above
-        if share.n_impacts < FEWEST_IMPACTS or share.time < self._since + self.hold or not evidence >= self.evidence:
+        if share.n_impacts < MIN_IMPACTS or share.time < self._since + self.hold or not evidence >= self.evidence:
             return None
         self._shut, self._since = not self._shut, share.time
         return Switch(time=share.time, shut=self._shut, cost=self.cost(share), evidence=evidence, share=share)

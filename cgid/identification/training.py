@@ -57,7 +57,7 @@ from cgid.identification.rows import (
 )
 from cgid.measure.beam import Beam
 from cgid.measure.features import FEATURES, choose
-from cgid.measure.pulses import MOST_UNEXPLAINED
+from cgid.measure.pulses import MAX_UNEXPLAINED
 from cgid.signals import Batch
 from cgid.units import quantity_of
 from cgid.validation import Floats
@@ -76,9 +76,9 @@ MANY_FEATURES = 5_000
 MANY = 100_000
 #: Lower bounds for the limits of guards that may be 0 in all of the training: 5 % of clipping is accepted, and 1 % of
 #: the energy where the beam is not quite as it was learned.
-LEAST_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
+MIN_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
 #: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
-MOST_LIMITS = {"unexplained": MOST_UNEXPLAINED}
+MAX_LIMITS = {"unexplained": MAX_UNEXPLAINED}
 #: Fewest calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 FEWEST_CALIBRATION_SPECIMENS = 20
 
@@ -450,8 +450,8 @@ def _calibrated(
 def _guard_limits(guards: tuple[str, ...], values: Floats) -> dict[str, float]:
     limits = {
         name: min(
-            max(float(np.quantile(column, Neighbourhood.INSIDE)), LEAST_LIMITS.get(name, 0.0)),
-            MOST_LIMITS.get(name, np.inf),
+            max(float(np.quantile(column, Neighbourhood.INSIDE)), MIN_LIMITS.get(name, 0.0)),
+            MAX_LIMITS.get(name, np.inf),
         )
         for name, column in zip(guards, values.T, strict=True)
     }

@@ -25,8 +25,8 @@ WINDOW_TIME = 0.1
 #: Default time over which probabilities are averaged [s].
 VOTE_TIME = 0.5
 #: Longest window [s], because it is held in memory.
-LONGEST_WINDOW = 10.0
-#: Shortest hop, as a share of the window; the longest is `LONGEST_WINDOW`.
+MAX_WINDOW = 10.0
+#: Shortest hop, as a share of the window; the longest is `MAX_WINDOW`.
 FINEST_HOP = 0.01
 #: Most windows in a vote, because each vote sums all of them.
 _MAX_VOTING = 10_000
@@ -36,18 +36,18 @@ _MAX_WINDOWS = 512
 #: the ramp more than eight of ten are answered right at 20 dB, and fewer than three of four at 10 dB.
 CLEAR = 15.0
 #: Lower probabilities count as this one, so that no single window rules a label out.
-LEAST_PROBABILITY = 1e-6
+MIN_PROBABILITY = 1e-6
 
 
 def require_times(window_time: float, hop_time: float) -> None:
     """Raise `InvalidValue` unless the length of windows [s] and the hop between their starts [s] are valid."""
     validation.positive("window_time", window_time, "s")
     validation.positive("hop_time", hop_time, "s")
-    if window_time > LONGEST_WINDOW:
-        raise InvalidValue(f"window_time must be at most {LONGEST_WINDOW:g} s, got {window_time:g} s")
-    if not FINEST_HOP * window_time <= hop_time <= LONGEST_WINDOW:
+    if window_time > MAX_WINDOW:
+        raise InvalidValue(f"window_time must be at most {MAX_WINDOW:g} s, got {window_time:g} s")
+    if not FINEST_HOP * window_time <= hop_time <= MAX_WINDOW:
         raise InvalidValue(
-            f"hop_time must lie between {FINEST_HOP:g} of a window and {LONGEST_WINDOW:g} s, got {hop_time:g} s for "
+            f"hop_time must lie between {FINEST_HOP:g} of a window and {MAX_WINDOW:g} s, got {hop_time:g} s for "
             f"windows of {window_time:g} s"
         )
 
@@ -225,7 +225,7 @@ class RunningVote:
         [[0.5, 0.5], [0.75, 0.25], [0.9, 0.1]]
         """
         counted = np.ones(len(probabilities)) if known is None else known.astype(np.float64)
-        logs = np.log(np.maximum(probabilities, LEAST_PROBABILITY))
+        logs = np.log(np.maximum(probabilities, MIN_PROBABILITY))
         votes = np.column_stack([counted[:, None] * logs, counted])
         before = np.zeros((self.n_windows - 1, votes.shape[1])) if self._last is None else self._last
         both = np.concatenate([before, votes])

@@ -194,7 +194,7 @@ class MeasuredPulses:
         usable: NDArray[np.bool_],
         strange: NDArray[np.bool_],
     ) -> MeasuredPulses:
-        """Return pulses; what is not finite, or tells nothing, is replaced and not usable."""
+        """Return pulses; what is not finite, or uninformative, is replaced and not usable."""
         diagonal = covariance[:, range(3), range(3)]
         sound = np.isfinite(log_peak) & np.isfinite(log_width) & np.isfinite(shape)
         sound &= np.isfinite(covariance).all(axis=(1, 2)) & (diagonal >= 0).all(axis=1)

@@ -32,14 +32,14 @@ GRID = 0.025
 #: Sampling rates [Hz]: a table of forces has 14 samples or more, a response at most 12,500.
 RATES = (2 * TOUCH / FORCE_TIME, 5e5)
 #: Most modes, places of the grid, and samples of all responses together (a quarter of a gigabyte in single precision).
-MOST_MODES, MOST_PLACES, MOST_NUMBERS = 1024, 1 << 14, 1 << 26
+MAX_MODES, MAX_PLACES, MAX_NUMBERS = 1024, 1 << 14, 1 << 26
 #: Most sensors; least and largest share of a participation that a sensor hears best.
-MOST_SENSORS, _SHARES = 16, (1e-6, 1e6)
+MAX_SENSORS, _SHARES = 16, (1e-6, 1e6)
 #: Most shapes, poles of filters, and nodes in a direction.
-_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES = 64, 32, 512
+_MAX_SHAPES, _MAX_FILTERS, _MAX_NODES = 64, 32, 512
 #: Moduli of poles and of filters over the sampling rate, least imaginary part of a pole over its modulus, and limits of
 #: other numbers above 0.
-_POLES, _CUT_OFFS, _LEAST_IMAGINARY, _NUMBERS = (1e-5, 1e3), (1e-3, 1e3), 1e-6, (1e-9, 1e9)
+_POLES, _CUT_OFFS, _MIN_IMAGINARY, _NUMBERS = (1e-5, 1e3), (1e-3, 1e3), 1e-6, (1e-9, 1e9)
 
 Singles = NDArray[np.float32]
 
@@ -211,7 +211,7 @@ class Beam:
         sound = (
             self.derivatives in (0, 1, 2)
             and (self.poles.real < 0).all()
-            and (self.poles.imag > _LEAST_IMAGINARY * np.abs(self.poles)).all()
+            and (self.poles.imag > _MIN_IMAGINARY * np.abs(self.poles)).all()
             and (self.filters.real < 0).all()
             and (self.filters.imag >= 0).all()
             and _inside(rates, *_POLES)
@@ -234,13 +234,13 @@ class Beam:
         if not sound:
             raise BadData("the arrays of a beam must fit each other, with poles that decay; train the model again")
         counts = (n_shapes, len(self.filters), *self.participation.shape[1:], self.n_sensors)
-        most = (_MOST_SHAPES, _MOST_FILTERS, _MOST_NODES, _MOST_NODES, MOST_SENSORS)
+        most = (_MAX_SHAPES, _MAX_FILTERS, _MAX_NODES, _MAX_NODES, MAX_SENSORS)
         few = all(one <= limit for one, limit in zip(counts, most, strict=True))
         if not few or not bounded(n_modes, n_shapes, self.n_sensors * self.n_samples, self.region):
             n_samples, sides = n_modes * n_shapes * self.n_sensors * self.n_samples, np.diff(self.region)[::2]
             raise BadData(
-                f"a beam must have at most {MOST_MODES} modes, {_MOST_SHAPES} shapes, {_MOST_NODES} nodes in a "
-                f"direction, {MOST_SENSORS} sensors, {MOST_NUMBERS} samples of all responses and {MOST_PLACES} places, "
+                f"a beam must have at most {MAX_MODES} modes, {_MAX_SHAPES} shapes, {_MAX_NODES} nodes in a "
+                f"direction, {MAX_SENSORS} sensors, {MAX_NUMBERS} samples of all responses and {MAX_PLACES} places, "
                 f"got {n_modes} modes, {n_shapes} shapes, {' x '.join(map(str, counts[2:4]))} nodes, {self.n_sensors} "
                 f"sensors, {n_samples} samples and a region of {' x '.join(f'{side:g} m' for side in sides)}"
             )
@@ -249,7 +249,7 @@ class Beam:
 def bounded(n_modes: int, n_shapes: int, n_samples: int, region: Floats) -> bool:
     """Return whether the tables of a beam have a size that a computer can hold."""
     along, across = sides_of(region, GRID)
-    return n_modes <= MOST_MODES and n_modes * n_shapes * n_samples <= MOST_NUMBERS and along * across <= MOST_PLACES
+    return n_modes <= MAX_MODES and n_modes * n_shapes * n_samples <= MAX_NUMBERS and along * across <= MAX_PLACES
 
 
 def sides_of(region: Floats, apart: float) -> tuple[int, int]:

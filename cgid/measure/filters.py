@@ -40,7 +40,7 @@ _MAX_MIXED = 1 << 14
 #: Extent of an impulse response: periods of its edge, and smallest value over its largest.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
 #: Largest gain of an equalisation [dB]: it cannot restore what a sensor does not record.
-LARGEST_GAIN = 40.0
+MAX_GAIN = 40.0
 #: Time in which the response of an equalisation decays [s]; its narrowest band is 70 Hz wide.
 _TAIL = 30e-3
 
@@ -201,9 +201,9 @@ class Equalisation:
         gains = validation.real("gains", self.gains, "dB")
         if gains.shape != (len(MEL_BANDS),):
             raise InvalidValue(f"gains must be one number for each of {len(MEL_BANDS)} bands, got shape {gains.shape}")
-        if np.abs(gains).max() > LARGEST_GAIN:
+        if np.abs(gains).max() > MAX_GAIN:
             raise InvalidValue(
-                f"gains must lie within {LARGEST_GAIN:g} dB of none, got {gains[np.argmax(np.abs(gains))]:g} dB: check "
+                f"gains must lie within {MAX_GAIN:g} dB of none, got {gains[np.argmax(np.abs(gains))]:g} dB: check "
                 "the sensor, its cable and its reference run"
             )
         object.__setattr__(self, "gains", gains)

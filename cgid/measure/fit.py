@@ -28,7 +28,7 @@ _REACH = 2.0
 #: Samples of the unit of the search from which its bins tell as much as the samples.
 _WELL_BINNED = 12.0
 #: Highest fitted shape for which the likelihood is profiled.
-_HIGHEST_PROFILED = 0.3
+_MAX_PROFILED = 0.3
 #: Smallest noise over the peak: the accuracy of the template.
 _NOISE_FLOOR = 1e-5
 #: Deviations of this share of the peak count as noise in the misfit.
@@ -232,7 +232,7 @@ def _report(
     shape = best.parameters[:, 3]
     restitution = gaussian_restitution(shape, covariance[:, 3, 3])
     doubt = (covariance[:, 3, 3] > PARABOLIC**2) | found.in_doubt(shape, believed * problems.averaged * unit**2)
-    doubt &= shape < _HIGHEST_PROFILED
+    doubt &= shape < _MAX_PROFILED
     well = (found.unit >= _WELL_BINNED) & ~problems.coloured
     for profiled, some in ((binned, well), (exact, ~well)):
         rows = np.flatnonzero(doubt & some)

@@ -21,7 +21,7 @@ _STEP = 1.5
 #: Longer windows are averaged over equal runs of samples: a few hundred points suffice for a smooth curve.
 _LONGEST = 240
 #: Runs of `strongest_run`: growth factor, shortest [samples], longest over the frame.
-_GROWTH, _SHORTEST, _LONGEST_SHARE = 1.4, 3, 0.5
+_GROWTH, _SHORTEST, _MAX_SHARE = 1.4, 3, 0.5
 #: Best run of a pulse over its width (impulse over peak), and mean of that run over the peak.
 _RUN_OVER_WIDTH, _MEAN_OVER_PEAK = 1.1, 0.74
 
@@ -207,7 +207,7 @@ def strongest_run(samples: NDArray[np.floating], offset: Floats) -> tuple[Floats
     run, place = np.ones(n), np.zeros(n)
     rows = np.arange(n)
     length = _SHORTEST
-    while length <= max(_LONGEST_SHARE * n_samples, _SHORTEST):
+    while length <= max(_MAX_SHARE * n_samples, _SHORTEST):
         strength = (total[:, length:] - total[:, :-length]) / np.sqrt(length)
         top = np.argmax(strength, axis=1)
         better = strength[rows, top] > best

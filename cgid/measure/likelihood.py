@@ -39,7 +39,7 @@ from cgid.validation import Floats, rates
 #: Most impacts of the bound computed at once, and most samples of them together.
 _ROWS, _SAMPLES = 64, 1 << 20
 #: Most samples of a contact: with more, the bound only falls as one over the square root of their number.
-MOST_SAMPLES = 1_000_000
+MAX_SAMPLES = 1_000_000
 #: Extent of the band-limited pulse beyond touch and separation, in contact durations.
 _RINGING = 1.0
 #: Extent of a profile's grid to either side, in standard deviations of the shape.
@@ -107,7 +107,7 @@ def cramer_rao_bound(
     Parameters
     ----------
     contact_duration : array_like
-        [s]; at most `MOST_SAMPLES` samples.
+        [s]; at most `MAX_SAMPLES` samples.
     restitution : array_like
         Within .05 and 20; above 1 for a pulse that rises more slowly than it falls.
     noise : array_like
@@ -160,9 +160,9 @@ def cramer_rao_bound(
             )
         response = low_pass_response(float(rate.flat[0]), bandwidth)
     samples = (duration * rate).ravel()
-    if (samples > MOST_SAMPLES).any():
+    if (samples > MAX_SAMPLES).any():
         raise InvalidValue(
-            f"contact_duration must be at most {MOST_SAMPLES} samples, got {samples.max():g} "
+            f"contact_duration must be at most {MAX_SAMPLES} samples, got {samples.max():g} "
             f"({duration.max():g} s); give it in seconds, or lower the sampling rate"
         )
     covariance = np.empty((s.size, 5, 5))

@@ -15,7 +15,7 @@ from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE
 from cgid.validation import Floats
 
 #: Largest steps of ln(width), of the place over the width, and of s.
-LARGEST_STEPS = (0.4, 0.5, 0.7)
+MAX_STEPS = (0.4, 0.5, 0.7)
 _ITERATIONS = 8
 #: A step is the last, and not evaluated, when it promises to reduce the squared residual by less than this fraction of
 #: the noise variance (what it leaves is of higher order).
@@ -123,10 +123,10 @@ def normal_equations(residual: Floats, slopes: Floats) -> tuple[Floats, Floats, 
 
 
 def bounded(step: Floats, free: list[int], width: Floats) -> Floats:
-    """Return steps (n, n_free) in free parameters, none larger than `LARGEST_STEPS`; width (n,) [samples]."""
+    """Return steps (n, n_free) in free parameters, none larger than `MAX_STEPS`; width (n,) [samples]."""
     step = step.copy()
     for column, parameter in enumerate(free):
         if 1 <= parameter <= 3:
-            largest = LARGEST_STEPS[parameter - 1] * (width if parameter == 2 else 1.0)
+            largest = MAX_STEPS[parameter - 1] * (width if parameter == 2 else 1.0)
             step[:, column] = np.minimum(np.maximum(step[:, column], -largest), largest)
     return step

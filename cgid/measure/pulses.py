@@ -38,10 +38,10 @@ _WIDTH_OVER_HALF_WIDTH = 1.08
 #: Equal samples in a row at the top that indicate a sensor at its limit.
 _FLAT_TOP = 3
 #: A remainder that is no single impact, and a fitted peak over the level where it is clipped, minus 1, that is a guess.
-MOST_UNEXPLAINED, MOST_OVERLOAD = 4.5, 1.2
+MAX_UNEXPLAINED, MAX_OVERLOAD = 4.5, 1.2
 #: A force is over with the contact. What rings on is seen in differences over this time, from this time after touch on
 #: and up to that one, in contact durations; hum and drift hardly change over it. Such a share of the peak is strange.
-_RING_LAG, _RING_FROM, _RING_TO, MOST_RINGING = 1.5, 1.2, 11.2, 0.03
+_RING_LAG, _RING_FROM, _RING_TO, MAX_RINGING = 1.5, 1.2, 11.2, 0.03
 #: Samples of a contact duration that are looked at, and the fewest differences that show ringing.
 _RING_STEPS, _MIN_RINGING = 8, 8
 
@@ -304,8 +304,8 @@ class PulseBatch(Frames):
             residuals = fit_residual(samples, *pulse, noise[selected])
             components[selected], unexplained[selected] = residuals.components, residuals.unexplained
         # Steep, so that what is clipped less, or rings less, stays as it is.
-        guessed = MOST_UNEXPLAINED * np.minimum((self.overload / MOST_OVERLOAD) ** 8, 100.0)
-        ringing = MOST_UNEXPLAINED * np.minimum((self.ringing / MOST_RINGING) ** 4, 100.0)
+        guessed = MAX_UNEXPLAINED * np.minimum((self.overload / MAX_OVERLOAD) ** 8, 100.0)
+        ringing = MAX_UNEXPLAINED * np.minimum((self.ringing / MAX_RINGING) ** 4, 100.0)
         return Residual(components, np.maximum(np.maximum(unexplained, fit.stray), np.maximum(guessed, ringing)))
 
     @cached_property

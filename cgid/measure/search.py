@@ -31,7 +31,7 @@ BIN = (_LAST - _FIRST) / N_BINS
 EDGES = _FIRST + BIN * np.arange(N_BINS + 1)
 MIDDLES = EDGES[:-1] + 0.5 * BIN
 #: Repetitions of the search, and its largest steps in place (over the width) and ln(width).
-_PASSES, _LARGEST_STEP = 4, 0.4
+_PASSES, _MAX_STEP = 4, 0.4
 #: Power of 2 of the fewest samples around a pulse.
 _SHORTEST = 5
 #: A row is settled when its steps are below this.
@@ -285,7 +285,7 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
             break
         solved = solution[active, best[active]].T
         steps = solved[1:3] / np.where(solved[0] > 0, solved[0], np.inf)
-        steps = np.minimum(np.maximum(steps, -_LARGEST_STEP), _LARGEST_STEP)
+        steps = np.minimum(np.maximum(steps, -_MAX_STEP), _MAX_STEP)
         moving = np.abs(steps).max(axis=0) > _SETTLED
         active, steps = active[moving], steps[:, moving]
         if not active.size:
@@ -294,7 +294,7 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
         unit[active] *= np.exp(steps[1])
     peak = np.maximum(solution[:, :, 0], 1e-300)
     # First-order moves from the common origin and unit, for each shape.
-    move, stretch = (np.clip(solution[:, :, k] / peak, -_LARGEST_STEP, _LARGEST_STEP) for k in (1, 2))
+    move, stretch = (np.clip(solution[:, :, k] / peak, -_MAX_STEP, _MAX_STEP) for k in (1, 2))
     own_unit = unit[:, None] * np.exp(stretch)
     baseline = solution[:, :, 3] if with_baseline else np.zeros_like(peak)
     return Found(

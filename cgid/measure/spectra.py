@@ -32,7 +32,7 @@ SPECTRUM_LIMIT = 4.0
 #: Least length of a spectrum's transform over that of the contact (zero-padding).
 _ZERO_PADDING = 8
 #: Smallest share of an energy: anything less is rounding, not vibration.
-LOWEST_SHARE = 1e-12
+MIN_SHARE = 1e-12
 
 
 def third_octave(number: int) -> tuple[float, float]:
@@ -205,7 +205,7 @@ class EnergySpectrum:
         """
         above = self.energy[:, 1:]
         mean = above.mean(axis=1)
-        floor = np.maximum(LOWEST_SHARE * mean, np.finfo(np.float64).tiny)[:, None]
+        floor = np.maximum(MIN_SHARE * mean, np.finfo(np.float64).tiny)[:, None]
         return np.asarray(np.log10(np.maximum(above, floor)).mean(axis=1) - np.log10(np.maximum(mean, floor[:, 0])))
 
     def dominant(self, count: int, apart: float) -> Floats:

@@ -32,7 +32,7 @@ ImpactKind = Literal["pulse", "vibration"]
 #: Kind of a signal: an impact, or a window of a recording with any number of impacts.
 Kind = Literal[ImpactKind, "window"]
 #: Least bandwidth of vibrations and windows: half of the lowest sampling rate [Hz].
-LEAST_BANDWIDTH = 1000.0
+MIN_BANDWIDTH = 1000.0
 
 
 @dataclass(frozen=True, eq=False)

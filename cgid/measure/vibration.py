@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from cgid.measure.frames import Frames, constant_signal
 from cgid.measure.spectra import (
-    LOWEST_SHARE,
     MEL_BANDS,
+    MIN_SHARE,
     N_PACKETS,
     THIRD_OCTAVES,
     EnergySpectrum,
@@ -30,7 +30,7 @@ from cgid.measure.spectra import (
     passage,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, bank, described
+from cgid.measure.table import MIN_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
@@ -40,9 +40,9 @@ APART = 100.0
 #: Length of the frames for the delay of a band [s].
 DELAY_FRAME = 10e-3
 #: Longest event [s]: the window has then fallen to 2e-6.
-LONGEST_EVENT = 0.2
+MAX_EVENT = 0.2
 #: Shortest event [s].
-SHORTEST_EVENT = 5e-3
+MIN_EVENT = 5e-3
 #: The onset is where the deviation from the baseline first exceeds this share of its maximum,
 ONSET_OVER_PEAK = 0.05
 #: or this many standard deviations of the noise if that is more, but at most the second share of its maximum.
@@ -52,7 +52,7 @@ QUIET_MARGIN = 1e-3
 #: Length of the early window [s], in which the force still acts.
 EARLY_TIME = 2e-3
 #: Smallest peak: the fourth power of anything less underflows.
-SMALLEST_PEAK = 1e-75
+MIN_PEAK = 1e-75
 #: Share of an event's energy in its strong part.
 STRONG_SHARE = 0.9
 #: Bands of the early window [Hz].
@@ -150,7 +150,7 @@ class VibrationBatch(Frames):
     def event(self) -> Floats:
         """Samples from the onset on, less the baseline; zeros after the end of the frame."""
         n_samples = self.samples.shape[1]
-        out = np.zeros((len(self.samples), min(n_samples, int(np.ceil(LONGEST_EVENT * self.sampling_rate)))))
+        out = np.zeros((len(self.samples), min(n_samples, int(np.ceil(MAX_EVENT * self.sampling_rate)))))
         # Row by row: copying a slice is several times faster than gathering the same samples.
         for row, first in enumerate(self.first.tolist()):
             part = self.samples[row, first : first + out.shape[1]]
@@ -273,7 +273,7 @@ class VibrationBatch(Frames):
     def level(self, low: float, high: float) -> Floats:
         """Return log10 of the energy between two frequencies [Hz] in the windowed event.
 
-        The share of the noise, assumed white, is subtracted, but at least that share and `LOWEST_SHARE` of all energy
+        The share of the noise, assumed white, is subtracted, but at least that share and `MIN_SHARE` of all energy
         remain.
         """
         return self._level(self.spectrum, self._noise_share, low, high)
@@ -348,7 +348,7 @@ class VibrationBatch(Frames):
     def _levels(self, energy: Floats, total: Floats, noise: Floats, width: Floats) -> Floats:
         """Return levels of energies in bands (n_signals, n_bands) of widths [Hz], less the share of the noise."""
         share = noise[:, None] * (width / (0.5 * self.sampling_rate))
-        least = np.maximum(share, np.maximum(LOWEST_SHARE * total, np.finfo(np.float64).tiny)[:, None])
+        least = np.maximum(share, np.maximum(MIN_SHARE * total, np.finfo(np.float64).tiny)[:, None])
         return np.asarray(np.log10(np.maximum(energy - share, least)))
 
     # -- rows that cannot be measured -----------------------------------------------------------------
@@ -358,7 +358,7 @@ class VibrationBatch(Frames):
         problems: dict[int, str] = {}
         for row in np.flatnonzero(np.ptp(self.samples, axis=1) == 0):
             problems[int(row)] = constant_signal(self.samples[row, 0])
-        for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > SMALLEST_PEAK)):
+        for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > MIN_PEAK)):
             problems.setdefault(
                 int(row),
                 f"no impact: the signal must leave its baseline by {self.detection_limit:g} times the noise, it does "
@@ -371,11 +371,11 @@ class VibrationBatch(Frames):
                     "the vibration must begin inside the frame, it is cut off by its start (sample 0): record some "
                     "samples before touch",
                 )
-        for row in np.flatnonzero(self.samples.shape[1] - self.first < SHORTEST_EVENT * self.sampling_rate):
+        for row in np.flatnonzero(self.samples.shape[1] - self.first < MIN_EVENT * self.sampling_rate):
             there = (self.samples.shape[1] - self.first[row]) / self.sampling_rate
             problems.setdefault(
                 int(row),
-                f"the vibration must last {SHORTEST_EVENT * 1e3:g} ms inside the frame, it is cut off by its end after "
+                f"the vibration must last {MIN_EVENT * 1e3:g} ms inside the frame, it is cut off by its end after "
                 f"{there * 1e3:.3g} ms: record a longer frame",
             )
         return problems
@@ -388,7 +388,7 @@ def _onset_threshold(peak: Floats, noise: Floats) -> Floats:
 
 # -- features -----------------------------------------------------------------------------------------
 
-_described = partial(described, kind="vibration", highest_frequency=LEAST_BANDWIDTH)
+_described = partial(described, kind="vibration", highest_frequency=MIN_BANDWIDTH)
 _bank = partial(bank, kind="vibration")
 
 _BASIC = _described(
@@ -415,7 +415,7 @@ _LEVELS = _bank(
     "level_*_hz",
     lambda v, n: v.level(*third_octave(n)),
     THIRD_OCTAVES,
-    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
+    highest_frequency=[max(high, MIN_BANDWIDTH) for _, high in _OCTAVES],
     # A frame resolves frequencies one over its length apart.
     shortest_frame=[1 / (high - low) for low, high in _OCTAVES],
 )
@@ -423,12 +423,12 @@ _EARLY_LEVELS = _bank(
     "early_level_*_hz",
     lambda v, n: v.early_level(*EARLY_BANDS[n]),
     [f"{low}_{high}" for low, high in EARLY_BANDS],
-    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in EARLY_BANDS],
+    highest_frequency=[max(high, MIN_BANDWIDTH) for _, high in EARLY_BANDS],
 )
 _mel = partial(
     _bank,
     labels=MEL_BANDS.labels,
-    highest_frequency=np.maximum(MEL_BANDS.corners[2:], LEAST_BANDWIDTH).tolist(),
+    highest_frequency=np.maximum(MEL_BANDS.corners[2:], MIN_BANDWIDTH).tolist(),
     shortest_frame=(2 / (MEL_BANDS.corners[2:] - MEL_BANDS.corners[:-2])).tolist(),
 )
 _MEL = _mel("mel_*_hz", lambda v, n: v.mel[:, n])
@@ -436,7 +436,7 @@ _PACKETS = _bank(
     f"packet_*_of_{N_PACKETS}",
     lambda v, n: v.packets[:, n],
     [str(number + 1) for number in range(N_PACKETS)],
-    highest_frequency=LEAST_BANDWIDTH,
+    highest_frequency=MIN_BANDWIDTH,
     extra="wavelets",
 )
 

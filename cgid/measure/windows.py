@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from cgid.measure.spectra import (
     EVEN_BANDS,
-    LOWEST_SHARE,
     MEL_BANDS,
+    MIN_SHARE,
     N_PACKETS,
     THIRD_OCTAVES,
     EnergySpectrum,
@@ -30,7 +30,7 @@ from cgid.measure.spectra import (
     packet_energies,
     third_octave,
 )
-from cgid.measure.table import LEAST_BANDWIDTH, Bank, Feature, bank, described
+from cgid.measure.table import MIN_BANDWIDTH, Bank, Feature, bank, described
 from cgid.validation import Floats
 
 #: Length of a frame [s]; frames overlap by half.
@@ -40,13 +40,13 @@ ENVELOPE_TIME = 1e-3
 #: A blow is a maximum of the envelope within `BLOW_TIME` [s] to either side, of at least this many times its mean.
 BLOW_TIME, BLOW_OVER_MEAN = 3e-3, 1.5
 #: Smallest root mean square: the fourth power of anything less underflows.
-SMALLEST_RMS = 1e-70
+MIN_RMS = 1e-70
 #: Third octaves of windows [Hz]: without an exponential window they cover the audible range.
 WINDOW_THIRD_OCTAVES = (*THIRD_OCTAVES, "12500", "16000", "20000")
 #: Lags of the autocorrelation of the envelope [s].
 CORRELATION_LAGS = (2e-3, 5e-3, 10e-3)
 #: Shortest window [s]: three frames, half overlapping.
-SHORTEST_WINDOW = 2 * FRAME_TIME
+MIN_WINDOW = 2 * FRAME_TIME
 
 
 @dataclass(eq=False, repr=False)
@@ -117,7 +117,7 @@ class WindowBatch:
         """Deviation over mean, skewness and kurtosis of the envelope."""
         centred = self.envelope - self.envelope.mean(axis=1, keepdims=True)
         square = np.square(centred)
-        variance = np.maximum(square.mean(axis=1), LOWEST_SHARE * self.mean_square)
+        variance = np.maximum(square.mean(axis=1), MIN_SHARE * self.mean_square)
         third, fourth = (square * centred).mean(axis=1), np.square(square).mean(axis=1)
         return np.sqrt(variance) / self._mean_envelope, third / variance**1.5, fourth / variance**2
 
@@ -138,7 +138,7 @@ class WindowBatch:
         """Return the autocorrelation of the envelope at a lag [s]."""
         steps = min(max(round(lag / self._envelope_step), 1), self.envelope.shape[1] - 1)
         centred = self.envelope - self.envelope.mean(axis=1, keepdims=True)
-        variance = np.maximum(np.square(centred).sum(axis=1), LOWEST_SHARE * self.mean_square)
+        variance = np.maximum(np.square(centred).sum(axis=1), MIN_SHARE * self.mean_square)
         return np.asarray((centred[:, steps:] * centred[:, : centred.shape[1] - steps]).sum(axis=1) / variance)
 
     @cached_property
@@ -190,7 +190,7 @@ class WindowBatch:
 
     @cached_property
     def _floor(self) -> Floats:
-        return np.maximum(LOWEST_SHARE * self.mean_square, np.finfo(np.float64).tiny)
+        return np.maximum(MIN_SHARE * self.mean_square, np.finfo(np.float64).tiny)
 
     def _log_levels(self, bands: TriangularBands) -> Floats:
         """Return log10 of the mean square in each frame and band, (n_windows, n_frames, n_bands)."""
@@ -228,7 +228,7 @@ class WindowBatch:
         """Map each row that cannot be measured to the broken rule, its value and the remedy."""
         problems: dict[int, str] = {}
         constant = np.ptp(self.samples, axis=1) == 0
-        for row in np.flatnonzero(constant | ~(self.mean_square > SMALLEST_RMS**2)):
+        for row in np.flatnonzero(constant | ~(self.mean_square > MIN_RMS**2)):
             problems[int(row)] = (
                 f"a window must hold a signal, all its samples are {self.samples[row, 0]:g}; check the sensor and its "
                 "cable"
@@ -244,8 +244,8 @@ def _over_frames(levels: Floats) -> tuple[Floats, Floats]:
 
 # -- features -----------------------------------------------------------------------------------------
 
-_described = partial(described, kind="window", highest_frequency=LEAST_BANDWIDTH, shortest_frame=SHORTEST_WINDOW)
-_bank = partial(bank, kind="window", shortest_frame=SHORTEST_WINDOW)
+_described = partial(described, kind="window", highest_frequency=MIN_BANDWIDTH, shortest_frame=MIN_WINDOW)
+_bank = partial(bank, kind="window", shortest_frame=MIN_WINDOW)
 
 _BASIC = _described(
     {
@@ -279,7 +279,7 @@ def _triangular(
     of: str, bands: TriangularBands, measured: Callable[[WindowBatch], tuple[Floats, Floats]]
 ) -> tuple[Bank, Bank, Bank]:
     """Return banks of the mean, of the mean relative to the total level, and of the deviation over the frames."""
-    highest = np.maximum(bands.corners[2:], LEAST_BANDWIDTH).tolist()
+    highest = np.maximum(bands.corners[2:], MIN_BANDWIDTH).tolist()
     bank_of = partial(_bank, labels=bands.labels, highest_frequency=highest)
     mean = bank_of(f"window_{of}_*_hz", lambda w, n: measured(w)[0][:, n])
     deviation = bank_of(f"window_{of}_deviation_*_hz", lambda w, n: measured(w)[1][:, n])
@@ -291,15 +291,15 @@ _LEVELS = _bank(
     "window_level_*_hz",
     lambda w, n: w.band_level(*third_octave(n)),
     WINDOW_THIRD_OCTAVES,
-    highest_frequency=[max(high, LEAST_BANDWIDTH) for _, high in _OCTAVES],
+    highest_frequency=[max(high, MIN_BANDWIDTH) for _, high in _OCTAVES],
     # A Hann window over all samples makes a line two over its length wide.
-    shortest_frame=[max(2 / (high - low), SHORTEST_WINDOW) for low, high in _OCTAVES],
+    shortest_frame=[max(2 / (high - low), MIN_WINDOW) for low, high in _OCTAVES],
 )
 _PACKETS = _bank(
     f"window_packet_*_of_{N_PACKETS}",
     lambda w, n: w.packets[:, n],
     [str(number + 1) for number in range(N_PACKETS)],
-    highest_frequency=LEAST_BANDWIDTH,
+    highest_frequency=MIN_BANDWIDTH,
     extra="wavelets",
 )
 
@@ -309,7 +309,7 @@ WINDOW_FEATURES: tuple[Feature | Bank, ...] = (
         "window_envelope_correlation_*_ms",
         lambda w, n: w.envelope_correlation(CORRELATION_LAGS[n]),
         [f"{lag * 1e3:g}" for lag in CORRELATION_LAGS],
-        highest_frequency=LEAST_BANDWIDTH,
+        highest_frequency=MIN_BANDWIDTH,
     ),
     *_described({"window_blow_rate": lambda w: w.blow_rate}),
     _LEVELS,

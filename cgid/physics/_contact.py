@@ -54,7 +54,7 @@ _SHARE = 0.03
 #: A force of less than this share of the tolerance times that at rest is none: the rest is free flight.
 _FREE = 1e-4
 #: Slowest rebound that can be told from rounding, of a sphere that is released by the force.
-_LEAST_REBOUND = 1e-12
+_MIN_REBOUND = 1e-12
 _NO_EVENT, _END, _RELEASE, _TURN, _CORNER = 0, 1, 2, 3, 4
 #: Gauss-Lobatto nodes on [0, 1] and their weights.
 _INNER, _OUTER = (math.sqrt((7 - sign * 2 * math.sqrt(7)) / 21) / 2 for sign in (1, -1))
@@ -286,7 +286,7 @@ def _integrate(
         w, y, tau, g, c, f = w1, y1, tau1, g1, c1, f1
         top, peak = max(top, abs(w)), max(peak, f)
         if event in (_END, _RELEASE):
-            if pulls and y > -_LEAST_REBOUND:
+            if pulls and y > -_MIN_REBOUND:
                 return 0
             result[0], result[1], result[2] = SEPARATED, -y, tau
             result[7] = history[0] + (w * w if pulls else 0.0)

@@ -35,7 +35,7 @@ from cgid.physics.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocat
 #: Outcomes of an impact.
 SEPARATED, STAYS, OUT_OF_REACH = 0, 1, 2
 #: Largest numbers of steps and of contacts of an impact.
-MOST_STEPS, MOST_CONTACTS = 4096, 64
+MAX_STEPS, MAX_CONTACTS = 4096, 64
 #: A contact that lasts longer than this under its weight does not end [T0].
 _FOR_GOOD = 1e3
 #: Columns of the results, in units of L, T0, v, m and K L^(3/2).
@@ -222,7 +222,7 @@ def _follow(p: Problem, course: Array, result: Array, s: Scratch) -> int:
             s.answer[k] += p.share[r] * (p.table[r, 0, k] - p.loss[r] * p.table[r, 1, k])
     first = _FIRST_STEP * math.pow((1.0 + total) * (1.0 + p.damping), -0.4)
     wish, touch = first, 0.0
-    for n in range(MOST_STEPS):
+    for n in range(MAX_STEPS):
         kind, h, free_after, wish = find_step(p, wish, result[_PEAK], state, s)
         if h == 0.0:
             return n
@@ -253,11 +253,11 @@ def _follow(p: Problem, course: Array, result: Array, s: Scratch) -> int:
         if event == _TOUCH:
             result[_CONTACTS] += 1.0
             wish = first
-            if result[_CONTACTS] > MOST_CONTACTS:
+            if result[_CONTACTS] > MAX_CONTACTS:
                 return n + 1
         else:
             result[_LOSS] -= 0.4 * state[X] * cubed_root(state[X])
-    return MOST_STEPS
+    return MAX_STEPS
 
 
 @inner_jit
@@ -309,7 +309,7 @@ def follow(
     table, share, scaled = np.empty((n_modes, 2, k_times)), np.empty(n_modes), np.empty(n_modes)
     tabulated, here = -1.0, 0
     for i in range(rows.size):
-        if course.shape[0] - here < MOST_STEPS:
+        if course.shape[0] - here < MAX_STEPS:
             return i
         row = rows[i]
         damping, weight, window, mass, unit, longest = parameters[row]

@@ -25,7 +25,7 @@ from cgid.physics.collocation import FROM_TOUCH, TO_SEPARATION, WITHIN, Collocat
 Array = NDArray[Any]
 
 #: Largest number of trials of a step.
-_MOST_TRIALS = 60
+_MAX_TRIALS = 60
 #: State of sphere and contact: time, approach, velocity of the sphere.
 T, X, Y, N_STATE = 0, 1, 2, 3
 
@@ -385,7 +385,7 @@ def find_step(p: Problem, wish: float, peak: float, state: Array, s: Scratch) ->
     """
     n = s.force.size
     h, kind = min(wish, p.longest), FROM_TOUCH if state[X] == 0.0 else WITHIN
-    for _ in range(_MOST_TRIALS):
+    for _ in range(_MAX_TRIALS):
         parting = _parting(p, state, s)
         last = TO_SEPARATION if kind == WITHIN and parting <= h else kind
         if last == TO_SEPARATION:

@@ -22,7 +22,7 @@ from cgid.validation import Floats
 #: Gauss nodes and Chebyshev times in a step.
 N_NODES, N_TIMES = 16, 32
 #: Largest phase [rad] of the fastest mode in a step (`J_32(8)` is 1e-16), and the longest step [T0].
-_LARGEST_PHASE, _LONGEST_STEP = 16.0, 1.2
+_MAX_PHASE, _MAX_STEP = 16.0, 1.2
 #: Up to this many modes, an impact or two are not worth compiling.
 _FEW_MODES = 256
 #: Steps per impact allocated at first, and the most steps in one block of memory.
@@ -289,7 +289,7 @@ class ModalCurves(Curves):
                 "raise the velocity or the restitution, or leave gravity out"
             )
         raise InvalidValue(
-            f"an impact must end within {_coupled.MOST_STEPS} steps and {_coupled.MOST_CONTACTS} contacts, "
+            f"an impact must end within {_coupled.MAX_STEPS} steps and {_coupled.MAX_CONTACTS} contacts, "
             f"got more ({numbers}){place}; raise the restitution, shorten the window, or leave out the fastest modes"
         )
 
@@ -331,7 +331,7 @@ def solve(
     # Interpreted, an impact takes a tenth of a second, or a second with some hundred modes.
     follow = kernel(_coupled, "follow", n, FEW_SAMPLES // _FEW_MODES * n_modes)
     while left.size:
-        course = np.empty((_coupled.MOST_STEPS + min(_USUAL_STEPS * left.size, _PIECE), columns))
+        course = np.empty((_coupled.MAX_STEPS + min(_USUAL_STEPS * left.size, _PIECE), columns))
         first = np.zeros(left.size + 1, np.intp)
         follow(collocation(N_NODES, N_TIMES), *modes, parameters, tolerance, left, course, first, results)
         done = np.flatnonzero(first).size
@@ -343,10 +343,10 @@ def solve(
 
 def _longest_steps(angular: Floats, time_scale: Floats) -> Floats:
     """Return the longest step of each impact [s], the same for as many impacts as possible."""
-    allowed = _LONGEST_STEP * time_scale
+    allowed = _MAX_STEP * time_scale
     if not angular.size:
         return np.asarray(allowed)
-    resolved = _LARGEST_PHASE / angular[-1]
+    resolved = _MAX_PHASE / angular[-1]
     # Divide by the smallest power of two >= max(resolved / allowed, 1).
     fraction, exponent = np.frexp(np.maximum(resolved / allowed, 1.0))
     return np.asarray(np.ldexp(resolved, -(exponent - (fraction == 0.5))))

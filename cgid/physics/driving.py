@@ -14,7 +14,7 @@ from cgid.measure.modes import phi
 from cgid.validation import Complex, Floats
 
 #: Steps per contact for an error of 1 (see `steps_for`), fewest steps per contact, most steps per sample.
-_STEPS_FOR_ONE, _LEAST_STEPS, _MOST_STRIDE = 4.0, 32, 1 << 16
+_STEPS_FOR_ONE, _MIN_STEPS, _MAX_STRIDE = 4.0, 32, 1 << 16
 #: Share of the tolerance used for the force itself.
 _SHARE_OF_FORCE = 0.3
 
@@ -40,7 +40,7 @@ def steps_for(tolerance: float) -> int:
     The force is linear between steps, after a correction by its second difference. The remaining error comes from touch
     and separation, where the force grows as `t^(3/2)`; it falls as the number of steps to the power -5/2.
     """
-    return max(_LEAST_STEPS, int(np.ceil(_STEPS_FOR_ONE * np.power(tolerance, -0.4))))
+    return max(_MIN_STEPS, int(np.ceil(_STEPS_FOR_ONE * np.power(tolerance, -0.4))))
 
 
 class DrivenSample:
@@ -113,10 +113,10 @@ class Windows:
         duration = pulses.contact_duration * sampling_rate
         fraction, exponent = np.frexp(steps_for(tolerance) / duration)
         needed = np.maximum(exponent - (fraction == 0.5), 0).astype(np.int64)  # log2, rounded up
-        if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MOST_STRIDE:
+        if (needed >= 31).any() or (1 << needed.max(initial=0)) > _MAX_STRIDE:
             shortest = float(pulses.contact_duration.min())
             raise InvalidValue(
-                f"sampling_rate must give a contact at least a {_MOST_STRIDE}th of a sample, got {sampling_rate:g} Hz "
+                f"sampling_rate must give a contact at least a {_MAX_STRIDE}th of a sample, got {sampling_rate:g} Hz "
                 f"for one of {shortest:.3g} s; raise it"
             )
         self.stride = np.int64(1) << needed

@@ -17,7 +17,7 @@ from cgid.validation import Floats
 __all__ = ["SampledPulses"]
 
 #: Fewest points of a pulse, as a cubic spline needs.
-FEWEST_POINTS = 4
+MIN_POINTS = 4
 #: Points per interval around the largest sample in the peak search, and the degree of the splines.
 _FINER, _CUBIC = 32, 3
 
@@ -28,8 +28,8 @@ def shares_of_contact(n_points: int) -> Floats:
     >>> shares_of_contact(5).round(3).tolist()
     [0.0, 0.146, 0.5, 0.854, 1.0]
     """
-    if validation.count("n_points", n_points) < FEWEST_POINTS:
-        raise InvalidValue(f"n_points must be {FEWEST_POINTS} or more, got {n_points}")
+    if validation.count("n_points", n_points) < MIN_POINTS:
+        raise InvalidValue(f"n_points must be {MIN_POINTS} or more, got {n_points}")
     return np.asarray((1 - np.cos(np.linspace(0, np.pi, n_points))) / 2)
 
 
@@ -47,9 +47,9 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     _require_course(since, course)
     lasts = validation.number("contact_duration", contact_duration, "s", validation.positive)
     inside = (since > 0) & (since < lasts)
-    if inside.sum() < 2 * (knots + FEWEST_POINTS):
+    if inside.sum() < 2 * (knots + MIN_POINTS):
         raise InvalidValue(
-            f"forces must have {2 * (knots + FEWEST_POINTS)} samples or more within contact for {knots} knots, got "
+            f"forces must have {2 * (knots + MIN_POINTS)} samples or more within contact for {knots} knots, got "
             f"{inside.sum()}"
         )
     inner = np.linspace(0, np.pi, knots + 2)
@@ -116,10 +116,10 @@ class SampledPulses:
     def __post_init__(self) -> None:
         shares, forces = validation.real("shares", self.shares), validation.not_negative("forces", self.forces, "N")
         duration = validation.positive("contact_duration", self.contact_duration, "s")
-        rising = shares.ndim == 1 and shares.size >= FEWEST_POINTS and bool((np.diff(shares) > 0).all())
+        rising = shares.ndim == 1 and shares.size >= MIN_POINTS and bool((np.diff(shares) > 0).all())
         if not rising or shares[0] != 0 or shares[-1] != 1:
             raise InvalidValue(
-                f"shares must be {FEWEST_POINTS} or more numbers that rise from 0 to 1, got {shares.size} numbers from "
+                f"shares must be {MIN_POINTS} or more numbers that rise from 0 to 1, got {shares.size} numbers from "
                 f"{shares.min(initial=np.inf):g} to {shares.max(initial=-np.inf):g}"
             )
         if forces.shape != (*duration.shape, shares.size) or duration.ndim != 1:

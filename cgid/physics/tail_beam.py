@@ -26,7 +26,7 @@ EDGES: dict[str, tuple[str, str] | None] = {
     "cantilever": ("start", "none"),
 }
 #: Largest number of modes, by closed form and by eigenproblem.
-MOST_MODES, MOST_RITZ_MODES = 20_000, 1_000
+MAX_MODES, MAX_RITZ_MODES = 20_000, 1_000
 _PI_TO_THE_FIFTH = 306.01968478528147
 
 
@@ -250,7 +250,7 @@ class TailBeam:
         `InvalidValue`.
         """
         highest = validation.number("highest_frequency", highest_frequency, "Hz", validation.positive)
-        expected, most = self.modal_density * highest, MOST_RITZ_MODES if EDGES[self.edges] else MOST_MODES
+        expected, most = self.modal_density * highest, MAX_RITZ_MODES if EDGES[self.edges] else MAX_MODES
         if expected > most:
             raise InvalidValue(
                 f"highest_frequency must leave at most {most} modes of a {self.edges} beam, {highest:g} Hz means about "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cgid.plots.figure import COLOURS, colours_of, picture, plain, require_matplotlib
-from cgid.plots.recording import LONGEST_LABEL, MOST_CHANNELS, WIDTH, Clock
+from cgid.plots.recording import MAX_CHANNELS, MAX_LABEL_LENGTH, WIDTH, Clock
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def share_figure(
     Parameters
     ----------
     shares : sequence of Share
-        At least one; only the first `MOST_CHANNELS` channels are drawn.
+        At least one; only the first `MAX_CHANNELS` channels are drawn.
     turns : sequence of Switch
     duration : float
         Duration of the recording [s].
@@ -45,7 +45,7 @@ def share_figure(
     MissingExtra
         matplotlib is not installed.
     """
-    names = list(dict.fromkeys(share.channel for share in shares))[:MOST_CHANNELS]
+    names = list(dict.fromkeys(share.channel for share in shares))[:MAX_CHANNELS]
     figure = require_matplotlib()(figsize=(WIDTH, _SHARE_TITLE + _SHARE_PANEL * len(names)), layout="constrained")
     clock = Clock(0.0, duration)
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
@@ -95,14 +95,14 @@ def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Se
     """Return a figure of the cumulative share of gangue against the recovered coal, one curve per channel.
 
     `times` are those of the answers of each channel [s], each of which counts as one rock; its share must be known at
-    two or more times. At most `MOST_CHANNELS` are drawn.
+    two or more times. At most `MAX_CHANNELS` are drawn.
     """
-    names = list(times)[:MOST_CHANNELS]
+    names = list(times)[:MAX_CHANNELS]
     figure = require_matplotlib()(figsize=(WIDTH, _DRAWN_HEIGHT), layout="constrained")
     axes = figure.subplots()
     for name, colour in zip(names, colours_of(names).values(), strict=True):
         of_channel = [share for share in shares if share.channel == name]
-        title = f"channel {plain(name, LONGEST_LABEL)}" if len(names) > 1 else "by the answers"
+        title = f"channel {plain(name, MAX_LABEL_LENGTH)}" if len(names) > 1 else "by the answers"
         shut = [switch.time for switch in turns if switch.shut and switch.share.channel == name]
         draw_drawn(axes, times[name], gangue_at(times[name], of_channel), shut, colour=colour, title=title)
     finish_drawn(axes)

@@ -16,9 +16,9 @@ from cgid.signals import Signal
 from cgid.validation import Floats
 
 #: A picture with more channels is illegible.
-MOST_CHANNELS = 8
+MAX_CHANNELS = 8
 #: Longest name of a channel in a legend [characters].
-LONGEST_LABEL = 32
+MAX_LABEL_LENGTH = 32
 #: Longest and shortest range of a level scale [dB].
 _DEEPEST, _SHALLOWEST = 90.0, 30.0
 #: Largest number of marks that are also drawn through the waveform of a channel, if they leave room.
@@ -149,7 +149,7 @@ def draw_marks(axes: Any, marks: Sequence[Mark], colours: Mapping[str, str], clo
         spans = [(start, max(width, narrowest)) for start, width in _spans(of_label, clock)]
         axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=colour, lw=0)
         axes.axhline(row + 0.5, color="0.85", lw=0.5)
-        names.append(f"{plain(label, LONGEST_LABEL)} ({len(of_label)})")
+        names.append(f"{plain(label, MAX_LABEL_LENGTH)} ({len(of_label)})")
     axes.set_yticks(range(len(names)), names, parse_math=False, fontsize="small")
     axes.set(xlim=clock.limits, ylim=(len(names) - 0.5, -0.5))
     axes.tick_params(length=0, axis="y")
@@ -182,7 +182,12 @@ def _spectrum(axes: Any, overview: Overview, channels: Sequence[Channel]) -> Non
     for k, channel in enumerate(channels):
         style = "-" if k < len(COLOURS) else "--"
         axes.plot(
-            overview.frequency[1:], level[k], style, color=palette[k], lw=1.1, label=plain(channel.name, LONGEST_LABEL)
+            overview.frequency[1:],
+            level[k],
+            style,
+            color=palette[k],
+            lw=1.1,
+            label=plain(channel.name, MAX_LABEL_LENGTH),
         )
     units = {channel.unit for channel in channels}
     unit = _density(units.pop()) if len(units) == 1 else "unit²/Hz of each channel"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from cgid.recordings.formats import LARGEST_STREAM, is_dataset, open_recording, read_recording
+from cgid.recordings.formats import MAX_STREAM, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import BLOCK_LENGTH, Blocks, Channel, RecordingFile
 
 __all__ = [
     "BLOCK_LENGTH",
-    "LARGEST_STREAM",
+    "MAX_STREAM",
     "Blocks",
     "Channel",
     "RecordingFile",

@@ -20,7 +20,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import DATASET_CURE, LARGEST_ARRAYS, MAX_CHANNELS, Blocks, understood
+from cgid.recordings.recording import DATASET_CURE, MAX_ARRAYS, MAX_CHANNELS, Blocks, understood
 from cgid.recordings.variables import (
     Value,
     Variable,
@@ -117,9 +117,9 @@ def _floats(samples: NDArray[Any]) -> NDArray[Any]:
 
 def require_room(size: int, source: str, cure: str) -> None:
     """Raise `BadData` if arrays [bytes] are too large to be read whole."""
-    if size > LARGEST_ARRAYS:
+    if size > MAX_ARRAYS:
         raise BadData(
-            f"{source}: the arrays of a file that is read whole must be at most {LARGEST_ARRAYS >> 30} GiB, it "
+            f"{source}: the arrays of a file that is read whole must be at most {MAX_ARRAYS >> 30} GiB, it "
             f"declares {size} bytes; {cure}"
         )
 

@@ -31,7 +31,7 @@ Statement = float | str | Mapping[int | str, float | str] | Sequence[float | str
 _MEASURED = ("force", "acceleration", "velocity", "displacement", "pressure")
 #: Largest relative difference between values of file and user that are one, and limits of a factor of samples.
 _TOLERANCE, _FACTORS = 1e-3, (1e-30, 1e30)
-_MOST_BITS, _LONGEST = 64, 200
+_MAX_BITS, _LONGEST = 64, 200
 _LOUDEST = 400.0
 _TIMES = re.compile(r"[x×]\s*(.+)|(.+?)\s*[x×]", re.IGNORECASE)
 _FULL_SCALE = re.compile(r"(?:±|\+/?-)?\s*(.*?)(?:\s+at\s+([0-9]{1,3})\s*bits?)?", re.IGNORECASE)
@@ -127,8 +127,8 @@ class FullScale:
             )
         if not 0 < number < math.inf:
             raise InvalidValue(f"full_scale must be above 0 and finite, got {text}")
-        if bits is not None and not 2 <= bits <= _MOST_BITS:
-            raise InvalidValue(f"full_scale must be at 2 to {_MOST_BITS} bit, got {bits}")
+        if bits is not None and not 2 <= bits <= _MAX_BITS:
+            raise InvalidValue(f"full_scale must be at 2 to {_MAX_BITS} bit, got {bits}")
         return cls(value=number, unit=known_unit(unit) if unit else None, bits=bits, text=text)
 
 

@@ -38,7 +38,7 @@ _TEXT_SUFFIXES = ("", ".asc", ".csv", ".dat", ".log", ".prn", ".tsv", ".txt")
 READERS = "cgid.readers"
 
 #: Largest stream on the standard input [bytes]; streams are saved to disk before they are read.
-LARGEST_STREAM = 32 << 30
+MAX_STREAM = 32 << 30
 PIECE_LENGTH = 1 << 20
 #: Time without data until a warning [s].
 WAITING_TIME = 5.0
@@ -464,9 +464,9 @@ def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
                 spool.callback(path.unlink, missing_ok=True)
                 spool.enter_context(file)
             while piece:
-                if file.tell() > LARGEST_STREAM:
+                if file.tell() > MAX_STREAM:
                     raise BadData(
-                        f"stream: it must end within {LARGEST_STREAM >> 30} GiB to be read as a recording, it goes on; "
+                        f"stream: it must end within {MAX_STREAM >> 30} GiB to be read as a recording, it goes on; "
                         "save it as a file, or follow it by cgid monitor"
                     )
                 file.write(piece)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: A channel that stays unreadable for this long is given up [s].
 GIVE_UP = 10.0
 #: Up to this many channels are named.
-_MOST_NAMED = 5
+_MAX_NAMED = 5
 
 
 class Gaps:
@@ -76,8 +76,8 @@ class Gaps:
         self._said = total
         sample, channel, value = self._first
         missing = np.flatnonzero(self.n_samples)
-        named = ", ".join(self._channels[row].name for row in missing[:_MOST_NAMED])
-        more = f" and {missing.size - _MOST_NAMED} more" if missing.size > _MOST_NAMED else ""
+        named = ", ".join(self._channels[row].name for row in missing[:_MAX_NAMED])
+        more = f" and {missing.size - _MAX_NAMED} more" if missing.size > _MAX_NAMED else ""
         unit = self._channels[channel].unit or ""
         limit = f"; no sensor gives more than {self._limits[channel]:.3g} {unit}".rstrip()
         self._say(

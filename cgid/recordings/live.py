@@ -21,7 +21,7 @@ from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, WaveHead, read_wa
 from cgid.validation import require_rate
 
 #: Most numbers to read from the stream at once.
-_MOST_NUMBERS = 1 << 16
+_MAX_NUMBERS = 1 << 16
 #: First bytes of formats that can only be read as whole files.
 _FILES = {
     b"\x93NUM": "an NPY file",
@@ -76,7 +76,7 @@ class LiveStream:
                 self.n_samples += len(samples)
                 yield from scaled([np.ascontiguousarray(samples.T)], self.factors)
                 pending = pending[whole:]
-            most = max(1, _MOST_NUMBERS // self.n_channels) * frame_size
+            most = max(1, _MAX_NUMBERS // self.n_channels) * frame_size
             raw = _available(self.file, most if left is None else min(most, left))
             if left is not None:
                 left -= len(raw)

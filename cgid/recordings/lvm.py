@@ -30,7 +30,7 @@ _HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
 #: Lines without a field below the last row.
 _EMPTY_LINES = re.compile(r"(?<=\n)[\s,;]*\Z")
 #: Longest header [lines]; usual ones have about twenty tags.
-_LONGEST_HEAD = 2000
+_MAX_HEAD_LENGTH = 2000
 
 #: Larger values of X0 [s] count from 1904, not from the time stamp.
 _SINCE_1904 = 1e8
@@ -260,7 +260,7 @@ class _Segments:
                     number = 1 if segment is None else segment.number + 1
                     segment, above = _Segment.of(head, above, number, line, self.source), None
                     yield segment, Piece("", line)
-                elif len(above) > _LONGEST_HEAD:
+                elif len(above) > _MAX_HEAD_LENGTH:
                     raise BadData(
                         f"{self.source}: a head of {len(above)} lines is none (line {line}); copy the file again"
                     )

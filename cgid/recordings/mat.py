@@ -16,7 +16,7 @@ from cgid.recordings.arrays import blocks_of_arrays, require_room
 from cgid.recordings.recording import Blocks, understood
 
 #: Deepest struct in a struct, and longest text [characters].
-_DEEPEST, _LONGEST_TEXT = 16, 4096
+_DEEPEST, _MAX_TEXT_LENGTH = 16, 4096
 
 
 def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
@@ -55,6 +55,6 @@ def _fields(place: str, value: Any, stored: Any, depth: int) -> Iterator[tuple[s
                 yield from _fields(f"{owner}/{field}", one[field], its[field], depth + 1)
         return
     if value.dtype.kind == "U":
-        value = np.char.strip(value) if value.nbytes <= 4 * _LONGEST_TEXT else value[:0]
+        value = np.char.strip(value) if value.nbytes <= 4 * _MAX_TEXT_LENGTH else value[:0]
     if stored.dtype.kind != "c":
         yield place, value

@@ -20,15 +20,15 @@ from cgid.recordings.variables import Value, Variable, contents_of, full_scale_o
 from cgid.units import seconds_of
 
 #: Limits of texts [bytes] and lists [entries] in the footer.
-_LONGEST_TEXT, _LONGEST_LIST = 16 << 20, 1 << 20
+_MAX_TEXT_LENGTH, _MAX_LIST_LENGTH = 16 << 20, 1 << 20
 #: Bytes of one column of a row group to read at once.
 _BUFFER = 1 << 20
 #: Rows read at once, of all columns.
 _ROWS = 1 << 14
 #: Longest metadata value [bytes] that may state a rate or a unit.
-_LONGEST_VALUE = 200
+_MAX_VALUE_LENGTH = 200
 #: Only rows of equal numbers are packed more densely, and they are not a recording.
-_MOST_ROWS_A_BYTE = 1000
+_MAX_ROWS_A_BYTE = 1000
 #: Prefix of the name that pandas gives to an unnamed index.
 _INDEX = "__index_level_"
 
@@ -108,7 +108,7 @@ class _Parquet:
         self._schema = schema
         self.said = _texts(schema.metadata)
         size = path.stat().st_size
-        if self.n_rows > _MOST_ROWS_A_BYTE * size:
+        if self.n_rows > _MAX_ROWS_A_BYTE * size:
             raise BadData(
                 f"{source}: the footer declares {self.n_rows} rows in {size} bytes, the file is damaged; copy it again"
             )
@@ -162,8 +162,8 @@ class _Parquet:
                 content,
                 buffer_size=_BUFFER,
                 pre_buffer=False,
-                thrift_string_size_limit=_LONGEST_TEXT,
-                thrift_container_size_limit=_LONGEST_LIST,
+                thrift_string_size_limit=_MAX_TEXT_LENGTH,
+                thrift_container_size_limit=_MAX_LIST_LENGTH,
                 page_checksum_verification=True,
             ) as file,
         ):
@@ -189,5 +189,5 @@ def _texts(metadata: dict[bytes, bytes] | None) -> dict[str, Value]:
     return {
         key.decode("utf-8", "replace"): value.decode("utf-8", "replace")
         for key, value in (metadata or {}).items()
-        if len(value) <= _LONGEST_VALUE
+        if len(value) <= _MAX_VALUE_LENGTH
     }

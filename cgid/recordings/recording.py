@@ -25,7 +25,7 @@ DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index
 BLOCK_LENGTH = 1 << 16
 
 #: Most numbers in a block, of all channels together.
-MOST_NUMBERS = 1 << 22
+MAX_NUMBERS = 1 << 22
 
 #: Most channels; a file with more has its samples along the wrong axis.
 MAX_CHANNELS = 4096
@@ -34,7 +34,7 @@ MAX_CHANNELS = 4096
 RATE_TOLERANCE = 1e-3
 
 #: Largest arrays that a format read whole may unpack to [bytes].
-LARGEST_ARRAYS = 2 << 30
+MAX_ARRAYS = 2 << 30
 
 #: (block length, channels) -> blocks (len(channels), at most length), from the first sample on.
 ReadBlocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
@@ -424,7 +424,7 @@ class RecordingFile:
     def _blocks(self, length: int) -> Iterator[NDArray[Any]]:
         count = 0
         # Memory must not grow with the number of channels either.
-        length = min(length, max(MOST_NUMBERS // self._contents.n_channels, 1))
+        length = min(length, max(MAX_NUMBERS // self._contents.n_channels, 1))
         with told(self.source):
             for block in scaled(self._contents.joined(length, self._selected), self._factors):
                 count += block.shape[1]

@@ -32,7 +32,7 @@ ENDLESS = 0x7FFF0000
 #: Bytes to read of each relevant chunk; the rest is skipped.
 _READ = {b"fmt ": 40, b"ds64": 28, b"bext": 338}
 #: Most chunks before the sound; a hostile file could hold millions of empty ones.
-_MOST_CHUNKS = 1000
+_MAX_CHUNKS = 1000
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _OTHER_CODINGS = {2: "ADPCM", 6: "A-law (ALAW)", 7: "mu-law (MULAW)", 0x11: "IMA ADPCM", 0x55: "MP3"}
@@ -136,7 +136,7 @@ def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, s
         kind = f", it says {start[8:]!r}" if len(start) == 12 else "; the file looks cut off"
         raise BadData(f"{source}: a WAV file must begin with RIFF and WAVE{kind}; export it again")
     chunks: dict[bytes, bytes] = {}
-    for _ in range(_MOST_CHUNKS):
+    for _ in range(_MAX_CHUNKS):
         head = file.read(8)
         if len(head) < 8:
             break
@@ -287,7 +287,7 @@ _DECODED = 1 << 14
 #: Most samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12 bytes.
 _BEST_PACKING = 1 << 13
 #: An Ogg page (RFC 3533): bytes before its segment table, longest page, and the flag of the last one.
-_PAGE_HEAD, _LONGEST_PAGE, _LAST_PAGE = 27, 65_307, 4
+_PAGE_HEAD, _MAX_PAGE_SIZE, _LAST_PAGE = 27, 65_307, 4
 
 
 def read_audio(path: Path, source: str) -> Blocks:
@@ -342,8 +342,8 @@ def _ogg_end(path: Path) -> tuple[bool, int | None]:
     libsndfile says neither, and leaves out damaged pages. Other files are ended.
     """
     with path.open("rb") as file:
-        head = file.read(_LONGEST_PAGE)
-        file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_PAGE))
+        head = file.read(_MAX_PAGE_SIZE)
+        file.seek(max(0, os.fstat(file.fileno()).st_size - _MAX_PAGE_SIZE))
         page = file.read()
     if not head.startswith(b"OggS"):
         return True, None

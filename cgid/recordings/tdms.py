@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import LARGEST_ARRAYS, Blocks, Remark, library, understood
+from cgid.recordings.recording import MAX_ARRAYS, Blocks, Remark, library, understood
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement
 
 _LEAD_IN, _TAG = 28, b"TDSm"
 #: Declared length of a segment that is still being written.
 _UNKNOWN = 2**64 - 1
 #: nptdms reads a chunk of a channel whole; a channel of longer chunks [samples] is read whole, too.
-LONGEST_CHUNK = 1 << 22
+MAX_CHUNK_SIZE = 1 << 22
 #: Samples to read at once, if chunks are shorter.
 _READ = 1 << 18
 
@@ -61,11 +61,11 @@ class _Tdms:
             chunk = len(next(iter(channel.data_chunks()), ()))
         # Part of a chunk costs as much as all of it: read whole ones, or the channel if its chunks are long.
         together = chunk * max(_READ // max(chunk, 1), 1)
-        step = length * -(-max(together, length) // length) if chunk <= LONGEST_CHUNK else len(channel)
-        if step == len(channel) and 8 * step > LARGEST_ARRAYS:
+        step = length * -(-max(together, length) // length) if chunk <= MAX_CHUNK_SIZE else len(channel)
+        if step == len(channel) and 8 * step > MAX_ARRAYS:
             raise BadData(
                 f"{self.source}: channel {channel.name} of {step} samples is written in one part and so must be of at "
-                f"most {LARGEST_ARRAYS >> 30} GiB; export it again in smaller parts, or as WAV"
+                f"most {MAX_ARRAYS >> 30} GiB; export it again in smaller parts, or as WAV"
             )
         for first in range(0, len(channel), step):
             count = min(step, len(channel) - first)

@@ -40,7 +40,7 @@ from cgid.recordings.times import EvenTimes, Floats, rate_of, refined_rate, runs
 PIECE = 1 << 20
 
 #: Longest line [characters]: a longer row would have too many channels.
-_LONGEST_LINE = 1 << 18
+_MAX_LINE_LENGTH = 1 << 18
 
 #: End mark of DOS texts.
 _END_MARK = "\x1a"
@@ -160,7 +160,7 @@ class Body:
             mark = file.read(2)
             size = file.seek(0, io.SEEK_END)
             # An even offset keeps both bytes of a UTF-16 character together.
-            file.seek(max(0, size - 2 * _LONGEST_LINE) // 2 * 2)
+            file.seek(max(0, size - 2 * _MAX_LINE_LENGTH) // 2 * 2)
             raw = file.read()
         encoding = self.encoding
         if encoding == "utf-16":
@@ -189,9 +189,9 @@ def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Itera
                 return
             end = text.rfind("\n") + 1
             rest = text[end:]
-            if len(rest) > _LONGEST_LINE:
+            if len(rest) > _MAX_LINE_LENGTH:
                 raise BadData(
-                    f"{source}: a line must be of at most {_LONGEST_LINE} characters, one is longer; "
+                    f"{source}: a line must be of at most {_MAX_LINE_LENGTH} characters, one is longer; "
                     "transpose it: one sample a row, one channel a column"
                 )
             yield text[:end], False

@@ -260,7 +260,7 @@ _WORDS_WITH_BRACKETS = re.compile(r'"[^"]*"|[^\s()\[\]]+(?:\s*[(\[][^()\[\]]*[)\
 _SAME = str.maketrans("\u03bc（）［］：；，＝　", "µ()[]:;,= ")
 
 #: Longest name of a column.
-_LONGEST_NAME = 200
+_MAX_NAME_LENGTH = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -323,8 +323,8 @@ def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
 def column_of(text: str) -> Column:
     """Return name and unit of a field of a header."""
     text = " ".join(text.translate(_SAME).strip("\"' \t\r\n").split())
-    if len(text) > _LONGEST_NAME:
-        return Column(name=text[:_LONGEST_NAME])
+    if len(text) > _MAX_NAME_LENGTH:
+        return Column(name=text[:_MAX_NAME_LENGTH])
     if text in KNOWN_UNITS or _is_time_unit(text):
         return Column(unit=text)
     if found := _IN_BRACKETS.fullmatch(text):
@@ -350,7 +350,7 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
     before: tuple[Column, ...] = ()
     for written in lines:
         line = written.translate(_SAME)
-        comment = line[:_LONGEST_NAME]
+        comment = line[:_MAX_NAME_LENGTH]
         if (rate := _stated_rate(comment)) is not None:
             header = replace(header, sampling_rates=(*header.sampling_rates, rate))
         elif found := _STATED_START.fullmatch(comment):

@@ -23,7 +23,7 @@ from cgid.recordings.text_layout import stated_chain
 from cgid.units import known_unit, seconds_of
 
 #: Largest file [bytes], as pyuff reads files whole and needs several times their size.
-LARGEST_FILE = 256 << 20
+MAX_FILE_SIZE = 256 << 20
 
 _TIME_RESPONSE, _UNKNOWN_FUNCTION, _TIME_AXIS = 1, 0, 17
 _EVEN, _REAL, _SINGLE = 1, (2, 4), 2
@@ -132,9 +132,9 @@ def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
 def _require_whole(path: Path, source: str) -> None:
     """Raise `BadData` unless the file is small enough and ends with the end mark of a data set."""
     size = path.stat().st_size
-    if size > LARGEST_FILE:
+    if size > MAX_FILE_SIZE:
         raise BadData(
-            f"{source}: a universal file must be at most {LARGEST_FILE >> 20} MiB, it has {size} bytes; export fewer "
+            f"{source}: a universal file must be at most {MAX_FILE_SIZE >> 20} MiB, it has {size} bytes; export fewer "
             "data sets at once, or export WAV or TDMS"
         )
     content = path.read_bytes()

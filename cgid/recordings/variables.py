@@ -46,7 +46,7 @@ _SENSITIVITY = re.compile(
     r"(?i:(?:.*[\W_])?(?:sensor|transducer)?sensitivity(?:[\W_]*(?:value|(unit|units)))?)\s*(?:[(\[](.+)[)\]])?\s*"
 )
 #: Longest name of a statement.
-_LONGEST_NAME = 200
+_MAX_NAME_LENGTH = 200
 _UNIT_BEHIND = re.compile(r"[\s_([]+(k?hz|mhz|s|sec|ms|us|µs)[\s)\]]*$")
 
 
@@ -56,7 +56,7 @@ def is_statement(name: str) -> bool:
 
 
 def _sensitivity(name: str) -> re.Match[str] | None:
-    return _SENSITIVITY.fullmatch(name) if len(name) <= _LONGEST_NAME else None
+    return _SENSITIVITY.fullmatch(name) if len(name) <= _MAX_NAME_LENGTH else None
 
 
 def stated_rate(values: Values, source: str) -> tuple[float, str] | None:

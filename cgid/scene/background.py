@@ -32,9 +32,9 @@ QUANTITIES = {
 #: Lowest level of a background; its square is a number, too.
 _MIN_LEVEL = 1e-100
 #: Largest recorded background; it is held in memory [bytes].
-_LARGEST_RECORDING = 1 << 30
+_MAX_RECORDING = 1 << 30
 #: Largest table of a spectrum [bytes], and the title of its densities.
-_LARGEST_SPECTRUM = 8 << 20
+_MAX_SPECTRUM = 8 << 20
 _DENSITY = re.compile(r"density \[[^\]]+/sqrt\(Hz\)\]")
 
 
@@ -121,7 +121,7 @@ def _read_spectrum(path: Path) -> dict[str, list[float]]:
 
     Raises `NoInput` if it cannot be read, `BadData` for other columns or cells; the rules of `ColouredNoise` follow.
     """
-    lines = read_cells(path, "the table of a spectrum", _LARGEST_SPECTRUM)
+    lines = read_cells(path, "the table of a spectrum", _MAX_SPECTRUM)
     titles = lines[0][1] if lines else []
     density = [title for title in titles if _DENSITY.fullmatch(title)]
     if titles.count("frequency [Hz]") != 1 or len(density) != 1:
@@ -185,7 +185,7 @@ class RecordedBackground(Section):
         """Return the file in a folder; raises `NoInput`, or `BadData` for a pipe, a device or too large a file."""
         path = folder / self.path
         with told(str(path)):
-            require_regular(path, "a recorded background", _LARGEST_RECORDING)
+            require_regular(path, "a recorded background", _MAX_RECORDING)
         return path
 
 

@@ -341,7 +341,7 @@ def _fitted(models: Sequence[_Model]) -> tuple[float, Floats]:
         parts = []
         for model in models:
             motion, slope, recorded = model.motion(), model.motion(slope=True), model.recorded
-            # What a delay of its own explains tells nothing of the gain.
+            # What its delay explains is uninformative about the gain.
             free = motion - slope * (float(slope @ motion) / max(float(slope @ slope), 1e-300))
             information, pull = information + float(free @ free), pull + float(free @ recorded)
             parts.append((motion, slope, recorded))

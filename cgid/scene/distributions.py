@@ -162,7 +162,7 @@ class Section(BaseModel):
 # ---- distributions ---------------------------------------------------------------------------------------------------
 
 #: The smallest and largest uniform numbers (`cgid.scene.draws`).
-SMALLEST_UNIFORM, LARGEST_UNIFORM = 2.0**-54, 1 - 2.0**-53
+MIN_UNIFORM, MAX_UNIFORM = 2.0**-54, 1 - 2.0**-53
 
 
 class _Distribution(Section):
@@ -174,7 +174,7 @@ class _Distribution(Section):
     def extremes(self) -> tuple[float, float]:
         """The smallest and the largest value that can ever be drawn."""
         with np.errstate(all="ignore"):  # an overflow is infinite, beyond all bounds
-            low, high = self.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
+            low, high = self.quantile(np.array([MIN_UNIFORM, MAX_UNIFORM]))
         return float(low), float(high)
 
 
@@ -406,7 +406,7 @@ class Mixed(_Weighted):
         edges = self._edges
         which = np.searchsorted(edges, uniform, side="right")
         below = np.concatenate([np.zeros(1), edges])[which]
-        place = np.clip((uniform - below) / (edges[which] - below), SMALLEST_UNIFORM, LARGEST_UNIFORM)
+        place = np.clip((uniform - below) / (edges[which] - below), MIN_UNIFORM, MAX_UNIFORM)
         values = np.empty(uniform.shape)
         for number, part in enumerate(self.parts):
             values[which == number] = part.quantile(place[which == number])

@@ -30,7 +30,7 @@ GRAVITY_TOLERANCE = 1e-3
 _ERROR = 2.4
 #: Zener's lambda up to which the integration works for every restitution of a scene (from 49 on some fail). His theory
 #: holds to 1.5, where the plate takes some 80 % of the speed; here it takes all but a few parts in 1e8.
-HIGHEST_INELASTICITY = 30.0
+MAX_INELASTICITY = 30.0
 
 
 def tolerance_of(section: ImpactSection) -> float:
@@ -123,10 +123,10 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
     factor = STIFFNESS_THEORIES[theory]
     stiffness = stiffness_of(reduced_radius(sphere, target), reduced_modulus(sphere, target), factor)
     inelasticity = float(np.power(mass, 0.6) * np.power(stiffness, 0.4) * np.power(velocity, 0.2) / target.impedance)
-    if inelasticity <= HIGHEST_INELASTICITY:
+    if inelasticity <= MAX_INELASTICITY:
         return None
     return (
-        f"lambda of the thin plate must be at most {HIGHEST_INELASTICITY:g}, it can be drawn as {inelasticity:.3g}; "
+        f"lambda of the thin plate must be at most {MAX_INELASTICITY:g}, it can be drawn as {inelasticity:.3g}; "
         f"raise {thickness}, or give radius, density, youngs_modulus and speed a lower highest value"
     )
 

@@ -28,9 +28,9 @@ from cgid.scene.sensor import CHUNK, Sensor
 from cgid.validation import Floats
 
 #: Samples of a signal that have an address: 93 hours at 51.2 kHz.
-MOST_SAMPLES = TILE // LANES << 32
+MAX_SAMPLES = TILE // LANES << 32
 #: Upper bound of the noise in standard deviations: sqrt(2 ln 2^33) = 6.764, and room for rounding.
-HIGHEST_NOISE = 6.77
+MAX_NOISE = 6.77
 
 
 def add_noise(
@@ -57,9 +57,9 @@ def add_noise(
         count("noise_samples", frames.size)
     if not 0 <= block < 2**56:
         raise InvalidValue(f"block must lie between 0 and 2^56 - 1, got {block}")
-    if first_sample < 0 or first_sample + frames.shape[1] > MOST_SAMPLES:
+    if first_sample < 0 or first_sample + frames.shape[1] > MAX_SAMPLES:
         raise InvalidValue(
-            f"samples with noise must lie between 0 and {MOST_SAMPLES - 1}, got {first_sample} to "
+            f"samples with noise must lie between 0 and {MAX_SAMPLES - 1}, got {first_sample} to "
             f"{first_sample + frames.shape[1] - 1}"
         )
     # The last word of the counter holds the purpose and the upper bits of the block.
@@ -69,7 +69,7 @@ def add_noise(
 
 
 #: Largest denominator of the ratio of two sampling rates.
-_LARGEST_TERM = 10_000
+_MAX_TERM = 10_000
 #: Blocks of 256 rocks used for the median peak of a scene.
 _REFERENCE_BLOCKS = 4
 #: A blow has passed its peak within this many samples.
@@ -291,7 +291,7 @@ def _unit_recording(
         hint = "choose one by background.recorded.channel"
         raise BadData(f"{path}: a background must be one channel, this file has {names}; {hint}")
     samples = signals[0].samples.astype(np.float64)
-    ratio = Fraction(sampling_rate / signals[0].sampling_rate).limit_denominator(_LARGEST_TERM)
+    ratio = Fraction(sampling_rate / signals[0].sampling_rate).limit_denominator(_MAX_TERM)
     if not ratio:
         raise BadData(
             f"{path}: a background's sampling rate must lie nearer to {sampling_rate:g} Hz, it is "

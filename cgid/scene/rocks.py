@@ -42,7 +42,7 @@ from cgid.validation import Floats
 #: a stretch never exceeds a block of 256.
 EXPECTED_ROCKS = 128.0
 #: Longest stretch [s]: its samples are held in memory.
-LONGEST_STRETCH = 16.0
+MAX_STRETCH = 16.0
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class PoissonTimes:
     @property
     def length(self) -> float:
         """Length of a stretch [s], independent of the duration, so a longer recording begins like a shorter one."""
-        return min(EXPECTED_ROCKS / max(self.table.values), LONGEST_STRETCH)
+        return min(EXPECTED_ROCKS / max(self.table.values), MAX_STRETCH)
 
     def stretches(self, duration: float, seed: int, recording: int) -> Iterator[Stretch]:
         """Yield the stretches of a recording in order."""
@@ -122,12 +122,12 @@ class GivenTimes:
         return np.asarray(np.searchsorted(self.times, times, side="left"), np.float64)
 
     def stretches(self, duration: float, seed: int, recording: int) -> Iterator[Stretch]:
-        """Yield the stretches of a recording in order: at most a block of arrivals, and at most `LONGEST_STRETCH`."""
+        """Yield the stretches of a recording in order: at most a block of arrivals, and at most `MAX_STRETCH`."""
         listed = np.array(self.times)
         start, next_row = 0.0, 0
         while start < duration:
             block = next_row // BLOCK
-            stop = start + LONGEST_STRETCH
+            stop = start + MAX_STRETCH
             behind = min(int(np.searchsorted(listed, stop)), (block + 1) * BLOCK)
             if behind < listed.size:
                 stop = min(stop, float(listed[behind]))

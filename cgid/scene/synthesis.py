@@ -16,7 +16,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.features import extract_array, extract_truncated, samples_needed
 from cgid.scene.draws import BLOCK, at_once, drawn_block, parameter_units, require_seed
 from cgid.scene.impacts import Blows, blows_of, contacts_of
-from cgid.scene.noise import HIGHEST_NOISE, add_sensor_noise, background_of
+from cgid.scene.noise import MAX_NOISE, add_sensor_noise, background_of
 from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene, load_scene
 from cgid.scene.sensor import Sensor, clip
@@ -162,7 +162,7 @@ def make_beginnings(
         level = sensor.noise_level(peak, rate)
         for number, part in _by_block(slice(0, n_signals)):
             add_sensor_noise(frames[part], level[part], blows.scene, seed, block + number)
-        max_after += HIGHEST_NOISE * level
+        max_after += MAX_NOISE * level
     background = background_of(blows.scene) if plan.runs("background") else None
     if background is not None:
         count("background_samples", frames.size)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from cgid.errors import InvalidValue
-from cgid.measure.beam import FINE, MOST_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
+from cgid.measure.beam import FINE, MAX_SENSORS, RATES, SPAN_TIME, TOUCH, Beam, bounded, filtered, points_of
 from cgid.measure.modes import Modes, NodeShapes, nodes
 from cgid.physics.response import DERIVATIVES
 from cgid.scene.draws import BLOCK, require_seed
@@ -208,8 +208,8 @@ def recorded_together(
 
 def _at_sensors(scene: Scene, points: list[tuple[float, float]]) -> Floats:
     """Return the shapes of the modes at sensors, (n_sensors, n_modes)."""
-    if not 0 <= len(points) <= MOST_SENSORS:
-        raise InvalidValue(f"sensors must be at most {MOST_SENSORS} points, got {len(points)}; leave some out")
+    if not 0 <= len(points) <= MAX_SENSORS:
+        raise InvalidValue(f"sensors must be at most {MAX_SENSORS} points, got {len(points)}; leave some out")
     scenes = [moved(scene, point) for point in points] or [scene]
     return np.stack([np.asarray(beam_modes(one).at_sensor) for one in scenes])
 

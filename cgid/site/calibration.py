@@ -44,7 +44,7 @@ _DAMPING_A_FREQUENCY, _MOST_DAMPING = 10.0, 0.3
 #: Blows whose evidence is compared, and the seed of simulated ones.
 _COMPARED, _SEED = 256, 0x5EED_0002_CA11
 #: Recordings of a stream, and their length together [s], that are simulated for these at most.
-_RECORDINGS, _LONGEST_STREAM = 16, 120.0
+_RECORDINGS, _MAX_STREAM = 16, 120.0
 #: The evidence may stay this much below that of simulation, absolutely and relatively.
 _BELOW, _BELOW_SHARE = 0.1, 0.1
 #: Share of the worst blows that is left out: a touch that is missed, two blows at once, another place than the scene's.
@@ -53,7 +53,7 @@ _WORST = 0.2
 _WORST_OF_STREAM = 0.5
 #: A mode is silent at a sensor where its shape is below this share of its root mean square; a sensor on nodes
 #: of more than this share of the modes learns nothing. On a line of symmetry it is half.
-_SILENT, _MOST_SILENT = 0.02, 0.6
+_SILENT, _MAX_SILENT = 0.02, 0.6
 #: A crossing counts where the learned frequencies are this many of their deviations apart.
 _CERTAIN = 3.0
 
@@ -297,7 +297,7 @@ def check_scene(scene: Scene, sampling_rate: float) -> None:
     shape = np.abs(np.asarray(beam_modes(scene).at_sensor))
     # A shape's root mean square is 1 over the root of the mass.
     silent = shape < _SILENT * (shape.max() if scene.panel is None else 1 / np.sqrt(scene.panel.mass))
-    if silent.mean() > _MOST_SILENT:
+    if silent.mean() > _MAX_SILENT:
         raise InvalidValue(
             f"scene {scene.name}: the sensor must hear the modes, {silent.sum()} of {silent.size} have a node at "
             "tail_beam.sensor_point; move it"
@@ -353,7 +353,7 @@ def _simulated(site: Scene) -> Blows:
 
 def _simulated_events(site: Scene) -> Iterator[Event]:
     """Yield the usable impacts that a detector finds in recordings of a stream."""
-    left = round(_LONGEST_STREAM * site.sampling.sampling_rate)
+    left = round(_MAX_STREAM * site.sampling.sampling_rate)
     for number in range(_RECORDINGS):
         detector = ImpactDetector(site.sampling.sampling_rate, kind="vibration")
         for samples, _ in parts_of_recording(site, _SEED, number, dtype="float32"):

@@ -29,14 +29,14 @@ DIMENSIONS = (
     "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", DAMPING,
 )  # fmt: skip
 #: Largest error of a dimension; error of the damping ratio for the largest of a dimension, and its own largest.
-_MOST_ERROR, _DAMPING_A_DIMENSION, _MOST_DAMPING = 0.1, 10.0, 0.3
+_MAX_ERROR, _DAMPING_A_DIMENSION, _MOST_DAMPING = 0.1, 10.0, 0.3
 #: Lengths in a distribution of places.
 _PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
 #: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
 _BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
 MOST_ROUNDS = len(_BANDS) * _ROUNDS
 #: Fewest modes of a band.
-_LEAST_MODES = 4
+_MIN_MODES = 4
 #: A band is learned where no step is longer than this share of its deviation.
 _AT_REST = 0.3
 #: Step of the difference quotients in a logarithm.
@@ -63,7 +63,7 @@ def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[s
     own = dimensions_of(scene)
     given = dict(error) if isinstance(error, Mapping) else dict.fromkeys(own or DIMENSIONS, error) | {DAMPING: 0.0}
     for name, value in given.items():
-        most = _MOST_DAMPING if name == DAMPING else _MOST_ERROR
+        most = _MOST_DAMPING if name == DAMPING else _MAX_ERROR
         if not 0 <= value <= most:
             raise InvalidValue(f"dimension_error must be at least 0 and at most {most:g}, got {value:g} of {name}")
     found = {name: value for name, value in given.items() if value}
@@ -113,7 +113,7 @@ def learn_dimensions(
         return of(now + step), of(now - step)
 
     for share in _BANDS:
-        if np.count_nonzero(np.abs(of(now).poles) < 2 * np.pi * share * top) < _LEAST_MODES:
+        if np.count_nonzero(np.abs(of(now).poles) < 2 * np.pi * share * top) < _MIN_MODES:
             continue
         for _ in range(_ROUNDS):
             system = System(of(now), blows, raised, share * top)

@@ -29,13 +29,13 @@ Complexes = NDArray[np.complex128]
 #: A band: width of its core over its frequency, and the most [Hz]; what is fitted beyond it on either side.
 _WIDTH, _WIDEST, _MARGIN = 0.25, 500.0, 0.3
 #: Fewest bins of a band, and most: more samples or fewer are then transformed.
-_FEWEST_BINS, _MOST_BINS = 48, 400
+_MIN_BINS, _MAX_BINS = 48, 400
 #: Degree of the polynomial for what rings outside of a band.
 _DEGREE = 8
 #: The band fills this share of the circle of the discrete model.
 _CIRCLE = 0.85
 #: Damping ratios that are sought.
-LEAST_DAMPING, MOST_DAMPING = 2e-5, 0.15
+MIN_DAMPING, MAX_DAMPING = 2e-5, 0.15
 #: A pole is stable if it is no farther from one of the order before than this share of its distance from the axis, or
 #: of a bin.
 _STABLE = 0.4
@@ -51,7 +51,7 @@ _DECAYED = 1.5
 #: distances differ by this factor; or if they lie within this share of it.
 _ONE, _UNLIKE, _SAME = 0.6, 1.5, 0.3
 #: The largest relative deviation of the damping of a mode that is reported.
-_MOST_UNSURE = 0.35
+_MAX_UNSURE = 0.35
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,7 +127,7 @@ def _cores(band: tuple[float, float], duration: float) -> Iterator[tuple[float, 
     """Yield adjoining bands [Hz]."""
     low, highest = band
     while low < highest:
-        width = max(min(_WIDTH * low, _WIDEST), _FEWEST_BINS / (1 + 2 * _MARGIN) / duration)
+        width = max(min(_WIDTH * low, _WIDEST), _MIN_BINS / (1 + 2 * _MARGIN) / duration)
         high = low + width
         if highest - high < 0.3 * width:
             high = highest
@@ -204,7 +204,7 @@ class _Band:
         """Return which poles can be modes in or near the band."""
         ratio = -pole.real / np.abs(pole)
         reach = 0.15 * self.half
-        inside = (ratio > LEAST_DAMPING) & (ratio < MOST_DAMPING)
+        inside = (ratio > MIN_DAMPING) & (ratio < MAX_DAMPING)
         return np.asarray(inside & (pole.imag > self.line[0] - reach) & (pole.imag < self.line[-1] + reach))
 
     # -- maximum likelihood -------------------------------------------------------------------------------
@@ -270,7 +270,7 @@ class _Band:
         """Return the modes of a fit in the core of the band."""
         frequency = np.abs(fit.pole) / (2 * np.pi)
         deviation = fit.deviation()
-        kept = self.in_core(fit.pole) & ((deviation[1] < _MOST_UNSURE) | (fit.blur != 0))
+        kept = self.in_core(fit.pole) & ((deviation[1] < _MAX_UNSURE) | (fit.blur != 0))
         amplitude, own = fit.amplitudes(self.step)
         near = np.abs(np.log(self.chart[:, 1][:, None] / frequency[kept])) < np.maximum(
             0.5 * -fit.pole.real[kept] / np.abs(fit.pole[kept]), 1e-3
@@ -296,7 +296,7 @@ def _n_ringing(decays: Floats, sampling_rate: float, band: tuple[float, float]) 
     level = power[: n // count * count].reshape(-1, count).mean(axis=1)
     over = np.flatnonzero(level > _DECAYED * np.median(level[-max(level.size // 8, 1) :]))
     width = band[1] - band[0]
-    fewest, most = (int(np.ceil(bins * sampling_rate / width)) for bins in (_FEWEST_BINS, _MOST_BINS))
+    fewest, most = (int(np.ceil(bins * sampling_rate / width)) for bins in (_MIN_BINS, _MAX_BINS))
     ringing = int(1.2 * count * (over[-1] + 1)) if over.size else 0
     return int(min(max(ringing, fewest), max(most, fewest), n))
 

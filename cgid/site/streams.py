@@ -25,7 +25,7 @@ from cgid.identification.detection import find_impacts
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
 from cgid.identification.rows import BEAM_FEATURES, BEAM_GUARDS, Rows, through
-from cgid.identification.training import LEAST_LIMITS, Training, train
+from cgid.identification.training import MIN_LIMITS, Training, train
 from cgid.measure.beam import Beam
 from cgid.measure.features import extract_array
 from cgid.scene.schema import Scene, parse_scene
@@ -43,7 +43,7 @@ _RATES, _NOISES = (0.5, 1.5), (0.3, 10.0)
 #: A found impact belongs to the strongest blow that touches from this long before it to this long after it [s].
 _BEFORE, _AFTER = 4e-3, 1.5e-3
 #: Impacts found a rock, about; and streams, at least, to train on and to finish with.
-_IMPACTS_A_ROCK, _FEWEST_STREAMS = 1.6, 8
+_IMPACTS_A_ROCK, _MIN_STREAMS = 1.6, 8
 #: This share of the impacts in streams of its own is unknown to a model by its last guard.
 UNKNOWN_SHARE = 0.035
 
@@ -203,8 +203,8 @@ def _blow_of(found: Floats, touch: Floats, peak: Floats) -> NDArray[np.intp]:
 def numbers_of_streams(scene: Scene, n_impacts: int) -> tuple[int, int]:
     """Return how many streams of a scene hold about `n_impacts` to train on, and how many finish the model."""
     each = _IMPACTS_A_ROCK * _rate_of(scene) * DURATION
-    n_streams = max(math.ceil(n_impacts / each), _FEWEST_STREAMS)
-    return n_streams, max(n_streams // 3, _FEWEST_STREAMS)
+    n_streams = max(math.ceil(n_impacts / each), _MIN_STREAMS)
+    return n_streams, max(n_streams // 3, _MIN_STREAMS)
 
 
 def train_on_streams(
@@ -243,7 +243,7 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     left = max(1 - UNKNOWN_SHARE * found / len(rows.labels), 0.0)
     # Tighter than in the training, whose rows of streams reach far: another beam must be unknown, too.
     last = model.guards[-1]
-    limit = max(float(np.quantile(rows.columns((last,)), left)), LEAST_LIMITS.get(last, 0.0))
+    limit = max(float(np.quantile(rows.columns((last,)), left)), MIN_LIMITS.get(last, 0.0))
     model = replace(model, guard_limits=(*model.guard_limits[:-1], limit))
     heard = [_heard(model, stream) for stream in streams]
     confusion = Confusion.of_streams(heard)

@@ -35,7 +35,7 @@ _JUMP, _JUMP_TIME = 3.0, 2e-3
 #: Two blows within this time are a double tap [s].
 DOUBLE = 0.1
 #: Shortest decay [s], and its least part of the median one.
-SHORTEST, _LEAST_PART = 30e-3, 0.5
+SHORTEST, _MIN_PART = 30e-3, 0.5
 #: Longest decay that is used [samples].
 _LONGEST = 1 << 18
 #: A clipped response holds its extreme for three samples, at least at this share of the largest deviation.
@@ -358,7 +358,7 @@ def _required(taps: list[Tap], times: Sequence[float] | None, source: str) -> li
 def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
     """Return the taps, those with too short a decay with a flaw."""
     free = np.array([(tap.stop - tap.start) / sampling_rate for tap in taps if not tap.flaw])
-    needed = max(SHORTEST, _LEAST_PART * float(np.median(free))) if free.size else SHORTEST
+    needed = max(SHORTEST, _MIN_PART * float(np.median(free))) if free.size else SHORTEST
     out = []
     for tap in taps:
         own = max(tap.stop - tap.start, 0) / sampling_rate

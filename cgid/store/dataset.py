@@ -11,7 +11,7 @@ import numpy as np
 from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.files import check_new, clear_half_written, require_room, whole_file
 from cgid.signals import Batch
-from cgid.store.description import DIGEST, FORMAT, LARGEST_SHARD
+from cgid.store.description import DIGEST, FORMAT, MAX_SHARD_SIZE
 from cgid.store.disk import hdf5_on_disk
 from cgid.store.folder import MAX_FILES, Description, describe
 from cgid.store.hdf5 import ShardBuilder, ShardPlan, lay_out, say_kind
@@ -29,10 +29,10 @@ def describe_dataset(output: Path, plan: ShardPlan, n_signals: int, shard_signal
     single = is_single_file(output)
     shard_signals = n_signals if single else min(shard_signals, n_signals)
     size, n_shards = plan.size(shard_signals), -(-n_signals // shard_signals)
-    if size > LARGEST_SHARD:
+    if size > MAX_SHARD_SIZE:
         cure = "give a name that does not end in .h5, for a folder" if single else "ask for smaller"
         raise InvalidValue(
-            f"a shard must be at most {LARGEST_SHARD >> 30} GiB, {shard_signals} signals make "
+            f"a shard must be at most {MAX_SHARD_SIZE >> 30} GiB, {shard_signals} signals make "
             f"{size / 2**30:.3g} GiB: {cure}"
         )
     if n_shards > MAX_FILES:

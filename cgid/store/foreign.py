@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.store.description import DAMAGE
-from cgid.store.gates import MOST_ATTRIBUTES, cache_size, damage_told, missing_chunks, storage_fault
+from cgid.store.gates import MAX_ATTRIBUTES, cache_size, damage_told, missing_chunks, storage_fault
 
 #: A recording has fewer objects and levels.
-_MOST_OBJECTS, _DEEPEST = 10_000, 32
+_MAX_OBJECTS, _DEEPEST = 10_000, 32
 #: Longer attributes are neither rates nor units.
-_LONGEST_ATTRIBUTE = 4096
+_MAX_ATTRIBUTE_LENGTH = 4096
 #: Longer lists and texts are neither units nor names.
-_LONGEST_LIST, _LONGEST_TEXT = 4096, 200
+_MAX_LIST_LENGTH, _MAX_TEXT_LENGTH = 4096, 200
 #: Slots of the chunk cache.
 _SLOTS = 10_007
 #: Where MATLAB stores the targets of cells and objects.
@@ -34,7 +34,7 @@ _MATLAB_INNER = ("#refs#", "#subsystem#")
 _MATLAB_NAMES = frozenset(("MATLAB_class", "MATLAB_empty"))
 _CURE = "save it again as plain arrays"
 #: Bytes of a column read at once.
-_LONGEST_PART = 1 << 24
+_MAX_PART = 1 << 24
 _CUT_OFF = (
     "the HDF5 file is cut off or damaged",
     "copy it again, or if it is a dataset, see what cgid.store or --index say of it",
@@ -128,7 +128,7 @@ def _add_texts(
             lost.append(name)
             continue
         words = [value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in found]
-        if 0 < len(words) <= _LONGEST_LIST and all(isinstance(t, str) and len(t) <= _LONGEST_TEXT for t in words):
+        if 0 < len(words) <= _MAX_LIST_LENGTH and all(isinstance(t, str) and len(t) <= _MAX_TEXT_LENGTH for t in words):
             own = attributes[owner] if owner in attributes else values.setdefault(owner, {})
             own[name] = words[0] if len(words) == 1 else words
     return lost
@@ -154,7 +154,7 @@ def foreign_columns(path: Path, needed: Sequence[str]) -> tuple[list[str], int]:
         for name, item in columns.items():
             if fault := storage_fault(item, path.stat().st_size):
                 raise BadData(f"{source}: {name} {fault}; the file is damaged, write it again")
-            step = max(_LONGEST_PART // item.dtype.itemsize, 1)
+            step = max(_MAX_PART // item.dtype.itemsize, 1)
             for first in range(0, len(item), step):
                 with damage_told(source, f"{name} cannot be read", "the file is damaged, write it again"):
                     item[first : first + step]
@@ -229,22 +229,22 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
 
 
 def _require_few(n_objects: int, depth: int, source: str) -> None:
-    if n_objects > _MOST_OBJECTS or depth > _DEEPEST:
+    if n_objects > _MAX_OBJECTS or depth > _DEEPEST:
         raise BadData(
-            f"{source}: a recording has at most {_MOST_OBJECTS} parts and {_DEEPEST} levels, here are more; {_CURE}"
+            f"{source}: a recording has at most {_MAX_OBJECTS} parts and {_DEEPEST} levels, here are more; {_CURE}"
         )
 
 
 def _attributes(item: Any, path: str, wanted: Callable[[str], bool], texts: list[tuple[str, str]]) -> dict[str, Any]:
     """Return the wanted attributes of fixed size; add those of variable length to `texts`."""
     found: dict[str, Any] = {}
-    for name in list(item.attrs)[:MOST_ATTRIBUTES]:
+    for name in list(item.attrs)[:MAX_ATTRIBUTES]:
         if name not in _MATLAB_NAMES and not wanted(name):
             continue
         with suppress(*DAMAGE):
             stored = item.attrs.get_id(name)
             size = int(np.prod(stored.shape, dtype=np.int64)) if stored.shape is not None else 0
-            if not 0 < size <= _LONGEST_ATTRIBUTE or stored.dtype.itemsize * size > 16 * _LONGEST_ATTRIBUTE:
+            if not 0 < size <= _MAX_ATTRIBUTE_LENGTH or stored.dtype.itemsize * size > 16 * _MAX_ATTRIBUTE_LENGTH:
                 continue
             if _is_text_of_any_length(stored.dtype):
                 texts.append((path, name))
@@ -265,7 +265,7 @@ def _plain(values: NDArray[Any]) -> Any:
 
 def _value(item: h5py.Dataset, matlab: str, file_size: int) -> Any:
     """Return the value of a dataset of one number or of texts, None if it is too long or cannot be read."""
-    if not 0 < item.size * item.dtype.itemsize <= _LONGEST_ATTRIBUTE or storage_fault(item, file_size):
+    if not 0 < item.size * item.dtype.itemsize <= _MAX_ATTRIBUTE_LENGTH or storage_fault(item, file_size):
         return None
     with suppress(*DAMAGE):
         read = np.asarray(item[()])

@@ -20,15 +20,15 @@ from cgid.errors import BadData, CgidError, NoInput, optional
 from cgid.store.description import DAMAGE
 
 #: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
-_LARGEST_CHUNK = 64 << 20
+_MAX_CHUNK_SIZE = 64 << 20
 #: The best ratio of deflate; no recording compresses better with other filters.
 BEST_RATIO = 1100
 #: Exception: silence, most of a long frame without noise. Zstandard and Blosc2 pack 512 KiB of it to some 30 bytes.
 _BEST_RATIO_OF_SILENCE = 1 << 15
 #: Limits of the chunk cache [bytes], which avoids unpacking a chunk again for every block.
-_LEAST_CACHE, _LARGEST_CACHE = 1 << 20, 128 << 20
+_MIN_CACHE, _MAX_CACHE = 1 << 20, 128 << 20
 #: Longest name of a format [bytes].
-_LONGEST_NAME = 4096
+_MAX_NAME_LENGTH = 4096
 _DEFLATE, _CHECKSUM = 1, 3
 #: Allowed filters: deflate, shuffle, checksum, LZF; with hdf5plugin Zstandard and Blosc2. Others, such as n-bit and
 #: scale-offset, trust parameters in the file.
@@ -48,8 +48,8 @@ def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_R
         return f"declares {declared} bytes and holds {min(stored, file_size)}"
     if item.chunks is None:
         return ""
-    if chunk_bytes(item) > _LARGEST_CHUNK:
-        return f"has chunks of more than {_LARGEST_CHUNK >> 20} MiB"
+    if chunk_bytes(item) > _MAX_CHUNK_SIZE:
+        return f"has chunks of more than {_MAX_CHUNK_SIZE >> 20} MiB"
     filters = codes_of(item)
     for code in filters:
         if not _is_unpacked(code):
@@ -81,7 +81,7 @@ def missing_chunks(item: h5py.Dataset) -> str:
 def cache_size(item: h5py.Dataset, across: int | None) -> int:
     """Return the size of the chunks for one moment of all channels [bytes]; `across` is the axis of the channels."""
     side_by_side = 1 if across is None or not item.chunks else -(-item.shape[across] // item.chunks[across])
-    return min(max(_LEAST_CACHE, side_by_side * chunk_bytes(item)), _LARGEST_CACHE)
+    return min(max(_MIN_CACHE, side_by_side * chunk_bytes(item)), _MAX_CACHE)
 
 
 def chunk_bytes(item: h5py.Dataset) -> int:
@@ -135,7 +135,7 @@ def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
 
 
 #: Limits of the members of a group, the attributes of an object and their size [bytes]; our files have a few dozen.
-_MOST_MEMBERS, MOST_ATTRIBUTES, _LARGEST_ATTRIBUTES = 4096, 256, 8 << 20
+_MAX_MEMBERS, MAX_ATTRIBUTES, _MAX_ATTRIBUTES = 4096, 256, 8 << 20
 #: Datasets with a checked chunk index; the key contains the state of the file.
 _found_sound: set[tuple[Any, ...]] = set()
 
@@ -215,7 +215,7 @@ def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best
     fault = storage_fault(dataset, about.st_size, best_ratio) or missing_chunks(dataset)
     if fault:
         raise BadData(f"{source}: {dataset.name[1:]} {fault}; the file is damaged or hostile, generate it again")
-    if len(_found_sound) >= _MOST_MEMBERS:
+    if len(_found_sound) >= _MAX_MEMBERS:
         _found_sound.clear()
     _found_sound.add(key)
 
@@ -231,22 +231,22 @@ def members(file: h5py.File, name: str, source: str) -> list[str]:
     if not is_inside(file, name) or not isinstance(file[name], h5py.Group):
         raise BadData(f"{source}: {name} must be a group of the file itself; it is missing, a link or a dataset")
     group = file[name]
-    if len(group) > _MOST_MEMBERS:
-        raise BadData(f"{source}: {name} must hold at most {_MOST_MEMBERS} columns, it has {len(group)}")
+    if len(group) > _MAX_MEMBERS:
+        raise BadData(f"{source}: {name} must hold at most {_MAX_MEMBERS} columns, it has {len(group)}")
     return list(group)
 
 
 def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
     """Return the attributes that are one number or one fixed-length string; cgid writes and reads no others."""
     found: dict[str, Any] = {}
-    room = _LARGEST_ATTRIBUTES
-    if len(item.attrs) > MOST_ATTRIBUTES:
-        raise BadData(f"{source}: {item.name} must have at most {MOST_ATTRIBUTES} attributes, got {len(item.attrs)}")
+    room = _MAX_ATTRIBUTES
+    if len(item.attrs) > MAX_ATTRIBUTES:
+        raise BadData(f"{source}: {item.name} must have at most {MAX_ATTRIBUTES} attributes, got {len(item.attrs)}")
     for name in item.attrs:
         stored = item.attrs.get_id(name)
         room -= stored.dtype.itemsize + len(name)
         if room < 0:
-            raise BadData(f"{source}: attributes of {item.name} must take at most {_LARGEST_ATTRIBUTES >> 20} MiB")
+            raise BadData(f"{source}: attributes of {item.name} must take at most {_MAX_ATTRIBUTES >> 20} MiB")
         # Python has no numbers of more than eight bytes.
         if stored.shape == () and (
             stored.dtype.kind == "S" or (stored.dtype.kind in "biuf" and stored.dtype.itemsize <= 8)
@@ -260,6 +260,6 @@ def format_of(path: Path) -> str:
     """Return the attribute `format` of the root, "" if there is none; raises `BadData` if the file cannot be opened."""
     with opened(path, str(path)) as file:
         stored = file.attrs.get_id("format") if "format" in file.attrs else None
-        if stored is None or stored.shape != () or stored.dtype.kind != "S" or stored.dtype.itemsize > _LONGEST_NAME:
+        if stored is None or stored.shape != () or stored.dtype.kind != "S" or stored.dtype.itemsize > _MAX_NAME_LENGTH:
             return ""
         return bytes(file.attrs["format"]).decode(errors="replace")

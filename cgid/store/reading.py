@@ -24,7 +24,7 @@ from cgid.terminal import counted
 from cgid.units import quantity_of
 
 #: Most signals read at once, and their largest size [bytes].
-_ROWS, _LARGEST_BATCH = 1024, 32 << 20
+_ROWS, _MAX_BATCH = 1024, 32 << 20
 #: Samples and impacts of a recording read at once.
 _BLOCK, _IMPACTS = 1 << 20, 1 << 16
 #: What all shards of a dataset have in common.
@@ -192,7 +192,7 @@ class Dataset:
     def _read(self, number: int, first: int, stop: int, n_rows: int | None) -> Iterator[Batch]:
         state = self._state(number)
         row = self.header.n_samples * np.dtype(self.header.dtype).itemsize
-        length = n_rows or max(1, min(_ROWS, _LARGEST_BATCH // row))
+        length = n_rows or max(1, min(_ROWS, _MAX_BATCH // row))
         names = ["signals", "labels", "specimen", *(f"parameters/{name}" for name in self.header.parameter_units)]
         with closing(rows(self._shards[number], names, first, stop, length, state)) as parts:
             for part in parts:

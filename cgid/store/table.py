@@ -40,7 +40,7 @@ TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
 #: Part of the header of every table in any format.
 _SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
 #: Footers of Parquet tables are shorter [bytes].
-_LARGEST_FOOTER = 1 << 24
+_MAX_FOOTER_SIZE = 1 << 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -435,8 +435,8 @@ def _is_own_parquet(path: str | Path) -> bool:
         size, magic = struct.unpack("<I4s", stream.read(8))
         if magic != b"PAR1":
             return False
-        stream.seek(max(end - min(size, _LARGEST_FOOTER), 0))
-        return _SAYS_SO in stream.read(_LARGEST_FOOTER)
+        stream.seek(max(end - min(size, _MAX_FOOTER_SIZE), 0))
+        return _SAYS_SO in stream.read(_MAX_FOOTER_SIZE)
 
 
 def _read_csv(path: str | Path) -> Table:

@@ -35,7 +35,7 @@ from cgid.measure.filters import mixing_matrix
 from cgid.measure.fit_samples import by_length, tied
 from cgid.measure.least_squares import solve_scaled
 from cgid.measure.likelihood import Profile, profile
-from cgid.measure.optimum import LARGEST_STEPS, bounded, normal_equations
+from cgid.measure.optimum import MAX_STEPS, bounded, normal_equations
 from cgid.measure.template import (
     HIGHEST_SHAPE,
     LOWEST_SHAPE,
@@ -53,7 +53,7 @@ from cgid.validation import Floats
 #: White noise that is always added, over the peak: the accuracy of the pulse as a curve.
 _FLOOR = 1e-5
 #: Most points of a window, and of a frame: longer ones are averaged over equal runs, and frames cut around the window.
-_LONGEST, _MOST_POINTS = 320, 4096
+_LONGEST, _MAX_POINTS = 320, 4096
 #: The peaks that set the ratio of two noises are rounded to such steps of their logarithm.
 _LEVEL_STEP = 0.05
 #: Evaluations of the search for the most likely pulse.
@@ -330,8 +330,8 @@ class Frames:
         before, after = self.first // run, (n_samples - self.first) // run
         points = min(-(-length // run), after)
         # Of a long frame, what lies around the window.
-        before = min(before, max(_MOST_POINTS // 4, _MOST_POINTS - after))
-        after = min(after, max(_MOST_POINTS - before, points))
+        before = min(before, max(_MAX_POINTS // 4, _MAX_POINTS - after))
+        after = min(after, max(_MAX_POINTS - before, points))
         frames = self.samples[rows, self.first - before * run : self.first + after * run].astype(np.float64)
         frames = frames.reshape(rows.size, before + after, run).mean(axis=2)
         levels, scale = (part[rows] for part in self._scales)
@@ -401,7 +401,7 @@ def _most_likely(frames: Frames, near: Floats, lowest: float, highest: float) ->
     """Return the most likely parameters, (n, 5), and the standard deviation of the shape, (n,)."""
     found, deviation = near.copy(), np.empty(len(near))
     longest = near.copy()
-    longest[:, 3] = np.maximum(longest[:, 3] - LARGEST_STEPS[2], LOWEST_SHAPE)
+    longest[:, 3] = np.maximum(longest[:, 3] - MAX_STEPS[2], LOWEST_SHAPE)
     for first in range(0, len(near), 256):
         block = slice(first, first + 256)
         for part, points in frames.whitened(block, longest[block]):

@@ -44,7 +44,7 @@ _ELEMENTS = 14
 #: If the sphere has more than this share of the compliance, the plate's mesh may grow faster.
 _SPHERE_ALONE = 0.75
 #: "auto" chooses implicit steps if the contact needs more explicit ones than this.
-_MOST_EXPLICIT = 50_000
+_MAX_EXPLICIT = 50_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,7 +204,7 @@ class FiniteElementImpact:
         """The method that runs, with "auto" resolved."""
         if self.method != "auto":
             return self.method
-        return "implicit" if float(self.hertz.contact_duration) > _MOST_EXPLICIT * self.stable_time_step else "explicit"
+        return "implicit" if float(self.hertz.contact_duration) > _MAX_EXPLICIT * self.stable_time_step else "explicit"
 
     def run(self, progress: Progress | None = None) -> History:
         """Simulate the impact and return its history.

@@ -25,7 +25,7 @@ LOWER_FACES = ("fixed", "free")
 #: Both bodies are meshed evenly out to this many contact radii; only there may the surfaces touch.
 REACH = 2.3
 #: Most nodes of a plate; more would take hours.
-MOST_NODES = 200_000
+MAX_NODES = 200_000
 #: Elements over the contact radius: the fewest (with less, pressure and radius rest on two or three nodes), those for a
 #: peak force within 1 %, and the most.
 _FEWEST, _ONE_PERCENT, _MOST = 5, 7, 60
@@ -147,9 +147,9 @@ def plate_mesh(thickness: float, radius: float, contact_places: Floats, growth: 
         (contact_places, contact_places[-1] + _growing(last, growth, radius - contact_places[-1], thickness / 2))
     )
     z = -np.concatenate(([0.0], _growing(first, growth, thickness, thickness / 2)))
-    if r.size * z.size > MOST_NODES:
+    if r.size * z.size > MAX_NODES:
         raise InvalidValue(
-            f"the mesh of the plate must have at most {MOST_NODES} nodes, got {r.size} x {z.size} for a radius of "
+            f"the mesh of the plate must have at most {MAX_NODES} nodes, got {r.size} x {z.size} for a radius of "
             f"{radius:.4g} m and a thickness of {thickness:.4g} m; use another of these, or fewer elements"
         )
     rs, zs = np.meshgrid(r, z, indexing="ij")
@@ -199,7 +199,7 @@ def _growing(first: float, growth: float, length: float, largest: float) -> Floa
     while ends[-1] < length:
         step = min(step * growth, largest)
         ends.append(ends[-1] + step)
-        if len(ends) > MOST_NODES:
+        if len(ends) > MAX_NODES:
             break
     return np.asarray(ends) * (length / ends[-1])
 

@@ -21,10 +21,10 @@ PER_DURATION, AT_ONCE = 2000, 25
 #: The run continues for this fraction of Hertz's duration after the contact, and ends at the latest at this multiple.
 AFTERWARDS, LONGEST = 0.25, 12.0
 #: Fewest and most steps per duration of a Hertz impact: fewer do not resolve it, more take hours.
-FEWEST_STEPS, MOST_STEPS = 50, 1_000_000
+MIN_STEPS, MAX_STEPS = 50, 1_000_000
 #: Default explicit step over the stable one, and fewest steps between records: a contact that begins or ends within a
 #: step loses energy in proportion to the squared step, and a coarse mesh would allow large steps.
-_CAUTION, _FEWEST_PER_RECORD = 0.9, 2
+_CAUTION, _MIN_PER_RECORD = 0.9, 2
 #: Default implicit steps per duration: errors of about .1 % of the peak force, .2 % of the duration.
 STEPS_PER_DURATION = 500
 #: Retardation times beyond this multiple of the duration make a body rigid.
@@ -90,10 +90,10 @@ def collected(run: Run, pair: Pair, duration: float, progress: Progress | None) 
 
 def _require_resolved(contact_duration: float, step: float) -> None:
     """Raise `InvalidValue` for a contact of only a few steps: a light plate ends it long before Hertz's theory does."""
-    if contact_duration < FEWEST_STEPS * step:
+    if contact_duration < MIN_STEPS * step:
         raise InvalidValue(
-            f"time_step must be at most a {FEWEST_STEPS}th of the contact, which lasted {contact_duration:.3g} s, got "
-            f"{step:.3g} s; use {contact_duration / (4 * FEWEST_STEPS):.2g} s"
+            f"time_step must be at most a {MIN_STEPS}th of the contact, which lasted {contact_duration:.3g} s, got "
+            f"{step:.3g} s; use {contact_duration / (4 * MIN_STEPS):.2g} s"
         )
 
 
@@ -106,10 +106,10 @@ def require_times_fit(retardation: tuple[float, float], time_step: float | None,
         )
     if time_step is None:
         return
-    longest, shortest = duration / FEWEST_STEPS, duration / MOST_STEPS
+    longest, shortest = duration / MIN_STEPS, duration / MAX_STEPS
     if not shortest <= time_step <= longest:
         raise InvalidValue(
-            f"time_step must lie between {shortest:.3g} and {longest:.3g} s, {MOST_STEPS} and {FEWEST_STEPS} steps "
+            f"time_step must lie between {shortest:.3g} and {longest:.3g} s, {MAX_STEPS} and {MIN_STEPS} steps "
             f"of the contact of Hertz's theory, got {time_step:.3g} s; leave it out and it is chosen"
         )
 
@@ -145,9 +145,9 @@ def explicit(
     A step beyond the stability limit raises `InvalidValue`.
     """
     limit = stable_time_step(pair, retardation)
-    if limit * MOST_STEPS < duration:
+    if limit * MAX_STEPS < duration:
         raise InvalidValue(
-            f"the explicit method needs steps of {limit:.3g} s here, and may take at most {MOST_STEPS} in the contact "
+            f"the explicit method needs steps of {limit:.3g} s here, and may take at most {MAX_STEPS} in the contact "
             f"of {duration:.3g} s; use method implicit"
         )
     step, stride = _step_and_stride(limit, duration / PER_DURATION, time_step)
@@ -156,7 +156,7 @@ def explicit(
 
 def _step_and_stride(limit: float, interval: float, time_step: float | None) -> tuple[float, int]:
     if time_step is None:
-        stride = max(_FEWEST_PER_RECORD, int(np.ceil(interval / (_CAUTION * limit))))
+        stride = max(_MIN_PER_RECORD, int(np.ceil(interval / (_CAUTION * limit))))
         return interval / stride, stride
     if time_step > limit:
         raise InvalidValue(
