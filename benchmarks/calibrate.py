@@ -278,7 +278,7 @@ def main() -> None:
                         start_error=start / 100,
                         participation_error=0.2 * options.alone,
                         dimension_error=0.0 if options.alone else options.shapes / 100,
-                        most_blows=options.impacts,
+                        max_impacts=options.impacts,
                     )
                 except BadData as error:
                     print(f"{start:4g} %  {seed:>3}  exact modes {best:.4f}, refused: {error}", flush=True)

@@ -312,7 +312,7 @@ def masses(n: int, name: str = "caving") -> None:
     print("| mass [kg] | true | found | corrected | 90 % | share found |\n|---|---|---|---|---|---|")
     for k in range(len(true)):
         print(
-            f"| {found.edges[k]:.3g} to {found.edges[k + 1]:.3g} | {true[k]} | {found.found[k]:.0f} "
+            f"| {found.edges[k]:.3g} to {found.edges[k + 1]:.3g} | {true[k]} | {found.detected[k]:.0f} "
             f"| {found.total[k]:.0f} | {found.low_total[k]:.0f} to {found.high_total[k]:.0f} "
             f"| {found.probability[k]:.2f} |"
         )

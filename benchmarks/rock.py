@@ -232,7 +232,7 @@ def table_of_laws(model: Model, n_rows: int, n: int) -> Iterator[Line]:
         kept, others = ([own for law, own in part.items() if law != left_out] for part in (rows, strangers))
         with threadpool_limits(1):
             beyond = joined(others) if others else None
-            trained = train(joined(kept), guards=guards, family=model.family, strangers=beyond).model
+            trained = train(joined(kept), guards=guards, family=model.family, out_of_distribution=beyond).model
         for law in LAWS:
             if left_out in ("nothing", _KINDS[law]):
                 own = impacts[law]

@@ -36,7 +36,7 @@ from cgid.validation import Floats
 
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 
-#: Most signals to judge or train on: they take hours, and give the accuracy to 1e-4.
+#: Maximum number of signals to judge or train on: they take hours, and give the accuracy to 1e-4.
 MOST_SIGNALS = 10_000_000
 #: Draws for the density of one population.
 PRIOR_DRAWS = 1 << 19
@@ -48,12 +48,12 @@ _CACHED = 8
 NODES = 33
 #: A population whose ln(restitution) varies by less than this has its own nodes.
 _NARROW = 0.3
-#: Fewest samples per contact (5 % quantile) for which the integration is trusted.
+#: Minimum number of samples per contact (5 % quantile) for which the integration is trusted.
 MIN_SAMPLES = 5.0
 #: Lowest signal over noise [dB]. At 10 dB some initial fits miss the pulse, and the limit of scene peers is .012 too
 #: high against brute force over 65,536 draws of each population; at 15 dB .002 to .005.
 MIN_SNR = 14.0
-#: Fewest signals to train the learner on.
+#: Minimum number of signals to train the learner on.
 MIN_TRAINING = 100
 #: Blocks of 256 impacts from which to estimate noise and contacts.
 _BLOCKS = 8

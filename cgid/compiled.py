@@ -2,9 +2,10 @@
 
 numba's own cache has an index and data files for each function. Two processes that compile at once may mix them up, a
 damaged file ends the run or changes the numbers, an edit in another file goes unnoticed, and as the files are pickles,
-whoever can write to their folder can run code. Here every compiled kernel is one file in a folder that nobody else can
-write to. Its name contains a hash of everything it depends on, and it begins with the SHA-256 of its name and content.
-A file that cannot be read is compiled anew; one that cannot be written stays in memory: no disk fault ends a run.
+anyone who can write to their folder can run code. Here every compiled kernel is one file in a folder that nobody else
+can write to. Its name contains a hash of everything it depends on, and it begins with the SHA-256 of its name and
+content. A file that cannot be read is compiled anew; one that cannot be written stays in memory: no disk fault ends a
+run.
 
 The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR`, or else in the user's cache folder (`XDG_CACHE_HOME`,
 ~/.cache/cgid on Linux); the digest covers the kernels' sources in cgid and the versions of Python, numpy,

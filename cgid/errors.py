@@ -10,7 +10,7 @@ from typing import Any
 
 
 class CgidError(Exception):
-    """Base of all errors that cgid raises on purpose; `exit_code` is the exit code of the command line.
+    """Base of all errors that cgid raises intentionally; `exit_code` is the exit code of the command line.
 
     Each argument is one error and starts on a new line. Names in an error may contain line breaks, too.
     """

@@ -1,7 +1,7 @@
 """A model as one C99 file: features in, answer out, for controllers and programs without Python.
 
 The file depends on the C library alone, allocates nothing, and has no state. It repeats `Model.probabilities`,
-`Model.novelty`, `Model.decide` and `Model.prediction_set`; whoever calls it measures the features.
+`Model.novelty`, `Model.decide` and `Model.prediction_set`; anyone who calls it measures the features.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from cgid.validation import Floats
 
 __all__ = ["c_source"]
 
-#: Most numbers in an exported file: 8 MiB of constants in double precision.
+#: Maximum number of numbers in an exported file: 8 MiB of constants in double precision.
 MAX_NUMBERS = 1 << 20
 #: Largest and smallest constants of a file that may be compiled with single precision.
 _SINGLE = (1e-37, 1e37)

@@ -84,7 +84,7 @@ def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
 def force(tau: ArrayLike, restitution: ArrayLike) -> Floats:
     """Return the dimensionless force f(tau; e) in units of `K L^(3/2)`, (..., n_times), zero outside contact.
 
-    `tau` (..., n_times) is the time since touch in units of T0, `restitution` (...) one number for each row of it.
+    `tau` (..., n_times) is the time since onset in units of T0, `restitution` (...) one number for each row of it.
     """
     return _evaluate(table().force, 3, tau, restitution)
 

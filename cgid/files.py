@@ -255,7 +255,8 @@ def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) ->
         )
 
 
-# ---- files from strangers --------------------------------------------------------------------------------------------
+# ---- untrusted files
+# --------------------------------------------------------------------------------------------
 
 
 def require_regular(path: str | Path, what: str, largest: int) -> int:

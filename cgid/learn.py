@@ -59,7 +59,7 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Names of features or banks, such as `"mel_*_hz"`; by default all features of pulses, or with `scene` those that
         `cgid train` takes for vibrations of its beam.
     pre_trigger : int, optional
-        Samples before touch, as in `cgid.extract`.
+        Samples before onset, as in `cgid.extract`.
     remove_baseline : bool
         Whether to subtract the baseline before measuring.
     detection_limit : float

@@ -1,4 +1,4 @@
-"""Public recordings of real impacts, fetched by name: nothing is downloaded unless asked for, nothing comes with cgid.
+"""Public recordings of real impacts, downloaded by name on request.
 
 Each file has an address at a pinned commit, a size and a SHA-256; all three were taken from a copy of the repository.
 The files are listed in `datasets/public.csv`.

@@ -167,7 +167,7 @@ def _listed(names: Sequence[str]) -> str:
 
 #: File name endings of a report.
 ENDINGS = (".html", ".htm")
-#: Most rows of a table; more make browsers slow.
+#: Maximum number of rows of a table; more make browsers slow.
 MAX_ROWS = 20_000
 _DPI = 130
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 from cgid.errors import NoInput
 
-#: Most files of a folder that are looked at for a suggestion.
+#: Maximum number of files of a folder that are looked at for a suggestion.
 _MAX_FILES = 10_000
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
@@ -92,7 +92,7 @@ def _chosen(
         if path.exists():
             return path
         there = [str(path.with_name(one.name)) for one in islice(path.parent.iterdir(), _MAX_FILES)]
-    except (OSError, ValueError):  # whoever opens it says what is wrong
+    except (OSError, ValueError):  # anyone who opens it says what is wrong
         return path
     others = [name for name in there if name.endswith(ending)]
     hint = validation.suggestion(path.stem, names) or validation.suggestion(str(path), others)

@@ -35,7 +35,7 @@ class Signal:
     channel : str
         Channel of the source.
     pre_trigger : int or None
-        Number of samples before touch, if known.
+        Number of samples before onset, if known.
     start_time : datetime or None
         Time of the first sample, if known.
     warnings : tuple of str
@@ -169,7 +169,7 @@ class Batch:
         [Hz].
     unit : str
     pre_trigger : int
-        Number of samples before touch.
+        Number of samples before onset.
     specimen : ndarray of uint64, (n_signals,)
         Number of the particle; all impacts of a particle belong on the same side of a split.
     parameters : dict of ndarray, each (n_signals,)

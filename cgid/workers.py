@@ -28,7 +28,7 @@ from cgid.errors import ClusterFailed, InvalidValue, optional
 PATIENCE = 10.0
 #: Wait this long without any worker [s]: a dead one may be restarted.
 DESERTED = 60.0
-#: Most processes on this machine.
+#: Maximum number of processes on this machine.
 MAX_JOBS = 1024
 #: Up to this size the common data go with each part and survive the loss of any worker; larger data are sent once to
 #: each worker [bytes].

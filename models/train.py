@@ -245,7 +245,7 @@ def main() -> None:
         family=arguments.family,
         seed=arguments.seed,
         judged_on=scenes[0].sha256,
-        strangers=others,
+        out_of_distribution=others,
     )
     if beam is not None:
         further = streams(arguments.streams // 2, arguments.seed + 11, beam)

@@ -22,7 +22,7 @@ from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of, through_modes
 from cgid.site import calibrate
-from cgid.site.calibration import check_scene, count_crossings, prepare_blows, table_beside, uncertain, usable_blows
+from cgid.site.calibration import check_scene, count_crossings, prepare_blows, table_beside, uncertain, usable_impacts
 from cgid.site.dimensions import dimension_errors, learn_dimensions, with_dimensions
 from cgid.site.learning import POLE_STEP, Blows, System, learn, search_valleys
 from tests.plan_scenes import toml
@@ -97,7 +97,7 @@ def test_unlabelled_blows_teach_the_modes(known, found):
     assert np.median(np.abs(damping[heard])) < 0.2 * np.median(np.abs(error[1, heard]))
     # Its own deviations are right: normal errors rarely pass three.
     assert np.mean(np.abs(after[heard]) < 3 * found.learned.deviation[0][heard]) > 0.85
-    assert found.at_rest and found.n_blows == 60
+    assert found.at_rest and found.n_impacts == 60
 
 
 def test_evidence_tells_what_was_learned(found):
@@ -399,7 +399,7 @@ def test_a_beam_one_per_cent_off_that_nobody_has_learned():
     assert np.median(rows.columns(BEAM_GUARDS)) < 0.5
 
 
-def test_usable_blows_stand_alone(known):
+def test_usable_impacts_stand_alone(known):
     from cgid.identification.detection import ImpactDetector
 
     rng = np.random.default_rng(0)
@@ -408,11 +408,11 @@ def test_usable_blows_stand_alone(known):
     detector = ImpactDetector(RATE, kind="vibration")
     stream = np.concatenate([part for pair in zip(silence, [*blows, np.zeros(0)], strict=True) for part in pair])
     events = detector.feed(stream[None]) + detector.finish()
-    kept, lost = usable_blows(events)
+    kept, lost = usable_impacts(events)
     assert len(kept) >= 4 and len(kept) + sum(lost.values()) == len(events)
     detector = ImpactDetector(RATE, kind="vibration")
     events = detector.feed(np.clip(stream, *np.quantile(stream, [0.01, 0.99]))[None]) + detector.finish()
-    kept, lost = usable_blows(events)
+    kept, lost = usable_impacts(events)
     assert len(kept) + lost["clipped"] == len(events) and lost["clipped"] >= 4
 
 
@@ -440,7 +440,7 @@ def test_scenes_that_cannot_be_calibrated(scene, rate, error, says):
         ({"start_error": np.nan}, InvalidValue, "start_error"),
         ({"drift": -1.0}, InvalidValue, "drift"),
         ({"participation_error": 2.0}, InvalidValue, "participation_error"),
-        ({"most_blows": 0}, InvalidValue, "most_blows"),
+        ({"max_impacts": 0}, InvalidValue, "max_impacts"),
     ],
 )
 def test_numbers_out_of_range(known, changes, error, says):

@@ -7,7 +7,7 @@ from scipy import signal
 from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere, free_fall_velocity
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
-from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
+from cgid.scene import CalibrationImpact, calibrated, parse_scene, synthesise, varied
 from cgid.signals import Signal
 from cgid.units import STANDARD_GRAVITY
 
@@ -105,7 +105,7 @@ def tap(number, **how):
     """A hammer's blow, between two samples."""
     onset, peak = (150.3 + 7.7 * number) / RATE, 1500.0 + 900 * number
     motion, force = recorded(hammer(onset, peak, (0.20 + 0.04 * number) * 1e-3), seed=number, **how)
-    return Blow(motion=motion, force=force)
+    return CalibrationImpact(motion=motion, force=force)
 
 
 def sphere_from(height, radius=0.03):
@@ -121,7 +121,7 @@ def sphere_from(height, radius=0.03):
 def drop(number, **how):
     onset, impact = (190.6 - 11.3 * number) / RATE, sphere_from(0.5 + 0.4 * number)
     motion, _ = recorded(lambda time: impact.force(time - onset), seed=100 + number, **how)
-    return Blow(motion=motion, impact=impact), onset
+    return CalibrationImpact(motion=motion, impact=impact), onset
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_force_that_went_through_no_filter():
     force = hammer(150.4 / RATE, 2e3, 0.6e-3)
     motion, _ = recorded(force)
     raw = Signal(samples=force(np.arange(N_SAMPLES) / RATE), sampling_rate=RATE, unit="N")
-    found = calibrated(scene_of(), [Blow(motion=motion, force=raw, force_filtered=False)])
+    found = calibrated(scene_of(), [CalibrationImpact(motion=motion, force=raw, force_filtered=False)])
     assert found.gain == pytest.approx(1.0, rel=0.005)
     assert abs(found.delays[0]) < 0.05 / RATE
 
@@ -194,7 +194,7 @@ def panel_blows(n, factor=1.0, points=True):
     heard, felt = (next(synthesise(rig, n, seed=3)) for rig in (truth, varied(truth, quantity="force", mounting=None)))
     places = zip(heard.parameters["impact_x"], heard.parameters["impact_y"], strict=True)
     return [
-        Blow(
+        CalibrationImpact(
             motion=Signal(samples=factor * motion, sampling_rate=RATE, unit="m/s^2"),
             force=Signal(samples=force, sampling_rate=RATE, unit="N"),
             impact_point=place if points else None,
@@ -232,7 +232,7 @@ def test_a_scene_without_gain_keeps_its_identity():
 def rebuilt(blow, motion=None, force=None):
     """A blow with samples put through functions."""
     parts = {"motion": (blow.motion, motion), "force": (blow.force, force)}
-    return Blow(
+    return CalibrationImpact(
         **{
             name: Signal(
                 samples=part.samples if change is None else change(part.samples),
@@ -256,25 +256,32 @@ def of(signal_, **changes):
 
 def late(blow):
     """A drop whose recording begins as it touches."""
-    return Blow(motion=of(blow.motion, samples=blow.motion.samples[188:]), impact=blow.impact)
+    return CalibrationImpact(motion=of(blow.motion, samples=blow.motion.samples[188:]), impact=blow.impact)
 
 
 BAD = {
     "blows must be at least 1, got none": lambda tap: calibrated(BEFORE, []),
-    "blows must be of Blow, got Signal": lambda tap: calibrated(BEFORE, [tap.motion]),
-    "either force or impact": lambda tap: Blow(motion=tap.motion),
-    "and not both": lambda tap: Blow(motion=tap.motion, force=tap.force, impact=sphere_from(1.0)),
-    "impact must be one, got 2": lambda tap: Blow(motion=tap.motion, impact=sphere_from(1.0, np.array([0.02, 0.03]))),
-    "must be in N or another unit of force, got 'g'": lambda tap: Blow(motion=tap.motion, force=tap.motion),
-    "must have the samples of its motion": lambda tap: Blow(
+    "blows must be of CalibrationImpact, got Signal": lambda tap: calibrated(BEFORE, [tap.motion]),
+    "either force or impact": lambda tap: CalibrationImpact(motion=tap.motion),
+    "and not both": lambda tap: CalibrationImpact(motion=tap.motion, force=tap.force, impact=sphere_from(1.0)),
+    "impact must be one, got 2": lambda tap: CalibrationImpact(
+        motion=tap.motion, impact=sphere_from(1.0, np.array([0.02, 0.03]))
+    ),
+    "must be in N or another unit of force, got 'g'": lambda tap: CalibrationImpact(
+        motion=tap.motion, force=tap.motion
+    ),
+    "must have the samples of its motion": lambda tap: CalibrationImpact(
         motion=tap.motion, force=of(tap.force, samples=tap.force.samples[:-1])
     ),
     "motion must be acceleration in m/s\\^2 or alike.*got velocity": lambda tap: calibrated(
-        BEFORE, [Blow(motion=of(tap.motion, unit="mm/s"), force=tap.force)]
+        BEFORE, [CalibrationImpact(motion=of(tap.motion, unit="mm/s"), force=tap.force)]
     ),
-    "got no unit": lambda tap: calibrated(BEFORE, [Blow(motion=of(tap.motion, unit=None), force=tap.force)]),
+    "got no unit": lambda tap: calibrated(
+        BEFORE, [CalibrationImpact(motion=of(tap.motion, unit=None), force=tap.force)]
+    ),
     "sampling_rate must be that of scene beam, 25600 Hz, got 51200 Hz": lambda tap: calibrated(
-        BEFORE, [Blow(motion=of(tap.motion, sampling_rate=2 * RATE), force=of(tap.force, sampling_rate=2 * RATE))]
+        BEFORE,
+        [CalibrationImpact(motion=of(tap.motion, sampling_rate=2 * RATE), force=of(tap.force, sampling_rate=2 * RATE))],
     ),
     "must have a sensor of motion": lambda tap: calibrated(varied(BEFORE, quantity="force"), [tap]),
     "motion must stand out of its noise": lambda tap: calibrated(BEFORE, [rebuilt(tap, noise)]),
@@ -291,10 +298,12 @@ BAD = {
     "motion must come from the blow": lambda tap: calibrated(
         scene_of(slice(0, 1)), [rebuilt(tap, lambda samples: np.roll(samples, 900))]
     ),
-    "impact_point must be x and y": lambda tap: Blow(motion=tap.motion, force=tap.force, impact_point=(1.0,)),
+    "impact_point must be x and y": lambda tap: CalibrationImpact(
+        motion=tap.motion, force=tap.force, impact_point=(1.0,)
+    ),
     "impact_point must be given": lambda tap: calibrated(panel_scene(), panel_blows(1, points=False)),
     "impact_point must lie on the beam, y between 0 and 0.8 m, got 0.9": lambda tap: calibrated(
-        panel_scene(), [Blow(motion=tap.motion, force=tap.force, impact_point=(0.5, 0.9))]
+        panel_scene(), [CalibrationImpact(motion=tap.motion, force=tap.force, impact_point=(0.5, 0.9))]
     ),
     "gain must be left out for a force": lambda tap: varied(BEFORE, quantity="force", gain=2.0),
     "gain must not be 0": lambda tap: varied(BEFORE, gain=0.0),

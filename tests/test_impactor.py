@@ -407,7 +407,7 @@ def test_distribution_is_unfolded_and_corrected(population):
     inside = (result.low_total <= true)[counted] & (true <= result.high_total)[counted]
     assert inside.mean() > 0.5
     as_found = np.histogram(np.exp(population.log_mass[rows[found]]), result.edges)[0]
-    assert np.abs(result.found - as_found).sum() < 0.12 * found.sum()
+    assert np.abs(result.detected - as_found).sum() < 0.12 * found.sum()
 
 
 def test_detection_is_learned_from_simulated_impacts():

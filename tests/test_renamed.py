@@ -11,13 +11,18 @@ import numpy as np
 import pytest
 
 import cgid
+import cgid.scene
+import cgid.site
 from cgid.cli.help import RENAMED
 from cgid.cli.main import cli, run
 from cgid.cli.table import written_table
-from cgid.errors import BadData
+from cgid.errors import BadData, CgidError
 from cgid.identification.answers import Answer, identify
 from cgid.identification.manifest import read_manifest
 from cgid.identification.prediction_settings import PredictionSettings
+from cgid.identification.rows import measure
+from cgid.impactor import SizeDistribution
+from cgid.site import SiteCalibration
 from cgid.site.tapping import read_times
 
 ROOT = Path(__file__).parents[1]
@@ -25,6 +30,9 @@ ROOT = Path(__file__).parents[1]
 OBJECTS = {
     "cgid.strikers": "cgid.estimate_impactors",
     "cgid.identification.question.Question": "cgid.identification.prediction_settings.PredictionSettings",
+    "cgid.recordings.LARGEST_STREAM": "cgid.recordings.MAX_STREAM",
+    "cgid.scene.Blow": "cgid.scene.CalibrationImpact",
+    "cgid.site.usable_blows": "cgid.site.usable_impacts",
     "cgid.striker.StrikerColumns": "cgid.impactor.ImpactorColumns",
     "cgid.striker.StrikerPopulation": "cgid.impactor.ImpactorPopulation",
     "cgid.striker.Strikers": "cgid.impactor.ImpactorEstimates",
@@ -60,6 +68,34 @@ def test_arguments() -> None:
     with pytest.warns(FutureWarning, match="settings"):
         found = [answer.label for answer in identify(signal, model, question=settings)]
     assert found == expected
+
+
+def test_arguments_reach_the_function() -> None:
+    """Each function under a former argument fails by the rule of the present one, after the warning."""
+    scene, frames = cgid.load_scene("tail_beam"), np.zeros((1, 64))
+    for call in (
+        lambda: cgid.site.calibrate(scene, frames, 25600.0, 8, most_blows=0),
+        lambda: cgid.scene.calibrated(scene, blows=[]),
+    ):
+        with pytest.warns(FutureWarning, match="impacts="), pytest.raises(CgidError, match="impacts"):
+            call()
+    for function, old, new in ((cgid.train, "strangers", "out_of_distribution"), (measure, "crew", "workers")):
+        with pytest.warns(FutureWarning, match=new), pytest.raises(TypeError, match="missing"):
+            function(**{old: None})
+    with pytest.warns(FutureWarning, match="workers"), pytest.raises(TypeError, match="missing"):
+        cgid.train(crew=None)
+
+
+def test_attributes_of_results() -> None:
+    site = SiteCalibration.__new__(SiteCalibration)
+    object.__setattr__(site, "n_impacts", 7)
+    sizes = SizeDistribution.__new__(SizeDistribution)
+    for old, new in {"found": "detected", "low_found": "low_detected", "high_found": "high_detected"}.items():
+        object.__setattr__(sizes, new, old)
+        with pytest.warns(FutureWarning, match=new):
+            assert getattr(sizes, old) == old
+    with pytest.warns(FutureWarning, match="n_impacts"):
+        assert site.n_blows == 7
 
 
 def test_attribute() -> None:

@@ -1,4 +1,4 @@
-"""The command line: parse, call, print. Only here do the two wings of the package meet."""
+"""The command line: parse, call, print. Only here the two layers of the package meet."""
 
 from cgid.cli.main import cli, main
 

@@ -1,4 +1,4 @@
-"""What predict and monitor say: a table of answers on stdout, and gangue shares, turns and a summary on stderr.
+"""What predict and monitor say: a table of answers on stdout, and gangue fractions, turns and a summary on stderr.
 
 With --json all of it is on stdout, one JSON object per line.
 """
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 ANSWERS_VERSION = 4
 
 
-#: What struck, and its units: the median and the ends of the interval that holds it with 90 %.
+#: The impactor, and its units: the median and the ends of the interval that holds it with 90 %.
 IMPACTOR_UNITS = {"mass": "kg", "radius": "m", "speed": "m/s"}
 
 
 def impactor_columns() -> tuple[Column, ...]:
-    """Return the columns of what struck."""
+    """Return the columns of the impactor."""
     values = (
         numbers(f"{name}{end}", unit, ".4g") for name, unit in IMPACTOR_UNITS.items() for end in ("", "_low", "_high")
     )
@@ -44,7 +44,7 @@ def impactor_columns() -> tuple[Column, ...]:
 def answer_columns(
     model: Model, *, sets: bool = False, datasets: bool = False, impactors: bool = False
 ) -> tuple[Column, ...]:
-    """Return the columns of answers; `sets`, `impactors` if these are asked for, `datasets` if there is one."""
+    """Return the columns of answers; `sets`, `impactors` if these are requested, `datasets` if there is one."""
     return (
         Column("source"),
         Column("channel"),
@@ -127,7 +127,7 @@ class AnswerLines:
             self._table.add(row | {"prediction_set": "+".join(labels or ())})
 
     def share(self, source: str, name: str, share: Share) -> None:
-        """Print the gangue share of a window of a source, or of its channel as `name`."""
+        """Print the gangue fraction of a window of a source, or of its channel as `name`."""
         unknown = f", {share.n_unknown} more unknown" if share.n_unknown else ""
         fraction = f"{share.share:.2f} ({share.low:.2f} to {share.high:.2f})" if share.n_impacts else "not known"
         content = {"from_s": share.start, "to_s": share.time, **_estimate(share)}
@@ -178,7 +178,7 @@ class AnswerLines:
             say(message, err=True)
 
     def _line(self, kind: str, source: str, content: dict[str, Any]) -> None:
-        """Print the content as a line of JSON, if asked for; then the listener hears it."""
+        """Print the content as a line of JSON, if requested; then the listener measures it."""
         line = {"kind": kind, "source": source, **content}
         now = {"wall_time": datetime.now(UTC).isoformat(timespec="milliseconds")}
         if self.as_json:
@@ -231,9 +231,9 @@ class RecordingTally:
         return f"{counted(self.total, self.kind)}: {named}{outside}" + (f", {marks}" if marks else "")
 
 
-#: Most rows that wait for a measurable one.
+#: Maximum number of rows that wait for a measurable one.
 _MAX_PENDING = 1000
-#: Up to this many silent channels are named one by one.
+#: Maximum number of silent channels are named one by one.
 _MAX_SILENT_LISTED = 3
 
 

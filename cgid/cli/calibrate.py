@@ -1,4 +1,4 @@
-"""`cgid calibrate`: learn the modes of one's own beam from a recording of impacts that nobody labelled."""
+"""`cgid calibrate`: learn the modes of your own beam from a recording of impacts that nobody labelled."""
 
 from __future__ import annotations
 
@@ -85,8 +85,9 @@ def calibrate(
     from cgid.files import check_new
     from cgid.scene import load_scene
     from cgid.site import dimensions
-    from cgid.site.calibration import MOST_ROUNDS, check_numbers, check_scene, table_beside
     from cgid.site.calibration import calibrate as calibrated
+    from cgid.site.calibration import check_numbers, check_scene, table_beside
+    from cgid.site.learning import MOST_ROUNDS
 
     path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
     check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
@@ -101,14 +102,14 @@ def calibrate(
         "drift": share_of("--drift", drift),
         "participation_error": share_of("--participation-error", participation_error),
     }
-    check_numbers(**errors, most_blows=impacts)
+    check_numbers(**errors, max_impacts=impacts)
     check_scene(scene, scene.sampling.sampling_rate)
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
     frames, rate, before = _frames(recordings, scene, reading)
     n_rounds = MOST_ROUNDS + dimensions.MOST_ROUNDS * bool(of_dimensions)
     with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
         errors["dimension_error"] = of_dimensions
-        found = calibrated(scene, frames, rate, before, most_blows=impacts, progress=progress, **errors)
+        found = calibrated(scene, frames, rate, before, max_impacts=impacts, progress=progress, **errors)
     found.save(path, overwrite=overwrite)
     if drawing is not None:
         _draw(found, drawing, overwrite)
@@ -124,10 +125,10 @@ def _of_each(text: str) -> float | dict[str, float]:
 
 
 def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tuple[NDArray[np.floating], float, int]:
-    """Return frames of all usable impacts in the unit of the scene's sensor, their rate, and samples before touch."""
+    """Return frames of all usable impacts in the unit of the scene's sensor, their rate, and samples before onset."""
     import numpy as np
 
-    from cgid.site.calibration import FEWEST, frames_of, usable_blows
+    from cgid.site.calibration import FEWEST, frames_of, usable_impacts
 
     if any(reading.wants_whole_dataset(path) for path in recordings):
         if len(recordings) > 1:
@@ -141,7 +142,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
             raise BadData(f"{path}: all recordings must have one sampling rate, got {recording.sampling_rate:g} Hz")
         rate = recording.sampling_rate
         events += _found(recording, scene, reading)
-    kept, lost = usable_blows(events)
+    kept, lost = usable_impacts(events)
     if len(kept) < FEWEST:
         reasons = ", ".join(f"{n} {name}" for name, n in lost.items() if n)
         raise BadData(
@@ -187,7 +188,7 @@ def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
 
 
 def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, int]:
-    """Return the frames of a dataset, their rate and samples before touch."""
+    """Return the frames of a dataset, their rate and samples before onset."""
     import numpy as np
 
     from cgid.store import Dataset
@@ -220,7 +221,7 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
     content = {
         "scene": found.scene.name,
         "site": str(path),
-        "n_impacts": found.n_blows,
+        "n_impacts": found.n_impacts,
         "n_modes": int(modes.frequency.size),
         "n_learned": int(known.sum()),
         "frequency_change": float(np.median(np.abs(change[known]))) if known.any() else None,
@@ -235,7 +236,10 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
     if as_json:
         print_json(content)
     else:
-        say(f"{path}: {counted(found.n_blows, 'impact')}, {content['n_learned']} of {content['n_modes']} modes learned")
+        say(
+            f"{path}: {counted(found.n_impacts, 'impact')}, {content['n_learned']} of {content['n_modes']} modes "
+            "learned"
+        )
         for own in found.dimensions:
             unit, known_to = "" if own.name.endswith("ratio") else " m", f"{100 * own.deviation:.2g} %"
             say(f"{own.name}: {own.before:.5g}{unit} before, {own.after:.5g}{unit} after, known to {known_to}")

@@ -161,7 +161,7 @@ def _find_impacts(recording: RecordingFile, unit: str, reading: Reading) -> list
 
 
 def _peak(event: Event) -> Any:
-    """Return the largest distance from the baseline, of the channel that hears the impact best."""
+    """Return the largest distance from the baseline, of the channel that measures the impact best."""
     import numpy as np
 
     frame = np.atleast_2d(event.samples)

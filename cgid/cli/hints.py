@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 #: The shipped scene with a beam, and its sampling rate [Hz], which a recording to calibrate it by must have.
 SCENE, SCENE_RATE = "tail_beam", 25_600.0
-#: Fewest impacts that calibrate a scene, and that one recording trains on (in blocks of its time, with two labels).
+#: Minimum number of impacts that calibrate a scene, and that one recording trains on (in blocks of its time, with two
+#: labels).
 CALIBRATED, _TRAINED = 20, 16
 #: Decades by which an amplitude may miss the unit that explains it: it is known to a quarter of a decade.
 _SAME_UNIT = 0.3

@@ -14,7 +14,7 @@ from cgid.cli.options import PATH, chain_options, format_option, warn_of_volts
 from cgid.cli.output import print_json, say, warn
 from cgid.cli.table import written_table
 
-#: Most samples of all channels held in memory; longer recordings are read block by block.
+#: Maximum number of samples of all channels held in memory; longer recordings are read block by block.
 MAX_SAMPLES = 1 << 24
 #: Length of the header of an archive's first entry [bytes], and the name that follows it in a model file.
 _LOCAL_HEAD, _HEADER = 30, b"header.npy"

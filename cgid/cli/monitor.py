@@ -1,4 +1,4 @@
-"""`cgid monitor`: a live stream, its impacts and gangue share as they arrive, and when to shut the window."""
+"""`cgid monitor`: a live stream, its impacts and gangue fraction as they arrive, and when to shut the window."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from cgid.identification.prediction_settings import PredictionSettings
     from cgid.plant import PlantOutputs
 
-#: Most data in the queue [bytes].
+#: Maximum number of data in the queue [bytes].
 MAX_WAITING = 128 << 20
-#: Most data taken at once [bytes], because processing takes many times more memory.
+#: Maximum number of data taken at once [bytes], because processing takes many times more memory.
 MAX_READ = 8 << 20
 #: Blocks are joined until they last this long [s], because short ones cost more than they contain,
 MIN_INTERVAL = 0.05
@@ -184,10 +184,11 @@ def monitor(
 
     Plant outputs (pip install 'cgid[plant]') send the lines to brokers, PLCs, commands and web pages, without delay.
 
-    Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue share of
-    its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than it
-    brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
-    after a window at the earliest (--hold). Nothing is dropped: whoever is slower than the stream says how far behind.
+    Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue fraction
+    of its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than
+    it brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
+    after a window at the earliest (--hold). Nothing is dropped: anyone who is slower than the stream says how far
+    behind.
     """
     from cgid.identification.prediction_settings import SHARE_TIME
     from cgid.recordings.chain import Chain
@@ -215,7 +216,7 @@ def monitor(
 
 
 def _plant_outputs(given: dict[str, str]) -> AbstractContextManager[PlantOutputs | None]:
-    """Return the outputs that were asked for; without any, nothing of them is imported."""
+    """Return the outputs that were requested; without any, nothing of them is imported."""
     if not given:
         return nullcontext()
     from cgid.plant import PlantOutputs

@@ -60,7 +60,7 @@ def plot(
 ) -> None:
     """Draw the recording FILE: waveform, spectrogram and spectrum of each channel, and the impacts found in it.
 
-    The length of the recording does not matter: it is read block by block. Impacts are looked for in each channel by
+    The length of the recording does not matter: it is read block by block. Impacts are searched for in each channel by
     itself, as cgid predict does it.
     """
     from cgid.files import write_whole

@@ -1,4 +1,4 @@
-"""`cgid predict`: a table of the impacts found, the gangue share, a summary; and the page for --report."""
+"""`cgid predict`: a table of the impacts found, the gangue fraction, a summary; and the page for --report."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def impactor_columns_for(scene: str | None, *, keep: bool) -> ImpactorColumns | None:
-    """Return what says what struck, among the rocks of a scene; None without one."""
+    """Return what says the impactor, among the rocks of a scene; None without one."""
     if scene is None:
         return None
     from cgid.impactor import ImpactorColumns
@@ -95,7 +95,7 @@ def _report(recording: RecordingFile, passing: _Passing, model: Model, model_nam
 
 @dataclass(frozen=True, kw_only=True)
 class _Prediction:
-    """The settings for all files; `reports` collects what a page shows of each recording, if one is asked for."""
+    """The settings for all files; `reports` collects what a page shows of each recording, if one is requested."""
 
     models: Models
     settings: PredictionSettings
@@ -275,7 +275,7 @@ class _Tally:
     cls=Command, short_help="Identify the material of the impacts in recordings.", example="cgid predict --sample"
 )
 @click.argument("files", type=PATH, nargs=-1, metavar="FILE...")
-@click.option("--sample", is_flag=True, help="Use the recording that comes with cgid, of what the model expects.")
+@click.option("--sample", is_flag=True, help="Use the bundled sample recording.")
 @answering_options
 @click.option(
     "--report", type=PATH, metavar="PAGE", help="Write one page (.html) with pictures and answers of the recordings."
@@ -317,8 +317,8 @@ def predict(
     outside of what the model was trained on (novelty above 1), or with --coverage when several labels, or none, are
     left.
 
-    Recordings of several impacts have a gangue share over a sliding window, with the interval that holds it with 95 %,
-    a line SHUT where going on surely (--evidence) costs more than it brings, and a summary; these go to stderr. With
+    Recordings of several impacts have a gangue fraction over a sliding window, with the interval that holds it with 95
+    %, a line SHUT where going on surely (--evidence) costs more than it brings, and a summary; these go to stderr. With
     --json all of it goes to stdout in lines that have a kind: impact, window, share, shut, open, warning, summary.
     """
     from cgid import shipped

@@ -171,7 +171,7 @@ def written_table(path: str) -> WrittenTable | None:
     try:
         read = readers.get(file.suffix.lower()) if file.is_file() else None
         columns, n_rows = ([], 0) if read is None else read(file)
-    except OSError:  # whoever opens it next says why
+    except OSError:  # anyone who opens it next says why
         return None
     if not any(set(head) <= set(columns) for head in _HEADS):
         return None

@@ -54,7 +54,7 @@ class Answer:
     channel : str
         Channel name; a window of several channels joins their names by "+".
     overlapping : bool
-        Whether another impact began before this one had died away.
+        Whether another impact began before this one had decayed.
     clipped : bool
         Whether samples stand at the limit of the recorder.
     cut : bool
@@ -66,7 +66,7 @@ class Answer:
     level : float
         Logarithm of its peak force over what the training expects of such a pulse; nan without one.
     impactor : mapping or None
-        What struck, where the settings ask for it.
+        The impactor, where the settings ask for it.
     """
 
     time: float
@@ -284,7 +284,7 @@ def identify_frames(
     settings : PredictionSettings, optional
         Only its settings of decision count, such as costs and coverage.
     pre_trigger : int or None
-        Samples before touch, which show baseline and noise; None if they follow from the pulse itself.
+        Samples before onset, which show baseline and noise; None if they follow from the pulse itself.
     drop_height : float or array_like, (n_signals,), optional [m]
         For a model that needs it.
     detection_limit : float

@@ -25,7 +25,7 @@ Record = Mapping[str, Any]
 Section = tuple[str, list[str]]
 #: The pictures that belong to a model.
 PICTURES = ("confusion", "reliability", "roc")
-#: Most features that a card lists.
+#: Maximum number of features that a card lists.
 _MAX_NAMES = 60
 _SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs", "window": "recordings in windows"}
 _FEW = f"With fewer than {MIN_GROUPS} groups of a label the next day may be much worse than the intervals say."

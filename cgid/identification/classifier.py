@@ -26,7 +26,7 @@ from cgid.identification.families import Contrast, Linear, Neighbourhood, Networ
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
-#: Most rows of either side that a contrast learns from, and its iterations.
+#: Maximum number of rows of either side that a contrast learns from, and its iterations.
 _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
 #: Share of the known rows inside the limit of a contrast: of `anything`, .86 instead of .81 are strange if .3 % of the
 #: known are, and not .1 %.
@@ -141,7 +141,7 @@ def _network(settings: ImpactClassifier) -> Any:
 
 
 def contrast_of(known: Floats, strangers: Floats, linear: tuple[int, ...], seed: int) -> Contrast:
-    """Return what tells known rows (n, n_features) from strangers: its limit is kept by 99.7 % of the known."""
+    """Return a contrast of known and out-of-distribution rows (n, n_features); 99.7 % of the known are within its limit."""
     pick = np.random.default_rng(seed)
     rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, strangers)]
     inputs, stranger = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])

@@ -42,7 +42,7 @@ MIN_SCATTER = 0.035
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreamAnswers:
-    """What was heard of a recording with known rocks."""
+    """What was measured of a recording with known rocks."""
 
     logits: Floats  # (n,) of the probability of the second label; nan for unknown impacts
     second: NDArray[np.bool_]  # (n,) whether the rock has the second label

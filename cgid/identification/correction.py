@@ -35,7 +35,8 @@ from cgid.measure.features import FEATURES
 from cgid.units import quantity_of
 from cgid.validation import Floats
 
-#: Fewest labelled impacts inside the training of the model; of fewer the interval of the accuracy says nothing.
+#: Minimum number of labelled impacts inside the training of the model; of fewer the interval of the accuracy says
+#: nothing.
 MIN_LUMPS = 10
 #: Prior deviations of a bias, of ln of the slope, and of ln of the gain.
 _BIAS, _SLOPE, _GAIN = 0.7, 0.3, 0.2
@@ -47,7 +48,7 @@ _GAINS = np.linspace(-2.0, 2.0, 9)
 _INTERCEPTS = {"boosting": "baseline", "linear": "intercepts", "logistic": "intercepts", "network": "biases_3"}
 #: Metrics that a model keeps of the site it was corrected for.
 _REPORTED = ("accuracy", "accuracy_interval_95", "recall", "confusion", "log_loss", "expected_calibration_error")
-#: Most folds of held-out impacts: up to this number of impacts each is one.
+#: Maximum number of folds of held-out impacts: up to this number of impacts each is one.
 _MAX_FOLDS = 50
 #: Half width of an interval that is wished for.
 _NARROW = 0.05

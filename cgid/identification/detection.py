@@ -27,9 +27,9 @@ from cgid.measure.vibration import MIN_EVENT
 from cgid.signals import Signal
 from cgid.validation import Floats, require_rate
 
-#: Later samples within this time belong to the same blow, because a struck body rings [s].
+#: Later samples within this time belong to the same impact, because a struck body rings [s].
 DEAD_TIME = 2e-3
-#: The same for vibrations. If the next blow follows sooner, too little is left to measure.
+#: The same for vibrations. If the next impact follows sooner, too little is left to measure.
 VIBRATION_DEAD_TIME = MIN_EVENT
 #: Highest sampling rate [Hz]; no recorder of impacts is faster, and frames would fill the memory.
 FASTEST = 2e7
@@ -68,7 +68,7 @@ class ImpactDetector:
     Attributes
     ----------
     pre_trigger : int or None
-        Samples of each frame that are certainly before touch; None if it follows from each pulse.
+        Samples of each frame that are certainly before onset; None if it follows from each pulse.
     n_samples, n_quiet : int
         Length of a frame, and of its part before the onset. The frame of a longer pulse is longer.
 

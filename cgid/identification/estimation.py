@@ -40,7 +40,7 @@ class Estimates:
     ----------
     peak, contact_duration, baseline : ndarray, (n,)
     onset : ndarray, (n,) [s]
-        Time of touch after the first sample.
+        Time of onset after the first sample.
     restitution : ndarray, (n,)
         Above 1 for a pulse that rises more slowly than it falls.
     covariance : ndarray, (n, 5, 5)
@@ -161,17 +161,17 @@ def estimate(
     sampling_rate : float
         [Hz].
     pre_trigger : int, optional
-        Samples before touch, whose mean is the baseline and whose standard deviation is the noise; by default all up to
+        Samples before onset, whose mean is the baseline and whose standard deviation is the noise; by default all up to
         the foot of the pulse.
     noise : float or array_like, (n_signals,), optional
         Standard deviation of the noise, if known and white; by default its level and colour are those of the samples
-        before touch.
+        before onset.
     fit_baseline : bool
         Whether to fit a constant together with the pulse (after the removal).
     remove_baseline : bool
-        Whether to subtract the mean before touch first.
+        Whether to subtract the mean before onset first.
     onset : float or array_like, (n_signals,), optional
-        Time of touch after the first sample [s], if known.
+        Time of onset after the first sample [s], if known.
     clip_level : float or array_like, (n_signals,), optional
         Limit of the sensor; by default the top level that at least three samples share.
     bandwidth : float, optional

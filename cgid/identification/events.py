@@ -33,7 +33,7 @@ LEAD_TIME = 1e-3
 #: The detected onset of the next impact may be this late [s].
 _LATE = 0.5e-3
 #: A detected impact must rise this many standard deviations above the quiet part of its frame. The limit is lower than
-#: elsewhere, because the previous blow may still ring there.
+#: elsewhere, because the previous impact may still ring there.
 FOUND_LIMIT = 2.0
 #: With at least this many samples before an impact, missing ones are mirrored.
 _ENOUGH = 8
@@ -70,7 +70,7 @@ class Event:
     Attributes
     ----------
     channel : int
-        Where it was heard; of joint channels, the one with the strongest signal.
+        Where it was measured; of joint channels, the one with the strongest signal.
     onset, end : int
         Index in the recording of its first sample, and of the first sample after it.
     samples : ndarray, (n_samples,) or (n_channels, n_samples)
@@ -79,7 +79,7 @@ class Event:
         recording begins there, by the quietest stretch of the frame.
     sampling_rate : float [Hz]
     pre_trigger : int or None
-        Samples of the frame that are certainly before touch; None if it follows from the pulse itself.
+        Samples of the frame that are certainly before onset; None if it follows from the pulse itself.
     overlapping : bool
         Whether another impact begins before this one is over, or this one before the previous is over.
     clipped : bool

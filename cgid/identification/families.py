@@ -63,7 +63,7 @@ class Standardiser:
     def apply(self, features: Floats) -> Floats:
         """Return the standardised rows."""
         logs = np.log(np.maximum(features, self.floor), where=self.logarithmic, out=features.copy())
-        with np.errstate(over="ignore"):  # whoever looks at infinite rows says so
+        with np.errstate(over="ignore"):  # anyone who looks at infinite rows says so
             return np.asarray((logs - self.mean) / self.scale)
 
     def at(self, standardised: float) -> Floats:
@@ -151,7 +151,7 @@ class Neighbourhood:
         return np.asarray(np.argmax((offsets * (white @ self.whitening))[nearest, rows], axis=1))
 
 
-#: Most trees, and nodes on a path from root to leaf: each row passes through all trees.
+#: Maximum number of trees, and nodes on a path from root to leaf: each row passes through all trees.
 _MAX_TREES, _MAX_DEPTH = 1 << 15, 256
 
 
@@ -392,7 +392,7 @@ class Network(Family):
 
 @dataclass(frozen=True)
 class Contrast:
-    """Novelty against anything else: a network that tells the training from strangers, or a line drowned windows.
+    """Novelty from a network trained against other impacts, or from a line trained against noise.
 
     The distance to the training does not know what else there is; among many laws, lumps and noises it forgives too
     much. The score of a network trained on both is the logarithm of the ratio of their densities, up to a constant;
@@ -430,7 +430,7 @@ class Contrast:
         return self.standardiser.arrays(self.PREFIX) | {self.PREFIX + name: array for name, array in stored.items()}
 
     def scores(self, features: Floats) -> Floats:
-        """Return ln of the odds that rows are strangers, up to a constant, or of the power of noise."""
+        """Return log odds of being out of distribution, up to a constant, or log power of noise."""
         return self.scorer.scores(self.standardiser.apply(features))
 
     def novelty(self, features: Floats) -> Floats:

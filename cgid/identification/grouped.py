@@ -30,11 +30,12 @@ from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independe
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
 
-#: Most folds: up to this number of groups each is a fold; more groups share this many folds.
+#: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds.
 MAX_FOLDS = 20
-#: Fewest blocks of time of a single recording; more, up to `MAX_FOLDS`, where a label would lie in too few of them.
+#: Minimum number of blocks of time of a single recording; more, up to `MAX_FOLDS`, where a label would lie in too few
+#: of them.
 MIN_BLOCKS = 8
-#: Impacts on two channels within this time are one blow [s].
+#: Impacts on two channels within this time are one impact [s].
 _ONE_BLOW = 10e-3
 Weights = Mapping[str, float] | str | None
 

@@ -514,7 +514,7 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
     """Yield annotation, times and features of the impacts in annotated intervals; the detector sees all samples.
 
-    As in prediction, each channel is a sensor of its own: a blow is a row for each channel that hears it.
+    As in prediction, each channel is a sensor of its own: an impact is a row for each channel that measures it.
     """
     recording = file.recording
     sign = file.upright

@@ -44,7 +44,7 @@ ENDINGS = (
     *(".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".wav", ".flac", ".ogg", ".npy", ".npz", ".h5", ".hdf5"),
     *(".hdf", ".mat", ".tdms", ".uff", ".unv", ".parquet"),
 )
-#: Most characters of a label, group or sensor.
+#: Maximum number of characters of a label, group or sensor.
 _MAX_WORD_LENGTH = 100
 #: Largest size [bytes] and number of keys of a manifest.
 MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
@@ -72,7 +72,7 @@ _OF_RECORDINGS = {
     "gain": "recording_gain",
     "rate": "sampling_rate",
 }
-#: Most mistakes reported at once.
+#: Maximum number of mistakes reported at once.
 _MAX_MISTAKES = 20
 
 

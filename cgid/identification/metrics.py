@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _BINS = 10
 #: Durations of the running votes that are judged [s].
 VOTE_TIMES = (0.5, 1.0)
-#: Fewest groups with misses (or hits) from which to estimate how much groups differ.
+#: Minimum number of groups with misses (or hits) from which to estimate how much groups differ.
 MIN_GROUPS = 3
 
 
@@ -89,7 +89,7 @@ def evaluate_sets(
 ) -> list[dict[str, Any]]:
     """Return the results of prediction sets, one row per attainable coverage, as plain numbers for JSON.
 
-    Each has the coverage asked for and achieved (overall and by label), the shares of sets with a single label, several
+    Each has the coverage requested and achieved (overall and by label), the shares of sets with a single label, several
     and none, and the accuracy of the single ones (None if there are none).
     """
     truth = labels[:, None] == np.array(classes)[None]
@@ -147,7 +147,7 @@ def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> t
     return max(float(low), 0.0), min(float(high), 1.0)
 
 
-#: A recording or interval of fewer rows than this has no vote worth naming; a blow on two channels is two rows.
+#: A recording or interval of fewer rows than this has no vote worth naming; an impact on two channels is two rows.
 MIN_VOTING = 3
 
 

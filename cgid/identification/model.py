@@ -54,7 +54,7 @@ MAX_FILE_SIZE = 64 << 20
 _MAX_MESSAGE_LENGTH = 400
 #: A beam is looked through at sampling rates from this share of the training's on.
 MIN_SHARE = 0.5
-#: Fewest groups of recordings of a label whose spread shows how much the next one may differ (assumed).
+#: Minimum number of groups of recordings of a label whose spread shows how much the next one may differ (assumed).
 MIN_GROUPS = 5
 #: Limit of the numbers held in memory during prediction.
 _MAX_BLOCK = 1 << 20
@@ -191,7 +191,7 @@ class Model:
 
     @property
     def unexplained(self) -> float:
-        """Median share of energy that the beam left unexplained in the training [%]; 0 where the file does not say."""
+        """Median unexplained energy of the training [%]; 0 if the file does not state it."""
         return float(self.training.get(UNEXPLAINED, 0.0))
 
     @property
@@ -253,7 +253,8 @@ class Model:
         """Return the novelty of each impact, (n_impacts,); above 1 it is outside the training range.
 
         This is the largest of the Mahalanobis distance to the nearest class and the guards, each divided by the limit
-        that 99.9 % of the training impacts keep; and of the novelty against strangers, if the training had some.
+        that 99.9 % of the training impacts keep; and of the novelty against out-of-distribution impacts, if the
+        training had some.
 
         Parameters
         ----------
@@ -292,7 +293,7 @@ class Model:
 
     @cached_property
     def contrast(self) -> Contrast | None:
-        """What tells the training from anything else; None if the training had no strangers."""
+        """What tells the training from anything else; None if the training had no out-of-distribution impacts."""
         return Contrast.from_arrays(self.arrays, len(self.inputs) - len(self.known) + len(self.guards))
 
     @cached_property

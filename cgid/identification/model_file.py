@@ -40,7 +40,7 @@ VOTE_CORRELATION = "vote_correlation"
 
 # -- the archive ------------------------------------------------------------------------------------------
 
-#: Most arrays of a model, and longest directory of its archive [bytes].
+#: Maximum number of arrays of a model, and longest directory of its archive [bytes].
 MAX_ENTRIES, _MAX_DIRECTORY_SIZE = 64, 64 * 128
 _MAX_AXES = 3
 _TYPES = ("<f8", "<i4", "<i8", "|b1", "|u1")
@@ -226,7 +226,7 @@ MAX_CHANNELS = 64
 #: Prefix of the arrays of the standardiser.
 STANDARDISER = "standardiser."
 MAX_LABELS, _MAX_SENSORS = 1000, 1000
-#: Most characters of a label or sensor name.
+#: Maximum number of characters of a label or sensor name.
 _MAX_WORD_LENGTH = 100
 #: Families of earlier versions, no longer supported.
 _DROPPED = ("discriminant",)

@@ -37,7 +37,7 @@ _SETTINGS = (
 
 
 def load_model(model: str | Path = "default") -> Model:
-    """Load a model from a file, or one that comes with cgid.
+    """Load a model from a file, or one that is bundled with cgid.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def predict(
 
     Examples
     --------
-    A blow of 8 kN, half a sine of 0.4 ms, in 10 ms of noise.
+    An impact of 8 kN, half a sine of 0.4 ms, in 10 ms of noise.
 
     >>> import numpy as np
     >>> time = np.arange(2000) / 200e3

@@ -21,7 +21,7 @@ __all__ = ["PredictionSettings"]
 
 #: Impacts identified in one batch, which costs little more than a single one.
 BATCH = 256
-#: Default window of a gangue share [s].
+#: Default window of a gangue fraction [s].
 SHARE_TIME = 10.0
 #: Shortest window of a share [s]: a shorter one holds too few impacts, and an hour would have millions of shares.
 MIN_SHARE_TIME = 0.05
@@ -77,7 +77,7 @@ class PredictionSettings:
     batch : int
         Number of impacts to collect before identification; 1: no waiting.
     share_time : float, optional [s]
-        Window of a gangue share; None: `SHARE_TIME`.
+        Window of a gangue fraction; None: `SHARE_TIME`.
     share_step : float, optional [s]
         Time between the ends of successive windows of shares; None: half a window.
     gangue : tuple of str
@@ -91,7 +91,7 @@ class PredictionSettings:
     give_up : float, optional [s]
         A channel that is unreadable for this long is given up; None: `cgid.recordings.gaps.GIVE_UP`.
     impactors : ExtraColumns, optional
-        Says what struck, such as `cgid.impactor.ImpactorColumns`.
+        Says the impactor, such as `cgid.impactor.ImpactorColumns`.
     """
 
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -196,7 +196,7 @@ class PredictionSettings:
             model.equalisation(sensor)
         return [*self.sensors] * (len(channels) // len(self.sensors))
 
-    # -- gangue share ---------------------------------------------------------------------------------
+    # -- gangue fraction ---------------------------------------------------------------------------------
 
     @property
     def share_length(self) -> float:

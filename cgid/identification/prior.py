@@ -2,7 +2,7 @@
 
 Without the shape, peak and duration are the scales of an impact, `P0 = K L^(3/2)` and `T0 = L / v`. They follow from
 size, material and speed and do not depend on the loss. Their density and that of the shape are therefore kept
-separately, as smoothed histograms of draws. scipy is imported on use: telling what struck needs numpy alone.
+separately, as smoothed histograms of draws. scipy is imported on use: telling the impactor needs numpy alone.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ A pulse points upwards from a baseline that may drift. It begins where the signa
     b(t) = max over s < t of 2 d(s) exp(-(t - s) / 20 ms)
 
 with the noise sigma, the height h above the baseline, and the depth d below it where it exceeds 6 sigma. a excludes the
-echoes of a blow. b excludes ringing of 200 Hz or more, which swings below the baseline as far as above; each swing
-renews it. Both decay, so no blow, however high, hides another some tens of milliseconds later. Both end where the
+echoes of an impact. b excludes ringing of 200 Hz or more, which swings below the baseline as far as above; each swing
+renews it. Both decay, so no impact, however high, hides another some tens of milliseconds later. Both end where the
 signal shows that nothing rings: after 5 ms with no sample beyond 6 sigma and a power near that of the noise.
 """
 
@@ -26,12 +26,12 @@ from cgid.validation import Floats
 
 #: An impact rises above this many standard deviations of the noise.
 THRESHOLD_OVER_NOISE = 6.0
-#: A blow begins and ends where it crosses this share of its own peak.
+#: An impact begins and ends where it crosses this share of its own peak.
 THRESHOLD_OVER_PEAK = 0.05
-#: A new blow must rise above `THRESHOLD_OVER_PEAK` of the previous one, and above this many times the depth to which
+#: A new impact must rise above `THRESHOLD_OVER_PEAK` of the previous one, and above this many times the depth to which
 #: the signal swings below its baseline.
 RISE_OVER_SWING = 2.0
-#: No ringing swings deeper than this many times the height of the blow before it.
+#: No ringing swings deeper than this many times the height of the impact before it.
 _DEEPEST = 2.0
 #: Time constants of the decay of these two thresholds [s].
 ECHO_TIME, SWING_TIME = 10e-3, 20e-3
@@ -73,7 +73,7 @@ class _Levels:
 
 @dataclass
 class _Ringing:
-    """State of a channel after its blows: both thresholds, the height of the blows, and the samples that were quiet.
+    """State of a channel after its impacts: thresholds, heights, and quiet samples.
 
     `quiet` counts the samples since the last one beyond the noise, `energy` is the sum of their squares.
     """
@@ -106,7 +106,7 @@ class _Ringing:
 
 @dataclass
 class _Blow:
-    """A blow in progress: the indices of its high samples, and their heights and limits in each channel of its row."""
+    """An impact in progress: indices, heights and limits of its high samples in each channel."""
 
     onset: Onset
     places: list[NDArray[np.intp]] = field(default_factory=list)
@@ -119,8 +119,8 @@ class PulseOnsets:
 
     Each channel counts by itself or, if `joint`, a pulse in one channel is one in all. The noise is 1.4826 times the
     median absolute deviation; where most samples are equal, the smallest step below the median. A recording shorter
-    than `START_CHUNKS` is one window. High samples at most `dead_time` [s] apart belong to one blow. A blow ends after
-    `longest` samples at the latest; a signal that stays high starts no new one until it falls.
+    than `START_CHUNKS` is one window. High samples at most `dead_time` [s] apart belong to one impact. An impact ends
+    after `longest` samples at the latest; a signal that stays high starts no new one until it falls.
 
     `chunk`: `take` accepts multiples of this many samples, at first `START_CHUNKS` chunks or more; `lag`: onsets within
     this many samples of the end so far may not be known yet; `rise, fall`: largest deviation above and below the
@@ -259,10 +259,10 @@ class PulseOnsets:
                 ringing.update(size, energy, limit / THRESHOLD_OVER_NOISE, self._quiet)
         return np.repeat(needed, self._hop)[: heights.size]
 
-    # -- blows ----------------------------------------------------------------------------------------
+    # -- impacts ----------------------------------------------------------------------------------------
 
     def _grouped(self, row: int, places: NDArray[np.intp], samples: Floats, levels: _Levels, read: Read) -> list[Onset]:
-        """Return the blows that begin with these high samples."""
+        """Return the impacts that begin with these high samples."""
         if not places.size:
             return []
         groups, channels, inside = [], np.array(self._rows[row])[:, None], places - self._taken
@@ -294,12 +294,12 @@ class PulseOnsets:
         return self._taken - latest > self._gap or self._taken >= onset.sample + self._longest
 
     def end_of(self, onset: Onset, samples: Floats) -> int:
-        """Return the number of samples from its onset to the end of a blow."""
+        """Return the number of samples from its onset to the end of an impact."""
         assert onset.last is not None
         return onset.last + 1 - onset.sample
 
     def _close(self, row: int, read: Read) -> None:
-        """End the open blow of a row, and trim it to where it crosses a share of its peak."""
+        """End the open impact of a row, and trim it to where it crosses a share of its peak."""
         blow = self._open[row]
         self._open[row] = None
         if blow is None:

@@ -1,4 +1,4 @@
-"""The gangue share over a sliding window of impacts, and when to shut the window.
+"""The gangue fraction over a sliding window of impacts, and when to shut the window.
 
 The mean of the probabilities does not estimate the share. A model trained on as much gangue as coal gives .3 to a coal
 that might well be gangue; among such coal alone, the mean stays at .3. The estimate is therefore by likelihood: what
@@ -51,7 +51,7 @@ _NODES = 401
 
 @dataclass(frozen=True, kw_only=True)
 class Share:
-    """The share of gangue among the impacts of a window.
+    """The gangue fraction among the impacts of a window.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True)
 class NoConfusion:
-    """Probabilities that are believed, of a model with this share of gangue in its training: like a `Confusion`.
+    """Probabilities that are believed, of a model with this gangue fraction in its training: like a `Confusion`.
 
     Raises `InvalidValue` unless the share lies within (0, 1).
     """
@@ -133,7 +133,7 @@ def answers_of(model: Model, gangue: Collection[str]) -> Confusion | NoConfusion
 
 
 class ShareWindow:
-    """The impacts of the last seconds, and their gangue share.
+    """The impacts of the last seconds, and their gangue fraction.
 
     Parameters
     ----------
@@ -283,13 +283,13 @@ def _blur(scatter: float) -> Floats | None:
     return np.asarray(matrix / matrix.sum(axis=0))
 
 
-#: Fewest impacts for a decision; with fewer, the uniform prior would decide.
+#: Minimum number of impacts for a decision; with fewer, the uniform prior would decide.
 MIN_IMPACTS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """Going on costs more than shutting, or less again, with the evidence that was asked for."""
+    """Going on costs more than shutting, or less again, with the evidence that was requested."""
 
     time: float  # end of the first window that shows it [s]
     shut: bool  # True: shut the window; False: going on pays again

@@ -79,7 +79,7 @@ MANY = 100_000
 MIN_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
 #: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
 MAX_LIMITS = {"unexplained": MAX_UNEXPLAINED}
-#: Fewest calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
+#: Minimum number of calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
 FEWEST_CALIBRATION_SPECIMENS = 20
 
 
@@ -113,7 +113,7 @@ class Training:
         return f"Training({model}; accuracy {accuracy:.3f} on {len(self.test_labels)} test rows)"
 
 
-@renamed_arguments(crew="workers")
+@renamed_arguments(crew="workers", strangers="out_of_distribution")
 def train(
     data: Iterable[Batch] | Rows,
     *,
@@ -128,7 +128,7 @@ def train(
     class_weights: Weights = None,
     level_free: bool = False,
     synthetic: Rows | None = None,
-    strangers: Rows | None = None,
+    out_of_distribution: Rows | None = None,
     beam: Beam | None = None,
     shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
@@ -167,7 +167,7 @@ def train(
     synthetic : Rows, optional
         Impacts of scenes or datasets, with the features and unit of the recorded ones. They train but never judge;
         their levels are shifted to those of the recordings.
-    strangers : Rows, optional
+    out_of_distribution : Rows, optional
         Impacts of anything else, with the features and guards of the model; their labels do not matter. The model
         learns to tell them from its own, which sharpens its novelty. Not for recordings.
     beam : Beam, optional
@@ -216,7 +216,7 @@ def train(
         is_open = features is None and names == DEFAULT_FEATURES and not isinstance(data, Rows)
         open_sets = pulse_sets(len(rows.labels)) if is_open else (names,)
         fitted = (open_sets, limiting, family or "logistic", class_weights, seed, workers, record)
-        return _tried_on_left_out(rows, parts, strangers, *fitted)
+        return _tried_on_left_out(rows, parts, out_of_distribution, *fitted)
     sets = {"asked for": names} if names else sets_for(rows.kind, level_free=level_free)
     candidates = candidates_for(sets, rows.names, family or "linear")
     training_set = TrainingSet(rows=rows, candidates=candidates, weights=class_weights, seed=seed)
@@ -371,7 +371,7 @@ def _split(
 def _tried_on_left_out(
     rows: Rows,
     parts: Mapping[str, NDArray[np.bool_]],
-    strangers: Rows | None,
+    out_of_distribution: Rows | None,
     open_sets: tuple[tuple[str, ...], ...],
     guards: tuple[str, ...],
     family: str,
@@ -408,8 +408,8 @@ def _tried_on_left_out(
         conformal = _calibrated(classifier, inputs[calibration], labels[calibration], specimen[calibration], seed)
         probabilities = classifier.predict_proba(inputs[test])
         contrast = None
-        if strangers is not None:
-            known, others = rows.columns(names + guards)[training], strangers.columns(names + guards)
+        if out_of_distribution is not None:
+            known, others = rows.columns(names + guards)[training], out_of_distribution.columns(names + guards)
             contrast = contrast_of(known, others, linear_columns(names + guards), seed)
             record = {**record, "n_strangers": len(others)}
     classes = tuple(str(label) for label in classifier.classes_)

@@ -1,10 +1,10 @@
-"""Onsets of blows in ringing vibrations: a sudden rise of the energy in most bands.
+"""Onsets of impacts in ringing vibrations: a sudden rise of the energy in most bands.
 
 A struck beam rings for longer than the next rock takes to fall, and motors hum all the time. So no level of the signal
-indicates a blow. But a blow brings energy to several frequency bands within a millisecond, while ringing only decays
-and noise is steady. In each of `BANDS`, the energy of the next 2 ms is divided by that of the 4 ms before, or by the
-noise of the band if that is more. The rise is the squared mean of the square roots of these ratios. The root keeps a
-single band from deciding: two beating modes swell one band, a blow most of them.
+indicates an impact. But an impact brings energy to several frequency bands within a millisecond, while ringing only
+decays and noise is steady. In each of `BANDS`, the energy of the next 2 ms is divided by that of the 4 ms before, or by
+the noise of the band if that is more. The rise is the squared mean of the square roots of these ratios. The root keeps
+a single band from deciding: two beating modes swell one band, an impact most of them.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ HOP_TIME, _MIN_HOP = 0.5e-3, 8
 #: Bands above `HIGHEST` times the sampling rate are left out.
 BANDS = (0.8, 1.6, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0)
 HIGHEST = 0.45
-#: A blow is where the rise exceeds this.
+#: An impact is where the rise exceeds this.
 RISE = 3.0
-#: The energy of a blow is also this many times that of the noise. White noise alone does not reach it in ten minutes;
-#: at 10 kHz, where windows have few samples, it does two or three times.
+#: The energy of an impact is also this many times that of the noise. White noise alone does not reach it in ten
+#: minutes; at 10 kHz, where windows have few samples, it does two or three times.
 RISE_OVER_NOISE = 3.2
 #: Hops compared: from a place on, and before it, with one hop in between.
 _NOW, _BEFORE = 3, 8
-#: A blow affects the rise for this many hops. After that, another blow within the dead time is detectable.
+#: An impact affects the rise for this many hops. After that, another impact within the dead time is detectable.
 _REACH = 8
 #: Length of the windows for the noise, a mean energy in each band [hops]: 20 ms, a period of the mains.
 _WINDOW_HOPS = 40
@@ -55,14 +55,14 @@ _ONSET_RATE = 25_600.0
 
 
 class VibrationOnsets:
-    """Find blows in vibrations in chunks of samples; nan is a missing sample.
+    """Find impacts in vibrations in chunks of samples; nan is a missing sample.
 
-    Each channel counts by itself or, if `joint`, a blow in one channel is one in all. A rise within `dead_time` [s]
-    after a blow, at least 4 ms, is not a new one.
+    Each channel counts by itself or, if `joint`, an impact in one channel is one in all. A rise within `dead_time` [s]
+    after an impact, at least 4 ms, is not a new one.
 
     `hop`: samples from one window to the next; `chunk`: `take` accepts multiples of this many samples, at first
     `START_CHUNKS` chunks or more; `lag`: onsets within this many samples of the end so far may not be known yet;
-    `steepest`: highest rise so far, (n_channels,); a blow is above `RISE`.
+    `steepest`: highest rise so far, (n_channels,); an impact is above `RISE`.
     """
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
@@ -185,10 +185,10 @@ class VibrationOnsets:
         rise[np.isnan(rise)] = 0.0
         return np.asarray(rise.reshape(n_channels, n_hops))
 
-    # -- blows ----------------------------------------------------------------------------------------
+    # -- impacts ----------------------------------------------------------------------------------------
 
     def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
-        """Take the next chunks (n_channels, k chunk) and return the blows that begin in them.
+        """Take the next chunks (n_channels, k chunk) and return the impacts that begin in them.
 
         `read` returns earlier samples. `n_known` marks the last chunk and is the number of its real samples.
         """
@@ -201,7 +201,7 @@ class VibrationOnsets:
         rises = np.concatenate([self._rises, self._rises_of(energies, noise, rounding)], axis=1)
         first = self._n_hops - self._rises.shape[1]
         self._n_hops += n_hops
-        # A blow is at the maximum of the rise within three hops.
+        # An impact is at the maximum of the rise within three hops.
         n_decided = rises.shape[1] - 2 if n_known is None else rises.shape[1] - n_hops + known
         self._rises = rises[:, n_decided:]
         rows = rises.max(axis=0, keepdims=True) if self._joint else rises

@@ -28,9 +28,9 @@ VOTE_TIME = 0.5
 MAX_WINDOW = 10.0
 #: Shortest hop, as a share of the window; the longest is `MAX_WINDOW`.
 FINEST_HOP = 0.01
-#: Most windows in a vote, because each vote sums all of them.
+#: Maximum number of windows in a vote, because each vote sums all of them.
 _MAX_VOTING = 10_000
-#: Most windows yielded at once, because measuring them takes memory.
+#: Maximum number of windows yielded at once, because measuring them takes memory.
 _MAX_WINDOWS = 512
 #: Power of a window over the noise added to it [dB] from which a noisy copy still teaches its label: of the windows of
 #: the ramp more than eight of ten are answered right at 20 dB, and fewer than three of four at 10 dB.

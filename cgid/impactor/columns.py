@@ -1,4 +1,4 @@
-"""What struck as `cgid predict --impactor` asks for it: columns beside the answers, and the sizes of a recording."""
+"""The impactor as `cgid predict --impactor` asks for it: columns beside the answers, and the sizes of a recording."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SEED, _MATCH_TIME = 0x5EED_0004, 2e-3
 
 
 class ImpactorColumns:
-    """Say what struck beside each answer of a model: the `impactors` of the settings.
+    """Say the impactor beside each answer of a model: the `impactors` of the settings.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class ImpactorColumns:
         pre_trigger: int | None,
         detection_limit: float,
     ) -> list[dict[str, Any]]:
-        """Return what struck in each frame (n_signals, n_samples) in the unit of the model.
+        """Return the impactor in each frame (n_signals, n_samples) in the unit of the model.
 
         The names are those of `QUANTITIES`, alone and with `_low` and `_high`, and `impactor_problem`; None where
         nothing is known.

@@ -1,4 +1,4 @@
-"""The distribution of what struck in a recording: unfolded, and corrected for what is too small to be found.
+"""The distribution of the impactor in a recording: unfolded, and corrected for what is too small to be found.
 
 Posteriors may not simply be added up: each leans towards the population. The distribution is the one that makes the
 fitted pulses of all impacts most likely together, by expectation and maximisation (Shepp and Vardi 1982, IEEE Trans.
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cgid import validation
+from cgid.deprecated import renamed_attribute
 from cgid.errors import BadData, InvalidValue
 from cgid.impactor.measured import MeasuredPulses
 from cgid.impactor.posterior import QUANTITIES, ImpactorPopulation
@@ -27,7 +28,7 @@ _CLASSES, _MAX_CLASSES, _STEPS, _RESAMPLED = 16, 200, 60, 200
 _SMOOTHING = 0.08
 #: Impacts of a class of which a smaller share is found cannot be counted.
 MIN_DETECTED = 0.1
-#: Fewest impacts.
+#: Minimum number of impacts.
 _MIN_IMPACTS = 5
 #: Steps of a fit of the probability to be found, and the longest.
 _NEWTON, _MAX_STEP = 100, 0.5
@@ -92,7 +93,7 @@ class SizeDistribution:
         "mass", "radius" or "speed".
     edges : ndarray, (n_classes + 1,)
         In the unit of `QUANTITIES`.
-    found, low_found, high_found : ndarray, (n_classes,)
+    detected, low_detected, high_detected : ndarray, (n_classes,)
         Impacts found, and their 90 % interval; those without an interval of their own count as being like the others.
     total, low_total, high_total : ndarray, (n_classes,)
         Impacts, found or not; nan where less than `MIN_DETECTED` of a class is found.
@@ -104,15 +105,19 @@ class SizeDistribution:
 
     quantity: str
     edges: Floats
-    found: Floats
-    low_found: Floats
-    high_found: Floats
+    detected: Floats
+    low_detected: Floats
+    high_detected: Floats
     total: Floats
     low_total: Floats
     high_total: Floats
     probability: Floats
     n_impacts: int
     n_unknown: int
+
+    found = renamed_attribute("found", "detected")
+    low_found = renamed_attribute("low_found", "low_detected")
+    high_found = renamed_attribute("high_found", "high_detected")
 
 
 def size_distribution(
@@ -123,7 +128,7 @@ def size_distribution(
     detection: Detection | None = None,
     edges: ArrayLike | None = None,
 ) -> SizeDistribution:
-    """Return the distribution of what struck in a recording.
+    """Return the distribution of the impactor in a recording.
 
     Parameters
     ----------
@@ -181,10 +186,11 @@ def size_distribution(
     counts[1:] = np.maximum(counts[1:] + np.sqrt(of_class) * rng.standard_normal(of_class.shape), 0.0)
     total = np.where(rarely_found, np.nan, counts / detection_probability)
     total[1:] = np.maximum(total[1:] + missed_noise, 0.0)
-    low_found, high_found = np.quantile(counts[1:], [0.05, 0.95], axis=0)
+    low_detected, high_detected = np.quantile(counts[1:], [0.05, 0.95], axis=0)
     low_total, high_total = np.quantile(total[1:], [0.05, 0.95], axis=0)
     return SizeDistribution(
-        quantity, np.exp(log_edges), counts[0], low_found, high_found, total[0], low_total, high_total, probability,
+        quantity, np.exp(log_edges), counts[0], low_detected, high_detected, total[0], low_total, high_total,
+        probability,
         n, len(pulses) - n,
     )  # fmt: skip
 

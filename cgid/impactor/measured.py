@@ -166,7 +166,7 @@ class MeasuredPulses:
     def of_contact(cls, contact: Contact, inverted: ForceEstimate) -> MeasuredPulses:
         """Return pulses fitted to forces behind a beam, which are widened by their misfit already.
 
-        What the beam leaves unexplained beyond the noise, such as another blow, is an error of the pulse, too.
+        What the beam leaves unexplained beyond the noise, such as another impact, is an error of the pulse, too.
         """
         n = len(contact.shape)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -33,14 +33,14 @@ _SAMPLES, _BEFORE, _FRAME, _NOISE, _RATE = 64, 32, 192, 1e-3, 1e5
 _SEED = 0x5EED_0003_C9D1
 #: Populations kept (some 10 MB each), and beams (24 MB).
 _N_KEPT = 4
-#: Places of a beam at which draws are heard, fractions that fill its sides evenly (Roberts 2018), and their energy over
-#: that of the noise.
+#: Places of a beam at which draws are measured, fractions that fill its sides evenly (Roberts 2018), and their energy
+#: over that of the noise.
 _PLACES, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
 @lru_cache(maxsize=_N_KEPT)
 def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulation:
-    """Return the population of a scene, as what struck is sought among.
+    """Return the population of a scene, as the impactor is sought among.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def _information(beam: ThroughBeam) -> Floats:
 
 
 def is_behind_beam(scene: Scene) -> bool:
-    """Return whether a scene hears its impacts through a beam."""
+    """Return whether a scene measures its impacts through a beam."""
     return scene.tail_beam is not None and scene.sensor.quantity != "force"
 
 

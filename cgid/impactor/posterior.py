@@ -1,4 +1,4 @@
-"""Mass, radius and speed of what struck, from fitted pulses: the posterior within a population.
+"""Mass, radius and speed of the impactor, from fitted pulses: the posterior within a population.
 
 A pulse of the damped-Hertz family has the scales `P0 = K L^(3/2)` and `T0 = L / v`. With `K ~ E* R^(1/2)` and
 `L = (m v^2 / K)^(2/5)`, P0 / T0^2 does not depend on the size, and follows from the speed as `v^(8/5)`; T0 is
@@ -37,7 +37,7 @@ SPEED_POWER, TIME_POWER = 1.6, -0.2
 _NODES, _DRAWS, _MORE_DRAWS = 12, 48, 96
 #: Extent of the nodes [standard deviations], and distance at which a draw could not have given the pulse.
 _REACH, _BEYOND = 3.5, 4.0
-#: Fewest draws to a shape, and fewest and most shapes.
+#: Minimum number of draws to a shape, and fewest and most shapes.
 _PER_SHAPE, _MIN_SHAPES, _MAX_SHAPES = 1024, 8, 96
 #: Widest kernel of draws along ln(P0 / T0^2), and along ln(size) where size is no similarity.
 _WIDEST, _ALIKE = 0.25, 0.3
@@ -51,7 +51,7 @@ _ROWS = 128
 
 @dataclass(frozen=True, eq=False)
 class ImpactorEstimates:
-    """What struck, one row an impact.
+    """The impactor, one row an impact.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class ImpactorPopulation:
     # -- the posterior ------------------------------------------------------------------------------------
 
     def posterior(self, pulses: MeasuredPulses) -> ImpactorEstimates:
-        """Return what struck."""
+        """Return the impactor."""
         parts = [self._posterior(part) for part in self._seen(pulses).blocks(_ROWS)]
         return ImpactorEstimates.joined(parts) if parts else ImpactorEstimates.unknown(np.empty(0, np.str_))
 

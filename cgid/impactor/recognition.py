@@ -1,4 +1,4 @@
-"""What struck, from samples: forces, or the vibrations of a beam that is looked through.
+"""The impactor, from samples: forces, or the vibrations of a beam that is looked through.
 
 Where the material is known, Hertz' two scales give radius and speed, without a population.
 """
@@ -43,7 +43,7 @@ def estimate_impactors(
     pre_trigger: int | None = None,
     **options: Any,
 ) -> ImpactorEstimates:
-    """Tell mass, radius and speed of what struck, with intervals.
+    """Tell mass, radius and speed of the impactor, with intervals.
 
     A pulse alone leaves radius, speed and modulus undetermined in one direction; what can have struck fills it.
 
@@ -57,9 +57,9 @@ def estimate_impactors(
     among : str, Path, Scene, StrikerPopulation or Material
         What can have struck: a scene (a shipped one or a file), draws, or spheres of one material.
     target : HalfSpace or RIGID
-        What a sphere of one material struck; a scene says it itself.
+        What a sphere of one material struck; a scene states it.
     pre_trigger : int, optional
-        Samples before touch, as in `cgid.identification.estimation.estimate`.
+        Samples before onset, as in `cgid.identification.estimation.estimate`.
     **options
         More arguments of `estimate`, for forces: noise, clip_level, bandwidth and others.
 
@@ -78,7 +78,7 @@ def estimate_impactors(
 
     Examples
     --------
-    A blow of 3 kN that lasts half a millisecond, by a ball of steel on steel:
+    An impact of 3 kN that lasts half a millisecond, by a ball of steel on steel:
 
     >>> time = np.arange(2000) / 200e3
     >>> blow = 3e3 * np.sin(np.pi * np.clip((time - 4e-3) / 0.5e-3, 0, 1)) ** 1.5
@@ -118,9 +118,9 @@ def through_beam(
     beam: ThroughBeam,
     detection_limit: float = DETECTION_LIMIT,
 ) -> MeasuredPulses:
-    """Return the pulses behind vibrations of a beam; a frame without a blow is not usable.
+    """Return the pulses behind vibrations of a beam; a frame without an impact is not usable.
 
-    Frames (n_signals, n_samples) are in the SI unit of the sensor, `pre_trigger` is the number of samples before touch,
+    Frames (n_signals, n_samples) are in the SI unit of the sensor, `pre_trigger` is the number of samples before onset,
     `detection_limit` the least height of a vibration over the standard deviation of the noise.
     """
     rate, parts = require_rate(sampling_rate), []

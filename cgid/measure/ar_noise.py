@@ -1,4 +1,4 @@
-"""The colour of noise: an autoregression from the samples before touch, and the filter that makes the noise white.
+"""The colour of noise: an autoregression from the samples before onset, and the filter that makes the noise white.
 
 Where noise is not white, least squares is not the most likely pulse, and deviations are wrong: slow noise looks like a
 longer pulse. Samples minus what the ones before predict are white again, and so the pulse is fitted to these.

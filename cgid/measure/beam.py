@@ -25,17 +25,18 @@ _DRAWS = 5
 FINE, FORCE_TIME = 16, 3.9e-3
 #: Samples at the start of a table of forces, within which touch lies.
 TOUCH = 7
-#: How long the response to a blow is compared [s].
+#: How long the response to an impact is compared [s].
 SPAN_TIME = 25e-3
 #: Distance of the places of the grid [m].
 GRID = 0.025
 #: Sampling rates [Hz]: a table of forces has 14 samples or more, a response at most 12,500.
 RATES = (2 * TOUCH / FORCE_TIME, 5e5)
-#: Most modes, places of the grid, and samples of all responses together (a quarter of a gigabyte in single precision).
+#: Maximum number of modes, places of the grid, and samples of all responses together (a quarter of a gigabyte in single
+#: precision).
 MAX_MODES, MAX_PLACES, MAX_NUMBERS = 1024, 1 << 14, 1 << 26
-#: Most sensors; least and largest share of a participation that a sensor hears best.
+#: Maximum number of sensors; least and largest share of a participation that a sensor measures best.
 MAX_SENSORS, _SHARES = 16, (1e-6, 1e6)
-#: Most shapes, poles of filters, and nodes in a direction.
+#: Maximum number of shapes, poles of filters, and nodes in a direction.
 _MAX_SHAPES, _MAX_FILTERS, _MAX_NODES = 64, 32, 512
 #: Moduli of poles and of filters over the sampling rate, least imaginary part of a pole over its modulus, and limits of
 #: other numbers above 0.
@@ -51,8 +52,8 @@ class Beam:
     Attributes
     ----------
     sampling_rate : of the recorder whose anti-alias filter `filters` describes [Hz]
-    modes : their shapes at nodes of the region where rocks fall, times that at the sensor that hears them best and a
-        gain [1/kg]; at the sensors, (n_sensors, n_modes), the fractions of this that each hears
+    modes : their shapes at nodes of the region where rocks fall, times that at the sensor that measures them best and a
+        gain [1/kg]; at the sensors, (n_sensors, n_modes), the fractions of this that each measures
     filters : poles of the sensor chain, in the upper half-plane and on the real axis, (n_filter_poles,) [rad/s]
     derivatives : of the displacement: 0, 1 or 2 for displacement, velocity or acceleration
     shapes : principal shapes of contact forces, `FINE` points to a sample, before the filters, (n_shapes, n_points)
@@ -97,7 +98,7 @@ class Beam:
 
     @property
     def shares(self) -> Floats:
-        """Fractions of `participation` that each sensor hears, (n_sensors, n_modes)."""
+        """Fractions of `participation` that each sensor measures, (n_sensors, n_modes)."""
         assert self.modes.at_sensor is not None
         return self.modes.at_sensor
 
@@ -116,7 +117,7 @@ class Beam:
 
     @property
     def n_samples(self) -> int:
-        """Number of samples of a response to a blow."""
+        """Number of samples of a response to an impact."""
         return round(SPAN_TIME * self.sampling_rate)
 
     def grid(self, apart: float) -> tuple[Floats, Floats, Singles]:

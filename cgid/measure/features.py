@@ -29,15 +29,16 @@ if TYPE_CHECKING:
 
 __all__ = ["FEATURES", "choose", "extract"]
 
-#: Most samples and rows measured at once: enough to share the overhead of the fit, few enough to bound the memory.
+#: Maximum number of samples and rows measured at once: enough to share the overhead of the fit, few enough to bound the
+#: memory.
 BLOCK_SAMPLES, _ROWS = 1 << 21, 1024
-#: Most samples of windows measured at once: their overlapping frames fit in the processor's cache.
+#: Maximum number of samples of windows measured at once: their overlapping frames fit in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
-#: How far windows extend after touch, in contact durations and in samples: for quantities read off the samples (the
+#: How far windows extend after onset, in contact durations and in samples: for quantities read off the samples (the
 #: run above 10 %, once more after its end), and for the fit (its bins and windows).
 _READ, _FITTED = (2.0, 6), (2.25, 54)
 #: Features that look through a beam need this many standard deviations less over the noise before a vibration: the
-#: modes find a blow where the samples alone do not show it, as in the ringing of an earlier one.
+#: modes find an impact where the samples alone do not show it, as in the ringing of an earlier one.
 BEAM_LEAD = 2.0
 #: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
@@ -172,7 +173,7 @@ def extract(
     features : iterable of str, optional
         Names of features or banks; by default all features of pulses.
     pre_trigger : int, optional
-        Samples before touch, whose mean and standard deviation are baseline and noise. By default all samples up to
+        Samples before onset, whose mean and standard deviation are baseline and noise. By default all samples up to
         the foot of the pulse (1 % of the way from the first samples to the largest).
     remove_baseline : bool
         Whether to subtract the baseline before measuring.
@@ -222,7 +223,7 @@ def extract_array(
 ) -> Floats:
     """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`.
 
-    A peak must exceed `detection_limit` standard deviations of the noise before touch; lower it for impacts found in a
+    A peak must exceed `detection_limit` standard deviations of the noise before onset; lower it for impacts found in a
     recording by other means. `equalisation` corrects the sensor's response first; it does not apply to pulses.
     `beam` is the one that vibrates, for features that look through it (such as `beam_peak_force`). Of a beam with
     several sensors, samples are (n_signals, n_sensors, n_samples), and there are no other features. `channel` says

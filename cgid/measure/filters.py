@@ -3,7 +3,7 @@
 The FFT filter has zero phase and brick-wall (taper 0) or tapered edges. A low-pass changes a clean damped-Hertz pulse
 of duration T as follows (measured in `tests/test_filters.py`):
 
-| edge | taper | peak, restitution 1 / .5 | ringing T/10 before touch | ringing T before touch |
+| edge | taper | peak, restitution 1 / .5 | ringing T/10 before onset | ringing T before onset |
 |---|---|---|---|---|
 | 4/T | 0 | +0.2 % / +0.9 % | 0.3 % / 1.3 % | 0.07 % / 0.3 % |
 | 4/T | 0.5 | +0.1 % / +0.7 % | 0.3 % / 1.1 % | under 0.03 % |
@@ -35,7 +35,7 @@ _ROWS = 32
 SENSOR_TAPER = 0.5
 #: Lowest edge of an impulse response over the sampling rate: limits the ringing to a million samples.
 _MIN_EDGE = 2.0**-14
-#: Most samples of a mixing matrix (2 GiB).
+#: Maximum number of samples of a mixing matrix (2 GiB).
 _MAX_MIXED = 1 << 14
 #: Extent of an impulse response: periods of its edge, and smallest value over its largest.
 _RESPONSE_PERIODS, _RESPONSE_FLOOR = 64, 1e-5
@@ -210,7 +210,7 @@ class Equalisation:
 
     @classmethod
     def between(cls, heard: ArrayLike, meant: ArrayLike) -> Equalisation:
-        """Return the equalisation of a sensor (`heard`) to another one (`meant`).
+        """Return the equalisation of a sensor (`measured`) to another one (`meant`).
 
         Both are mean spectra of reference runs, log10 of the mean square per band, (n_bands,).
 

@@ -66,7 +66,7 @@ class PulseFit:
     Attributes
     ----------
     peak : above the baseline, in the unit of the signal
-    duration, onset, width : contact duration, time of touch, impulse over peak [samples]
+    duration, onset, width : contact duration, time of onset, impulse over peak [samples]
     shape : s = ln e, above 0 for a pulse that rises more slowly than it falls
     baseline : 0 unless fitted
     covariance : (n, 5, 5), of `cgid.measure.template.PARAMETERS`, onset in samples; zero for given parameters
@@ -162,7 +162,7 @@ def fit_pulses(
 
     `noise` (n,) is the standard deviation of the noise. It is white, unless the first `n_quiet` (n,) samples of the
     frames show another colour. `offset` (n,) is subtracted first, `onset` (n,) [samples]
-    is the time of touch if known. Samples at or above `clip_level` (n,) are lower bounds of the force; infinite: not
+    is the time of onset if known. Samples at or above `clip_level` (n,) are lower bounds of the force; infinite: not
     clipped. `response` (n_lags,) is the sensor's symmetric impulse response from lag 0: it filters the pulse, not the
     noise.
     """

@@ -13,7 +13,7 @@ from cgid import validation
 from cgid.errors import BadData
 from cgid.validation import Floats
 
-#: Fewest samples of a frame: those of the shortest pulse and one on either side.
+#: Minimum number of samples of a frame: those of the shortest pulse and one on either side.
 MINIMUM_FRAME = 6
 #: Largest sample: the squares of larger ones overflow.
 LARGEST = 1e150
@@ -52,10 +52,10 @@ def constant_signal(value: float) -> str:
 
 @dataclass(eq=False, repr=False)
 class Frames:
-    """Frames (n_signals, n_samples) with one impact each; baseline and noise are those of the samples before touch.
+    """Frames (n_signals, n_samples) with one impact each; baseline and noise are those of the samples before onset.
 
-    Without `pre_trigger` (samples before touch), the subclass finds a number for each row. An impact must exceed
-    `detection_limit` standard deviations of the noise before touch.
+    Without `pre_trigger` (samples before onset), the subclass finds a number for each row. An impact must exceed
+    `detection_limit` standard deviations of the noise before onset.
     """
 
     samples: NDArray[np.floating]
@@ -78,7 +78,7 @@ class Frames:
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """Number of samples of each row that are certainly before touch, if there is no `pre_trigger`."""
+        """Number of samples of each row that are certainly before onset, if there is no `pre_trigger`."""
         raise NotImplementedError
 
     def _moments(self, count: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -91,7 +91,7 @@ class Frames:
 
     @cached_property
     def _quiet(self) -> tuple[Floats, Floats]:
-        """Mean and standard deviation before touch."""
+        """Mean and standard deviation before onset."""
         if self.pre_trigger is None:
             return self._moments(self._surely_quiet)
         quiet = self.samples[:, : max(self.pre_trigger, 0)]
@@ -101,7 +101,7 @@ class Frames:
 
     @property
     def baseline(self) -> Floats:
-        """Mean before touch, 0 if there are fewer than two samples before touch."""
+        """Mean before onset, 0 if there are fewer than two samples before onset."""
         return self._quiet[0]
 
     @cached_property
@@ -111,5 +111,5 @@ class Frames:
 
     @property
     def noise(self) -> Floats:
-        """Standard deviation before touch, 0 if there are fewer than two samples before touch."""
+        """Standard deviation before onset, 0 if there are fewer than two samples before onset."""
         return self._quiet[1]

@@ -36,9 +36,9 @@ from cgid.measure.template import (
 )
 from cgid.validation import Floats, rates
 
-#: Most impacts of the bound computed at once, and most samples of them together.
+#: Maximum number of impacts of the bound computed at once, and most samples of them together.
 _ROWS, _SAMPLES = 64, 1 << 20
-#: Most samples of a contact: with more, the bound only falls as one over the square root of their number.
+#: Maximum number of samples of a contact: with more, the bound only falls as one over the square root of their number.
 MAX_SAMPLES = 1_000_000
 #: Extent of the band-limited pulse beyond touch and separation, in contact durations.
 _RINGING = 1.0
@@ -82,7 +82,7 @@ class Bound:
 
     @property
     def onset_deviation(self) -> Floats:
-        """Smallest standard deviation of the time of touch [s]."""
+        """Smallest standard deviation of the time of onset [s]."""
         return self._deviation("onset")
 
     @property
@@ -117,11 +117,11 @@ def cramer_rao_bound(
     bandwidth : float, optional
         Edge of the sensor's low-pass [Hz], as in `cgid.scene.Sensor`; the white noise is added after it.
     onset_known : bool
-        Whether the time of touch is known.
+        Whether the time of onset is known.
     fit_baseline : bool
         Whether a constant is unknown, too; then only the samples in contact count.
     onset : array_like
-        Position of touch between two samples, 0 to 1.
+        Position of onset between two samples, 0 to 1.
 
     Returns
     -------
@@ -401,7 +401,7 @@ def _inside(
     """
     width = np.exp(parameters[:, 1])
     onset = parameters[:, 2] - lead * width
-    # Slope of touch in (peak, ln width, place, ...): it moves with the width and the place.
+    # Slope of onset in (peak, ln width, place, ...): it moves with the width and the place.
     slope = np.zeros(information.shape[:2])
     slope[:, 1], slope[:, 2] = -lead * width, 1.0
     spread = solve_scaled(information, slope, 1e-12)

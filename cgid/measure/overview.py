@@ -13,9 +13,9 @@ from cgid import validation
 from cgid.errors import BadData, InvalidValue
 from cgid.validation import Floats, require_rate
 
-#: Most columns of a waveform; at least half of them are used if the recording has enough samples.
+#: Maximum number of columns of a waveform; at least half of them are used if the recording has enough samples.
 WAVEFORM_COLUMNS = 4096
-#: Most columns of a spectrogram, and approximate number of its bands, evenly spaced in log frequency.
+#: Maximum number of columns of a spectrogram, and approximate number of its bands, evenly spaced in log frequency.
 SPECTROGRAM_COLUMNS, SPECTROGRAM_BANDS = 1024, 200
 #: Longest segment of the spectra [s].
 MAX_SEGMENT_TIME = 0.2

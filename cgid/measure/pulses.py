@@ -1,6 +1,6 @@
 """Measurements on a batch of single pulses, such as contact forces, and their features (`PULSE_FEATURES`, at the end).
 
-Each quantity is computed on first use, relative to a baseline from the samples before touch. After the peak is found,
+Each quantity is computed on first use, relative to a baseline from the samples before onset. After the peak is found,
 only a window around contact is used.
 """
 
@@ -21,7 +21,7 @@ from cgid.measure.spectra import PulseSpectrum
 from cgid.measure.table import Bank, Feature, bank, described
 from cgid.validation import Floats
 
-#: Fewest samples between the 10 % crossings of a measurable width.
+#: Minimum number of samples between the 10 % crossings of a measurable width.
 MINIMUM_SAMPLES = 4
 #: Smallest width (impulse over peak) of a pulse that can be fitted [samples].
 MINIMUM_WIDTH = 1.5
@@ -39,8 +39,9 @@ _WIDTH_OVER_HALF_WIDTH = 1.08
 _FLAT_TOP = 3
 #: A remainder that is no single impact, and a fitted peak over the level where it is clipped, minus 1, that is a guess.
 MAX_UNEXPLAINED, MAX_OVERLOAD = 4.5, 1.2
-#: A force is over with the contact. What rings on is seen in differences over this time, from this time after touch on
-#: and up to that one, in contact durations; hum and drift hardly change over it. Such a share of the peak is strange.
+#: A force is over with the contact. What is still in ring-down is seen in differences over this time, from this time
+#: after onset on and up to that one, in contact durations; hum and drift hardly change over it. Such a share of the
+#: peak is strange.
 _RING_LAG, _RING_FROM, _RING_TO, MAX_RINGING = 1.5, 1.2, 11.2, 0.03
 #: Samples of a contact duration that are looked at, and the fewest differences that show ringing.
 _RING_STEPS, _MIN_RINGING = 8, 8
@@ -53,11 +54,11 @@ class PulseBatch(Frames):
     1 % of the way from its first samples to its largest.
     """
 
-    # -- before touch ---------------------------------------------------------------------------------
+    # -- before onset ---------------------------------------------------------------------------------
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """A sample certainly before touch: a fifth of the rise before the last one below 1 % of the peak.
+        """A sample certainly before onset: a fifth of the rise before the last one below 1 % of the peak.
 
         The peak is relative to the mean of the first quarter of the samples before it, so a sensor's offset cancels.
         """
@@ -73,7 +74,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def n_quiet(self) -> Floats:
-        """Number of samples before touch that define baseline and noise."""
+        """Number of samples before onset that define baseline and noise."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), float(max(self.pre_trigger, 1)))
         return np.asarray(np.maximum(self._surely_quiet, 1), np.float64)

@@ -96,7 +96,7 @@ def _descriptions() -> dict[str, dict[str, str]]:
 class Bank:
     """Features that differ only in a band, a packet or a lag: one entry with a column for each label."""
 
-    name: str  # with `*` in place of the label: `mel_*_hz` has the column `mel_1000_hz`
+    name: str  # with `*` instead of the label: `mel_*_hz` has the column `mel_1000_hz`
     unit: str
     definition: str  # with `*` for the label
     source: str

@@ -1,7 +1,7 @@
 """Measurements on a batch of vibrations, one impact each, and their features (`VIBRATION_FEATURES`, at the end).
 
 A struck structure responds with an oscillation of both signs that begins at once and decays. All quantities are
-relative to a baseline and a noise from before touch, and use the event: the samples from the onset on.
+relative to a baseline and a noise from before onset, and use the event: the samples from the onset on.
 
 Most quantities use the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. Noise, the next
 impact and the end of the frame come late and have little weight, so the length of the frame hardly matters. Neither
@@ -64,11 +64,11 @@ class Beam(Protocol):
 
     @property
     def n_sensors(self) -> int:
-        """Number of sensors, and of vibrations of one blow."""
+        """Number of sensors, and of vibrations of one impact."""
         ...
 
     def measured(self, vibrations: VibrationBatch) -> Mapping[str, Floats]:
-        """Return what it tells of the contact forces, by feature; the vibrations of one blow follow each other."""
+        """Return what it tells of the contact forces, by feature; the vibrations of one impact follow each other."""
 
 
 class VibrationBatch(Frames):
@@ -80,7 +80,7 @@ class VibrationBatch(Frames):
 
     #: The beam that vibrates, for the features that look through it.
     beam: Beam | None = None
-    #: Which channel of a recording each blow is from, in order of time within each; None if they are from none.
+    #: Which channel of a recording each impact is from, in order of time within each; None if they are from none.
     channel: NDArray[np.intp] | None = None
 
     @cached_property
@@ -89,11 +89,11 @@ class VibrationBatch(Frames):
         assert self.beam is not None
         return self.beam.measured(self)
 
-    # -- before touch ---------------------------------------------------------------------------------
+    # -- before onset ---------------------------------------------------------------------------------
 
     @property
     def n_quiet(self) -> NDArray[np.intp]:
-        """Number of samples before touch that define baseline and noise."""
+        """Number of samples before onset that define baseline and noise."""
         if self.pre_trigger is not None:
             return np.full(len(self.samples), self.pre_trigger, np.intp)
         return self._surely_quiet
@@ -114,7 +114,7 @@ class VibrationBatch(Frames):
 
     @cached_property
     def _deviation(self) -> Floats:
-        """Distance from the baseline, 0 before touch."""
+        """Distance from the baseline, 0 before onset."""
         deviation = np.abs(self.samples - self.offset[:, None])
         if self.pre_trigger is None:
             deviation[np.arange(deviation.shape[1]) < self.n_quiet[:, None]] = 0.0
@@ -175,7 +175,7 @@ class VibrationBatch(Frames):
     def _running_energy(self, weight: Floats) -> Floats:
         """Return the weighted energy of the event up to each sample, less that of the noise [unit^2 s].
 
-        At most half of the energy is subtracted: the noise before touch may be the decay of the previous impact.
+        At most half of the energy is subtracted: the noise before onset may be the decay of the previous impact.
         """
         square = self.event**2 * weight
         share = np.append(0.0, np.cumsum(weight))[self.n_event]

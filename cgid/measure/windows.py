@@ -1,7 +1,7 @@
 """Measurements on windows of a recording, and their features (`WINDOW_FEATURES`, at the end).
 
 A window is a section of a stationary recording in which many bodies fall, slide and overlap. Single impacts are not
-located, so there is no onset, no noise before touch and no end of a vibration.
+located, so there is no onset, no noise before onset and no end of a vibration.
 
 A window is cut into half-overlapping Hann-windowed frames of `FRAME_TIME`. Their mean spectrum describes the sources,
 the differences between frames the kind of sound: single impacts vary, a steady rustle does not. Features with
@@ -37,7 +37,7 @@ from cgid.validation import Floats
 FRAME_TIME = 10e-3
 #: Averaging time of the envelope, a root mean square [s].
 ENVELOPE_TIME = 1e-3
-#: A blow is a maximum of the envelope within `BLOW_TIME` [s] to either side, of at least this many times its mean.
+#: An impact is a maximum of the envelope within `BLOW_TIME` [s] to either side, of at least this many times its mean.
 BLOW_TIME, BLOW_OVER_MEAN = 3e-3, 1.5
 #: Smallest root mean square: the fourth power of anything less underflows.
 MIN_RMS = 1e-70
@@ -143,7 +143,7 @@ class WindowBatch:
 
     @cached_property
     def blow_rate(self) -> Floats:
-        """Blows per second [Hz]: local maxima of the envelope well above its mean."""
+        """Impacts per second [Hz]: local maxima of the envelope well above its mean."""
         reach = max(round(BLOW_TIME / self._envelope_step), 1)
         padded = np.pad(self.envelope, ((0, 0), (reach, reach)))
         around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1)

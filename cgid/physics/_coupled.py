@@ -63,7 +63,7 @@ RESULTS = (
 #: Columns of a step in the course of an impact: kind, time of its start, its length, then n Legendre coefficients
 #: of the force and n of the displacement.
 KIND, START, LENGTH, COEFFICIENTS = 0, 1, 2, 3
-#: What ends a flight: nothing, a touch, or the material catches up with a sphere that was released.
+#: What ends a flight: nothing, an onset, or the material catches up with a sphere that was released.
 _NEVER, _TOUCH, _CAUGHT_UP = 0, 1, 2
 _FIRST_STEP = 0.4  # of an elastic contact that lasts 3.22
 

@@ -24,7 +24,7 @@ class Sphere:
     curvature : array_like, above 0
         Radius of curvature where a lump touches, over `radius`: below 1 at a corner, above 1 on a flat side.
     effective_mass : array_like, in (0, 1]
-        Mass that takes part in the blow, over the mass: `1 / (1 + b^2 / k^2)` for a lump of radius of gyration k that
+        Mass that takes part in the impact, over the mass: `1 / (1 + b^2 / k^2)` for a lump of radius of gyration k that
         touches at a distance b from the vertical through its centre, without friction; the rest of it turns aside.
 
     Raises
@@ -67,7 +67,7 @@ class Sphere:
 
     @property
     def mass_in_blow(self) -> Floats:
-        """Effective mass of an eccentric blow [kg]."""
+        """Effective mass of an eccentric impact [kg]."""
         return self.mass * np.asarray(self.effective_mass, np.float64)
 
 

@@ -1,7 +1,7 @@
 """Constant weights of a collocation step for a contact force that acts on modes.
 
 A step covers the time h. In its own variable s from 0 to 1 the time passed is `h m(s)`, and m makes the force
-analytic: m = s within contact, `s^2` after touch and `s (2 - s)` before separation, where the force goes like the
+analytic: m = s within contact, `s^2` after onset and `s (2 - s)` before separation, where the force goes like the
 distance in time to the power 3/2. The force is the polynomial through its values at n Gauss nodes of s; the
 free motion of the modes, and their response to a unit impulse, are polynomials of time through k Chebyshev nodes,
 ends included.

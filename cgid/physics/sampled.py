@@ -16,7 +16,7 @@ from cgid.validation import Floats
 
 __all__ = ["SampledPulses"]
 
-#: Fewest points of a pulse, as a cubic spline needs.
+#: Minimum number of points of a pulse, as a cubic spline needs.
 MIN_POINTS = 4
 #: Points per interval around the largest sample in the peak search, and the degree of the splines.
 _FINER, _CUBIC = 32, 3
@@ -38,7 +38,7 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
 
     The curve is a cubic spline in the angle of `SampledPulses`, 0 at both ends, with `knots` knots in between; all
     samples have equal weight. Eight knots follow a damped impact within .3 % of its peak and .1 % on average, and
-    remove the force steps of a mesh that makes contact node by node. Times since touch [s] must rise; forces outside
+    remove the force steps of a mesh that makes contact node by node. Times since onset [s] must rise; forces outside
     contact are ignored.
     """
     from scipy.interpolate import BSpline
@@ -55,7 +55,7 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     inner = np.linspace(0, np.pi, knots + 2)
     ends = np.concatenate([[0.0] * _CUBIC, inner, [np.pi] * _CUBIC])
     basis = BSpline.design_matrix(_angle(since[inside] / lasts), ends, _CUBIC).toarray()
-    # The first and last coefficients are the values at touch and separation: 0.
+    # The first and last coefficients are the values at onset and separation: 0.
     coefficients = np.zeros(basis.shape[1])
     coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
     if rank < coefficients.size - 2:
@@ -178,7 +178,7 @@ class SampledPulses:
         )
 
     def force(self, times: ArrayLike) -> Floats:
-        """Return the forces [N] at times since touch [s], (n, n_times); 0 outside contact.
+        """Return the forces [N] at times since onset [s], (n, n_times); 0 outside contact.
 
         Times are a scalar or (n_times,) for all pulses, or (n, n_times).
         """

@@ -17,11 +17,11 @@ from cgid.errors import BadData, InvalidValue, NoInput
 from cgid.plant.output import FIRST_PAUSE, MAX_PAUSE, Output, library
 from cgid.plant.state import PlantState
 
-#: Most messages that the broker has not acknowledged.
+#: Maximum number of messages that the broker has not acknowledged.
 _MAX_IN_FLIGHT = 200
 #: A broker that says nothing for this time hangs [s]; pings come this often [s].
 _TIMEOUT, _KEEPALIVE = 10.0, 15
-#: At the end, time for the rest of the messages [s].
+#: At the end, time otherwise of the messages [s].
 _GRACE = 2.0
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _LOOPBACK = re.compile(r"localhost|127\.|::1$")

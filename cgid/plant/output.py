@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from cgid.errors import CannotCreate, InvalidValue, optional
 
-#: Most messages that wait for an output: a quarter of an hour at ten a second.
+#: Maximum number of messages that wait for an output: a quarter of an hour at ten a second.
 MAX_WAITING = 10_000
-#: An output that is away is looked for after this time, then after twice as long, up to the longest [s].
+#: An output that is away is searched for after this time, then after twice as long, up to the longest [s].
 FIRST_PAUSE, MAX_PAUSE = 1, 30
 #: Clients of a server; after one was sent away, the next is let in after this time [s], which leaves the rest to the
 #: answers of the monitor.
@@ -213,7 +213,7 @@ class _Listener(socketserver.ThreadingTCPServer):
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Start the thread of a client, in place of another one if there are too many."""
+        """Start the thread of a client, instead of another one if there are too many."""
         with self._lock:
             oldest = min(self._clients, key=lambda one: self._clients[one][1]) if self._is_full() else None
             before = None if oldest is None else self._clients[oldest][0]

@@ -31,7 +31,7 @@ _PIXELS = 10_000
 
 @dataclass
 class Support:
-    """What is known of one support, the last share of gangue and the decision.
+    """What is known of one support, the last gangue fraction and the decision.
 
     `impacts` and `unknown` are those of the share's window, `labels` counts all answers since the start.
     """

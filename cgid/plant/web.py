@@ -35,7 +35,7 @@ _DATA = "/*DATA*/null"
 def web_services(
     prometheus: str | None, live: str | None, plant: PlantState, warn: Callable[[str], None]
 ) -> Iterator[Service]:
-    """Yield the servers and the file that were asked for; one address may serve both."""
+    """Yield the servers and the file that were requested; one address may serve both."""
     routes: dict[Address, Routes] = {}
     options: dict[Address, str] = {}
     if prometheus is not None:

@@ -1,4 +1,4 @@
-"""Pictures of what the answers add up to: shares of gangue, the operators' curve, distributions of sizes."""
+"""Pictures of what the answers add up to: gangue fractions, the operators' curve, distributions of sizes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DRAWN_HEIGHT, _FIRST_ROCKS, _STEPS = 4.2, 20, (1.0, 2.0, 5.0, 10.0, 30.0, 60.0,
 def share_figure(
     shares: Sequence[Share], turns: Sequence[Switch], duration: float, *, threshold: float | None = None
 ) -> Any:
-    """Draw the share of gangue over time with its interval, in one panel per channel.
+    """Draw the gangue fraction over time with its interval, in one panel per channel.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def _draw_switch(axes: Any, switch: Switch, clock: Clock) -> None:
 
 
 def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Sequence[Switch]) -> Any:
-    """Return a figure of the cumulative share of gangue against the recovered coal, one curve per channel.
+    """Return a figure of the cumulative gangue fraction against the recovered coal, one curve per channel.
 
     `times` are those of the answers of each channel [s], each of which counts as one rock; its share must be known at
     two or more times. At most `MAX_CHANNELS` are drawn.
@@ -110,7 +110,7 @@ def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Se
 
 
 def gangue_at(times: Floats, shares: Sequence[Share]) -> Floats:
-    """Return the expected share of gangue at some times [s], between the middles of windows of one channel."""
+    """Return the expected gangue fraction at some times [s], between the middles of windows of one channel."""
     known = [((share.start + share.time) / 2, share.mean) for share in shares if share.n_impacts]
     return np.asarray(np.interp(times, *np.array(known).T))
 
@@ -186,7 +186,7 @@ def draw_sizes(axes: Any, distribution: Any, truth: Any = None) -> None:
     units = {"mass": "mass [kg]", "radius": "radius [m]", "speed": "speed [m/s]"}
     edges = distribution.edges
     middle = np.sqrt(edges[1:] * edges[:-1])
-    axes.stairs(distribution.found, edges, color="0.6", fill=True, alpha=0.5, label="found")
+    axes.stairs(distribution.detected, edges, color="0.6", fill=True, alpha=0.5, label="found")
     known = np.isfinite(distribution.total)
     below = (distribution.total - distribution.low_total)[known].clip(0)
     above = (distribution.high_total - distribution.total)[known].clip(0)

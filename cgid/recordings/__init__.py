@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cgid.deprecated import renamed
 from cgid.recordings.formats import MAX_STREAM, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import BLOCK_LENGTH, Blocks, Channel, RecordingFile
 
@@ -15,3 +16,5 @@ __all__ = [
     "open_recording",
     "read_recording",
 ]
+
+__getattr__ = renamed(__name__, {"LARGEST_STREAM": "cgid.recordings.MAX_STREAM"})

@@ -325,7 +325,7 @@ def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: i
 
 
 def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: str) -> None:
-    """Raise `MissingOption` for integers whose unit the user states: it does not say how many of it one step is."""
+    """Raise `MissingOption` for integers whose unit the user states: it does not state how many of it one step is."""
     is_integer = index < len(contents.integers) and contents.integers[index]
     if not is_integer or unit is None or unit == "FS" or _of_file(contents.units, index) is not None:
         return
@@ -338,7 +338,7 @@ def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: 
 
 
 def _full_scale_number(contents: Blocks, index: int) -> float | None:
-    """Return the number that stands for full scale, None if the file does not say it."""
+    """Return the number that stands for full scale, None if the file does not state it."""
     return contents.full_scales[index] if index < len(contents.full_scales) else None
 
 

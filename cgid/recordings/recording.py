@@ -18,16 +18,16 @@ from cgid.signals import Signal
 from cgid.units import UNITS, quantity_of
 from cgid.validation import require_rate
 
-#: Advice for a dataset given in place of a recording.
+#: Advice for a dataset given instead of a recording.
 DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index"
 
 #: Default length of a block [samples].
 BLOCK_LENGTH = 1 << 16
 
-#: Most numbers in a block, of all channels together.
+#: Maximum number of numbers in a block, of all channels together.
 MAX_NUMBERS = 1 << 22
 
-#: Most channels; a file with more has its samples along the wrong axis.
+#: Maximum number of channels; a file with more has its samples along the wrong axis.
 MAX_CHANNELS = 4096
 
 #: Largest relative difference between two stated sampling rates: more than clock errors, less than typing errors.

@@ -31,7 +31,7 @@ ENDLESS = 0x7FFF0000
 
 #: Bytes to read of each relevant chunk; the rest is skipped.
 _READ = {b"fmt ": 40, b"ds64": 28, b"bext": 338}
-#: Most chunks before the sound; a hostile file could hold millions of empty ones.
+#: Maximum number of chunks before the sound; a hostile file could hold millions of empty ones.
 _MAX_CHUNKS = 1000
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
@@ -284,7 +284,8 @@ def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
 
 #: Samples of each channel to decode at once.
 _DECODED = 1 << 14
-#: Most samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12 bytes.
+#: Maximum number of samples of a channel in one byte of a file: a FLAC frame of 65535 equal samples takes about 12
+#: bytes.
 _BEST_PACKING = 1 << 13
 #: An Ogg page (RFC 3533): bytes before its segment table, longest page, and the flag of the last one.
 _PAGE_HEAD, _MAX_PAGE_SIZE, _LAST_PAGE = 27, 65_307, 4

@@ -203,7 +203,7 @@ def stamped_moment(line: str, *, alone: bool = False) -> datetime | None:
 def _layout(line: str) -> Layout | None:
     """Return the layout of a row with one stamp and at least one number."""
     for pattern in (_STAMP_BEFORE_COMMA, _STAMP):
-        # With an integer in place of the stamp, the other columns show the decimal mark.
+        # With an integer instead of the stamp, the other columns show the decimal mark.
         layout = layout_of(pattern.sub("0", line)) if len(pattern.findall(line)) == 1 else None
         if (
             layout is not None

@@ -211,7 +211,7 @@ def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -
 
 #: Names of an array of times; a capital T may as well be a temperature or a torque.
 _TIME_NAME = re.compile(r"(?i:(?:.*[\s_.-])?(?:time|zeit)(?:[\s_.(\[-].*)?)|t(?:\s*[(\[].*|_(?:m|u|µ)?s)?")
-#: Most names in a message.
+#: Maximum number of names in a message.
 _LISTED = 12
 Answer = TypeVar("Answer")
 

@@ -1,6 +1,7 @@
 """Scene files, and the signals of many impacts that a sensor records."""
 
-from cgid.scene.calibration import Blow, Calibration, calibrated
+from cgid.deprecated import renamed
+from cgid.scene.calibration import Calibration, CalibrationImpact, calibrated
 from cgid.scene.generation import generate
 from cgid.scene.given_pulses import synthesise_given
 from cgid.scene.recordings import generate_recordings
@@ -10,8 +11,8 @@ from cgid.scene.stream import record
 from cgid.scene.synthesis import synthesise
 
 __all__ = [
-    "Blow",
     "Calibration",
+    "CalibrationImpact",
     "Scene",
     "Sensor",
     "calibrated",
@@ -24,3 +25,5 @@ __all__ = [
     "synthesise_given",
     "varied",
 ]
+
+__getattr__ = renamed(__name__, {"Blow": "cgid.scene.CalibrationImpact"})

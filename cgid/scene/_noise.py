@@ -1,4 +1,4 @@
-"""Numba kernels of white noise: a normal number for every (key, address, sample), whichever are asked for.
+"""Numba kernels of white noise: a normal number for every (key, address, sample), whichever are requested.
 
 Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) turns a counter of four words and a key of two into four random
 words; Box and Muller's (1958) transform turns two words into two normal numbers. There is no state, so any samples can

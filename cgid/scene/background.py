@@ -177,7 +177,7 @@ class RecordedBackground(Section):
     signal_to_noise: Decibel
     """Level of the impacts over the background."""
     sampling_rate: Frequency | None = None
-    """Where the recording does not say it."""
+    """Where the recording does not state it."""
     channel: str | None = None
     """Name or number of the channel."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import Impact
 from cgid.physics.response import Resonance, Response
@@ -23,7 +24,7 @@ from cgid.validation import Complex, Floats
 
 #: Samples kept before the start of an impact, and at most on either side of the largest.
 _BEFORE, _AROUND = 32, 1 << 15
-#: Fewest samples before a drop: they show noise and offset.
+#: Minimum number of samples before a drop: they show noise and offset.
 _QUIET = 8
 #: A hammer's force extends from the first to the last sample above this fraction of its peak and this multiple of its
 #: noise, with a margin of samples on both sides; the outermost samples taper to zero.
@@ -36,7 +37,7 @@ _CHANNELS_APART = 4
 _FLIGHT = 0.8
 #: Points of the force of a drop to a sample.
 _FINER = 16
-#: What rings on past twice the length of a recording comes back damped by this factor.
+#: What is still in ring-down past twice the length of a recording comes back damped by this factor.
 _WRAPPED = 1e-9
 #: Numbers of a transfer function that are computed at once.
 _AT_ONCE = 1 << 20
@@ -47,8 +48,8 @@ _STEPS, _MAX_CHANGE = 8, 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Blow:
-    """One blow on a tail beam: the recorded motion, and the force or the drop that caused it.
+class CalibrationImpact:
+    """One impact on a tail beam: the recorded motion, and the force or the drop that caused it.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class Blow:
     force : Signal, optional
         Recorded by the hammer with the same clock and length, above 0 where it pushes.
     impact : Impact, optional
-        A drop of known mass in place of a force: one impact on `scene.body` at the `free_fall_velocity` of its height.
+        A drop of known mass instead of a force: one impact on `scene.body` at the `free_fall_velocity` of its height.
     impact_point : tuple of float, optional
         Where it fell, x and y [m]; by default that of the scene, if it is a single point.
     force_filtered : bool
@@ -87,7 +88,9 @@ class Blow:
         if self.impact is not None:
             validation.instance("impact", self.impact, Impact)
             if self.impact.contact_duration.size != 1:
-                raise InvalidValue(f"impact must be one, got {self.impact.contact_duration.size}; give each its Blow")
+                raise InvalidValue(
+                    f"impact must be one, got {self.impact.contact_duration.size}; give each its CalibrationImpact"
+                )
 
     def _require_force(self, force: Signal) -> None:
         validation.instance("force", force, Signal)
@@ -122,19 +125,20 @@ class Calibration:
     delays: Floats
 
 
-def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
-    """Fit the gain of a scene's sensor to recorded blows: hammer taps, or drops of known mass.
+@renamed_arguments(blows="impacts")
+def calibrated(scene: Scene | str | Path, impacts: Sequence[CalibrationImpact]) -> Calibration:
+    """Fit the gain of a scene's sensor to recorded impacts: hammer taps, or drops of known mass.
 
-    The gain is the factor between the recordings and the synthesised motion of the same blows, by least squares over
+    The gain is the factor between the recordings and the synthesised motion of the same impacts, by least squares over
     all samples. Each recording is scaled by its largest sample, so all have the same weight. Offsets and delays are
-    fitted as well. Noise in a hammer's channel biases the gain: by some 0.7 % per blow where it is 1 % of the peak of a
-    contact of 5 to 10 samples. The modes of a beam come from `cgid tap` or `cgid calibrate`.
+    fitted as well. Noise in a hammer's channel biases the gain: by some 0.7 % per impact where it is 1 % of the peak of
+    a contact of 5 to 10 samples. The modes of a beam come from `cgid tap` or `cgid calibrate`.
 
     Parameters
     ----------
     scene : Scene, str or Path
         With a beam and a sensor of motion: that of the recordings except for the gain.
-    blows : sequence of Blow
+    impacts : sequence of CalibrationImpact
 
     Returns
     -------
@@ -143,15 +147,15 @@ def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
     Raises
     ------
     InvalidValue
-        No blows, or a quantity, rate or location that does not fit the scene.
+        No impacts, or a quantity, rate or location that does not fit the scene.
     BadData
-        A recording is too noisy, clipped or starts too late, or the blows do not explain it.
+        A recording is too noisy, clipped or starts too late, or the impacts do not explain it.
 
     Examples
     --------
     Taps of an instrumented hammer, simulated with a sensor that is 30 % too loud:
 
-    >>> from cgid.scene import Blow, calibrated, parse_scene, synthesise, varied
+    >>> from cgid.scene import CalibrationImpact, calibrated, parse_scene, synthesise, varied
     >>> from cgid.signals import Signal
     >>> mode = {"damping_ratio": 0.02, "modal_mass": "300 kg", "shape_impact": 0.8, "shape_sensor": 0.6}
     >>> beam = parse_scene(
@@ -169,20 +173,21 @@ def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
     >>> for unit, rig in {"m/s^2": varied(beam, gain=1.3), "N": varied(beam, quantity="force")}.items():
     ...     batch = next(synthesise(rig, 3, seed=1))
     ...     taps[unit] = [Signal(samples=row, sampling_rate=10e3, unit=unit) for row in batch.signals]
-    >>> found = calibrated(beam, [Blow(motion=motion, force=force) for motion, force in zip(taps["m/s^2"], taps["N"])])
+    >>> found = calibrated(beam, [CalibrationImpact(motion=motion, force=force) for motion, force in zip(taps["m/s^2"],
+    taps["N"])])
     >>> print(f"{found.gain:.2f}")
     1.30
     >>> bool((found.explained > 0.98).all())
     True
     """
     scene = load_scene(scene)
-    blows = _checked(scene, blows)
+    impacts = _checked(scene, impacts)
     beam, modes = scene.tail_beam, beam_modes(scene)
     assert beam is not None
-    points = np.array([_point(beam, blow) for blow in blows])
+    points = np.array([_point(beam, blow) for blow in impacts])
     rows = modes.participation(points[:, 0], points[:, 1])
     with threadpool_limits(1, "blas"):
-        models = [_Model(scene, blow, row) for blow, row in zip(blows, rows, strict=True)]
+        models = [_Model(scene, blow, row) for blow, row in zip(impacts, rows, strict=True)]
         clearest = max(models, key=lambda model: model.correlation()[1])
         # A shift by half a period with the opposite sign fits almost as well: the clearest impact sets the sign.
         sign = np.sign(clearest.correlation()[2])
@@ -192,7 +197,7 @@ def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
     worst = int(np.argmin(explained))
     if explained[worst] < _MIN_EXPLAINED:
         raise BadData(
-            f"{blows[worst].motion.name}: motion must come from the blow, which explains "
+            f"{impacts[worst].motion.name}: motion must come from the blow, which explains "
             f"{100 * explained[worst]:.1f} % of it; check that force and motion are of one blow, and where it fell"
         )
     content = json.loads(scene.text)
@@ -206,22 +211,22 @@ def calibrated(scene: Scene | str | Path, blows: Sequence[Blow]) -> Calibration:
     )
 
 
-def _checked(scene: Scene, blows: Sequence[Blow]) -> list[Blow]:
-    blows = list(blows)
-    if not blows:
-        raise InvalidValue("blows must be at least 1, got none")
-    for blow in blows:
-        if not isinstance(blow, Blow):
-            raise InvalidValue(f"blows must be of Blow, got {type(blow).__name__}")
+def _checked(scene: Scene, impacts: Sequence[CalibrationImpact]) -> list[CalibrationImpact]:
+    impacts = list(impacts)
+    if not impacts:
+        raise InvalidValue("impacts must be at least 1, got none")
+    for blow in impacts:
+        if not isinstance(blow, CalibrationImpact):
+            raise InvalidValue(f"impacts must be of CalibrationImpact, got {type(blow).__name__}")
     if scene.sensor.quantity == "force":
         raise InvalidValue(
             f"scene {scene.name} must have a sensor of motion on a tail beam to be calibrated, its sensor feels force"
         )
-    return blows
+    return impacts
 
 
-def _point(beam: TailBeamSection, blow: Blow) -> tuple[float, float]:
-    """Return the location of a blow; measured modes have only one."""
+def _point(beam: TailBeamSection, blow: CalibrationImpact) -> tuple[float, float]:
+    """Return the location of an impact; measured modes have only one."""
     if blow.impact_point is not None:
         place = blow.impact_point
         for axis, at, size in (("x", place[0], beam.length), ("y", place[1], beam.width)):
@@ -248,7 +253,7 @@ class _Model:
     not come back.
     """
 
-    def __init__(self, scene: Scene, blow: Blow, participation: Floats) -> None:
+    def __init__(self, scene: Scene, blow: CalibrationImpact, participation: Floats) -> None:
         self.blow, self._sensor, self._rate = blow, scene.sensor, scene.sampling.sampling_rate
         samples, filters = _motion(scene, blow), scene.sensor.filters
         self.first = max(int(np.argmax(np.abs(samples))) - _AROUND, 0)
@@ -356,7 +361,7 @@ def _fitted(models: Sequence[_Model]) -> tuple[float, Floats]:
 # ---- recordings ------------------------------------------------------------------------------------------------------
 
 
-def _motion(scene: Scene, blow: Blow) -> Floats:
+def _motion(scene: Scene, blow: CalibrationImpact) -> Floats:
     """Return the samples of a motion in SI, checked against the scene."""
     motion, sensor, rate = blow.motion, scene.sensor, scene.sampling.sampling_rate
     if motion.quantity != sensor.quantity:
@@ -392,7 +397,7 @@ def _hammered(force: Signal) -> tuple[int, Floats]:
     if lowest > peak:
         raise BadData(f"{force.name}: force must be above 0 where it pushes, its peak is below; use Signal.inverted()")
     strong = np.flatnonzero(np.abs(samples) > max(_NOISE_FLOOR * noise, _FORCE_FLOOR * peak))
-    # Noise passes the floor occasionally, so parts that a quiet stretch separates from the blow are left out.
+    # Noise passes the floor occasionally, so parts that a quiet stretch separates from the impact are left out.
     at = int(np.searchsorted(strong, np.argmax(samples)))
     gaps = np.diff(strong) > 2 * _MARGIN
     begins = np.flatnonzero(gaps[:at])

@@ -72,7 +72,7 @@ def add_noise(
 _MAX_TERM = 10_000
 #: Blocks of 256 rocks used for the median peak of a scene.
 _REFERENCE_BLOCKS = 4
-#: A blow has passed its peak within this many samples.
+#: An impact has passed its peak within this many samples.
 _REFERENCE_SAMPLES = 2048
 
 

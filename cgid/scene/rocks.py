@@ -187,7 +187,7 @@ def on_beam(scene: Scene, x: Floats, y: Floats) -> NDArray[np.bool_]:
 _QUANTITIES = (*FALL, *LUMP, "yield_pressure", "strength", "viscous_restitution", "velocity")
 #: The state of a rock before an impact.
 COLUMNS = {
-    "time": np.float64,  # of touch [s]
+    "time": np.float64,  # of onset [s]
     "rock": np.int64,  # number in the recording
     "bounce": np.int64,  # number of its earlier impacts
     "population": np.int64,
@@ -274,7 +274,7 @@ def thrown_back(
     """Return the rocks still followed after an impact, before their next one.
 
     A rock leaves with the normal speed u = e v, flies for `2 u / (g cos alpha)` and returns with the same normal speed.
-    An eccentric blow by the share r of its mass, the impulse `(1 + e) r m v`, leaves its centre
+    An eccentric impact by the share r of its mass, the impulse `(1 + e) r m v`, leaves its centre
     `u = ((1 + e) r - 1) v`; where that is not above 0 the rock topples over and is followed no further.
     Gravity moves it down the slope by `u t + g sin(alpha) t^2 / 2` between touches. delivered is the restitution
     including losses to the target. Rocks with inaudible impacts are dropped.

@@ -70,7 +70,7 @@ def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[floa
 
 
 def through_modes(scene: Scene, beam: Beam) -> Beam:
-    """Return a beam with the modes of a scene in place of its own: those of other dimensions, without errors."""
+    """Return a beam with the modes of a scene instead of its own: those of other dimensions, without errors."""
     modes = beam_modes(scene)
     own = replace(
         modes, at_impact=_at_nodes(scene, modes), at_sensor=np.ones((1, modes.frequency.size)), deviation=None
@@ -86,7 +86,7 @@ def full_beam(scene: Scene) -> Beam:
 
 
 def spread_over(beam: dict[str, Any]) -> None:
-    """Let blows fall all over a beam of known size."""
+    """Let impacts fall all over a beam of known size."""
     if beam.get("impact_point") is not None and {"length", "width"} <= beam.keys():
         beam["impact_point"] = {"x": _uniform(beam["length"], _LENGTHWISE), "y": _uniform(beam["width"], _CROSSWISE)}
 
@@ -235,7 +235,7 @@ def _at_nodes(scene: Scene, modes: Modes) -> NodeShapes:
 
 
 def _region(scene: Scene) -> Floats:
-    """Return lowest and highest x, lowest and highest y of the places of blows [m]; zeros where they do not matter."""
+    """Return minimum and maximum x, minimum and maximum y of impact locations [m]; zeros if irrelevant."""
     assert scene.tail_beam is not None
     point = scene.tail_beam.impact_point
     return np.zeros(4) if point is None else np.array([*point.x.extremes, *point.y.extremes])

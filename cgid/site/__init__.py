@@ -1,6 +1,9 @@
-"""A site: what recordings teach of one's own beam. Joins both wings, as the ceiling does."""
+"""Calibrate the beam of a site: its modes from hammer taps or from unlabelled impacts. Uses both layers."""
 
-from cgid.site.calibration import SiteCalibration, calibrate, usable_blows
+from cgid.deprecated import renamed
+from cgid.site.calibration import SiteCalibration, calibrate, usable_impacts
 from cgid.site.tapping import Tap, TapTest, tap_test
 
-__all__ = ["SiteCalibration", "Tap", "TapTest", "calibrate", "tap_test", "usable_blows"]
+__all__ = ["SiteCalibration", "Tap", "TapTest", "calibrate", "tap_test", "usable_impacts"]
+
+__getattr__ = renamed(__name__, {"usable_blows": "cgid.site.usable_impacts"})

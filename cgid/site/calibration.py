@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue
 from cgid.files import check_new, write_together
 from cgid.identification.contact import REACH, clipped_samples
@@ -29,25 +30,26 @@ from cgid.scene.stream import parts_of_recording
 from cgid.scene.synthesis import synthesise
 from cgid.scene.through_beam import beam_of, spread_over, through_modes
 from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
-from cgid.site.learning import MOST_ROUNDS, Blows, evidence_of, learn
+from cgid.site.learning import Blows, evidence_of, learn
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.identification.events import Event
 
-__all__ = ["MOST_ROUNDS", "SiteCalibration", "calibrate", "usable_blows"]
+__all__ = ["SiteCalibration", "calibrate", "usable_impacts"]
 
-#: Fewest usable blows.
+#: Minimum number of usable blows.
 FEWEST = 20
 #: Prior deviations of ln damping ratio for those of ln frequency, and the largest.
 _DAMPING_A_FREQUENCY, _MOST_DAMPING = 10.0, 0.3
-#: Blows whose evidence is compared, and the seed of simulated ones.
+#: Impacts whose evidence is compared, and the seed of simulated ones.
 _COMPARED, _SEED = 256, 0x5EED_0002_CA11
 #: Recordings of a stream, and their length together [s], that are simulated for these at most.
 _RECORDINGS, _MAX_STREAM = 16, 120.0
 #: The evidence may stay this much below that of simulation, absolutely and relatively.
 _BELOW, _BELOW_SHARE = 0.1, 0.1
-#: Share of the worst blows that is left out: a touch that is missed, two blows at once, another place than the scene's.
+#: Share of the worst impacts that is left out: an onset that is missed, two impacts at once, another place than the
+#: scene's.
 _WORST = 0.2
 #: In a stream, where many begin while earlier ones still ring.
 _WORST_OF_STREAM = 0.5
@@ -70,11 +72,11 @@ class SiteCalibration:
         Dimensions of the beam that were learned; empty where they were taken as exact.
     start, learned : Modes
         The modes before, with the deviations they were given, and after.
-    n_blows : int
-        Blows that were used.
+    n_impacts : int
+        Impacts that were used.
     before, after, expected : float
-        Log evidence of a blow per sample (mean without the worst fifth, in a stream the worst half): before, after, and
-        of blows that are simulated through the learned beam.
+        Log evidence of an impact per sample (mean without the worst fifth, in a stream the worst half): before, after,
+        and of impacts that are simulated through the learned beam.
     crossings : int
         Neighbouring modes that have changed places.
     at_rest : bool
@@ -85,12 +87,14 @@ class SiteCalibration:
     dimensions: tuple[Dimension, ...] = ()
     start: Modes
     learned: Modes
-    n_blows: int
+    n_impacts: int
     before: float
     after: float
     expected: float
     crossings: int
     at_rest: bool
+
+    n_blows = renamed_attribute("n_blows", "n_impacts")
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, Path]:
         """Write the scene as a .toml file, and its modes as a table beside it; return both paths."""
@@ -101,7 +105,7 @@ class SiteCalibration:
         for part in content.get("background", {}).values():  # paths are relative to the file that names them
             if isinstance(part, dict) and "path" in part:
                 part["path"] = str((self.scene.folder / part["path"]).resolve())
-        head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {self.n_blows} impacts.\n"
+        head = f"# Written by cgid calibrate: the modes of {table.name} are learned from {self.n_impacts} impacts.\n"
         texts = {table: text_of_table(self.learned.columns), path: head + "\n".join(_toml(content)) + "\n"}
         write_together({place: text.encode() for place, text in texts.items()}, overwrite=overwrite)
         return path, table
@@ -112,7 +116,7 @@ def table_beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}-modes.csv")
 
 
-def usable_blows(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]]:
+def usable_impacts(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]]:
     """Return the impacts that can teach, and how many cannot, by reason.
 
     Parameters
@@ -135,6 +139,7 @@ def usable_blows(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]]:
     return kept, lost
 
 
+@renamed_arguments(most_blows="max_impacts")
 def calibrate(
     scene: Scene | str | Path,
     frames: NDArray[np.floating],
@@ -145,7 +150,7 @@ def calibrate(
     drift: float = 0.003,
     participation_error: float = 0.0,
     dimension_error: float | Mapping[str, float] = 0.0,
-    most_blows: int = 300,
+    max_impacts: int = 300,
     progress: Callable[[int], object] | None = None,
 ) -> SiteCalibration:
     """Learn the modes of a scene's beam from recorded blows.
@@ -154,13 +159,13 @@ def calibrate(
     ----------
     scene : Scene, str or Path
         With a beam of known size or a table of modes, and one accelerometer on it.
-    frames : ndarray, (n_blows, n_samples)
-        Blows at unknown places, in the SI unit of the sensor; clipped ones are left out, and of more than `most_blows`
-        those over the whole recording are taken.
+    frames : ndarray, (n_impacts, n_samples)
+        Impacts at unknown places, in the SI unit of the sensor; clipped ones are left out, and of more than
+        `max_impacts` those over the whole recording are taken.
     sampling_rate : float [Hz]
         That of the scene.
     pre_trigger : int
-        Samples of each frame before touch.
+        Samples of each frame before onset.
     start_error : float
         Standard deviation of the natural frequencies of a scene that has never been calibrated, relative; that of the
         damping ratios is 10 times as large, at most 0.3.
@@ -172,8 +177,8 @@ def calibrate(
         Standard deviation of each dimension of the beam and of its sensor's place, relative; or of those that a mapping
         names (`cgid.site.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned first, with the
         damping ratio, and `start_error` is what is off beside them.
-    most_blows : int
-        Largest number of blows that are used.
+    max_impacts : int
+        Largest number of impacts that are used.
     progress : callable, optional
         Receives the number of rounds done since the last call; there are at most `MOST_ROUNDS`.
 
@@ -186,13 +191,14 @@ def calibrate(
     InvalidValue
         A number breaks its rule, or the scene has no beam to look through, or a sensor on nodes.
     BadData
-        Too few blows, another sampling rate, modes that cross and cannot be told apart, or blows of another beam.
+        Too few impacts, another sampling rate, modes that cross and cannot be distinguished, or impacts of another
+        beam.
     """
     scene = load_scene(scene)
-    check_numbers(start_error, drift, participation_error, most_blows)
+    check_numbers(start_error, drift, participation_error, max_impacts)
     check_scene(scene, sampling_rate)
     uncertain_dimensions = dimension_errors(scene, dimension_error)
-    # Two highest samples of a whole blow are equal by chance where a recorder has few steps.
+    # Two highest samples of a whole impact are equal by chance where a recorder has few steps.
     clipped = clipped_samples(np.asarray(frames, np.float64), shared=3) if len(frames) else None
     if clipped is not None:
         frames = frames[~clipped.any(axis=1)]
@@ -202,7 +208,7 @@ def calibrate(
             f"blows must be at least {FEWEST} to learn from, got {len(frames)}{left_out}; record longer"
             + (", and below the sensor's range" if left_out else "")
         )
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), most_blows)).round().astype(np.intp))
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), max_impacts)).round().astype(np.intp))
     if scene.stream is not None and next(_simulated_events(scene), None) is None:
         raise BadData(
             f"scene {scene.name}: stream must hold impacts to compare with that stand alone, there is none in "
@@ -244,7 +250,7 @@ def calibrate(
         dimensions=dimensions,
         start=replace(start, deviation=deviation),
         learned=learned,
-        n_blows=len(blows),
+        n_impacts=len(blows),
         before=before,
         after=after,
         expected=expected,
@@ -262,7 +268,7 @@ def uncertain(scene: Scene, start_error: float) -> Scene:
     return _with_beam(scene, learned=rows_of(replace(start, deviation=deviation)))
 
 
-def check_numbers(start_error: float, drift: float, participation_error: float, most_blows: int) -> None:
+def check_numbers(start_error: float, drift: float, participation_error: float, max_impacts: int) -> None:
     """Raise `InvalidValue` if a number of `calibrate` breaks its rule."""
     for name, value, most in (
         ("start_error", start_error, 0.1),
@@ -272,11 +278,11 @@ def check_numbers(start_error: float, drift: float, participation_error: float, 
         if not 0 <= value <= most or (name == "start_error" and value == 0):
             least = "above 0" if name == "start_error" else "at least 0"
             raise InvalidValue(f"{name} must be {least} and at most {most:g}, got {value:g}")
-    validation.count("most_blows", most_blows)
+    validation.count("max_impacts", max_impacts)
 
 
 def check_scene(scene: Scene, sampling_rate: float) -> None:
-    """Raise unless a scene has a beam that its sensor hears (`InvalidValue`), at this rate (`BadData`)."""
+    """Raise unless a scene has a beam that its sensor measures (`InvalidValue`), at this rate (`BadData`)."""
     if scene.tail_beam is None or scene.sensor.quantity == "force":
         raise InvalidValue(
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion on it to be calibrated; add them"
@@ -333,14 +339,14 @@ def prepare_blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigge
 
 
 def _evidence(beam: Beam, blows: Blows, worst: float) -> float:
-    """Return the mean evidence of some blows, without this share, the worst."""
+    """Return the mean evidence of some impacts, without this share, the worst."""
     part = blows.taken(slice(_COMPARED))
     found = np.sort(evidence_of(Inversion(beam), part))
     return float(found[int(worst * found.size) :].mean())
 
 
 def _simulated(site: Scene) -> Blows:
-    """Return blows simulated through the beam of a scene, as a detector finds them if it has a stream."""
+    """Return impacts simulated through the beam of a scene, as a detector finds them if it has a stream."""
     rate = site.sampling.sampling_rate
     if site.stream is None:
         frames = np.concatenate([batch.signals for batch in synthesise(site, _COMPARED, _SEED)])
@@ -357,11 +363,11 @@ def _simulated_events(site: Scene) -> Iterator[Event]:
     for number in range(_RECORDINGS):
         detector = ImpactDetector(site.sampling.sampling_rate, kind="vibration")
         for samples, _ in parts_of_recording(site, _SEED, number, dtype="float32"):
-            yield from usable_blows(detector.feed(samples[np.newaxis]))[0]
+            yield from usable_impacts(detector.feed(samples[np.newaxis]))[0]
             left -= samples.size
             if left <= 0:
                 return
-        yield from usable_blows(detector.finish())[0]
+        yield from usable_impacts(detector.finish())[0]
 
 
 def count_crossings(scene: Scene, learned: Modes) -> int:
@@ -410,7 +416,7 @@ def _value(value: Any) -> str:
 
 
 def frames_of(events: Sequence[Event]) -> tuple[NDArray[np.floating], int]:
-    """Return the frames of impacts from one detector, and how many samples of each are before touch."""
+    """Return the frames of impacts from one detector, and how many samples of each are before onset."""
     before = events[0].pre_trigger
     assert before is not None  # those of vibrations are known
     return np.stack([event.samples for event in events]), before

@@ -1,8 +1,8 @@
-"""The dimensions of a beam, learned from blows whose places and forces nobody knows.
+"""The dimensions of a beam, learned from impacts whose places and forces nobody knows.
 
 A drawing gives length, width, thickness and ribs, and they are some per cent off. Every natural frequency and every
 shape follows from these few numbers, so they are learned before the modes are: Gauss-Newton steps on the logarithms of
-all dimensions, with the places and forces of the blows projected out as in `learning`. The lowest modes come first:
+all dimensions, with the places and forces of the impacts projected out as in `learning`. The lowest modes come first:
 their responses turn by less than a period even where the drawing is wrong. Each wider band then learns what is left.
 """
 
@@ -35,7 +35,7 @@ _PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median"
 #: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
 _BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
 MOST_ROUNDS = len(_BANDS) * _ROUNDS
-#: Fewest modes of a band.
+#: Minimum number of modes of a band.
 _MIN_MODES = 4
 #: A band is learned where no step is longer than this share of its deviation.
 _AT_REST = 0.3
@@ -45,7 +45,7 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Dimension:
-    """A dimension of a beam before and after blows have taught it."""
+    """A dimension of a beam before and after impacts have taught it."""
 
     name: str  # key of the scene, below `tail_beam`
     before: float  # `before`, `after`: in the SI unit of the scene
@@ -92,7 +92,7 @@ def learn_dimensions(
     *,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Scene, tuple[Dimension, ...]]:
-    """Return a scene with the dimensions that blows tell of, and these.
+    """Return a scene with the dimensions that impacts tell of, and these.
 
     `beam` is that of the scene, whose modes nobody has learned; `errors` are those of `dimension_errors`, standard
     deviations of logarithms. `progress` receives the number of rounds done since the last call, at most `MOST_ROUNDS`.
@@ -148,7 +148,7 @@ def dimensions_of(scene: Scene) -> dict[str, float]:
 def with_dimensions(scene: Scene, names: list[str], change: Floats) -> Scene:
     """Return a scene whose beam has other dimensions; `change` is that of their logarithms.
 
-    Blows and the sensor stay where they are, or go as far in as the beam is shorter.
+    Impacts and the sensor stay where they are, or go as far in as the beam is shorter.
     """
     content = json.loads(scene.text)
     beam = content["tail_beam"]

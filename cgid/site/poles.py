@@ -28,7 +28,7 @@ Complexes = NDArray[np.complex128]
 
 #: A band: width of its core over its frequency, and the most [Hz]; what is fitted beyond it on either side.
 _WIDTH, _WIDEST, _MARGIN = 0.25, 500.0, 0.3
-#: Fewest bins of a band, and most: more samples or fewer are then transformed.
+#: Minimum number of bins of a band, and most: more samples or fewer are then transformed.
 _MIN_BINS, _MAX_BINS = 48, 400
 #: Degree of the polynomial for what rings outside of a band.
 _DEGREE = 8

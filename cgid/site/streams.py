@@ -40,7 +40,7 @@ DURATION = 60.0
 #: Rocks a second and the density of the noise are those of the scene times a factor within these, log-uniform; the
 #: noise only in every other stream (assumed).
 _RATES, _NOISES = (0.5, 1.5), (0.3, 10.0)
-#: A found impact belongs to the strongest blow that touches from this long before it to this long after it [s].
+#: A found impact belongs to the strongest impact that touches from this long before it to this long after it [s].
 _BEFORE, _AFTER = 4e-3, 1.5e-3
 #: Impacts found a rock, about; and streams, at least, to train on and to finish with.
 _IMPACTS_A_ROCK, _MIN_STREAMS = 1.6, 8
@@ -52,7 +52,7 @@ UNKNOWN_SHARE = 0.035
 class StreamRows:
     """The measured impacts of a simulated stream."""
 
-    rows: Rows  # without those that cannot be measured, or belong to no blow
+    rows: Rows  # without those that cannot be measured, or belong to no impact
     n_found: int  # impacts found
     n_rocks: tuple[int, int]  # rocks of each of the two labels, in alphabetical order
     share: float  # of the second label among the rocks that may come
@@ -194,7 +194,7 @@ def _features(events: Sequence[Event], names: tuple[str, ...], beam: Beam) -> Fl
 
 
 def _blow_of(found: Floats, touch: Floats, peak: Floats) -> NDArray[np.intp]:
-    """Return the number of the blow that each found impact belongs to, -1 for none, (n,)."""
+    """Return the number of the impact that each found impact belongs to, -1 for none, (n,)."""
     first, last = np.searchsorted(touch, found - _BEFORE), np.searchsorted(touch, found + _AFTER)
     blows = [a + int(np.argmax(peak[a:b])) if b > a else -1 for a, b in zip(first, last, strict=True)]
     return np.array(blows, np.intp)

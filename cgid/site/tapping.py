@@ -1,6 +1,6 @@
 """A tap test: taps of a hammer on a beam, recorded by an accelerometer on it, and the modes that ring after them.
 
-A recording is cut at its taps. What follows a tap, from the end of the blow to the next tap, is a free decay; `poles`
+A recording is cut at its taps. What follows a tap, from the end of the impact to the next tap, is a free decay; `poles`
 finds the modes in all decays together. With an instrumented hammer, the decay also gives the participation of a mode,
 `shape(tap) shape(sensor) / modal mass`: its amplitude over the Laplace transform of the force at the mode's own pole.
 That is the estimate H1 at the pole, and neither windows nor leakage come in.
@@ -30,9 +30,9 @@ from cgid.validation import Floats
 CONTACT, _AFTER = 2e-3, 0.5e-3
 #: A tap ends so long before the onset of the next [s]: an onset may be found late.
 _BEFORE_NEXT = 1e-3
-#: A blow makes the second differences of a response grow this many times within this time [s].
+#: An impact makes the second differences of a response grow this many times within this time [s].
 _JUMP, _JUMP_TIME = 3.0, 2e-3
-#: Two blows within this time are a double tap [s].
+#: Two impacts within this time are a double tap [s].
 DOUBLE = 0.1
 #: Shortest decay [s], and its least part of the median one.
 SHORTEST, _MIN_PART = 30e-3, 0.5
@@ -272,7 +272,7 @@ def _jump(response: Floats, onset: int, sampling_rate: float) -> float:
 
 
 def _force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, list[Event]]:
-    """Return the force during blows, 0 between them, and the blows; raises `BadData` if there is none."""
+    """Return the force during impacts, 0 between them, and the impacts; raises `BadData` if there is none."""
     for sign in (1.0, -1.0):
         detector = ImpactDetector(sampling_rate, kind="pulse")
         hits = detector.feed(sign * hammer) + detector.finish()

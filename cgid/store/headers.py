@@ -30,7 +30,7 @@ from cgid.validation import RATES
 
 #: Labels and names are shorter [bytes].
 _WIDEST_TEXT = 4096
-#: Most damaged chunks of one dataset that are named.
+#: Maximum number of damaged chunks of one dataset that are named.
 _MAX_CHUNKS = 4
 #: Recordings and tables are uncompressed: they declare no more bytes than are stored.
 _UNPACKED = 1.0

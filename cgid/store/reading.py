@@ -23,7 +23,7 @@ from cgid.store.headers import recording_header, rows, shard_header
 from cgid.terminal import counted
 from cgid.units import quantity_of
 
-#: Most signals read at once, and their largest size [bytes].
+#: Maximum number of signals read at once, and their largest size [bytes].
 _ROWS, _MAX_BATCH = 1024, 32 << 20
 #: Samples and impacts of a recording read at once.
 _BLOCK, _IMPACTS = 1 << 20, 1 << 16
@@ -115,7 +115,7 @@ class Dataset:
             self._state(number)
 
     def _state(self, number: int) -> Identity:
-        """Return the state of a shard, whose sum and header are checked when it is asked for first."""
+        """Return the state of a shard, whose sum and header are checked when it is requested first."""
         if number in self._states:
             return self._states[number]
         shard, folder = self._shards[number], self._folder
@@ -161,7 +161,7 @@ class Dataset:
 
     @property
     def pre_trigger(self) -> int:
-        """Samples before touch."""
+        """Samples before onset."""
         return self.header.pre_trigger
 
     @property

@@ -235,7 +235,7 @@ def _started(output: Path, description: Description, overwrite: bool, resume: bo
         keep = resume and _is_resumed(output, description, overwrite)
         if not keep:
             check_output(output, description.kind, overwrite or resume)  # another run may have been here meanwhile
-            # Without sums no file of an earlier description is taken for one of this.
+            # Without sums no file of an earlier description is treated as one of this.
             for name in (SUMS, MANIFEST, JOURNAL):
                 (output / name).unlink(missing_ok=True)
         if read_text(output / DESCRIPTION) != description.text:
