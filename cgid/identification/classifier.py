@@ -141,7 +141,7 @@ def _network(settings: ImpactClassifier) -> Any:
 
 
 def contrast_of(known: Floats, strangers: Floats, linear: tuple[int, ...], seed: int) -> Contrast:
-    """Return a contrast of known and out-of-distribution rows (n, n_features); 99.7 % of the known are within its limit."""
+    """Return a contrast of known and other rows (n, n_features); its limit holds 99.7 % of the known."""
     pick = np.random.default_rng(seed)
     rows = [part[pick.permutation(len(part))[:_MAX_CONTRASTED]] for part in (known, strangers)]
     inputs, stranger = np.concatenate(rows), np.repeat([0, 1], [len(part) for part in rows])

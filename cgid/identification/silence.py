@@ -1,7 +1,8 @@
 """Impacts or windows: which of them recordings hold, as the impact finder and the level between impacts say.
 
-A window without an impact is uninformative about the material, unless the recording is loud throughout. So a model decides on
-impacts where most windows are silence between impacts, and on windows where impacts are dense or noise never ends.
+A window without an impact is uninformative about the material, unless the recording is loud throughout. So a model
+decides on impacts where most windows are silence between impacts, and on windows where impacts are dense or noise never
+ends.
 """
 
 from __future__ import annotations
