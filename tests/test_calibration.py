@@ -260,8 +260,8 @@ def late(blow):
 
 
 BAD = {
-    "blows must be at least 1, got none": lambda tap: calibrated(BEFORE, []),
-    "blows must be of CalibrationImpact, got Signal": lambda tap: calibrated(BEFORE, [tap.motion]),
+    "impacts must be at least 1, got none": lambda tap: calibrated(BEFORE, []),
+    "impacts must be of CalibrationImpact, got Signal": lambda tap: calibrated(BEFORE, [tap.motion]),
     "either force or impact": lambda tap: CalibrationImpact(motion=tap.motion),
     "and not both": lambda tap: CalibrationImpact(motion=tap.motion, force=tap.force, impact=sphere_from(1.0)),
     "impact must be one, got 2": lambda tap: CalibrationImpact(
