@@ -28,14 +28,18 @@ HERE = Path(__file__).resolve().parents[1]
 WALKS = {
     "predict datasets/sample.csv": ["predict", "datasets/sample.csv"],
     "generate -n 200": ["generate", "datasets/reference.toml", "-n", "200", "-o", "made"],
+    "calibrate": ["calibrate", "beam", "--scene", "tail_beam", "-o", "made"],  # 24 signals, generated first
 }
 RUNS = ("first", "second")
-COUNTED = "functions / files / jumps / calls deep"
+COUNTED = "functions / files / jumps / calls deep / calls / of these checks"
 #: Runs in a process of its own, in the checkout to be measured: prints what a command has walked through, twice over.
 _WALK = """
 import inspect, json, os, sys
 package = os.path.join(os.getcwd(), "cgid") + os.sep
-functions, jumps, depth, importing = set(), set(), [0, 0], 0
+functions, jumps, depth, calls, importing = set(), set(), [0, 0], [0, 0], 0
+def is_check(code):
+    return code.co_filename.endswith(("validation.py", "units.py")) or code.co_name.lstrip("_").startswith(
+        ("require", "check_", "post_init"))
 def is_function(code):  # the bodies of classes and modules have a namespace of their own instead
     inside = code.co_filename.startswith(package)
     return inside and code.co_flags & inspect.CO_OPTIMIZED and code.co_name[0] != "<"
@@ -50,6 +54,8 @@ def follow(frame, event, argument):
         depth[0] += 1
         depth[1] = max(depth)
         functions.add((code.co_filename, code.co_qualname))
+        calls[0] += 1
+        calls[1] += is_check(code)
         caller = frame.f_back
         while caller is not None and not caller.f_code.co_filename.startswith(package):
             caller = caller.f_back
@@ -64,7 +70,7 @@ walks = []
 for arguments in json.loads(sys.argv[1]):
     sys.argv[1:] = arguments
     functions.clear(), jumps.clear()
-    depth[:] = 0, 0
+    depth[:] = calls[:] = 0, 0
     status = 0
     sys.setprofile(follow)
     try:
@@ -72,7 +78,7 @@ for arguments in json.loads(sys.argv[1]):
     except SystemExit as end:
         status = end.code
     sys.setprofile(None)
-    walks.append([status or 0, len(functions), len({file for file, _ in functions}), len(jumps), depth[1]])
+    walks.append([status or 0, len(functions), len({file for file, _ in functions}), len(jumps), depth[1], *calls])
 os.write(out, json.dumps(walks).encode())
 """
 _IMPORT = (
@@ -212,14 +218,17 @@ def figures(checkout: Path) -> dict[str, str]:
     environment = {**os.environ, "PYTHONPATH": str(checkout)}
     for name, arguments in WALKS.items():
         with tempfile.TemporaryDirectory() as folder:
-            twice = [[f"{folder}/{run}" if word == "made" else word for word in arguments] for run in RUNS]
+            places = [{"made": f"{folder}/{run}.toml", "beam": f"{folder}/beam"} for run in RUNS]
+            commands = [[place.get(word, word) for word in arguments] for place in places]
+            if name == "calibrate":
+                commands.insert(0, ["generate", "tail_beam", "-n", "24", "-o", f"{folder}/beam"])
             printed = subprocess.run(
-                [sys.executable, "-c", _WALK, json.dumps(twice)], cwd=checkout, env=environment, capture_output=True
+                [sys.executable, "-c", _WALK, json.dumps(commands)], cwd=checkout, env=environment, capture_output=True
             )
         walks = json.loads(printed.stdout or b"[[1]]")
         if any(status for status, *_ in walks):
             raise SystemExit(f"{checkout}: cgid {name} failed: {printed.stderr.decode()[-500:]}")
-        for run, (_, *counts) in zip(RUNS, walks, strict=True):
+        for run, (_, *counts) in zip(RUNS, walks[-2:], strict=True):
             result[f"`cgid {name}`, {run} run: {COUNTED}"] = " / ".join(map(str, counts))
     seconds = [
         float(
