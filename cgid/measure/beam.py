@@ -122,13 +122,13 @@ class Beam:
 
     def grid(self, apart: float) -> tuple[Floats, Floats, Singles]:
         """Return x and y of a grid of places in the region, each (n_places,) [m], and their weights as in `weights`."""
-        sides, own = [], []
+        sides, axes = [], []
         for axis, n in enumerate(sides_of(self.region, apart)):
             low, high = self.region[2 * axis : 2 * axis + 2].tolist()
             sides.append(np.linspace(low, high, n))
-            own.append(lagrange(self.participation.shape[axis + 1], low, high, sides[-1])[0])
+            axes.append(lagrange(self.participation.shape[axis + 1], low, high, sides[-1])[0])
         x, y = (side.ravel() for side in np.meshgrid(*sides, indexing="ij"))
-        at = (own[0] @ self.participation @ own[1].T).reshape(len(self.participation), -1)
+        at = (axes[0] @ self.participation @ axes[1].T).reshape(len(self.participation), -1)
         return x, y, np.ascontiguousarray(at.T, dtype=np.float32)
 
     def weights(self, x: Floats, y: Floats) -> tuple[Singles, Singles, Singles]:
@@ -171,35 +171,35 @@ class Beam:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Beam | None:
         """Return the beam of `arrays`, checked; None if they hold none."""
-        own = {name.removeprefix("beam."): array for name, array in arrays.items() if name.startswith("beam.")}
-        if not own:
+        stored = {name.removeprefix("beam."): array for name, array in arrays.items() if name.startswith("beam.")}
+        if not stored:
             return None
-        own.setdefault("filters", np.empty((2, 0)))
+        stored.setdefault("filters", np.empty((2, 0)))
         needed = cls.ARRAYS[: -len(cls.OPTIONAL)]
-        names = (*needed, *(name for name in cls.OPTIONAL if name in own))
-        if own.keys() != set(names) or any(own[name].dtype.kind != "f" for name in names):
+        names = (*needed, *(name for name in cls.OPTIONAL if name in stored))
+        if stored.keys() != set(names) or any(stored[name].dtype.kind != "f" for name in names):
             raise BadData(f"a beam must have the arrays {', '.join(needed)} of real numbers")
         for name in names:
-            validation.real(f"beam.{name}", own[name])
-        if own["scalars"].shape != (2,):
-            raise BadData(f"beam.scalars must be sampling rate and derivatives, got shape {own['scalars'].shape}")
-        poles, sensors = _complex("poles", own["poles"]), own.get("sensors")
+            validation.real(f"beam.{name}", stored[name])
+        if stored["scalars"].shape != (2,):
+            raise BadData(f"beam.scalars must be sampling rate and derivatives, got shape {stored['scalars'].shape}")
+        poles, sensors = _complex("poles", stored["poles"]), stored.get("sensors")
         if not (poles.imag > 0).all():
             raise BadData("beam.poles must lie in the upper half-plane; train the model again")
         size = np.abs(poles)
         beam = cls(
-            sampling_rate=float(own["scalars"][0]),
-            derivatives=own["scalars"][1].item(),
+            sampling_rate=float(stored["scalars"][0]),
+            derivatives=stored["scalars"][1].item(),
             modes=Modes(
                 frequency=size / (2 * np.pi),
                 damping_ratio=-poles.real / size,
-                at_impact=NodeShapes(own["participation"], own["region"]),
+                at_impact=NodeShapes(stored["participation"], stored["region"]),
                 at_sensor=np.ones((1, poles.size)) if sensors is None else sensors,
-                deviation=own.get("errors"),
+                deviation=stored.get("errors"),
             ),
-            filters=_complex("filters", own["filters"]),
-            shapes=own["shapes"],
-            deviations=own["deviations"],
+            filters=_complex("filters", stored["filters"]),
+            shapes=stored["shapes"],
+            deviations=stored["deviations"],
         )
         beam.check()
         return replace(beam, derivatives=int(beam.derivatives))
@@ -314,11 +314,11 @@ def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
     n_driven = min(forces.shape[1] // FINE, n_samples)
     longer = np.concatenate([forces, np.zeros((len(forces), 1))], axis=1)
     for sample in range(n_driven):
-        own = longer[:, sample * FINE : (sample + 1) * FINE + 1]
+        refined = longer[:, sample * FINE : (sample + 1) * FINE + 1]
         out[:, :, sample] = (amplitude[:, None] * state).real
         if beam.derivatives == 2:
-            out[:, :, sample] += own[:, 0]
-        state = state * over_a_sample[:, None] + points @ own.T
+            out[:, :, sample] += refined[:, 0]
+        state = state * over_a_sample[:, None] + points @ refined.T
     free = (amplitude[:, None] * np.exp(np.outer(pole / beam.sampling_rate, np.arange(n_samples - n_driven))))[:, None]
     out[:, :, n_driven:] = state.real[:, :, None] * free.real - state.imag[:, :, None] * free.imag
     return out

@@ -174,10 +174,10 @@ def fit_pulses(
     parts = []
     for first in range(0, n, _ROWS):
         rows = slice(first, first + _ROWS)
-        own = (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows])
+        block = (samples[rows], start.rows(rows), noise[rows], offset[rows], clip_level[rows])
         more = (rows_of(onset, rows), rows_of(n_quiet, rows), fit_baseline, response)
         with np.errstate(all="ignore"):  # the fit of a frame without a pulse fails; `evidence` shows it
-            parts.append(_fit_block(*own, *more))
+            parts.append(_fit_block(*block, *more))
     return PulseFit.joined(parts)
 
 
@@ -196,10 +196,10 @@ def _fit_block(
     unit, n = start.peak, len(samples)
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
     guess, reach, found_of = np.empty((n, 5)), np.zeros(n), []
-    for rows, own in around(samples, start.place, start.width, offset, clip_level, _REACH):
-        found = search(own, start.place[rows], start.width[rows], fit_baseline)
+    for rows, window_block in around(samples, start.place, start.width, offset, clip_level, _REACH):
+        found = search(window_block, start.place[rows], start.width[rows], fit_baseline)
         found_of.append((rows, found))
-        guess[rows], reach[rows] = found.start(), own.reach
+        guess[rows], reach[rows] = found.start(), window_block.reach
     parts, sigma = [], noise_over_peak.copy()
     floor = MODEL_ERROR * unit
     colour = None if n_quiet is None else ar_noise_of(samples, n_quiet, floor)

@@ -166,9 +166,9 @@ def windows(
         length += 4
         run = max(-(-length // _LONGEST), 1) if response is None else 1
         length = -(-length // run) * run + before * run
-        own = rows if among is None else among[rows]
+        selected = rows if among is None else among[rows]
         curve = (fit_baseline, rows_of(onset, rows), response)
-        yield Window(samples, own, first[rows] - before * run, length, run, levels[:, rows], *curve)
+        yield Window(samples, selected, first[rows] - before * run, length, run, levels[:, rows], *curve)
 
 
 def by_length(wanted: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:

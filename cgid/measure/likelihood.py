@@ -289,9 +289,9 @@ def profile(
             for rows, residual in whitened(block, longest):
                 _fill(out, first + rows, residual, guess[rows], np.ones(rows.size), None, onset_between)
             continue
-        own = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
+        options = (0.0 if offset is None else offset[block], np.inf if clip_level is None else clip_level[block])
         curve = {"fit_baseline": n_quiet is not None, "onset": rows_of(onset, block), "response": response}
-        for window in windows(samples[block], longest, *own, **curve):
+        for window in windows(samples[block], longest, *options, **curve):
             rows = first + window.rows
             sigma = noise[rows] / np.sqrt(window.averaged)
             hold = None if n_quiet is None else n_quiet[rows] / window.averaged

@@ -87,21 +87,21 @@ class Modes:
         """
         learned = "participation" in columns
         names = LEARNED_COLUMNS if learned else COLUMNS
-        own = {name: _require_rule(name, columns[name]) for name in names}
-        lengths = {name: column.shape for name, column in own.items()}
-        if len(set(lengths.values())) > 1 or own["frequency"].ndim != 1 or not own["frequency"].size:
+        checked = {name: _require_rule(name, columns[name]) for name in names}
+        lengths = {name: column.shape for name, column in checked.items()}
+        if len(set(lengths.values())) > 1 or checked["frequency"].ndim != 1 or not checked["frequency"].size:
             shapes = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
             raise InvalidValue(f"modes must be equally long rows of at least one number, got {shapes}")
         if learned:
-            frequency, damping_ratio, participation, *deviation = own.values()
+            frequency, damping_ratio, participation, *deviation = checked.values()
             return cls.relative(frequency, damping_ratio, participation, np.stack(deviation))
-        validation.ascending("frequency", own["frequency"], "Hz")
-        root = np.sqrt(own["modal_mass"])
+        validation.ascending("frequency", checked["frequency"], "Hz")
+        root = np.sqrt(checked["modal_mass"])
         return cls(
-            frequency=own["frequency"],
-            damping_ratio=own["damping_ratio"],
-            at_impact=own["shape_impact"] / root,
-            at_sensor=own["shape_sensor"] / root,
+            frequency=checked["frequency"],
+            damping_ratio=checked["damping_ratio"],
+            at_impact=checked["shape_impact"] / root,
+            at_sensor=checked["shape_sensor"] / root,
         )
 
     @classmethod
@@ -187,14 +187,14 @@ class Modes:
     def as_learned(self, table: Modes) -> Modes:
         """Return a beam's own modes as impacts have taught them: a table of `relative` ones."""
         at_sensor = None if self.at_sensor is None else self.at_sensor * table.participation()
-        own = replace(
+        learned = replace(
             self,
             frequency=table.frequency,
             damping_ratio=table.damping_ratio,
             at_sensor=at_sensor,
             deviation=table.deviation,
         )
-        return own if callable(own.at_impact) else own.taken(np.argsort(table.frequency, kind="stable"))
+        return learned if callable(learned.at_impact) else learned.taken(np.argsort(table.frequency, kind="stable"))
 
     @property
     def columns(self) -> dict[str, Floats]:

@@ -46,8 +46,8 @@ class Problems:
     def gathered(self, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """Return an array of all rows from those of the windows."""
         out = np.empty(len(self._window), values[0].dtype)
-        for window, own in zip(self.windows, values, strict=True):
-            out[window.rows] = own
+        for window, of_window in zip(self.windows, values, strict=True):
+            out[window.rows] = of_window
         return out
 
     def tied(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
@@ -59,9 +59,9 @@ class Problems:
         out = np.empty((len(rows), len(self.free) + 1, len(self.free) + 1))
         number, place = self._window[rows], self._place[rows]
         for k, window in enumerate(self.windows):
-            own = np.flatnonzero(number == k) if len(self.windows) > 1 else np.arange(len(rows))
+            selected = np.flatnonzero(number == k) if len(self.windows) > 1 else np.arange(len(rows))
             step = max(_BLOCK // window.values.shape[1], 1)
-            for some in (own[first : first + step] for first in range(0, own.size, step)):
+            for some in (selected[first : first + step] for first in range(0, selected.size, step)):
                 curves = window.slopes_and_residual(parameters[some], place[some])
                 out[some] = np.matmul(curves, np.swapaxes(curves, 1, 2))
         return out

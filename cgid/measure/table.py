@@ -176,12 +176,12 @@ class Table(Mapping[str, Feature]):
 
     def names(self, kind: Kind) -> tuple[str, ...]:
         """Return the names of a kind's features that need neither an extra nor a beam."""
-        own = (
+        names = (
             entry
             for entry in self.entries
             if entry.kind == kind and not entry.extra and not (isinstance(entry, Feature) and entry.beam)
         )
-        return tuple(name for entry in own for name in entry.columns)
+        return tuple(name for entry in names for name in entry.columns)
 
     def expand(self, name: str) -> tuple[str, ...]:
         """Return the columns of the bank of this name; for any other name, the name alone."""

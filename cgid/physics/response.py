@@ -139,12 +139,12 @@ class Response:
     def poles(self) -> Complex:
         """All poles in the upper half-plane and on the real axis [rad/s], those of the modes first."""
         found = [np.empty(0, complex)] if self.modes is None else [self.modes.poles]
-        for own in (part.poles for part in self.filters):
+        for poles in (part.poles for part in self.filters):
             taken = np.concatenate(found)
-            for number, pole in enumerate(own):
-                while taken.size and np.abs(taken - own[number]).min() < _APART * np.abs(pole):
-                    own[number] *= 1 + 1.01 * _APART
-            found.append(own)
+            for number, pole in enumerate(poles):
+                while taken.size and np.abs(taken - poles[number]).min() < _APART * np.abs(pole):
+                    poles[number] *= 1 + 1.01 * _APART
+            found.append(poles)
         return np.concatenate(found)
 
     @property
@@ -175,8 +175,8 @@ class Response:
             return np.empty(0, complex), (fold * after)[None]
         k = DERIVATIVES[self.quantity]
         w, zeta = 2 * np.pi * self.modes.frequency, self.modes.damping_ratio
-        own = self.modes.poles
-        at_modes = residues(own, k) / 2 * self._filtered(own)
+        modal_poles = self.modes.poles
+        at_modes = residues(modal_poles, k) / 2 * self._filtered(modal_poles)
         s = self._filter_poles[None, :]
         beam = s**2 + 2 * (zeta * w)[:, None] * s + (w * w)[:, None]
         at_filters = after[None] * s**k / beam
@@ -199,14 +199,14 @@ class Response:
 
         Participation is `shape(impact) shape(sensor) / modal mass` [1/kg], (n, n_modes), or None for a force.
         """
-        own, filters = self._residues
+        residues, filters = self._residues
         if participation is None:
             return filters, np.zeros(1)
         # Not by BLAS, whose last digits depend on the number of its threads.
         mixed = np.einsum("nm,mf->nf", participation, filters)
         passes = self.quantity == "acceleration" and not self.filters
         direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
-        return np.concatenate([participation * own, mixed], axis=1), direct
+        return np.concatenate([participation * residues, mixed], axis=1), direct
 
     def frequency_response(self, frequencies: ArrayLike, participation: ArrayLike | None = None) -> Complex:
         """Return the complex response to a unit force at frequencies [Hz], (n_frequencies,), for `exp(+j omega t)`.

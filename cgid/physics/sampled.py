@@ -188,8 +188,8 @@ class SampledPulses:
         inside = (share > 0) & (share < 1)
         angles = _angle(np.clip(share, 0, 1))
         forces = np.zeros(angles.shape)
-        for row, own in enumerate(angles):
-            forces[row] = self._curve(row, own)
+        for row, angle in enumerate(angles):
+            forces[row] = self._curve(row, angle)
         return np.asarray(np.where(inside, forces, 0.0))
 
     def add_to_frames(

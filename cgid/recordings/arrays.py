@@ -229,13 +229,13 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
     from cgid.store.description import RECORDING_FORMAT, hdf5_format
     from cgid.store.foreign import array_blocks, survey
 
-    said = hdf5_format(path)
-    if said == RECORDING_FORMAT:
+    stated_format = hdf5_format(path)
+    if stated_format == RECORDING_FORMAT:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
         return read_own(path)
     arrays, values, warnings = survey(path, source, lambda name: name in _PACKING or is_statement(name))
-    if said is None or said.startswith("cgid"):
+    if stated_format is None or stated_format.startswith("cgid"):
         raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
 
     def variable_of(array: ForeignArray, axes: tuple[int | None, int]) -> Variable:

@@ -164,15 +164,17 @@ class _Stated(Generic[Part]):
 
     def at(self, index: int, contents: Blocks, source: str) -> tuple[Part | None, bool]:
         """Return the value for a channel, and whether it is for this channel alone; two must not differ."""
-        own = [value for key, value in self.values if key is not None and index in contents.selected(key, source)]
-        values = own or [value for key, value in self.values if key is None]
+        of_channel = [
+            value for key, value in self.values if key is not None and index in contents.selected(key, source)
+        ]
+        values = of_channel or [value for key, value in self.values if key is None]
         for other in values[1:]:
             if other != values[0]:
                 raise InvalidValue(
                     f"{source}: channel {contents.label(index)} must have one {self.name}, got "
                     f"{values[0].text} and {other.text}; leave one out"
                 )
-        return (values[0] if values else None), bool(own)
+        return (values[0] if values else None), bool(of_channel)
 
 
 def _stated(name: str, kind: type[Part], given: Statement | None) -> _Stated[Part]:
@@ -246,18 +248,18 @@ class Chain:
     def _scaled(self, contents: Blocks, index: int, units: _Stated[Unit], source: str) -> Link:
         """Return the link through full scale and amplification."""
         unit, _ = units.at(index, contents, source)
-        own, factor, origin = contents.unit(index, unit.text if unit else None, source), 1.0, []
+        unit_text, factor, origin = contents.unit(index, unit.text if unit else None, source), 1.0, []
         scale, _ = self.full_scale.at(index, contents, source)
         if scale is not None:
-            own, factor = _full_scale(scale, own, contents, index, source)
+            unit_text, factor = _full_scale(scale, unit_text, contents, index, source)
             origin.append(f"{scale.text} at full scale")
         else:
-            _require_full_scale(own, contents, index, source)
+            _require_full_scale(unit_text, contents, index, source)
         gain, _ = self.gain.at(index, contents, source)
         if gain is not None and not gain.is_of_charge:
             factor /= gain.value
             origin.append(f"gain {gain.text}")
-        return Link(unit=own, factor=factor, origin=", ".join(origin))
+        return Link(unit=unit_text, factor=factor, origin=", ".join(origin))
 
     def _measured(self, link: Link, contents: Blocks, index: int, source: str, *, is_some: bool) -> Link:
         """Return the link through charge gain and sensitivity, too."""
@@ -387,15 +389,16 @@ def _agreed(given: Sensitivity | None, stated: str | None, name: str) -> Sensiti
     if stated is None:
         return given
     try:
-        own = Sensitivity.of(stated)
+        parsed = Sensitivity.of(stated)
     except InvalidValue as error:
         raise BadData(f"{name}: in the file, {error}") from None
     if given is None:
-        return own
-    alike = (given.signal, given.measured) == (own.signal, own.measured)
-    if not alike or abs(given.value - own.value) > _TOLERANCE * min(given.value, own.value):
+        return parsed
+    alike = (given.signal, given.measured) == (parsed.signal, parsed.measured)
+    if not alike or abs(given.value - parsed.value) > _TOLERANCE * min(given.value, parsed.value):
         raise InvalidValue(
-            f"{name}: sensitivity must agree with the file to 0.1 %, got {given.text} where it says {own.text}; leave "
+            f"{name}: sensitivity must agree with the file to 0.1 %, got {given.text} where it says {parsed.text}; "
+            "leave "
             "out --sensitivity or correct it"
         )
     return given

@@ -206,8 +206,8 @@ def is_dataset(path: str | Path) -> bool:
         return False
     from cgid.store.description import RECORDING_FORMAT, hdf5_format
 
-    said = hdf5_format(Path(path))
-    return said is None or (said.startswith("cgid") and said != RECORDING_FORMAT)
+    stated_format = hdf5_format(Path(path))
+    return stated_format is None or (stated_format.startswith("cgid") and stated_format != RECORDING_FORMAT)
 
 
 def open_recording(

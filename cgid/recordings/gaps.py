@@ -58,7 +58,7 @@ class Gaps:
         self._enough, self._last = (np.any, np.min) if joint else (np.all, np.max)
         self.n_samples, self.n_gaps = np.zeros((2, n_channels), np.int64)
         self._first: tuple[int, int, float] | None = None  # sample, channel, value
-        self._said = 0
+        self._n_reported = 0
 
     def marked(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
         """Yield blocks (n_channels, n_samples), float32 or float64, in the units of the channels with nan in gaps."""
@@ -71,9 +71,9 @@ class Gaps:
     def finish(self) -> None:
         """Say what is missing, unless that was said."""
         total = int(self.n_samples.sum())
-        if total == self._said or self._first is None:
+        if total == self._n_reported or self._first is None:
             return
-        self._said = total
+        self._n_reported = total
         sample, channel, value = self._first
         missing = np.flatnonzero(self.n_samples)
         named = ", ".join(self._channels[row].name for row in missing[:_MAX_NAMED])
@@ -111,7 +111,7 @@ class Gaps:
             missing[row] |= self._given_up[row]
             if not self._given_up[row]:
                 self._count(row, missing[row], block[row], first)
-        if self._at_once and not self._said:
+        if self._at_once and not self._n_reported:
             self.finish()
         return np.where(missing, block.dtype.type(np.nan), block)
 

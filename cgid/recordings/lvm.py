@@ -190,9 +190,9 @@ class _Segment:
         x0 = self.number_of("X0", channel) or 0.0
         stamp: datetime | None = datetime(1904, 1, 1)
         if x0 <= _SINCE_1904:
-            own = [self.field(tag, channel) for tag in ("Date", "Time")]
+            date_and_time = [self.field(tag, channel) for tag in ("Date", "Time")]
             of_file = [_at(self.of_file.get(tag, []), 1) for tag in ("Date", "Time")]
-            stamp = stamped_moment(" ".join(own), alone=True) or stamped_moment(" ".join(of_file), alone=True)
+            stamp = stamped_moment(" ".join(date_and_time), alone=True) or stamped_moment(" ".join(of_file), alone=True)
         with suppress(OverflowError, ValueError):
             return None if stamp is None else stamp + timedelta(seconds=x0)
         return None

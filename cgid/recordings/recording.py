@@ -451,8 +451,8 @@ class RecordingFile:
 def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None, source: str) -> tuple[int, ...]:
     if channel is None:
         return tuple(range(contents.n_channels))
-    asked = [channel] if isinstance(channel, int | str) else list(channel)
-    return tuple(dict.fromkeys(index for one in asked for index in contents.selected(one, source)))
+    requested = [channel] if isinstance(channel, int | str) else list(channel)
+    return tuple(dict.fromkeys(index for one in requested for index in contents.selected(one, source)))
 
 
 @contextmanager

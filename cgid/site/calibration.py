@@ -230,11 +230,11 @@ def calibrate(
         start = _start(scene)
         deviation = _prior(scene, start, start_error, drift, participation_error)
         found = learn(beam, blows, deviation, progress=progress)
-        own = corrected(beam, found.correction)
+        corrected_beam = corrected(beam, found.correction)
         learned = replace(start.corrected(found.correction), deviation=found.deviation)
         crossings = count_crossings(scene, learned)
         site = _with_beam(scene, learned=rows_of(learned), impact_point=region)
-        after, expected = _evidence(own, blows, worst), _evidence(own, _simulated(site), worst)
+        after, expected = _evidence(corrected_beam, blows, worst), _evidence(corrected_beam, _simulated(site), worst)
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
         raise BadData(
             f"the beam of scene {scene.name} must explain the blows as it explains simulated ones: their evidence is "
@@ -409,7 +409,7 @@ def _is_section(part: Any) -> bool:
 
 def _value(value: Any) -> str:
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{name} = {_value(own)}" for name, own in value.items()) + " }"
+        return "{ " + ", ".join(f"{name} = {_value(entry)}" for name, entry in value.items()) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(map(_value, value)) + "]"
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else repr(value)

@@ -60,8 +60,10 @@ def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[s
     damping ratio is 10 times as uncertain as the worst of them, at most 30 %. Raise `InvalidValue` if an error is not
     between 0 and 0.1 (of the damping ratio 0.3), the beam has no such dimension, or its modes are tapped or learned.
     """
-    own = dimensions_of(scene)
-    given = dict(error) if isinstance(error, Mapping) else dict.fromkeys(own or DIMENSIONS, error) | {DAMPING: 0.0}
+    dimensions = dimensions_of(scene)
+    given = (
+        dict(error) if isinstance(error, Mapping) else dict.fromkeys(dimensions or DIMENSIONS, error) | {DAMPING: 0.0}
+    )
     for name, value in given.items():
         most = _MOST_DAMPING if name == DAMPING else _MAX_ERROR
         if not 0 <= value <= most:
@@ -75,11 +77,11 @@ def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[s
             f"scene {scene.name}: must have a beam given by its dimensions to learn them, its modes are {what}; leave "
             "dimension_error at 0, or start from the drawing"
         )
-    unknown = [name for name in found if name not in own]
+    unknown = [name for name in found if name not in dimensions]
     if unknown:
-        raise InvalidValue(f"dimension_error must be of {', '.join(own)}, got {unknown[0]}")
+        raise InvalidValue(f"dimension_error must be of {', '.join(dimensions)}, got {unknown[0]}")
     worst = max(found.values())
-    return {name: found[name] for name in own if name in found} | {
+    return {name: found[name] for name in dimensions if name in found} | {
         DAMPING: found.get(DAMPING, min(_DAMPING_A_DIMENSION * worst, _MOST_DAMPING))
     }
 
@@ -124,13 +126,13 @@ def learn_dimensions(
                 progress(1)
             if (np.abs(step) < _AT_REST * deviation).all():
                 break
-    own = with_dimensions(scene, names, now)
-    after = dimensions_of(own)
+    candidate = with_dimensions(scene, names, now)
+    after = dimensions_of(candidate)
     found = (
         Dimension(name=name, before=before[name], after=after[name], deviation=float(one))
         for name, one in zip(names, deviation, strict=True)
     )
-    return own, tuple(found)
+    return candidate, tuple(found)
 
 
 def dimensions_of(scene: Scene) -> dict[str, float]:

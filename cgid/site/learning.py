@@ -157,9 +157,9 @@ class Learned:
         """Make a Gauss-Newton step with the first blows, up to a frequency; return whether the poles are at rest."""
         system, kept = self._system(n_blows, limit), self._kept
         prior = np.maximum(self._prior[kept], 1e-9)
-        own = np.add.outer(np.arange(kept.size) * prior.shape[1], system.active).ravel()
+        indices = np.add.outer(np.arange(kept.size) * prior.shape[1], system.active).ravel()
         pulls, curvature = np.zeros((n_blows, prior.size)), np.zeros((prior.size,) * 2)
-        pulls[:, own], curvature[np.ix_(own, own)] = system.equations(system.by_modes(kept))
+        pulls[:, indices], curvature[np.ix_(indices, indices)] = system.equations(system.by_modes(kept))
         self._raised[:n_blows] = np.sqrt(np.maximum(system.power, 1.0))
         now, step, deviation = newton(curvature, pulls, prior.ravel(), self.correction[kept].ravel())
         self.correction[kept] = now.reshape(prior.shape)

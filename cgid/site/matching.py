@@ -19,13 +19,13 @@ def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error
     deviation of its frequencies, its damping ratios have ten times as much. Modes keep their order. One step of the
     whole beam, such as a stiffer steel, is allowed for.
     """
-    found, own = np.log(test.modes.frequency), np.log(frequency)
+    found, computed = np.log(test.modes.frequency), np.log(frequency)
     shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error
-    pairs = min(((*_aligned(found, own + shift, start_error), shift) for shift in shifts), key=lambda one: one[0])
-    place = {k: i for i, k in pairs[1] if _is_sure(found, own + pairs[2], i, k, start_error)}
+    pairs = min(((*_aligned(found, computed + shift, start_error), shift) for shift in shifts), key=lambda one: one[0])
+    place = {k: i for i, k in pairs[1] if _is_sure(found, computed + pairs[2], i, k, start_error)}
     mine = np.array(sorted(place), np.intp)
     theirs = np.array([place[k] for k in mine.tolist()], np.intp)
-    n = own.size
+    n = computed.size
     values = np.array([frequency, damping_ratio])
     deviations = np.outer([start_error, min(10 * start_error, 0.3), 0.0], np.ones(n))
     assert test.modes.deviation is not None
@@ -36,18 +36,18 @@ def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error
     return Modes.relative(values[0], values[1], np.ones(n), deviations), known
 
 
-def _aligned(found: Floats, own: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:
+def _aligned(found: Floats, computed: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:
     """Return the cost and the pairs (found, own) of the best alignment that keeps both orders.
 
     A pair costs its squared distance; a mode of the taps without a partner `_FITTING` squared.
     """
-    distance = np.square((found[:, None] - own) / error)
-    cost = np.zeros((found.size + 1, own.size + 1))
+    distance = np.square((found[:, None] - computed) / error)
+    cost = np.zeros((found.size + 1, computed.size + 1))
     cost[1:, 0] = _FITTING**2 * np.arange(1, found.size + 1)
     for i in range(found.size):
         best = np.minimum(cost[i, 1:] + _FITTING**2, cost[i, :-1] + distance[i])
         cost[i + 1, 1:] = np.minimum.accumulate(np.append(cost[i + 1, 0], best))[1:]
-    pairs, i, k = [], found.size, own.size
+    pairs, i, k = [], found.size, computed.size
     while i and k:
         if cost[i, k] == cost[i, k - 1]:
             k -= 1
@@ -59,8 +59,8 @@ def _aligned(found: Floats, own: Floats, error: float) -> tuple[float, list[tupl
     return float(cost[-1, -1]), pairs
 
 
-def _is_sure(found: Floats, own: Floats, i: int, k: int, error: float) -> bool:
+def _is_sure(found: Floats, computed: Floats, i: int, k: int, error: float) -> bool:
     """Return whether a pair fits, and no neighbour of either would fit nearly as well."""
-    apart = abs(found[i] - own[k])
-    others = np.abs(np.delete(own, k) - found[i]).min(initial=np.inf)
+    apart = abs(found[i] - computed[k])
+    others = np.abs(np.delete(computed, k) - found[i]).min(initial=np.inf)
     return bool(apart < _FITTING * error and others > 2 * apart + 0.5 * error)

@@ -187,9 +187,9 @@ class _Band:
         n = powers.shape[1]
         matrix = np.zeros((n, n), complex)
         for decay in self.bins.T:
-            own = decay[:, None] * powers
-            own = own - basis @ (basis.conj().T @ own)
-            matrix += own.conj().T @ own
+            decays = decay[:, None] * powers
+            decays = decays - basis @ (basis.conj().T @ decays)
+            matrix += decays.conj().T @ decays
         found = []
         for fixed in (0, n - 1):
             free = np.delete(np.arange(n), fixed)
@@ -271,7 +271,7 @@ class _Band:
         frequency = np.abs(fit.pole) / (2 * np.pi)
         deviation = fit.deviation()
         kept = self.in_core(fit.pole) & ((deviation[1] < _MAX_UNSURE) | (fit.blur != 0))
-        amplitude, own = fit.amplitudes(self.step)
+        amplitude, variance = fit.amplitudes(self.step)
         near = np.abs(np.log(self.chart[:, 1][:, None] / frequency[kept])) < np.maximum(
             0.5 * -fit.pole.real[kept] / np.abs(fit.pole[kept]), 1e-3
         )
@@ -279,7 +279,7 @@ class _Band:
             pole=fit.pole[kept],
             deviation=deviation[:, kept],
             amplitude=amplitude[:, kept],
-            amplitude_deviation=own[..., kept],
+            amplitude_deviation=variance[..., kept],
             orders=np.array([np.unique(self.chart[row, 0]).size for row in near.T], np.intp),
             chart=np.empty((0, 4)),
         )
@@ -359,9 +359,9 @@ class _Fit:
 
     def gains(self) -> Floats:
         """Return what twice the log likelihood would lose without each pole, (n_poles,)."""
-        own = np.square(np.abs(self.inverse)).sum(axis=1)[: self.pole.size]
+        row_norms = np.square(np.abs(self.inverse)).sum(axis=1)[: self.pole.size]
         power = np.square(np.abs(self.coefficients[: self.pole.size])).sum(axis=1)
-        return np.asarray(2 * power / own / max(self.noise, 1e-300))
+        return np.asarray(2 * power / row_norms / max(self.noise, 1e-300))
 
     def _bends(self) -> Complexes:
         """Return how the basis changes with each pole [s], (n_bins, n_poles)."""
@@ -406,10 +406,10 @@ class _Fit:
         covariance = self.covariance()
         out = np.empty((2, n))
         for k, pole in enumerate(self.pole):
-            own = covariance[np.ix_([k, n + k], [k, n + k])]
+            pole_covariance = covariance[np.ix_([k, n + k], [k, n + k])]
             of_size = np.array([pole.real, pole.imag]) / size[k] ** 2
             of_ratio = np.array([1 / pole.real, 0.0]) - of_size
-            out[:, k] = [np.sqrt(of_size @ own @ of_size), np.sqrt(of_ratio @ own @ of_ratio)]
+            out[:, k] = [np.sqrt(of_size @ pole_covariance @ of_size), np.sqrt(of_ratio @ pole_covariance @ of_ratio)]
         return out
 
     def amplitudes(self, step: float) -> tuple[Complexes, Floats]:
@@ -420,7 +420,7 @@ class _Fit:
         # A sum over n samples of exp(s t) is (1 - exp(s n step)) / (1 - exp((s - j w) step)), near w = Im s it is
         # (1 - exp(s n step)) / ((j w - s) step) and something smooth. Half of a cosine is in its mirror image.
         factor = 2 * step * np.sqrt(band.n_samples) / (1 - np.exp(self.pole * band.n_samples * step))
-        own = self.noise * np.square(np.abs(self.inverse)).sum(axis=1)[:n]
+        variance = self.noise * np.square(np.abs(self.inverse)).sum(axis=1)[:n]
         moved = self.inverse @ (self.q.conj().T @ self._bends())
         covariance, parts = self.covariance(), self.coefficients[:n]
         by_pole = np.empty((parts.shape[1], n))
@@ -429,7 +429,7 @@ class _Fit:
             ways = np.concatenate([slope, 1j * slope], axis=1)
             by_pole[decay] = np.einsum("ap,pq,aq->a", ways, covariance, ways.conj()).real
         size = np.abs(factor) * self.scale
-        both = np.stack([np.broadcast_to(own, by_pole.shape), by_pole])
+        both = np.stack([np.broadcast_to(variance, by_pole.shape), by_pole])
         return factor * self.scale * parts.T, np.sqrt(both) * size
 
 
@@ -451,10 +451,10 @@ def _refined(fit: _Fit) -> _Fit:
         return fit
 
     def equations(parts: Floats, _: NDArray[np.intp]) -> Floats:
-        own = _Fit(band, parts[0, :n] + 1j * parts[0, n:])
-        curvature, pulls = own.equations()
+        fitted = _Fit(band, parts[0, :n] + 1j * parts[0, n:])
+        curvature, pulls = fitted.equations()
         pull = pulls.sum(axis=0)[:, None]
-        return np.block([[curvature, pull], [pull.T, np.full((1, 1), own.power)]])[None]
+        return np.block([[curvature, pull], [pull.T, np.full((1, 1), fitted.power)]])[None]
 
     def moved(parts: Floats, step: Floats, _: NDArray[np.intp]) -> Floats:
         beyond, middle = 4 * band.half, np.repeat([0.0, band.centre], n)

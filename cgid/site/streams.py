@@ -245,12 +245,12 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     last = model.guards[-1]
     limit = max(float(np.quantile(rows.columns((last,)), left)), MIN_LIMITS.get(last, 0.0))
     model = replace(model, guard_limits=(*model.guard_limits[:-1], limit))
-    heard = [_heard(model, stream) for stream in streams]
-    confusion = Confusion.of_streams(heard)
+    answered = [_answered(model, stream) for stream in streams]
+    confusion = Confusion.of_streams(answered)
     if confusion is None:
         return model
-    unknown = 1 - sum(int(np.isfinite(one.logits).sum()) for one in heard) / found
-    told = {
+    unknown = 1 - sum(int(np.isfinite(one.logits).sum()) for one in answered) / found
+    summary = {
         "n_streams": len(streams),
         "n_found": found,
         "unknown_share": unknown,
@@ -258,10 +258,10 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
         "overdispersion": confusion.overdispersion,
         "scatter": confusion.scatter,
     }
-    return replace(model, arrays={**model.arrays, **confusion.arrays}, training={**model.training, "streams": told})
+    return replace(model, arrays={**model.arrays, **confusion.arrays}, training={**model.training, "streams": summary})
 
 
-def _heard(model: Model, stream: StreamRows) -> StreamAnswers:
+def _answered(model: Model, stream: StreamRows) -> StreamAnswers:
     """Return what a model answers to a stream."""
     rows = stream.rows
     inputs = rows.inputs(model.features)

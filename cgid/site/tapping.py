@@ -202,7 +202,7 @@ def tap_test(
             f"{counted(len(kept), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
             "moves, or change --band"
         )
-    participation, own = _participation(poles, kept, force, hits, sampling_rate, DERIVATIVES[quantity])
+    participation, participation_std = _participation(poles, kept, force, hits, sampling_rate, DERIVATIVES[quantity])
     root = np.sqrt(np.abs(participation))
     return TapTest(
         modes=Modes(
@@ -210,7 +210,7 @@ def tap_test(
             damping_ratio=poles.damping_ratio,
             at_impact=root,
             at_sensor=np.copysign(root, participation),
-            deviation=np.stack([*poles.deviation, own]),
+            deviation=np.stack([*poles.deviation, participation_std]),
             scaled=force is not None,
         ),
         taps=tuple(taps),
@@ -361,10 +361,10 @@ def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
     needed = max(SHORTEST, _MIN_PART * float(np.median(free))) if free.size else SHORTEST
     out = []
     for tap in taps:
-        own = max(tap.stop - tap.start, 0) / sampling_rate
-        if not tap.flaw and own < needed:
+        duration = max(tap.stop - tap.start, 0) / sampling_rate
+        if not tap.flaw and duration < needed:
             behind = "the end of the recording" if tap.stop == n else "the next tap"
-            tap = replace(tap, flaw=f"too near {behind}, {own:.3g} s where {needed:.3g} s are needed")
+            tap = replace(tap, flaw=f"too near {behind}, {duration:.3g} s where {needed:.3g} s are needed")
         out.append(tap)
     return out
 
@@ -434,12 +434,12 @@ def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> 
     """
     n_taps, total = len(each), np.square(strength).sum(axis=0)
     mean = np.sum(np.square(strength) * each, axis=0) / total
-    own = np.sqrt(np.square(noise * strength).sum(axis=0)) / total
+    std = np.sqrt(np.square(noise * strength).sum(axis=0)) / total
     if n_taps > 1:
         off = np.square(np.square(strength) * (each - mean)).sum(axis=0)
-        own = np.maximum(own, np.sqrt(n_taps / (n_taps - 1) * off) / total)
-    own = np.hypot(own, np.sum(shared * strength, axis=0) / total)
-    return mean, np.minimum(own / np.maximum(np.abs(mean), 1e-300), 1.0)
+        std = np.maximum(std, np.sqrt(n_taps / (n_taps - 1) * off) / total)
+    std = np.hypot(std, np.sum(shared * strength, axis=0) / total)
+    return mean, np.minimum(std / np.maximum(np.abs(mean), 1e-300), 1.0)
 
 
 def _transform(force: Floats, hits: Sequence[Event], pole: Complexes, tap: Tap, sampling_rate: float) -> Complexes:
