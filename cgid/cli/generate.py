@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, given_flags, require_one_executor, worker_options
+from cgid.cli.options import PATH, SCENE, given_flags, laws_option, require_one_executor, worker_options
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
@@ -50,6 +50,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     help="Choose the random numbers; the same seed gives the same signals.",
 )
 @worker_options
+@laws_option
 @click.option(
     "--dtype",
     type=click.Choice(["float32", "float64"]),

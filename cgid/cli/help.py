@@ -23,7 +23,8 @@ _OPTIONS = {
     "Decision": "--miss-cost --coverage --class-conditional --vote",
     "Gangue share": "--window --gangue --dilution-cost --evidence --hold",
     "What struck": "--impactor --masses",
-    "Signals": "--signals --seed --dtype --quantities --learner --shuffle-labels --test-share --calibration-share",
+    "Signals": "--signals --seed --laws --dtype "
+    "--quantities --learner --shuffle-labels --test-share --calibration-share",
     "Calibration": "--start-error --drift --participation-error --dimension-error --impacts",
     "Tap test": "--hammer --band --max-order --contact --taps",
     "Output": "--output --mirror --report --plot --plots --overwrite --resume --compression --shard-signals --json "
@@ -39,6 +40,7 @@ _EXCEPTIONS = {
     "features --features": "Task",
     "ceiling --drop-height": "Signals",
     "check --seed": "Task",
+    "check --laws": "Task",
     "export-model --to": "Task",
 }
 #: Heading -> the commands below it.

@@ -245,6 +245,25 @@ dead_time_option = click.option(
     type=float,
     help="Set how long a blow rings [ms], by default 2 for pulses and 5 for vibrations.",
 )
+
+
+def _add_laws(_context: click.Context, _option: click.Parameter, modules: tuple[str, ...]) -> None:
+    if modules:
+        from cgid.physics.own_laws import add_laws
+
+        for module in modules:
+            add_laws(module)
+
+
+laws_option = click.option(
+    "--laws",
+    metavar="MODULE",
+    multiple=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_add_laws,
+    help="Know the contact laws of this module of your own, by its name or the path of its file.",
+)
 format_option = click.option(
     "--format",
     metavar="NAME",

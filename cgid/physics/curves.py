@@ -187,10 +187,12 @@ class Curves:
 
         run, flags = kernel(_contact, name, n_impacts, n_samples), _contact.flags_of(self.law)
         if not hasattr(run, "py_func"):
-            return partial(run, *verbs_of(self.law, compiled=False), flags)
-        from cgid.compiled import with_law
+            run = partial(run, *verbs_of(self.law, compiled=False), flags)
+        else:
+            from cgid.compiled import with_law
 
-        return partial(with_law, run, *verbs_of(self.law, compiled=True), flags)
+            run = partial(with_law, run, *verbs_of(self.law, compiled=True), flags)
+        return run if is_builtin(self.law) else partial(_said, self.law, run)
 
     def _problem(self, rows: NDArray[np.intp], tolerance: float) -> tuple[Any, ...]:
         """Return the arguments of kernels for these rows, whose parameters alone are computed."""
@@ -458,6 +460,22 @@ def _compiled_builtin(function: Callable[..., Any]) -> Any:
     from cgid.compiled import jit
 
     return jit(function)
+
+
+def is_builtin(law: Law | type[Law]) -> bool:
+    """Return whether a law is one of cgid's."""
+    return (law if isinstance(law, type) else type(law)).__module__ == "cgid.physics.laws"
+
+
+def _said(law: Law | type[Law], run: Callable[..., None], *arguments: Any) -> None:
+    """Call a kernel with a law of one's own; an error in it becomes `InvalidValue`."""
+    try:
+        run(*arguments)
+    # The law may fail in any way.
+    except Exception as error:
+        raise InvalidValue(
+            f"contact law {law.name}: must return a force for every w, it raised {type(error).__name__}: {error}"
+        ) from None
 
 
 def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:

@@ -15,7 +15,7 @@ from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.physics import bodies
 from cgid.physics.bodies import Sphere, Target, ThinPlate
-from cgid.physics.curves import TOLERANCE, TOLERANCES, Curves, Law, Quantity
+from cgid.physics.curves import TOLERANCE, TOLERANCES, Curves, Law, Quantity, is_builtin
 from cgid.physics.laws import STIFFNESS_THEORIES, Plastic, stiffness_of
 from cgid.validation import Floats
 
@@ -103,6 +103,10 @@ class Impact:
         validation.instance("sphere", self.sphere, Sphere)
         validation.instance("target", self.target, *get_args(Target))
         validation.instance("dissipation", self.dissipation, Law)
+        if not is_builtin(self.dissipation):
+            from cgid.physics.own_laws import require_sound
+
+            require_sound(type(self.dissipation))
         validation.choice("stiffness", self.stiffness, STIFFNESS_THEORIES)
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")

@@ -528,9 +528,25 @@ def _viscous_damping(law: Thornton | WaltonBraun) -> Floats:
 LAWS: dict[str, type[Law]] = {law.name: law for law in (Elastic, HuntCrossley, Thornton, WaltonBraun, Viscoelastic)}
 
 
+def known(name: str) -> type[Law] | None:
+    """Return the contact law of this name, of cgid or of one's own; None for an unknown one."""
+    if name in LAWS:
+        return LAWS[name]
+    from cgid.physics.own_laws import own_law
+
+    own = own_law(name)
+    return None if own is None else own.law
+
+
 def named(name: str) -> type[Law]:
     """Return the contact law of this name; raises `InvalidValue` for an unknown one."""
-    return LAWS[validation.choice("dissipation", name, LAWS)]
+    law = known(name)
+    if law is None:
+        raise InvalidValue(
+            f"dissipation must be one of {', '.join(LAWS)} or a law of your own, got {name!r}; name its module by "
+            "--laws, or install the package that has it"
+        )
+    return law
 
 
 #: Laws of a contact that loads and unloads on different paths.

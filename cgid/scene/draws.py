@@ -22,7 +22,7 @@ from cgid.physics.materials import YIELD_OVER_STRENGTH
 from cgid.scene.background import BackgroundSection, HumLine
 from cgid.scene.distributions import Section, quantity_of
 from cgid.scene.schema import HUM_FREQUENCY, Scene
-from cgid.scene.sections import DISSIPATIONS, SHAPES, Population, RandomiseSection, Tap
+from cgid.scene.sections import SHAPES, Population, RandomiseSection, Tap
 from cgid.scene.sensor import AntiAlias
 from cgid.validation import Floats
 
@@ -104,7 +104,7 @@ def parameter_units(scene: Scene) -> dict[str, str]:
     drawn |= {"yield_pressure"} if "strength" in drawn else set()
     units = PARAMETER_UNITS | {name: unit for name, unit in _MORE_UNITS.items() if name in drawn}
     if scene.mixes_laws:
-        units |= {"dissipation": "1"}  # index in `DISSIPATIONS`, nan for a tap
+        units |= {"dissipation": "1"}  # index in `Scene.law_names`, nan for a tap
     if scene.panel is not None:
         units |= POINT_UNITS
     return units | {name: unit for name, unit in RANDOMISED_UNITS.items() if scene.draws(name)}
@@ -207,7 +207,7 @@ def laws_of(scene: Scene, which: NDArray[np.intp]) -> dict[str, Floats]:
     """Return the column "dissipation" of rocks of these sources, (n,); empty where all populations have the same."""
     if not scene.mixes_laws:
         return {}
-    order = [float(list(DISSIPATIONS).index(name)) for name in scene.dissipations]
+    order = [float(scene.law_names.index(name)) for name in scene.dissipations]
     return {"dissipation": np.array(order + [np.nan] * len(scene.taps))[which]}
 
 

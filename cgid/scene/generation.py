@@ -8,6 +8,7 @@ meanwhile.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 from collections import deque
@@ -49,7 +50,17 @@ _AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
 #: Largest size of a number in a table, and in CSV with its comma [bytes].
 _BYTES, _BYTES_OF_TEXT = 8, 25
 #: The order in which root attributes are written: the bytes depend on it, and HDF5 does not keep it.
-_ORDER = ("format", "schema_version", "seed", "scene_name", "scene", "scene_sha256", "versions", "background_sha256")
+_ORDER = (
+    "format",
+    "schema_version",
+    "seed",
+    "scene_name",
+    "scene",
+    "scene_sha256",
+    "versions",
+    "background_sha256",
+    "laws",
+)
 
 _T = TypeVar("_T")
 
@@ -179,6 +190,8 @@ def attributes_of(scene: Scene, seed: int, compression: str = "none") -> dict[st
         "scene_sha256": scene.sha256,
         "versions": f"cgid {__version__}, Python {platform.python_version()}, {packages}",
     }
+    if scene.own_laws:
+        found["laws"] = json.dumps(scene.own_laws)
     if scene.background is not None and scene.background.recorded is not None:
         # The scene only names the file; the samples depend on its content.
         with scene.background.recorded.file(scene.folder).open("rb") as stream:

@@ -19,6 +19,7 @@ from cgid.errors import InvalidValue
 from cgid.measure.modes import Modes
 from cgid.physics import HuntCrossley, Impact, Law, Sphere, laws
 from cgid.physics.coupled import ModalContacts, ModalImpact
+from cgid.physics.curves import is_builtin
 from cgid.physics.impact import Contacts
 from cgid.physics.materials import Material
 from cgid.physics.plates import PanelShapes
@@ -29,7 +30,7 @@ from cgid.scene.draws import LUMP, PARTICLE, at_once, drawn_block
 from cgid.scene.gravity import weighed
 from cgid.scene.plan import NEGLIGIBLE_ECHO, RESPONSE_TOLERANCE, STORED, Plan, highest_frequency
 from cgid.scene.schema import Scene
-from cgid.scene.sections import DISSIPATIONS, SHAPES, TailBeamSection
+from cgid.scene.sections import SHAPES, TailBeamSection
 from cgid.validation import Floats, unchecked
 
 #: Most blocks that are drawn at once.
@@ -236,13 +237,15 @@ def _dissipation(scene: Scene, values: Mapping[str, Floats], rows: NDArray[np.in
     """Return the loss of some impacts, which all have the same law."""
     name = scene.dissipations[0] if scene.dissipations else scene.impact.dissipation
     if scene.mixes_laws and rows.size:
-        name = list(DISSIPATIONS)[int(values["dissipation"][rows[0]])]
+        name = scene.law_names[int(values["dissipation"][rows[0]])]
     law = laws.named(name)
     given: dict[str, Floats | None] = {key: values[key][rows] for key in law.keys if key in values}
     if "viscous_restitution" in given:
         viscous = values["viscous_restitution"][rows]
         has = np.isfinite(viscous)
         given["viscous_restitution"] = np.where(has, viscous, 1.0) if has.any() else None
+    if not is_builtin(law):
+        return law(**given)
     return unchecked(law, **given, **({"law": scene.impact.law} if law is HuntCrossley else {}))
 
 

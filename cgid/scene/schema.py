@@ -14,18 +14,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, get_args
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
 
 from cgid.errors import BadData, InvalidValue
 from cgid.files import parse_toml, read_regular
 from cgid.physics.bodies import Target
+from cgid.physics.laws import named
+from cgid.physics.own_laws import add_laws, own_law, sources
 from cgid.physics.tail_beam import TailBeam
 from cgid.scene.background import BackgroundSection, with_spectrum
 from cgid.scene.distributions import DISTRIBUTION_NAMES, Section, quantity_of
 from cgid.scene.gravity import problem_of_weight, problem_on_plate
 from cgid.scene.sections import (
     DISSIPATIONS,
-    ON_SOLID_GROUND,
     PLASTIC,
     ImpactSection,
     Population,
@@ -34,6 +35,8 @@ from cgid.scene.sections import (
     TailBeamSection,
     Tap,
     TargetSection,
+    loss_key,
+    on_solid_ground,
     with_table,
 )
 from cgid.scene.sensor import CHUNK, Sensor
@@ -74,6 +77,16 @@ class Scene(Section):
     """One long recording of many rocks, instead of a frame for each impact."""
     background: BackgroundSection | None = None
     """Hum, noise or a recording that is added to the signals."""
+
+    #: Modules of the laws that the user named, for other processes; no scene file names one.
+    _law_modules: tuple[str, ...] = PrivateAttr(default_factory=sources)
+
+    def __setstate__(self, state: dict[Any, Any]) -> None:
+        """Load the laws in the process that the scene has come to."""
+        super().__setstate__(state)
+        for source in self._law_modules:
+            if source not in sources():
+                add_laws(source)
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
@@ -126,7 +139,7 @@ class Scene(Section):
     def _problems_of_dissipation(self) -> list[str]:
         problems = []
         for index, (population, dissipation) in enumerate(zip(self.populations, self.dissipations, strict=True)):
-            needed, place = DISSIPATIONS[dissipation], f"populations.{index}"
+            needed, place = loss_key(dissipation), f"populations.{index}"
             instead = {"yield_pressure": "strength"}.get(needed or "")
             for name in ("restitution", "yield_pressure", "strength"):
                 given = getattr(population, name) is not None
@@ -138,12 +151,12 @@ class Scene(Section):
                     problems.append(f"{place}.{name}: is missing, {dissipation} dissipation needs it{other}")
             if population.yield_pressure is not None and population.strength is not None:
                 problems.append(f"{place}.strength: must be left out beside yield_pressure, which it stands for")
-            if population.viscous_restitution is not None and dissipation not in PLASTIC:
+            if population.viscous_restitution is not None and "viscous_restitution" not in named(dissipation).keys:
                 hint = "leave it out" if needed is None else "give restitution, which is viscous"
                 problems.append(
                     f"{place}.viscous_restitution: must be left out when dissipation is {dissipation}; {hint}"
                 )
-        for dissipation in dict.fromkeys(name for name in self.dissipations if name in ON_SOLID_GROUND):
+        for dissipation in dict.fromkeys(name for name in self.dissipations if on_solid_ground(name)):
             hint = "leave it out, or take hunt-crossley"
             for name, wrong in {
                 "impact.gravity": self.impact.gravity is not None,
@@ -212,6 +225,17 @@ class Scene(Section):
     def dissipations(self) -> tuple[str, ...]:
         """How the rocks of each population lose energy."""
         return tuple(population.dissipation or self.impact.dissipation for population in self.populations)
+
+    @property
+    def law_names(self) -> tuple[str, ...]:
+        """The laws of loss by their index in data: those of cgid, then those of one's own, as populations name them."""
+        return tuple(dict.fromkeys((*DISSIPATIONS, *self.dissipations)))
+
+    @property
+    def own_laws(self) -> dict[str, str]:
+        """The laws of one's own that the scene uses, by name, and the SHA-256 of their modules."""
+        own = {name: own_law(name) for name in self.law_names[len(DISSIPATIONS) :]}
+        return {name: law.sha256 for name, law in own.items() if law is not None}
 
     @property
     def plastic(self) -> tuple[str, ...]:

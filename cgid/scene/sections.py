@@ -14,6 +14,7 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     SerializerFunctionWrapHandler,
+    WrapValidator,
     model_serializer,
     model_validator,
 )
@@ -23,6 +24,7 @@ from cgid import validation
 from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
 from cgid.measure.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
+from cgid.physics.laws import LAWS, known, named
 from cgid.physics.materials import Material
 from cgid.physics.tail_beam import Ribs, TailBeam
 from cgid.scene.distributions import (
@@ -52,14 +54,8 @@ SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
     "haversine": lambda u: np.sin(np.pi * u) ** 2,
 }
 
-#: How a rock may lose energy, and the key of a population that says how much. The order defines their indices.
-DISSIPATIONS: Mapping[str, str | None] = {
-    "elastic": None,
-    "hunt-crossley": "restitution",
-    "thornton": "yield_pressure",
-    "walton-braun": "restitution",
-    "kuwabara-kono": "restitution",
-}
+#: How a rock may lose energy, by laws of cgid. The order defines their indices; those of one's own come after them.
+DISSIPATIONS = tuple(LAWS)
 #: Those of a contact that unloads on another path, with or without viscous loss. They have no weight, and no target
 #: that takes energy.
 PLASTIC = ("thornton", "walton-braun")
@@ -72,12 +68,29 @@ CURVATURES, LEAST_MASS = (1e-3, 10.0), 1e-2
 #: Most rows of a table of modes.
 _MAX_MODES = 10_000
 
+
+def _or_own_law(value: Any, handler: Callable[[Any], Any]) -> Any:
+    """Accept the name of a law of one's own, too."""
+    return value if isinstance(value, str) and value not in DISSIPATIONS and known(value) else handler(value)
+
+
+def on_solid_ground(dissipation: str) -> bool:
+    """Return whether rocks of this law hit a half space or a rigid wall only, and without weight."""
+    return dissipation in ON_SOLID_GROUND or dissipation not in DISSIPATIONS
+
+
+def loss_key(dissipation: str) -> str | None:
+    """Return the key of a population that says how much is lost, None for none."""
+    keys = named(dissipation).keys
+    return keys[0] if keys else None
+
+
 if TYPE_CHECKING:
     Law = str
     Shape = str
     Loss = str
 else:
-    Loss = Literal[*DISSIPATIONS]
+    Loss = Annotated[Literal[*DISSIPATIONS], WrapValidator(_or_own_law)]
     Law = Literal[*HUNT_CROSSLEY_LAWS]
     Shape = Literal[*SHAPES]
 
@@ -237,7 +250,7 @@ class ImpactSection(Section):
 
     @model_validator(mode="after")
     def _law_applies(self) -> Self:
-        if self.dissipation in ON_SOLID_GROUND and self.law != "exact":
+        if on_solid_ground(self.dissipation) and self.law != "exact":
             raise ValueError(f"law must be left out when dissipation is {self.dissipation}, got {self.law!r}")
         return self
 

@@ -70,7 +70,7 @@ def impact_units(scene: Scene) -> dict[str, str]:
     - rock: its number in the recording, by arrival; bounce: number of its earlier impacts
     - restitution: as delivered, including losses to the target; velocity: normal to the beam
     - yield_pressure: where a rock's dissipation is thornton; dissipation: where populations differ in it, an index in
-      `cgid.scene.sections.DISSIPATIONS`
+      `Scene.law_names`
     - curvature, effective_mass: where a population has a shape; viscous_restitution: where one has it
     - drop_height: nan except for a first fall from a height
     - next_impact: time to the next touch of any rock, nan for the last; overlapping: 1 if contacts overlap

@@ -1,0 +1,131 @@
+"""Contact laws of one's own: found by entry points or named by the user, never by a scene file."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+import warnings
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from cgid.errors import InvalidValue
+from cgid.physics.curves import Law
+
+#: Entry points of the laws of other packages; each is a module.
+GROUP = "cgid.laws"
+#: The keys of a population that a law may take.
+_KEYS = ("restitution", "yield_pressure", "viscous_restitution")
+_VERBS = ("force", "corner", "turn")
+
+
+class OwnLaw(NamedTuple):
+    """A law, the module it came from (empty for an entry point, which every process finds), and its SHA-256."""
+
+    law: type[Law]
+    source: str
+    sha256: str
+
+
+_own: dict[str, OwnLaw] = {}
+_sound: list[type[Law]] = []
+
+
+def add_laws(source: str) -> None:
+    """Make the laws of a module known to scenes: its name, or the path of its file, which ends in .py.
+
+    Raises `InvalidValue` if the module cannot be loaded, has no law, or has one that cannot be used.
+    """
+    try:
+        module = _from_file(Path(source).resolve()) if source.endswith(".py") else importlib.import_module(source)
+    # The module may fail in any way.
+    except Exception as error:
+        raise InvalidValue(
+            f"laws {source}: must be a module that can be loaded, got {type(error).__name__}: {error}; give its "
+            "name, or the path of its file"
+        ) from None
+    _add(module, str(Path(source).resolve()) if source.endswith(".py") else source)
+
+
+def _from_file(path: Path) -> ModuleType:
+    name = f"cgid_laws_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _add(module: ModuleType, source: str) -> None:
+    found = [one for one in vars(module).values() if isinstance(one, type) and one.__module__ == module.__name__]
+    laws = [one for one in found if issubclass(one, Law) and one.name]
+    if not laws:
+        raise InvalidValue(f"laws {source}: must have a class with a name that extends cgid.physics.Law, it has none")
+    digest = hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()
+    for law in laws:
+        require_sound(law)
+        _own[law.name] = OwnLaw(law, source, digest)
+
+
+def own_law(name: str) -> OwnLaw | None:
+    """Return a law of one's own by its name; entry points are asked where no module that was named has it."""
+    if name not in _own:
+        _find_entry_points()
+    return _own.get(name)
+
+
+@cache
+def _find_entry_points() -> None:
+    from importlib.metadata import entry_points
+
+    named = dict(_own)
+    for entry in sorted(entry_points(group=GROUP), key=lambda one: one.name):
+        try:
+            module = entry.load()
+        # Another package may fail in any way.
+        except Exception as error:
+            warnings.warn(f"the laws {entry.name} ({entry.value}) cannot be loaded: {error}", stacklevel=2)
+            continue
+        _add(module, "")
+    _own.update(named)  # what the user named comes first
+
+
+def sources() -> tuple[str, ...]:
+    """Return the modules that the user named, for other processes."""
+    return tuple(dict.fromkeys(own.source for own in _own.values() if own.source))
+
+
+def require_sound(law: type[Law]) -> None:
+    """Raise `InvalidValue` unless the functions of a law are compiled, take and return what the integrator expects."""
+    if law in _sound:
+        return
+    from numba.core.errors import NumbaError
+
+    from cgid.compiled import VERBS
+    from cgid.physics.laws import LAWS
+
+    if law.name in LAWS:
+        raise InvalidValue(f"law {law.name}: must have a name of its own, {law.name!r} is one of cgid's; rename it")
+    if not set(law.keys) <= set(_KEYS):
+        raise InvalidValue(f"law {law.name}: keys must be of {', '.join(_KEYS)}, got {', '.join(law.keys)}")
+    for name, signature in zip(_VERBS, VERBS, strict=True):
+        verb: Any = getattr(law, name)
+        if verb is None and name != "force":
+            continue
+        place = f"law {law.name or law.__name__}: {name}"
+        if not hasattr(verb, "get_compile_result"):
+            raise InvalidValue(f"{place} must be compiled, got {type(verb).__name__}; decorate it with numba.njit")
+        try:
+            returned = verb.get_compile_result(signature).signature.return_type
+        except (NumbaError, TypeError) as error:
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+            raise InvalidValue(
+                f"{place} must compile for {signature.args}, got an error: {' '.join(lines)[:300]}"
+            ) from None
+        if returned != signature.return_type:
+            raise InvalidValue(f"{place} must return {signature.return_type}, got {returned}; return floats")
+    _sound.append(law)

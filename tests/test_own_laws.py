@@ -1,0 +1,168 @@
+"""Contact laws of one's own: against scipy and a built-in law, in scenes and worker processes, and bad ones."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import solve_ivp
+
+from cgid.errors import BadData, CannotCreate, InvalidValue
+from cgid.physics import HalfSpace, Impact, Law, Sphere, ThinPlate, own_laws
+from cgid.physics.laws import Thornton
+from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
+from cgid.scene import synthesise
+from cgid.scene.generation import generate
+from tests.plan_scenes import scene_of
+
+ROOT = Path(__file__).parents[1]
+#: The law of the how-to page.
+CONE = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "how-to" / "laws.md").read_text(), re.DOTALL)[0]
+
+
+@pytest.fixture
+def cone(tmp_path, monkeypatch):
+    """Return the path of a module with the cone, known to scenes until the test ends."""
+    monkeypatch.setattr(own_laws, "_own", {})
+    path = tmp_path / "cone.py"
+    path.write_text(CONE)
+    own_laws.add_laws(str(path))
+    return path
+
+
+def coal(law, velocity=2.0, target=None, **more):
+    return Impact(
+        sphere=Sphere(material=YANG2018_SPHERES[1], radius=0.025), target=target or HalfSpace(material=STEEL),
+        velocity=velocity, stiffness="hertz", dissipation=law, **more,
+    )  # fmt: skip
+
+
+def scene_of_cones():
+    return scene_of({"dissipation": "cone"}, {"restitution": 0.5}, {})
+
+
+def law_with(**verbs):
+    return type(
+        "Made", (Law,), {name: staticmethod(verb) if callable(verb) else verb for name, verb in verbs.items()}
+    )()
+
+
+def test_a_cone_agrees_with_scipy(cone):
+    impact = coal(own_laws.own_law("cone").law(restitution=0.5))
+    slope = 2 / np.pi * float(impact.reduced_modulus) * np.tan(np.radians(70))
+    mass = float(impact.reduced_mass)
+    chi = 1.4327505332713752 / 2.0  # D of e = .5 over the speed: any spring that only stiffens restores alike
+
+    def held(time, state):
+        return state[0] if time > 0 else 1.0
+
+    held.terminal, held.direction = True, -1
+    found = solve_ivp(
+        lambda _, s: (s[1], -slope * s[0] ** 2 * (1 + chi * s[1]) / mass), (0, 1), (0.0, 2.0), method="DOP853",
+        rtol=1e-12, atol=1e-16, first_step=1e-9, events=held, dense_output=True,
+    )  # fmt: skip
+    assert float(impact.contact_duration) == pytest.approx(found.t[-1], rel=1e-8)
+    assert float(impact.restitution) == pytest.approx(-found.y[1, -1] / 2, rel=1e-8)
+    times = found.t[-1] * np.linspace(0, 1, 200)
+    x, y = found.sol(times)
+    exact = np.maximum(slope * x**2 * (1 + chi * y), 0)
+    assert np.abs(impact.force(times) - exact).max() < 1e-8 * exact.max()
+
+
+def test_a_law_with_a_history_is_the_built_in_one_if_it_says_the_same():
+    """On a plate with weight; compiled and interpreted."""
+    verbs = {
+        name: staticmethod(njit(error_model="numpy")(getattr(Thornton, name))) for name in ("force", "corner", "turn")
+    }
+    Own = type("Own", (Thornton,), {"name": "crushing", "__module__": __name__, **verbs})
+    plate = ThinPlate(material=STEEL, thickness=0.012)
+    for velocity in (2.0, np.linspace(1, 3, 8)):
+        own, built_in = (
+            coal(law(yield_pressure=41e6, viscous_restitution=0.8), velocity, plate, gravity=9.8)
+            for law in (Own, Thornton)
+        )
+        times = np.linspace(0, 5e-4, 100)
+        assert np.abs(own.force(times) - built_in.force(times)).max() < 1e-8 * built_in.peak_force.max()
+
+
+def test_a_scene_of_cones_is_what_its_parameters_say(cone):
+    (batch,) = synthesise(scene_of_cones(), 24, dtype="float64")
+    drawn = batch.parameters
+    rock = Material(**{name: drawn[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
+    impact = Impact(
+        sphere=Sphere(material=rock, radius=drawn["radius"]), target=scene_of_cones().body, stiffness="hertz",
+        velocity=drawn["velocity"], dissipation=own_laws.own_law("cone").law(restitution=0.5),
+    )  # fmt: skip
+    frames = impact.force_frames(200e3, 2048, drawn["onset"])
+    assert np.abs(batch.signals - frames).max() < 1e-7 * frames.max()
+    assert drawn["restitution"] == pytest.approx(0.5, abs=1e-8)
+
+
+@pytest.mark.long
+def test_workers_make_the_same_bytes_and_another_law_is_no_resumption(cone, tmp_path):
+    for name, jobs in (("one", 1), ("two", 2)):
+        generate(scene_of_cones(), tmp_path / name, 600, jobs=jobs, shard_signals=256)
+    sums = [(tmp_path / name / "SHA256SUMS").read_text() for name in ("one", "two")]
+    assert sorted(sums[0].splitlines()) == sorted(sums[1].splitlines())
+    next((tmp_path / "one").glob("*.h5")).unlink()
+    cone.write_text(cone.read_text() + "# edited")
+    own_laws.add_laws(str(cone))
+    with pytest.raises(CannotCreate):
+        generate(scene_of_cones(), tmp_path / "one", 600, shard_signals=256, resume=True)
+
+
+def test_a_scene_takes_its_laws_along(cone, monkeypatch):
+    packed = pickle.dumps(scene_of_cones())
+    monkeypatch.setattr(own_laws, "_own", {})
+    assert own_laws.own_law("cone") is None
+    pickle.loads(packed)
+    assert own_laws.own_law("cone") is not None
+
+
+def test_a_scene_with_a_law_that_is_not_there_is_refused_by_name(monkeypatch):
+    monkeypatch.setattr(own_laws, "_own", {})
+    with pytest.raises(BadData, match="cone"):
+        scene_of_cones()
+
+
+# ---- bad laws -------------------------------------------------------------------------------------------------------
+
+
+def raises(p, history, w):
+    if w > 0.3:
+        raise ValueError("too deep")
+    return w * w * w, 0.0
+
+
+@pytest.mark.parametrize(
+    ("verbs", "message"),
+    [
+        ({"force": lambda p, history, w: (w, 0.0)}, "compiled"),
+        ({"force": njit(lambda p, w: (w, 0.0))}, "compile"),
+        ({"force": njit(lambda p, history, w: w)}, "return"),
+        ({"force": njit(lambda p, history, w: (w, 0.0)), "turn": njit(lambda p, history: 0.0)}, "turn"),
+        ({"force": njit(lambda p, history, w: (np.nan, 0.0))}, "finite"),
+        ({"force": njit(lambda p, history, w: (w * w * w * np.nan if w > 0.5 else w * w * w, 0.0))}, "finite|end"),
+        ({"force": njit(raises)}, "too deep"),
+        ({"force": njit(lambda p, history, w: (0.0, 0.0))}, "end within"),
+        ({"force": njit(lambda p, history, w: (-w, 0.0))}, "end within"),
+        ({"force": njit(lambda p, history, w: (w, 0.0)), "keys": ("mood",)}, "keys"),
+        ({"force": njit(lambda p, history, w: (w, 0.0)), "name": "thornton"}, "name of its own"),
+        ({}, "compiled"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("velocity", [2.0, np.linspace(1, 2, 6)], ids=["interpreted", "compiled"])
+def test_a_bad_law_ends_with_a_clear_error(verbs, message, velocity):
+    with pytest.raises(InvalidValue, match=message) as error:
+        coal(law_with(**verbs), velocity)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("source", ["no.such.module", "missing.py", "math"])
+def test_modules_that_hold_no_law(source):
+    with pytest.raises(InvalidValue, match=source):
+        own_laws.add_laws(source)
