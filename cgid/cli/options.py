@@ -262,7 +262,7 @@ laws_option = click.option(
     is_eager=True,
     expose_value=False,
     callback=_add_laws,
-    help="Know the contact laws of this module of your own, by its name or the path of its file.",
+    help="Add the contact laws of a module of your own, by its name or the path of its file.",
 )
 format_option = click.option(
     "--format",
