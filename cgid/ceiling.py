@@ -37,7 +37,7 @@ from cgid.validation import Floats
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 
 #: Maximum number of signals to judge or train on: they take hours, and give the accuracy to 1e-4.
-MOST_SIGNALS = 10_000_000
+MAX_SIGNALS = 10_000_000
 #: Draws for the density of one population.
 PRIOR_DRAWS = 1 << 19
 #: Seed of these draws, unlikely to be chosen for the signals.
@@ -140,7 +140,7 @@ def ceiling(
     scene : Scene, str or Path
         Impacts on a half space or a rigid wall, in white noise of known level.
     n_signals : int
-        At most `MOST_SIGNALS`; the standard error falls with the square root.
+        At most `MAX_SIGNALS`; the standard error falls with the square root.
     seed : int
         Seed of the signals.
     drop_height_known : bool
@@ -182,7 +182,7 @@ def ceilings(
     The likelihoods take almost all of the time and do not depend on this. `along` computes them, for white noise by
     default; `n_nodes` are those along the shape, `n_rows` the signals at once.
     """
-    validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)  # one signal has no standard error
+    validation.whole("n_signals", n_signals, 2, MAX_SIGNALS)  # one signal has no standard error
     known = [
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
     ]
@@ -472,7 +472,7 @@ def learner(
     require_supported(scene)
     if scene.sensor.quantity != "force":
         raise InvalidValue(f"scene {scene.name}: the learner needs a sensor of force, it has {scene.sensor.quantity}")
-    validation.whole("n_signals", n_signals, 2, MOST_SIGNALS)
+    validation.whole("n_signals", n_signals, 2, MAX_SIGNALS)
     check_training(n_training)
     another = seed + 1 if seed < 2**63 - 1 else 0
     test, truth = _measured(scene, n_signals, seed, drop_height_known, progress)
@@ -494,7 +494,7 @@ def learner(
 
 def check_training(n_training: int) -> None:
     """Raise `InvalidValue` if a learner cannot be trained on so many signals."""
-    validation.whole("learner", n_training, MIN_TRAINING, MOST_SIGNALS)
+    validation.whole("learner", n_training, MIN_TRAINING, MAX_SIGNALS)
 
 
 def _measured(

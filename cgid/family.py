@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 TABLE_PATH = Path(__file__).with_name("family.npz")
 #: The restitutions that the table covers.
-LOWEST_RESTITUTION, HIGHEST_RESTITUTION = 0.05, 1.0
+MIN_RESTITUTION, MAX_RESTITUTION = 0.05, 1.0
 #: Intervals of ln e, and coefficients of the polynomial on each.
 INTERVALS, ORDERS = 16, 9
 #: Segments of sigma in either half of a pulse, and coefficients of the polynomial on each (an even number).
@@ -57,19 +57,19 @@ def table() -> FamilyTable:
 def in_table(restitution: ArrayLike) -> NDArray[np.bool_]:
     """Return whether the table covers this restitution."""
     e = np.asarray(restitution, dtype=np.float64)
-    return np.asarray((e >= LOWEST_RESTITUTION) & (e <= HIGHEST_RESTITUTION))
+    return np.asarray((e >= MIN_RESTITUTION) & (e <= MAX_RESTITUTION))
 
 
 def coordinate(restitution: ArrayLike) -> Floats:
     """Return the place of a restitution in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
     e = np.asarray(restitution, dtype=np.float64)
-    return np.asarray(np.clip(np.log(e) * (INTERVALS / np.log(LOWEST_RESTITUTION)), 0, INTERVALS))
+    return np.asarray(np.clip(np.log(e) * (INTERVALS / np.log(MIN_RESTITUTION)), 0, INTERVALS))
 
 
 def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
     """Return contact time, time of peak force and time of largest displacement, in units of T0 = L / v.
 
-    Each has the shape of `restitution`, within `LOWEST_RESTITUTION` and 1.
+    Each has the shape of `restitution`, within `MIN_RESTITUTION` and 1.
 
     Examples
     --------

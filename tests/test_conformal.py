@@ -20,7 +20,7 @@ from cgid.identification.families import softmax
 from cgid.identification.metrics import calibration_error_by_chance, evaluate_sets, reliability
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.training import FEWEST_CALIBRATION_SPECIMENS, Training, hold_out, set_apart, train
+from cgid.identification.training import MIN_CALIBRATION_SPECIMENS, Training, hold_out, set_apart, train
 from cgid.scene import Scene, synthesise
 
 Trained = dict[str, Training]
@@ -179,7 +179,7 @@ def test_impacts_of_one_specimen_calibrate_once(reference_scene: Scene) -> None:
 
 def test_too_few_specimens_all_train_and_nothing_can_be_rejected(reference_scene: Scene) -> None:
     training = train(synthesise(reference_scene, 300), features=["peak_force", "width_50"])
-    assert FEWEST_CALIBRATION_SPECIMENS > 0.1 * 300 / 2
+    assert MIN_CALIBRATION_SPECIMENS > 0.1 * 300 / 2
     assert training.model.conformal is None
     assert training.metrics["prediction_sets"] == []
     assert "nothing can be rejected" in write_card(training.model, "m.npz")

@@ -24,7 +24,7 @@ from cgid.physics import (
     WaltonBraun,
     local_sensitivity,
 )
-from cgid.physics.laws import LEAST_VISCOELASTIC, viscoelastic_number
+from cgid.physics.laws import MIN_VISCOELASTIC, viscoelastic_number
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.draws import LUMP
@@ -188,7 +188,7 @@ def test_the_number_of_a_viscoelastic_impact_has_its_published_limit():
     first = np.sqrt(np.pi) * gamma(0.6) / (5**0.4 * 2**0.2 * gamma(2.1))
     assert viscoelastic_number(1 - 1e-12) * first * 1e12 == pytest.approx(1, rel=2e-4)
     assert viscoelastic_number(1.0) == 0
-    dense = np.linspace(LEAST_VISCOELASTIC, 1, 100_001)
+    dense = np.linspace(MIN_VISCOELASTIC, 1, 100_001)
     assert (np.diff(viscoelastic_number(dense)) < 0).all()
 
 

@@ -87,7 +87,7 @@ def calibrate(
     from cgid.site import dimensions
     from cgid.site.calibration import calibrate as calibrated
     from cgid.site.calibration import check_numbers, check_scene, table_beside
-    from cgid.site.learning import MOST_ROUNDS
+    from cgid.site.learning import MAX_ROUNDS
 
     path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
     check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
@@ -106,7 +106,7 @@ def calibrate(
     check_scene(scene, scene.sampling.sampling_rate)
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))
     frames, rate, before = _frames(recordings, scene, reading)
-    n_rounds = MOST_ROUNDS + dimensions.MOST_ROUNDS * bool(of_dimensions)
+    n_rounds = MAX_ROUNDS + dimensions.MAX_ROUNDS * bool(of_dimensions)
     with progress_bar(n_rounds, "rounds at most", "fitting beam") as progress:
         errors["dimension_error"] = of_dimensions
         found = calibrated(scene, frames, rate, before, max_impacts=impacts, progress=progress, **errors)

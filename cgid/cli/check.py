@@ -39,7 +39,7 @@ def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
 
     loaded = load_scene(scene)
     background_of(loaded)  # raises if its recording cannot be read
-    # Whoever wrote a scene is warned; what is so in a shipped one is meant.
+    # Anyone who wrote a scene is warned; what is so in a shipped one is meant.
     preview = _preview(loaded, seed, "remarks" if scene in shipped.SCENES else "warnings")
     if loaded.stream is not None:
         preview |= _stream(loaded)

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 #: Longest dead time [ms]; no struck body rings for longer.
-LONGEST_DEAD_TIME = 1e4
+MAX_DEAD_TIME = 1e4
 #: Parts of a measuring chain, and parameters of its options.
 _CHAIN = ("sensitivity", "gain", "full_scale")
 
 
 class PathName(click.types.StringParamType):
-    """The name of a file or folder, or of what comes with cgid; an empty one, as of an unset variable, is an error."""
+    """A path, or the name of a bundled file; an empty one, as of an unset variable, is an error."""
 
     name = "path"
 
@@ -168,8 +168,8 @@ def dead_time_in_seconds(milliseconds: float | None) -> float | None:
     """Return the dead time [s]; refuse one outside of the valid range."""
     if milliseconds is None:
         return None
-    if not 0 <= milliseconds <= LONGEST_DEAD_TIME:
-        raise InvalidValue(f"--dead-time must lie between 0 and {LONGEST_DEAD_TIME:g} ms, got {milliseconds:g} ms")
+    if not 0 <= milliseconds <= MAX_DEAD_TIME:
+        raise InvalidValue(f"--dead-time must lie between 0 and {MAX_DEAD_TIME:g} ms, got {milliseconds:g} ms")
     return milliseconds * 1e-3
 
 

@@ -514,14 +514,14 @@ def _sources(data: list[str], start_error: float | None = None) -> list[Any]:
 
 def _batches(sources: list[Scene | Dataset], options: dict[str, Any]) -> Iterator[Batch]:
     from cgid.scene import Scene, synthesise
-    from cgid.scene.generation import MOST_SIGNALS
+    from cgid.scene.generation import MAX_SIGNALS
 
     n, seed = options["n_signals"], options["seed"]
     for source in sources:
         if not isinstance(source, Scene):
             yield from source.batches()
             continue
-        validation.whole("signals", n, 1, MOST_SIGNALS)
+        validation.whole("signals", n, 1, MAX_SIGNALS)
         if options["sensors"]:
             from cgid.scene.through_beam import recorded_together
 

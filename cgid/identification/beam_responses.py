@@ -25,7 +25,7 @@ ROWS = 64
 #: Bands of frequency, each with mixtures of the modes of its own.
 _BANDS = 4
 #: Ratio of the squares of forces for which errors of the modes have tables of their own, and the least weight.
-STRONGER, _LEAST_WEIGHT = 16.0, 1e-30
+STRONGER, _MIN_WEIGHT = 16.0, 1e-30
 #: Share of the energy of an impact below which errors of the modes do not count, as after calibration with 300 impacts.
 _NEGLIGIBLE = 1e-4
 
@@ -137,16 +137,16 @@ class ModeErrors:
 
     def weight(self, weight: NDArray[Any], strength: Floats) -> Singles:
         """Return weights of turned coefficients, from those of Fourier coefficients without errors of the modes."""
-        noise = self.turned(1 / np.maximum(weight, _LEAST_WEIGHT).astype(np.float64), np.square(self.turn))
+        noise = self.turned(1 / np.maximum(weight, _MIN_WEIGHT).astype(np.float64), np.square(self.turn))
         total = 1 / (noise + strength[:, None] * self.power)
-        return np.where(total > np.sqrt(_LEAST_WEIGHT), total, 0).astype(np.float32)
+        return np.where(total > np.sqrt(_MIN_WEIGHT), total, 0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseTable:
     """The responses of a beam to shapes of the force, or a part of them.
 
-    In each band of frequency principal mixtures stand in place of the modes: the modes beyond a band sound alike
+    In each band of frequency principal mixtures stand instead of the modes: the modes beyond a band sound alike
     there, so fewer mixtures respond the same.
 
     Attributes

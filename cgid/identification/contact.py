@@ -36,10 +36,10 @@ _WIDTHS, _BEYOND = (25e-6, 1.6e-3), 2.0
 _NODES, _FIRST = (48, _SHAPES.size, 45), (2, 5, 2)
 #: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table; a
 #: step that gains less of the logarithm of the likelihood is the last.
-_KEPT, _FEW, _MORE, _LEAST_GAIN = 6, 3, 7, 1e-3
+_KEPT, _FEW, _MORE, _MIN_GAIN = 6, 3, 7, 1e-3
 #: Least variance of ln peak, ln width and shape.
-_LEAST_VARIANCE = 1e-20
-#: Prior mean and deviation of the shape, and of the touch [samples].
+_MIN_VARIANCE = 1e-20
+#: Prior mean and deviation of the shape, and of the onset [samples].
 _SHAPE_PRIOR, _TOUCH_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows at a time.
 _ROWS = 64
@@ -47,7 +47,7 @@ _ROWS = 64
 REACH = 1.2e-3
 #: Recorders within this share have the same sampling rate; of others the band up to this share of the lower rate tells.
 _SAME_RATE, _TOP = 1e-6, 0.41
-_LARGEST_RATIO = 1000
+_MAX_RATIO = 1000
 #: A touch within this of the ends of the table of forces is sought so much further on [samples].
 _EDGE, _BESIDE = 0.35, 4
 #: Where more than this share of the energy is unexplained, and the misfit is above this, touch is sought so much
@@ -58,12 +58,12 @@ _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
 _FOREIGN, _RECENT, _SETTLED, _TESTS, _LOUDER = 0.05, 200, 60, 8, 4.0
 #: Decisions fall after these numbers of impacts, then every so many.
 _DECISIONS, _EVERY = (8, 16, 32), 64
-#: Most channels, before and after gaps, of which this is known.
+#: Maximum number of channels, before and after gaps, of which this is known.
 _REMEMBERED = 4096
 #: Noise alone leaves a misfit of less than this: five deviations of chi-square of the coefficients of a frame.
 _BY_NOISE = 1.28
-#: Samples before touch that show ringing: fewest and most.
-_FEWEST_QUIET, _MOST_QUIET = 64, 256
+#: Samples before onset that show ringing: fewest and most.
+_MIN_QUIET, _MAX_QUIET = 64, 256
 #: Samples at a limit share their value within this, and are at least so many.
 _SAME, _SHARED, _ALIKE = 1e-6, 2, 0.01
 #: Least noise over the signal.
@@ -72,7 +72,7 @@ _FLOOR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Contact(Rowwise):
-    """Fitted pulses, each row one blow.
+    """Fitted pulses, each row one impact.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def _spectra() -> NDArray[np.complex128]:
 
     Frequencies are multiples of `_POINTS / _LENGTH` over the width.
     """
-    restitution = np.minimum(np.exp(-np.abs(_SHAPES)), family.HIGHEST_RESTITUTION)
+    restitution = np.minimum(np.exp(-np.abs(_SHAPES)), family.MAX_RESTITUTION)
     contact, top, _ = family.times(restitution)
     height = family.force(top[:, None], restitution)[:, 0]
     width = (1 + restitution) / height
@@ -244,7 +244,7 @@ class ContactFit:
         at, peak, own, covariance = (np.concatenate(part) for part in zip(*parts, strict=True))
         apart = estimate.coefficients - own
         misfit = np.einsum("nk,nkl,nl->n", apart, estimate.information, apart) / max(own.shape[1] - 4, 1)
-        # True pulses are not quite of the family, as strong blows tell; Birge (1932, Phys. Rev. 40, 207) widens so.
+        # True pulses are not quite of the family, as strong impacts tell; Birge (1932, Phys. Rev. 40, 207) widens so.
         covariance *= np.maximum(misfit, 1.0)[:, None, None]
         return Contact(peak * estimate.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
 
@@ -259,7 +259,7 @@ class ContactFit:
         peak, products = self._products(at, information, vector)
         covariance = np.linalg.inv(products[:, :4, :4])[:, :3, :3]
         # Rounding may leave a variance below 0 where a force is far too large.
-        covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], _LEAST_VARIANCE)
+        covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], _MIN_VARIANCE)
         return at, peak, self._between(at)[:, 0] * peak[:, None], np.asarray(covariance, np.float64)
 
     def _starts(self, information: Floats, vector: Floats) -> Floats:
@@ -330,7 +330,7 @@ class ContactFit:
         def moved(at: Floats, step: Floats, _: NDArray[np.intp]) -> Floats:
             return np.clip(at + np.nan_to_num(step[:, 1:]), *_LIMITS)
 
-        small = np.full(len(at), 2 * _LEAST_GAIN)
+        small = np.full(len(at), 2 * _MIN_GAIN)
         with np.errstate(over="ignore", invalid="ignore"):  # where nothing is told
             return least_squares(at.copy(), equations, moved, small, n_steps)[:2]
 
@@ -388,7 +388,7 @@ def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] 
 class ThroughBeam:
     """A beam to look through: from vibrations to features of the contact force.
 
-    Of a beam with several sensors, the vibrations of one blow follow each other as rows, in the order of the sensors.
+    Of a beam with several sensors, the vibrations of one impact follow each other as rows, in the order of the sensors.
 
     A recorder with another sampling rate is supposed to have the same anti-alias filter, at the same share of its rate
     or, if it is faster, at the same frequency: whichever force is more like a pulse.
@@ -406,7 +406,7 @@ class ThroughBeam:
 
     @property
     def n_sensors(self) -> int:
-        """Number of sensors, and of vibrations of one blow."""
+        """Number of sensors, and of vibrations of one impact."""
         return self.beam.n_sensors
 
     def stream(self) -> BeamStream:
@@ -421,7 +421,7 @@ class ThroughBeam:
         """Return the features of vibrations by name, from what was found for them."""
         deviation = np.sqrt(contact.covariance[:, range(3), range(3)])
         correlation = np.clip(contact.covariance / (deviation[:, :, None] * deviation[:, None]), -1.0, 1.0)
-        # Noise leaves no more than chance; what was there before touch, such as ringing, may go on beside its model.
+        # Noise leaves no more than chance; what was there before onset, such as ringing, may go on beside its model.
         surely = np.maximum(estimate.misfit - _BY_NOISE, 0.0) / np.maximum(estimate.misfit - 1, 1e-9)
         event = vibrations.event[:, : round(SPAN_TIME * vibrations.sampling_rate)]
         before = np.square(self._loudest(vibrations.noise)) * event.shape[1]
@@ -460,7 +460,7 @@ class ThroughBeam:
         """Return the same, and the misfits of the pulses for each filter (n, 2), infinite for one that is not tried.
 
         `filters` (n, 2) says for each impact whether a filter is tried that is higher by the ratio of the rates, and
-        whether that of the beam is, at a recorder that is faster; `again` (n,), whether other samples of touch are.
+        whether that of the beam is, at a recorder that is faster; `again` (n,), whether other samples of onset are.
         """
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
         if not rate > own * (1 + _SAME_RATE):
@@ -515,7 +515,7 @@ class ThroughBeam:
     def _prepared(
         self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp]
     ) -> tuple[Observations, NDArray[np.intp]]:
-        """Return what the inversion needs of some blows, and where touch may lie."""
+        """Return what the inversion needs of some impacts, and where touch may lie."""
         if rows.size < len(vibrations.samples) // self.n_sensors:
             vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
         frames = vibrations.samples - vibrations.offset[:, None]
@@ -542,7 +542,7 @@ class ThroughBeam:
         return self._together(found, vibrations), start.astype(np.intp)
 
     def _clearest(self, vibrations: VibrationBatch) -> NDArray[np.intp]:
-        """Return the row of each blow whose sensor hears it best, (n,)."""
+        """Return the row of each impact whose sensor measures it best, (n,)."""
         if self.n_sensors == 1:
             return np.arange(len(vibrations.samples))
         clear = vibrations.peak / np.maximum(vibrations.noise, 1e-300)
@@ -550,7 +550,7 @@ class ThroughBeam:
         return np.asarray(np.arange(best.size) * self.n_sensors + best)
 
     def _together(self, found: Observations, vibrations: VibrationBatch) -> Observations:
-        """Return rows of vibrations as blows; a sensor without an impact tells nothing of one that others hear."""
+        """Return rows of vibrations as impacts; a sensor without an impact tells nothing of one that others hear."""
         if self.n_sensors == 1:
             return found.by_sensor()
         silent = np.zeros(len(found.noise), bool)
@@ -564,15 +564,15 @@ class ThroughBeam:
     def _settled(
         self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: ARNoise
     ) -> tuple[Floats, Floats, Floats | None]:
-        """Return frames without what rings from earlier blows, the noise, and the power of the error of that.
+        """Return frames without what rings from earlier impacts, the noise, and the power of the error of that.
 
         Where there is ringing, `colour` becomes white.
         """
-        rows = colour.rows[quiet[colour.rows] >= _FEWEST_QUIET]
+        rows = colour.rows[quiet[colour.rows] >= _MIN_QUIET]
         if not rows.size:
             return frames, noise, None
         frames, noise, error = frames.copy(), noise.copy(), None
-        lengths, sensors = np.minimum(quiet[rows], _MOST_QUIET) // 32 * 32, rows % self.n_sensors
+        lengths, sensors = np.minimum(quiet[rows], _MAX_QUIET) // 32 * 32, rows % self.n_sensors
         for n_quiet, sensor in sorted(set(zip(lengths.tolist(), sensors.tolist(), strict=True))):
             if (n_quiet, sensor) not in self._ring_down:
                 self._ring_down[n_quiet, sensor] = RingDown(self.inversion, n_quiet, sensor)
@@ -588,7 +588,7 @@ class ThroughBeam:
         return frames, noise, error
 
     def _noise(self, frames: Floats, quiet: Floats, vibrations: VibrationBatch, limit: float | None) -> Floats:
-        """Return the standard deviation of white noise as loud as that before touch in the band up to `limit`."""
+        """Return the standard deviation of white noise as loud as that before onset in the band up to `limit`."""
         if limit is None:
             found = vibrations.noise
         else:
@@ -599,9 +599,9 @@ class ThroughBeam:
         return np.asarray(np.maximum(found, _FLOOR * np.sqrt(np.mean(np.square(frames), axis=1)) + 1e-300))
 
     def resampled(self, frames: Floats, rate: float, filters: float) -> Floats:
-        """Return frames at the rate of the beam, with its filters in place of others, `filters` times as high."""
+        """Return frames at the rate of the beam, with its filters instead of others, `filters` times as high."""
         own = self.beam.sampling_rate
-        ratio = Fraction(own / rate).limit_denominator(_LARGEST_RATIO)
+        ratio = Fraction(own / rate).limit_denominator(_MAX_RATIO)
         n = -(-frames.shape[1] // ratio.denominator) * ratio.denominator
         n_out = n * ratio.numerator // ratio.denominator
         spectrum = np.fft.rfft(frames, n, axis=1)
@@ -639,7 +639,7 @@ class _Channel:
         return next((n for n in _DECISIONS if n > self.n), (self.n // _EVERY + 1) * _EVERY) - self.n
 
     def plan(self, n: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return the filters to try (n, 2) for the next impacts, and whether to try other samples of touch, (n,)."""
+        """Return the filters to try (n, 2) for the next impacts, and whether to try other samples of onset, (n,)."""
         tests = np.arange(n) < self.n_tests
         self.n_tests = max(self.n_tests - n, 0)
         return tests[:, None] | self.filters, tests | self.again
@@ -685,7 +685,7 @@ class BeamStream:
 
     @property
     def n_sensors(self) -> int:
-        """Number of sensors, and of vibrations of one blow."""
+        """Number of sensors, and of vibrations of one impact."""
         return self.through.n_sensors
 
     def measured(self, vibrations: VibrationBatch) -> dict[str, Floats]:

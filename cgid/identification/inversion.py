@@ -27,7 +27,7 @@ from cgid.validation import Floats
 __all__ = ["ForceEstimate", "Inversion", "Observations", "Start"]
 
 #: Longest Gauss-Newton step from the grid to the location, and the second step from which on a third follows [m].
-_LONGEST_STEP, _FAR = 0.012, 0.006
+_MAX_STEP, _FAR = 0.012, 0.006
 #: Prior standard deviation of the location about the best of the grid [m].
 _PRIOR_OF_LOCATION = 0.1
 #: Shapes in the first step from the grid, and in slopes.
@@ -262,7 +262,7 @@ class Inversion(BeamResponses):
         through = np.linalg.solve(with_prior, cross)
         curvature = inner - cross.transpose(0, 2, 1) @ through
         pull = (slopes @ residual[:, :, None])[:, :, 0].astype(np.float64)
-        move = np.linalg.solve(curvature, pull[:, :, None])[:, :, 0].clip(-_LONGEST_STEP, _LONGEST_STEP)
+        move = np.linalg.solve(curvature, pull[:, :, None])[:, :, 0].clip(-_MAX_STEP, _MAX_STEP)
         x_low, x_high, y_low, y_high = self.beam.region
         new_x, new_y = (x + move[:, 0]).clip(x_low, x_high), (y + move[:, 1]).clip(y_low, y_high)
         if table is not self._all:

@@ -277,7 +277,7 @@ class LocationGrid:
         return np.asarray(samples * weight / np.sqrt(scale)[:, None], np.float32)
 
     def _lawful(self, weight: Singles, law: Floats, faint: NDArray[np.bool_]) -> Singles:
-        """Return the weights of the law in place of others, (n, n_kept), at the level of those for faint sensors.
+        """Return the weights of the law instead of others, (n, n_kept), at the level of those for faint sensors.
 
         Else a sensor that is a little louder or of another colour than the tables say would shift the location. What
         the ring-down of an earlier impact drowns stays drowned.

@@ -80,7 +80,7 @@ MIN_LIMITS = {"overload": 0.05, "beam_surely_unexplained": 1.0}
 #: Upper bounds: what is left of a pulse so badly explained is no single impact, whatever rigs the training has seen.
 MAX_LIMITS = {"unexplained": MAX_UNEXPLAINED}
 #: Minimum number of calibration specimens of a label; below it all of them train. A coverage of .95 takes 19.
-FEWEST_CALIBRATION_SPECIMENS = 20
+MIN_CALIBRATION_SPECIMENS = 20
 
 
 @dataclass(frozen=True)
@@ -335,14 +335,14 @@ def set_apart(
 ) -> NDArray[np.bool_]:
     """Return a mask of the impacts to calibrate on: whole specimens that do not judge, the same share of each label.
 
-    It is empty if the share is 0 or would give a label fewer than `FEWEST_CALIBRATION_SPECIMENS`.
+    It is empty if the share is 0 or would give a label fewer than `MIN_CALIBRATION_SPECIMENS`.
     Raises `InvalidValue` if the share is not in [0, 1) or nothing is left to train on.
     """
     if not 0 <= share < 1:
         raise InvalidValue(f"calibration share must lie between 0 and 1, got {share:g}")
     apart = np.zeros(len(labels), bool)
     counts = [len(np.unique(specimen[labels == label])) for label in np.unique(labels)]
-    if share * min(counts) < FEWEST_CALIBRATION_SPECIMENS:
+    if share * min(counts) < MIN_CALIBRATION_SPECIMENS:
         return apart
     left = 1 - len(np.unique(specimen[test])) / sum(counts)
     if share >= left:

@@ -13,7 +13,7 @@ from cgid.identification.estimation import FAMILY_LIMIT, Estimates
 from cgid.identification.inversion import ForceEstimate
 from cgid.measure.fit import PulseFit
 from cgid.measure.pulses import PulseBatch
-from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, relative_times
+from cgid.measure.template import MAX_SHAPE, MIN_SHAPE, relative_times
 from cgid.validation import Floats
 
 #: A pulse of more than this peak, over the level where it is cut off, minus 1, is a guess.
@@ -131,7 +131,7 @@ class MeasuredPulses:
     ) -> MeasuredPulses:
         """Return pulses of contact durations [s], shapes, a fit, overloads, and why some rows have none."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            shape = np.clip(shape, LOWEST_SHAPE, HIGHEST_SHAPE)
+            shape = np.clip(shape, MIN_SHAPE, MAX_SHAPE)
             relative, _, slope, _ = relative_times(shape)
             log_width, log_peak = np.log(duration) - np.log(relative), np.log(fit.peak)
         keep = [0, 1, 3]

@@ -25,8 +25,8 @@ from cgid.measure.fit_samples import rows_of, windows
 from cgid.measure.least_squares import solve_scaled
 from cgid.measure.optimum import bounded, normal_equations
 from cgid.measure.template import (
-    HIGHEST_SHAPE,
-    LOWEST_SHAPE,
+    MAX_SHAPE,
+    MIN_SHAPE,
     PARAMETERS,
     covariance_of,
     parameters_of,
@@ -149,8 +149,8 @@ def cramer_rao_bound(
         onset=validation.between("onset", onset, 0, 1),
     )
     s = np.log(e).ravel()
-    if not ((s >= LOWEST_SHAPE - 1e-12) & (s <= HIGHEST_SHAPE + 1e-12)).all():
-        low, high = np.exp(LOWEST_SHAPE), np.exp(HIGHEST_SHAPE)
+    if not ((s >= MIN_SHAPE - 1e-12) & (s <= MAX_SHAPE + 1e-12)).all():
+        low, high = np.exp(MIN_SHAPE), np.exp(MAX_SHAPE)
         raise InvalidValue(f"restitution must lie between {low:g} and {high:g}, got {e.min():g} to {e.max():g}")
     response = None
     if bandwidth is not None:
@@ -247,7 +247,7 @@ Whitened = Callable[[slice, Floats], Iterator[tuple[NDArray[np.intp], Residual]]
 @cache
 def _stabilised() -> tuple[Floats, Floats]:
     """Return shapes, and the coordinate in which their standard deviation is the same everywhere."""
-    shapes = np.linspace(LOWEST_SHAPE, HIGHEST_SHAPE, 2001)
+    shapes = np.linspace(MIN_SHAPE, MAX_SHAPE, 2001)
     slope = np.exp(-shape_deviation(shapes)[0])
     return shapes, np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(shapes))])
 
@@ -257,8 +257,8 @@ def profile(
     near: Floats,
     noise: Floats,
     *,
-    lowest: float = LOWEST_SHAPE,
-    highest: float = HIGHEST_SHAPE,
+    lowest: float = MIN_SHAPE,
+    highest: float = MAX_SHAPE,
     n_nodes: int = 33,
     offset: Floats | None = None,
     n_quiet: Floats | None = None,

@@ -36,7 +36,7 @@ LEARNED_COLUMNS = {
 #: Limits of a damping ratio that is corrected.
 _MIN_DAMPING, _MAX_DAMPING = 1e-4, 0.7
 #: Largest file of modes [bytes].
-_LARGEST_FILE = 8 << 20
+_MAX_FILE_SIZE = 8 << 20
 
 
 class Shapes(Protocol):
@@ -322,7 +322,7 @@ def read_modes(path: str | Path, columns: Mapping[str, str] = COLUMNS) -> Modes:
 
 def rows_of_table(path: str | Path, columns: Mapping[str, str]) -> list[dict[str, float]]:
     """Return the numbers of each mode of a table by column; raises as `read_modes`."""
-    lines = read_cells(path, "the table of modes", _LARGEST_FILE)
+    lines = read_cells(path, "the table of modes", _MAX_FILE_SIZE)
     if len(lines) < 2:
         raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
     places = _places(path, lines[0][1], columns)

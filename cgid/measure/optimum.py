@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cgid.measure.fit_samples import Rows, Window, rows_of, tied
 from cgid.measure.least_squares import least_squares
-from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE
+from cgid.measure.template import MAX_SHAPE, MIN_SHAPE
 from cgid.validation import Floats
 
 #: Largest steps of ln(width), of the place over the width, and of s.
@@ -93,7 +93,7 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
     def moved(parameters: Floats, step: Floats, some: NDArray[np.intp]) -> Floats:
         new = parameters.copy()
         new[:, free] += bounded(step, free, np.exp(parameters[:, 1]))
-        new[:, 3] = np.minimum(np.maximum(new[:, 3], LOWEST_SHAPE), HIGHEST_SHAPE)
+        new[:, 3] = np.minimum(np.maximum(new[:, 3], MIN_SHAPE), MAX_SHAPE)
         # Where nothing was seen a step may be nan: no step, then.
         return problems.tied(np.where(np.isfinite(new), new, parameters), rows[some])
 
@@ -101,7 +101,7 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
         """Return which shapes are at a bound that they would leave."""
         out = np.zeros(gradient.shape, bool)
         shape, pull = parameters[:, 3], gradient[:, column]
-        out[:, column] = ((shape <= LOWEST_SHAPE) & (pull < 0)) | ((shape >= HIGHEST_SHAPE) & (pull > 0))
+        out[:, column] = ((shape <= MIN_SHAPE) & (pull < 0)) | ((shape >= MAX_SHAPE) & (pull > 0))
         return out
 
     parameters, products, converged = least_squares(

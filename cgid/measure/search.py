@@ -18,11 +18,11 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.measure.template import HIGHEST_SHAPE, LOWEST_SHAPE, SHAPES_PATH
+from cgid.measure.template import MAX_SHAPE, MIN_SHAPE, SHAPES_PATH
 from cgid.validation import Floats
 
 #: Shapes of the bank: most of them where materials are, some mirrored.
-NODES = np.concatenate([np.linspace(LOWEST_SHAPE, 0.8, 20), [1.2, 1.8, HIGHEST_SHAPE]])
+NODES = np.concatenate([np.linspace(MIN_SHAPE, 0.8, 20), [1.2, 1.8, MAX_SHAPE]])
 #: Inner nodes with evenly spaced neighbours.
 _EVEN = np.abs(np.diff(NODES, n=2)) < 1e-9
 #: Bins of the common coordinates, in widths of the elastic pulse.

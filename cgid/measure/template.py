@@ -26,17 +26,17 @@ from cgid.measure.least_squares import scaled
 from cgid.validation import Floats
 
 #: Bounds of the shape s = ln e.
-LOWEST_SHAPE, HIGHEST_SHAPE = float(np.log(family.LOWEST_RESTITUTION)), -float(np.log(family.LOWEST_RESTITUTION))
+MIN_SHAPE, MAX_SHAPE = float(np.log(family.MIN_RESTITUTION)), -float(np.log(family.MIN_RESTITUTION))
 #: Tables of pulses; and of their times, of the bank of `search`, and of the components of `remainder`.
 TEMPLATE_PATH, SHAPES_PATH = (Path(__file__).with_name(name) for name in ("template.npy", "shapes.npz"))
 #: Shapes of the tables, from the lowest to 0, and cells of the contact.
 N_SHAPES, N_CELLS = 129, 1024
-_SPACING = -LOWEST_SHAPE / (N_SHAPES - 1)
+_SPACING = -MIN_SHAPE / (N_SHAPES - 1)
 
 
 def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return restitution, contact time, time of the peak and peak of the dimensionless pulse, each (n,)."""
-    restitution = np.minimum(np.exp(shapes), family.HIGHEST_RESTITUTION)
+    restitution = np.minimum(np.exp(shapes), family.MAX_RESTITUTION)
     contact, peak_time, _ = family.times(restitution)
     return restitution, contact, peak_time, family.force(peak_time[:, None], restitution)[:, 0]
 
@@ -52,7 +52,7 @@ def dimensionless_logarithms(shape: Floats, *names: str) -> tuple[Floats, ...]:
 
 @cache
 def _logarithms() -> dict[str, Floats]:
-    grid = np.linspace(LOWEST_SHAPE, 0.0, 1201)
+    grid = np.linspace(MIN_SHAPE, 0.0, 1201)
     restitution, contact, _, peak = dimensionless(grid)
     # The impulse of m x'' from 1 to -e is 1 + e.
     return {"shape": grid, "contact": np.log(contact), "peak": np.log(peak), "width": np.log((1 + restitution) / peak)}
@@ -77,7 +77,7 @@ def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
 
 def _near_node(shape: Floats) -> tuple[NDArray[np.intp], Floats, Floats, Floats, Floats, Floats]:
     """Return the nearest node of s (of -s above 0), the distance from it, and `relative_times`."""
-    place = (-np.abs(shape) - LOWEST_SHAPE) / _SPACING
+    place = (-np.abs(shape) - MIN_SHAPE) / _SPACING
     # Of nan, which a fit of no pulse may try, fmax and fmin make a node.
     node = np.fmin(np.fmax(np.rint(place), 0), N_SHAPES - 1).astype(np.intp)
     offset = (place - node) * _SPACING
@@ -222,7 +222,7 @@ def covariance_of(
 @cache
 def _shape_deviation() -> tuple[Floats, Floats]:
     """Return shapes s, and ln(standard deviation of s) there with two derivatives, for densely sampled pulses."""
-    shapes = np.linspace(LOWEST_SHAPE, HIGHEST_SHAPE, _GRID)
+    shapes = np.linspace(MIN_SHAPE, MAX_SHAPE, _GRID)
     duration, lead, _, _ = relative_times(shapes)
     ones, zeros = np.ones(_GRID), np.zeros(_GRID)
     parameters = np.stack([ones, zeros, lead, shapes, zeros], axis=1)
@@ -238,7 +238,7 @@ def _shape_deviation() -> tuple[Floats, Floats]:
 def shape_deviation(shape: Floats) -> Floats:
     """Return ln(standard deviation of s) of densely sampled pulses plus a constant, and two derivatives, (3, n)."""
     grid, held = _shape_deviation()
-    place = (shape - LOWEST_SHAPE) / (grid[1] - grid[0])
+    place = (shape - MIN_SHAPE) / (grid[1] - grid[0])
     node = np.clip(place.astype(np.intp), 0, _GRID - 2)
     return np.asarray(held[:, node] + (place - node) * (held[:, node + 1] - held[:, node]))
 

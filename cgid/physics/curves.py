@@ -29,18 +29,18 @@ if TYPE_CHECKING:
     from cgid.physics.impact import Impact
 
 Quantity = Literal["force", "displacement"]
-#: Error of an integrated pulse over its peak, and the bounds that may be asked for.
+#: Error of an integrated pulse over its peak, and the bounds that may be requested.
 TOLERANCE, TOLERANCES = 1e-8, (1e-12, 1e-4)
 #: Smallest restitution of the material: below, the time scales of braking and of rebound are too far apart.
-LOWEST_RESTITUTION = 1e-14
+MIN_RESTITUTION = 1e-14
 #: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
 NEGLIGIBLE_WEIGHT = 1e-12
-#: Up to this many samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
+#: Maximum number of samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
-#: Up to this many impacts kernels are interpreted, until this much time [s] has gone into interpreting.
+#: Maximum number of impacts kernels are interpreted, until this much time [s] has gone into interpreting.
 _FEW_IMPACTS, _PATIENCE = 4, 2.0
 _spent = 0.0
-#: Fewest rows worth another thread, and most rows in one call, so that Python can react to an interruption.
+#: Minimum number of rows worth another thread, and most rows in one call, so that Python can react to an interruption.
 _LEAST, _MOST = 200, 1024
 
 
@@ -275,7 +275,7 @@ class Curves:
     ) -> None:
         """Add a force pulse to each of the frames (n, n_samples) in place.
 
-        `onset` is the touch on the sample grid [samples], `step` the sampling interval [T0], `amplitude` is in [N];
+        `onset` is the onset on the sample grid [samples], `step` the sampling interval [T0], `amplitude` is in [N];
         each (n,). A `tolerance` above that of the curves, an error over the peak, saves time.
         """
         if counting():
@@ -399,10 +399,10 @@ class HuntCrossleyCurves(Curves):
 
     def require_rebound(self) -> None:
         """Raise `InvalidValue` if a sphere does not rebound, or not within the range of double precision."""
-        beyond = self.material_restitution < LOWEST_RESTITUTION
+        beyond = self.material_restitution < MIN_RESTITUTION
         if beyond.any():
             raise InvalidValue(
-                f"the restitution of the material must be {LOWEST_RESTITUTION:g} or more for double precision to "
+                f"the restitution of the material must be {MIN_RESTITUTION:g} or more for double precision to "
                 f"follow the impact, got {self.material_restitution[beyond][0]:g}"
             )
         super().require_rebound()
@@ -468,7 +468,7 @@ def is_builtin(law: Law | type[Law]) -> bool:
 
 
 def _said(law: Law | type[Law], run: Callable[..., None], *arguments: Any) -> None:
-    """Call a kernel with a law of one's own; an error in it becomes `InvalidValue`."""
+    """Call a kernel with a law of your own; an error in it becomes `InvalidValue`."""
     try:
         run(*arguments)
     # The law may fail in any way.

@@ -53,7 +53,7 @@ class Impact:
     stiffness : {"hertz", "rigid-sphere", "series"}
         Theory of the contact stiffness (see `contact_stiffness`); no default.
     dissipation : Law
-        Loss in the material: Elastic, HuntCrossley, Viscoelastic, Thornton, WaltonBraun or a `Law` of one's own. The
+        Loss in the material: Elastic, HuntCrossley, Viscoelastic, Thornton, WaltonBraun or a `Law` of your own. The
         loss to a thin plate is added to it.
     gravity : array_like, 0 or more [m/s^2]
         Pull towards the target during contact. Neglected where it would change the speed by at most 3e-12 of the impact
@@ -347,7 +347,7 @@ class Impact:
         Parameters
         ----------
         times : array_like, (..., n_times) [s]
-            Time since touch, along the last axis.
+            Time since onset, along the last axis.
         dtype : {"float64", "float32"}
         threads : int
             Number of threads that share the impacts.
@@ -398,7 +398,7 @@ class Impact:
         n_samples : int
             Length of a frame.
         onset : array_like [s]
-            Time of touch relative to the start of the frame; it may lie outside the frame.
+            Time of onset relative to the start of the frame; it may lie outside the frame.
         dtype : {"float64", "float32"}
         threads : int
             Number of threads that share the impacts.
@@ -437,7 +437,7 @@ class Impact:
             Float32 or float64; the leading axes are those of the impacts and onsets.
         sampling_rate : float [Hz]
         onset : array_like [s]
-            Time of touch relative to the start of the frame.
+            Time of onset relative to the start of the frame.
         tolerance : float
             Permitted error over the peak.
         threads : int

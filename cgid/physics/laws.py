@@ -8,7 +8,7 @@ The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delt
 `D = chi v` for a restitution e. All but the exact one are approximations, good near e = 1:
 `HuntCrossley.delivered_restitution` is the restitution that results. A new factor needs one more table entry.
 
-A law of loss is one class with the verbs of `cgid.physics.Law`, here or in a module of one's own.
+A law of loss is one class with the verbs of `cgid.physics.Law`, here or in a module of your own.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ HUNT_CROSSLEY_LAWS: dict[str, Callable[[Floats], Floats]] = {
     "hu-guo": lambda e: 1.5 * (1 - e) / e,
 }
 #: Double precision cannot represent an impact with more damping anyway.
-_MOST_DAMPING = 1e100
+_MAX_DAMPING = 1e100
 
 
 def _hertz(p: Any, history: Any, w: float) -> tuple[float, float]:
@@ -192,7 +192,7 @@ class HuntCrossley(Law):
         restitution = np.asarray(self.restitution, np.float64)
         with np.errstate(over="ignore"):
             damping = np.asarray(HUNT_CROSSLEY_LAWS[self.law](restitution))
-        if not (damping < _MOST_DAMPING).all():
+        if not (damping < _MAX_DAMPING).all():
             raise InvalidValue(
                 f"restitution must leave a damping number that double precision holds, got {restitution.min():g}"
             )
@@ -223,7 +223,7 @@ _OF_RESTITUTION = (
     4.848605218946283e-10, 6.645667873857326e-11, 3.690065363644148e-12,
 )  # fmt: skip
 #: Smallest restitution that these cover.
-LEAST_VISCOELASTIC = 0.003
+MIN_VISCOELASTIC = 0.003
 _OF_VISCOELASTIC = ("dissipative_constant", "time_constant", "restitution")
 
 
@@ -299,7 +299,7 @@ class Viscoelastic(Law):
         if self.restitution is None:
             validation.positive(given[0], getattr(self, given[0]), "s")
         else:
-            validation.between("restitution", self.restitution, LEAST_VISCOELASTIC, 1.0)
+            validation.between("restitution", self.restitution, MIN_VISCOELASTIC, 1.0)
         validation.hold(self, *_OF_VISCOELASTIC)
 
     def numbers(self, impact: Impact) -> dict[str, ArrayLike]:
@@ -515,7 +515,7 @@ class WaltonBraun(Law):
 def _hold_viscous(law: Thornton | WaltonBraun, *names: str) -> None:
     """Check the viscous restitution of a law, and hold it with its other numbers."""
     if law.viscous_restitution is not None:
-        lowest, highest = family.LOWEST_RESTITUTION, family.HIGHEST_RESTITUTION
+        lowest, highest = family.MIN_RESTITUTION, family.MAX_RESTITUTION
         validation.between("viscous_restitution", law.viscous_restitution, lowest, highest)
     validation.hold(law, *names, "viscous_restitution")
 
@@ -529,7 +529,7 @@ LAWS: dict[str, type[Law]] = {law.name: law for law in (Elastic, HuntCrossley, T
 
 
 def known(name: str) -> type[Law] | None:
-    """Return the contact law of this name, of cgid or of one's own; None for an unknown one."""
+    """Return the contact law of this name, of cgid or of your own; None for an unknown one."""
     if name in LAWS:
         return LAWS[name]
     from cgid.physics.own_laws import own_law

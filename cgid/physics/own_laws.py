@@ -1,4 +1,4 @@
-"""Contact laws of one's own: found by entry points or named by the user, never by a scene file."""
+"""Contact laws of your own: found by entry points or named by the user, never by a scene file."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _add(module: ModuleType, source: str) -> None:
 
 
 def own_law(name: str) -> OwnLaw | None:
-    """Return a law of one's own by its name; entry points are asked where no module that was named has it."""
+    """Return a law of your own by its name; entry points are asked where no module that was named has it."""
     if name not in _own:
         _find_entry_points()
     return _own.get(name)

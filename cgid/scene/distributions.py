@@ -118,11 +118,11 @@ Speed = Annotated[float, Quantity.of("speed")]
 #: A level in the unit of the sensor's quantity, parsed by `cgid.scene.sensor`.
 Level = Annotated[float, Quantity(rule=Rule(0, LIMITS["force"][1]))]
 #: Shortest recording [s].
-SHORTEST_RECORDING = 1e-3
+MIN_RECORDING = 1e-3
 _DAY = 86_400
 #: Times in a recording, and its duration: at most a day.
 Moments = Annotated[tuple[float, ...], Field(min_length=1, max_length=100_000), Quantity("time", Rule(0, _DAY))]
-Duration = Annotated[float, Quantity("time", Rule(SHORTEST_RECORDING, _DAY))]
+Duration = Annotated[float, Quantity("time", Rule(MIN_RECORDING, _DAY))]
 #: Angle to the horizontal [rad], less than vertical.
 Inclination = Annotated[float, Quantity("angle", Rule(0, 1.5))]
 Decibel = Annotated[float, Quantity("decibel", Rule(-200, 200))]

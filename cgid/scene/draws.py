@@ -274,7 +274,7 @@ def numbers_of(seed: int, block: int) -> Floats:
 
 
 def onset_of(scene: Scene, number: Floats) -> Floats:
-    """Return the times of touch [s] for uniform numbers; the scene is that of the block."""
+    """Return the times of onset [s] for uniform numbers; the scene is that of the block."""
     return (scene.sampling.pre_trigger + scene.sampling.jitter * number) / scene.sampling.sampling_rate
 
 

@@ -43,8 +43,8 @@ from cgid.workers import ALONE, Workers, workers
 
 #: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
-#: Most signals of a dataset or table.
-MOST_SIGNALS = 10**9
+#: Maximum number of signals of a dataset or table.
+MAX_SIGNALS = 10**9
 #: Limits of the signals made ahead: memory [bytes], but at least one block, and number of blocks.
 _AHEAD_BYTES, _AHEAD_BLOCKS = 32 << 20, 16
 #: Largest size of a number in a table, and in CSV with its comma [bytes].
@@ -140,8 +140,8 @@ def generate(
     require(validation.choice("compression", compression, COMPRESSIONS))
     path = check_output(output, FORMAT, overwrite or resume)
     next(synthesise(scene, 1, seed))  # raises errors of the scene or the seed before anything is written
-    if n_signals > MOST_SIGNALS:
-        raise InvalidValue(f"n_signals must be at most {MOST_SIGNALS}, got {n_signals}; make several datasets")
+    if n_signals > MAX_SIGNALS:
+        raise InvalidValue(f"n_signals must be at most {MAX_SIGNALS}, got {n_signals}; make several datasets")
     validation.choice("dtype", dtype, ("float32", "float64"))
     plan, description = planned(path, scene, seed, n_signals, shard_signals, dtype, compression)
     single = is_single_file(path)
@@ -368,7 +368,7 @@ def tabulate(
     Raises `CannotCreate`, `WriteFailed` (nothing is left behind), `MissingExtra` without the Parquet library, and
     `InvalidValue` for a bad number or a plan for signals.
     """
-    n_signals, seed = validation.whole("n_signals", n_signals, 1, MOST_SIGNALS), require_seed(seed)
+    n_signals, seed = validation.whole("n_signals", n_signals, 1, MAX_SIGNALS), require_seed(seed)
     path = check_table_output(output, overwrite)
     next(iter(columns_of(asked, 1, seed)))  # raises errors of the plan or the seed before anything is written
     size = n_signals * (2 + len(asked.column_units)) * (_BYTES_OF_TEXT if path.suffix == ".csv" else _BYTES)

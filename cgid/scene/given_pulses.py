@@ -70,7 +70,7 @@ _ALLOWED = 0.25
 PARAMETERS = ("density", "youngs_modulus", "poisson_ratio", "drop_height", "velocity", "restitution")
 MAKING = ("restitution_asked", "retardation_time")
 #: Largest file of solved impacts [bytes].
-_LARGEST_FILE = 64 << 20
+_MAX_FILE_SIZE = 64 << 20
 _MAKER = "python datasets/make_finite_element.py"
 #: Index of the random number of a signal's radius; the first one selects its population.
 _RADIUS = 1 + FALL.index("radius")
@@ -233,7 +233,7 @@ class SolvedImpacts:
     @classmethod
     def load(cls, path: str | Path) -> SolvedImpacts:
         """Return the impacts of a file; raises `NoInput` if it cannot be read, `BadData` for other content."""
-        content = read_regular(path, "solved impacts", _LARGEST_FILE, f"make them: {_MAKER}")
+        content = read_regular(path, "solved impacts", _MAX_FILE_SIZE, f"make them: {_MAKER}")
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}

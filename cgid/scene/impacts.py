@@ -33,7 +33,7 @@ from cgid.scene.schema import Scene
 from cgid.scene.sections import SHAPES, TailBeamSection
 from cgid.validation import Floats, unchecked
 
-#: Most blocks that are drawn at once.
+#: Maximum number of blocks that are drawn at once.
 _MOST = 16
 
 # -- the beam and the recorder ----------------------------------------------------------------------------
@@ -107,7 +107,7 @@ class Recorder:
     gain: float | None = None
 
     def participation(self, parameters: Mapping[str, Floats]) -> Floats | None:
-        """Return the participation of each mode in each blow, including the gain, (n, n_modes) [1/kg]."""
+        """Return the participation of each mode in each impact, including the gain, (n, n_modes) [1/kg]."""
         if self.modes is None or self.modes.at_sensor is None:
             return None
         participation = _shapes(self.modes, parameters) * self.modes.at_sensor
@@ -272,7 +272,7 @@ class TapPulses:
         shapes = tuple(SHAPES.values())
         count("tap_pulses", len(frames))
         place, length = onset * sampling_rate, self.contact_duration * sampling_rate
-        # As for an impact, samples exactly at touch and separation hold no force, even for a square pulse.
+        # As for an impact, samples exactly at onset and separation hold no force, even for a square pulse.
         first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)
         behind = np.clip(np.ceil(place + length), first, frames.shape[1]).astype(np.intp)
         for row, frame in enumerate(frames):
@@ -292,7 +292,7 @@ class Strike:
 
     rows: NDArray[np.intp]  # their signals in the block, (n,)
     pulses: Pulses
-    onset: Floats  # time of touch in the frame [s], (n,)
+    onset: Floats  # time of onset in the frame [s], (n,)
     ratio: Floats | None = None  # factor of each, (n,)
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: float) -> None:
@@ -320,7 +320,7 @@ class Blows:
 
     Attributes
     ----------
-    parameters : drawn and derived, each (n_signals,), nan where not applicable; onset is the time of touch in the
+    parameters : drawn and derived, each (n_signals,), nan where not applicable; onset is the time of onset in the
         frame, peak and duration are those of the first hit
     specimen : equal for pulses of equal particles or equal taps, (n_signals,)
     strikes : impacts, taps and second hits

@@ -17,7 +17,7 @@ import numpy as np
 
 from cgid import validation
 from cgid.errors import InvalidValue
-from cgid.family import LOWEST_RESTITUTION
+from cgid.family import MIN_RESTITUTION
 from cgid.measure.features import FEATURES, allow_truncation, choose, kind_for, kind_of, require_supported, supported
 from cgid.measure.pulses import FAINT
 from cgid.physics import HuntCrossley, ThinPlate
@@ -347,7 +347,7 @@ def _damps_beyond(scene: Scene) -> bool:
     if not lowest or scene.impact.law == "exact":
         return False
     delivered = HuntCrossley(restitution=min(lowest), law=scene.impact.law).delivered_restitution
-    return bool(delivered < LOWEST_RESTITUTION)
+    return bool(delivered < MIN_RESTITUTION)
 
 
 def _gravity(plan: Plan) -> str | Decision:

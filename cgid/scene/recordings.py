@@ -12,14 +12,14 @@ import numpy as np
 from cgid import validation
 from cgid.errors import InvalidValue
 from cgid.files import require_room
-from cgid.scene.distributions import SHORTEST_RECORDING
+from cgid.scene.distributions import MIN_RECORDING
 from cgid.scene.draws import require_seed
 from cgid.scene.generation import attributes_of, in_order
 from cgid.scene.noise import background_of
 from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.stream import impact_units, joined, parts_of_recording
-from cgid.store.description import DIGEST, LARGEST_RECORDING, RECORDING_FORMAT
+from cgid.store.description import DIGEST, MAX_RECORDING, RECORDING_FORMAT
 from cgid.store.folder import Description, describe, sha256_of
 from cgid.store.hdf5 import RecordingPlan, writing
 from cgid.store.run import Run, begun, check_output, is_single_file
@@ -28,9 +28,9 @@ from cgid.terminal import counted
 #: Memory for the truth of an impact, including sorting and writing [bytes],
 _IMPACT_BYTES = 500
 #: and the limit for a whole recording [bytes].
-LARGEST_TRUTH = 1 << 30
-#: Most recordings in a folder.
-MOST_RECORDINGS = 100_000
+MAX_TRUTH = 1 << 30
+#: Maximum number of recordings in a folder.
+MAX_RECORDINGS = 100_000
 #: Allowed excess of Poisson arrivals over the expected number [standard deviations].
 _DEVIATIONS = 6.0
 
@@ -51,25 +51,25 @@ def require_capacity(scene: Scene, dtype: str) -> None:
     duration, impacts = scene.stream.duration, most_impacts(scene)
     samples = samples_of(scene)
     size = samples * np.dtype(dtype).itemsize
-    if size > LARGEST_RECORDING:
+    if size > MAX_RECORDING:
         raise InvalidValue(
-            f"scene {scene.name}: stream.duration must make at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
+            f"scene {scene.name}: stream.duration must make at most {MAX_RECORDING / 2**30:g} GiB of samples, "
             f"{duration:g} s at {scene.sampling.sampling_rate:g} Hz make {samples:.4g} of {dtype}, "
-            f"{size / 2**30:.3g} GiB; {_cure(duration, size / LARGEST_RECORDING, 'lower the sampling rate')}"
+            f"{size / 2**30:.3g} GiB; {_cure(duration, size / MAX_RECORDING, 'lower the sampling rate')}"
         )
     needed = impacts * _IMPACT_BYTES
-    if needed > LARGEST_TRUTH:
+    if needed > MAX_TRUTH:
         raise InvalidValue(
-            f"scene {scene.name}: stream.arrivals must make at most {LARGEST_TRUTH / _IMPACT_BYTES:.3g} impacts, whose "
-            f"truth fits into {LARGEST_TRUTH / 2**30:g} GiB of memory; {duration:g} s can make {impacts:.3g}, which "
-            f"need {needed / 2**30:.3g} GiB; {_cure(duration, needed / LARGEST_TRUTH, 'lower the rate')}"
+            f"scene {scene.name}: stream.arrivals must make at most {MAX_TRUTH / _IMPACT_BYTES:.3g} impacts, whose "
+            f"truth fits into {MAX_TRUTH / 2**30:g} GiB of memory; {duration:g} s can make {impacts:.3g}, which "
+            f"need {needed / 2**30:.3g} GiB; {_cure(duration, needed / MAX_TRUTH, 'lower the rate')}"
         )
 
 
 def _cure(duration: float, excess: float, otherwise: str) -> str:
     # A small margin, so that the proposal passes.
     count = int(np.ceil(excess * 1.02))
-    if count > MOST_RECORDINGS or duration / count < SHORTEST_RECORDING:
+    if count > MAX_RECORDINGS or duration / count < MIN_RECORDING:
         return otherwise
     made = counted(count, "recording")
     return f"make {made} (-n {count}) with a duration of {duration / count:.3g} s each, or {otherwise}"
@@ -124,7 +124,7 @@ def generate_recordings(
     scene = load_scene(scene)
     if scene.stream is None:
         raise InvalidValue(f"scene {scene.name} must have a section stream to make a recording of; it has none")
-    n_recordings = validation.whole("n_recordings", n_recordings, 1, MOST_RECORDINGS)
+    n_recordings = validation.whole("n_recordings", n_recordings, 1, MAX_RECORDINGS)
     path = Path(output)
     if n_recordings > 1 and is_single_file(path):
         raise InvalidValue(

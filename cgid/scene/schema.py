@@ -45,10 +45,10 @@ from cgid.shipped import scene_path
 from cgid.validation import cut, shown, suggestion
 
 #: Largest scene file [bytes] and most keys in it: 10,000 measured modes have 60,000.
-_LARGEST_FILE, _MAX_KEYS = 8 << 20, 100_000
-#: Frequency of the mains where `randomise.hum_frequency` does not say it [Hz].
+_MAX_FILE_SIZE, _MAX_KEYS = 8 << 20, 100_000
+#: Frequency of the mains where `randomise.hum_frequency` does not state it [Hz].
 HUM_FREQUENCY = 50.0
-#: Most mistakes in one report.
+#: Maximum number of mistakes in one report.
 _MAX_MISTAKES = 20
 
 
@@ -228,12 +228,12 @@ class Scene(Section):
 
     @property
     def law_names(self) -> tuple[str, ...]:
-        """The laws of loss by their index in data: those of cgid, then those of one's own, as populations name them."""
+        """The laws of loss by their index in data: those of cgid, then those of your own, as populations name them."""
         return tuple(dict.fromkeys((*DISSIPATIONS, *self.dissipations)))
 
     @property
     def own_laws(self) -> dict[str, str]:
-        """The laws of one's own that the scene uses, by name, and the SHA-256 of their modules."""
+        """The laws of your own that the scene uses, by name, and the SHA-256 of their modules."""
         own = {name: own_law(name) for name in self.law_names[len(DISSIPATIONS) :]}
         return {name: law.sha256 for name, law in own.items() if law is not None}
 
@@ -302,7 +302,7 @@ def samples_of(scene: Scene) -> int:
 
 
 def load_scene(path: str | Path | Scene) -> Scene:
-    """Load a scene from a TOML file, or one that comes with cgid.
+    """Load a scene from a TOML file, or one that is bundled with cgid.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def load_scene(path: str | Path | Scene) -> Scene:
         return path
     path = scene_path(path)
     try:
-        text = read_regular(path, "a scene file", _LARGEST_FILE, "give a .toml file").decode()
+        text = read_regular(path, "a scene file", _MAX_FILE_SIZE, "give a .toml file").decode()
     except UnicodeDecodeError:
         raise BadData(f"{path}: a scene file must be UTF-8 text; this one is not") from None
     try:
@@ -461,11 +461,11 @@ def _sections_in(annotation: Any) -> list[type[BaseModel]]:
     return [annotation] if isinstance(annotation, type) and issubclass(annotation, BaseModel) else []
 
 
-#: Fewest samples before touch with `keep_frame`: baseline and noise are measured there.
-LEAST_PRE_TRIGGER = 64
+#: Minimum number of samples before onset with `keep_frame`: baseline and noise are measured there.
+MIN_PRE_TRIGGER = 64
 _SECTIONS: dict[str, type[BaseModel]] = {"impact": ImpactSection, "sampling": SamplingSection, "sensor": Sensor}
 _LISTS: dict[str, type[BaseModel]] = {"populations": Population, "taps": Tap}
-#: Settings of which one replaces the other, and what is drawn in place of which setting under another name.
+#: Settings of which one replaces the other, and what is drawn instead of which setting under another name.
 _INSTEAD = {"velocity": "drop_height", "drop_height": "velocity", "range": "relative_range", "relative_range": "range"}
 _DRAWN_AS = {"anti_alias": "anti_alias_frequency", "range": "relative_range"}
 _SOURCE_KEYS = ("label", "weight", "dissipation")
@@ -478,8 +478,8 @@ def varied(scene: Scene | str | Path, *, keep_frame: bool = False, **changes: An
     ----------
     scene : Scene, str or Path
     keep_frame : bool
-        With a new `sampling_rate`, keep the durations before and after touch, with at least `LEAST_PRE_TRIGGER` samples
-        before touch; `samples` and `pre_trigger` must then be left out.
+        With a new `sampling_rate`, keep the durations before and after onset, with at least `MIN_PRE_TRIGGER` samples
+        before onset; `samples` and `pre_trigger` must then be left out.
     **changes
         `name`, `description`, or any key of `impact`, `sampling` or `sensor`, such as `stiffness`, `target`, `range`;
         or any key of a population or tap except label, weight and dissipation, such as `radius`, `clipped_at`, which
@@ -548,5 +548,5 @@ def _same_frame(scene: Scene, changes: dict[str, Any]) -> dict[str, Any]:
     # Parsed like the file, because it may be a string with a unit.
     new = varied(scene, sampling_rate=changes["sampling_rate"], bandwidth=None).sampling.sampling_rate
     ratio = new / old.sampling_rate
-    before = max(LEAST_PRE_TRIGGER, round(old.pre_trigger * ratio))
+    before = max(MIN_PRE_TRIGGER, round(old.pre_trigger * ratio))
     return {"pre_trigger": before, "samples": before + round((old.samples - old.pre_trigger) * ratio)}

@@ -21,7 +21,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from cgid import validation
-from cgid.family import HIGHEST_RESTITUTION, LOWEST_RESTITUTION
+from cgid.family import MAX_RESTITUTION, MIN_RESTITUTION
 from cgid.measure.modes import COLUMNS, LEARNED_COLUMNS, Modes, rows_of_table
 from cgid.physics import HUNT_CROSSLEY_LAWS, RIGID, HalfSpace, RigidWall, ThinPlate
 from cgid.physics.laws import LAWS, known, named
@@ -54,7 +54,7 @@ SHAPES: Mapping[str, Callable[[Floats], Floats]] = {
     "haversine": lambda u: np.sin(np.pi * u) ** 2,
 }
 
-#: How a rock may lose energy, by laws of cgid. The order defines their indices; those of one's own come after them.
+#: How a rock may lose energy, by laws of cgid. The order defines their indices; those of your own come after them.
 DISSIPATIONS = tuple(LAWS)
 #: Those of a contact that unloads on another path, with or without viscous loss. They have no weight, and no target
 #: that takes energy.
@@ -62,15 +62,15 @@ PLASTIC = ("thornton", "walton-braun")
 #: Those that scenes have on a half space or a rigid wall only, and without weight.
 ON_SOLID_GROUND = (*PLASTIC, "kuwabara-kono")
 
-#: Sharpest corner and flattest side of a rock over its radius, and the least share of its mass in a blow: wider than
+#: Sharpest corner and flattest side of a rock over its radius, and the least share of its mass in an impact: wider than
 #: any lump.
-CURVATURES, LEAST_MASS = (1e-3, 10.0), 1e-2
-#: Most rows of a table of modes.
+CURVATURES, MIN_MASS = (1e-3, 10.0), 1e-2
+#: Maximum number of rows of a table of modes.
 _MAX_MODES = 10_000
 
 
 def _or_own_law(value: Any, handler: Callable[[Any], Any]) -> Any:
-    """Accept the name of a law of one's own, too."""
+    """Accept the name of a law of your own, too."""
     return value if isinstance(value, str) and value not in DISSIPATIONS and known(value) else handler(value)
 
 
@@ -104,10 +104,10 @@ _Length = Annotated[Distribution, Quantity.of("length")]
 _Speed = Annotated[Distribution, Quantity.of("speed")]
 _Factor = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1e3))]
 _Clipped = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1))]
-_Restitution = Annotated[Distribution, Quantity("ratio", Rule(LOWEST_RESTITUTION, HIGHEST_RESTITUTION))]
+_Restitution = Annotated[Distribution, Quantity("ratio", Rule(MIN_RESTITUTION, MAX_RESTITUTION))]
 _Poisson = Annotated[Distribution, Quantity("ratio", poisson_ratio)]
 _Curvature = Annotated[Distribution, Quantity("ratio", Rule(*CURVATURES, note=" and is 1 for a sphere"))]
-_MassInBlow = Annotated[Distribution, Quantity("ratio", Rule(LEAST_MASS, 1, note=" and is 1 for a central blow"))]
+_MassInBlow = Annotated[Distribution, Quantity("ratio", Rule(MIN_MASS, 1, note=" and is 1 for a central blow"))]
 _Relative = Annotated[Distribution, Quantity("ratio", Rule(0, 1e6))]
 _Range = Annotated[Distribution, Quantity("ratio", Rule(1e-3, 1e6))]
 _Exponent = Annotated[Distribution, Quantity("ratio", Rule(-1, 2))]
@@ -115,7 +115,7 @@ _Bits = Annotated[Distribution, Quantity("ratio", Rule(2, 32))]
 
 
 class SecondHit(Section):
-    """A repetition of the pulse, `delay` after touch and `ratio` times as high; the two may overlap."""
+    """A repetition of the pulse, `delay` after onset and `ratio` times as high; the two may overlap."""
 
     delay: _Time
     """Time from the first touch to the second."""
@@ -162,7 +162,7 @@ class Population(_Source):
     left out for a sphere.
     """
     effective_mass: _MassInBlow | None = None
-    """Mass that takes part in the blow, over the mass of the rock: below 1 where it touches beside its centre
+    """Mass that takes part in the impact, over the mass of the rock: below 1 where it touches beside its centre
     and turns aside; left out for a central blow.
     """
     restitution: _Restitution | None = None
@@ -239,7 +239,7 @@ class ImpactSection(Section):
     """
     law: Law = "exact"
     """For hunt-crossley, relation of the damping to the restitution: "exact" delivers the restitution that is
-    asked for; the published factors deliver another one.
+    requested; the published factors deliver another one.
     """
     target: TargetSection | Literal["rigid"]
     """What is hit: an elastic body, or a wall that does not yield."""
@@ -268,7 +268,7 @@ class SamplingSection(Section):
     samples: Annotated[Whole, Quantity(rule=Rule(16, 2**20))] = 0
     """Length of a frame; required, except in a stream, where it is left out."""
     pre_trigger: Annotated[Whole, Quantity(rule=Rule(2))] = 0
-    """Samples before touch; required, except in a stream, where it is left out."""
+    """Samples before onset; required, except in a stream, where it is left out."""
     jitter: Annotated[Number, Quantity(rule=Rule(0, 1))] = 1.0
     """Touch falls anywhere within this part of a sample."""
 
@@ -298,18 +298,18 @@ class SamplingSection(Section):
 
 
 class RandomiseSection(Section):
-    """Settings drawn for each block of 256 signals, in place of the fixed values of `sampling` or `sensor`."""
+    """Settings drawn for each block of 256 signals, instead of the fixed values of `sampling` or `sensor`."""
 
     # The order of the keys is that of their random numbers: append new ones.
 
     sampling_rate: _Frequency | None = None
-    """Drawn in place of `sampling.sampling_rate`."""
+    """Drawn instead of `sampling.sampling_rate`."""
     relative_noise: _Relative | None = None
-    """Drawn in place of `sensor.relative_noise`."""
+    """Drawn instead of `sensor.relative_noise`."""
     bandwidth: _Frequency | None = None
-    """Drawn in place of `sensor.bandwidth`; off above 0.45 of the sampling rate."""
+    """Drawn instead of `sensor.bandwidth`; off above 0.45 of the sampling rate."""
     noise_exponent: _Exponent | None = None
-    """Drawn in place of `sensor.noise_exponent`; 0 is white noise."""
+    """Drawn instead of `sensor.noise_exponent`; 0 is white noise."""
     hum: _Relative | None = None
     """Amplitude over the largest sample of each signal, for a force over the true peak, of a sine that is added
     to the background; 0 is none.
@@ -317,11 +317,11 @@ class RandomiseSection(Section):
     hum_frequency: _Frequency | None = None
     """Its frequency, 50 Hz when left out."""
     relative_range: _Range | None = None
-    """Drawn in place of `sensor.relative_range`: below 1 the pulses are clipped."""
+    """Drawn instead of `sensor.relative_range`: below 1 the pulses are clipped."""
     bits: _Bits | None = None
-    """Drawn in place of `sensor.bits`, and rounded to a whole number."""
+    """Drawn instead of `sensor.bits`, and rounded to a whole number."""
     anti_alias_frequency: _Frequency | None = None
-    """Drawn in place of `sensor.anti_alias.frequency`, of order 8 when left out; off above 0.45 of the sampling
+    """Drawn instead of `sensor.anti_alias.frequency`, of order 8 when left out; off above 0.45 of the sampling
     rate.
     """
 
@@ -501,7 +501,7 @@ class TailBeamSection(Section):
     "modes.csv"` reads them from a table.
     """
     learned: LearnedTable | None = None
-    """What blows have taught of the modes of the panel, or of those measured, one row for each in their order;
+    """What impacts have taught of the modes of the panel, or of those measured, one row for each in their order;
     in a file `learned = "site-modes.csv"` reads them from a table, as `cgid calibrate` writes it.
     """
     coupling: Literal["auto", "impedance", "modes"] = "auto"

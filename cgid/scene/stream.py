@@ -55,7 +55,7 @@ class TimeAxis:
 
 
 #: Windows that are low-passed have no larger prime factor: transforms of such lengths are slow.
-_LARGEST_FACTOR = 509
+_MAX_FACTOR = 509
 #: Columns in stored order, and their units.
 _UNITS = {"time": "s", "rock": "1", "bounce": "1"} | {
     name: unit for name, unit in PARAMETER_UNITS.items() if name != "onset"
@@ -66,7 +66,7 @@ _NEIGHBOUR_UNITS = {"next_impact": "s", "overlapping": "1"}
 def impact_units(scene: Scene) -> dict[str, str]:
     """Return the columns of the truth of each impact, and their units.
 
-    - time: of touch, from the first sample on
+    - time: of onset, from the first sample on
     - rock: its number in the recording, by arrival; bounce: number of its earlier impacts
     - restitution: as delivered, including losses to the target; velocity: normal to the beam
     - yield_pressure: where a rock's dissipation is thornton; dissipation: where populations differ in it, an index in
@@ -136,9 +136,9 @@ def add_impacts(plan: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | N
 
 
 def _is_quick(length: int) -> bool:
-    """Return whether a transform of this length is quick: it has no prime factor above `_LARGEST_FACTOR`."""
+    """Return whether a transform of this length is quick: it has no prime factor above `_MAX_FACTOR`."""
     remaining = length
-    for factor in (2, *range(3, _LARGEST_FACTOR + 1, 2)):
+    for factor in (2, *range(3, _MAX_FACTOR + 1, 2)):
         while remaining % factor == 0:
             remaining //= factor
     return remaining == 1
@@ -274,7 +274,7 @@ def parts_of_recording(
             loud = delivered["peak_force"] > audible
             coming = thrown_back(scene, now, delivered["restitution"], delivered["contact_duration"], loud)
         carried = Rocks.joined(waiting)
-        # Later impacts, including what the low-pass spreads ahead of touch, start after this sample.
+        # Later impacts, including what the low-pass spreads ahead of onset, start after this sample.
         final = min(max(int(stretch.stop * scene.sampling.sampling_rate) - lead(recording_plan), 0), n_samples)
         yield recorded(range(done, final // CHUNK)), _joined_truth(scene, truth)
         done = max(done, final // CHUNK)

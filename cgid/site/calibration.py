@@ -41,7 +41,7 @@ __all__ = ["SiteCalibration", "calibrate", "usable_impacts"]
 #: Minimum number of usable blows.
 FEWEST = 20
 #: Prior deviations of ln damping ratio for those of ln frequency, and the largest.
-_DAMPING_A_FREQUENCY, _MOST_DAMPING = 10.0, 0.3
+_DAMPING_A_FREQUENCY, _MAX_DAMPING = 10.0, 0.3
 #: Impacts whose evidence is compared, and the seed of simulated ones.
 _COMPARED, _SEED = 256, 0x5EED_0002_CA11
 #: Recordings of a stream, and their length together [s], that are simulated for these at most.
@@ -180,7 +180,7 @@ def calibrate(
     max_impacts : int
         Largest number of impacts that are used.
     progress : callable, optional
-        Receives the number of rounds done since the last call; there are at most `MOST_ROUNDS`.
+        Receives the number of rounds done since the last call; there are at most `MAX_ROUNDS`.
 
     Returns
     -------
@@ -323,7 +323,7 @@ def _prior(scene: Scene, start: Modes, start_error: float, drift: float, partici
     """Return the prior deviations, (3, n_modes)."""
     assert scene.tail_beam is not None
     moved = start_error if scene.tail_beam.learned is None else drift
-    more = np.array([moved, min(_DAMPING_A_FREQUENCY * moved, _MOST_DAMPING), participation])
+    more = np.array([moved, min(_DAMPING_A_FREQUENCY * moved, _MAX_DAMPING), participation])
     known = np.zeros((3, start.frequency.size)) if start.deviation is None else start.deviation
     return np.asarray(np.sqrt(np.square(known) + np.square(more)[:, None]))
 

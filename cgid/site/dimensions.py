@@ -29,12 +29,12 @@ DIMENSIONS = (
     "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", DAMPING,
 )  # fmt: skip
 #: Largest error of a dimension; error of the damping ratio for the largest of a dimension, and its own largest.
-_MAX_ERROR, _DAMPING_A_DIMENSION, _MOST_DAMPING = 0.1, 10.0, 0.3
+_MAX_ERROR, _DAMPING_A_DIMENSION, _MAX_DAMPING = 0.1, 10.0, 0.3
 #: Lengths in a distribution of places.
 _PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
 #: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
 _BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
-MOST_ROUNDS = len(_BANDS) * _ROUNDS
+MAX_ROUNDS = len(_BANDS) * _ROUNDS
 #: Minimum number of modes of a band.
 _MIN_MODES = 4
 #: A band is learned where no step is longer than this share of its deviation.
@@ -65,7 +65,7 @@ def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[s
         dict(error) if isinstance(error, Mapping) else dict.fromkeys(dimensions or DIMENSIONS, error) | {DAMPING: 0.0}
     )
     for name, value in given.items():
-        most = _MOST_DAMPING if name == DAMPING else _MAX_ERROR
+        most = _MAX_DAMPING if name == DAMPING else _MAX_ERROR
         if not 0 <= value <= most:
             raise InvalidValue(f"dimension_error must be at least 0 and at most {most:g}, got {value:g} of {name}")
     found = {name: value for name, value in given.items() if value}
@@ -82,7 +82,7 @@ def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[s
         raise InvalidValue(f"dimension_error must be of {', '.join(dimensions)}, got {unknown[0]}")
     worst = max(found.values())
     return {name: found[name] for name in dimensions if name in found} | {
-        DAMPING: found.get(DAMPING, min(_DAMPING_A_DIMENSION * worst, _MOST_DAMPING))
+        DAMPING: found.get(DAMPING, min(_DAMPING_A_DIMENSION * worst, _MAX_DAMPING))
     }
 
 
@@ -97,7 +97,7 @@ def learn_dimensions(
     """Return a scene with the dimensions that impacts tell of, and these.
 
     `beam` is that of the scene, whose modes nobody has learned; `errors` are those of `dimension_errors`, standard
-    deviations of logarithms. `progress` receives the number of rounds done since the last call, at most `MOST_ROUNDS`.
+    deviations of logarithms. `progress` receives the number of rounds done since the last call, at most `MAX_ROUNDS`.
     """
     before, names, prior = dimensions_of(scene), list(errors), np.array(list(errors.values()))
     now, deviation = np.zeros(len(names)), prior

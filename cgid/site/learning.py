@@ -1,10 +1,10 @@
-"""The modes of a beam, learned from blows whose places and forces nobody knows.
+"""The modes of a beam, learned from impacts whose places and forces nobody knows.
 
-The samples of a blow are `sum_r participation_r(place) response_r(pole_r, force) + noise`. Place and force differ from
-blow to blow, but all share the poles. So the place and the force of each blow are found with the present poles, and a
-Gauss-Newton step then corrects all modes at once, with the places and forces projected out: variable projection (Golub
-& Pereyra 1973), with Gaussian priors of the forces and of the corrections. A mode that ended in a wrong valley is
-sought alone over a wider range.
+The samples of an impact are `sum_r participation_r(place) response_r(pole_r, force) + noise`. Place and force differ
+from impact to impact, but all share the poles. So the place and the force of each impact are found with the present
+poles, and a Gauss-Newton step then corrects all modes at once, with the places and forces projected out: variable
+projection (Golub & Pereyra 1973), with Gaussian priors of the forces and of the corrections. A mode that ended in a
+wrong valley is sought alone over a wider range.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from cgid.validation import Floats
 POLE_STEP = 1e-6
 #: Prior deviation of a place about the one found [m].
 _PLACE_DEVIATION = 0.1
-#: Blows of a round while the poles move far, and of a search of single modes.
+#: Impacts of a round while the poles move far, and of a search of single modes.
 _FEW, _SOUGHT = 120, 48
-#: Gauss-Newton rounds before the first search of single modes, between two, and at last with all blows; searches.
-_FIRST, _BETWEEN, _LAST, _MOST_SEARCHES = 8, 2, 10, 6
+#: Gauss-Newton rounds before the first search of single modes, between two, and at last with all impacts; searches.
+_FIRST, _BETWEEN, _LAST, _MAX_SEARCHES = 8, 2, 10, 6
 #: Bands that are learned one after the other, as shares of the whole, and modes beyond a band that still act on it.
 _BANDS, _BEYOND = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0), 1.15
 #: Errors of a frequency below this share of the damping ratio are learned in the whole band at once.
 _NARROW = 0.7
 #: Factor of the deviations for what a linear model of the poles leaves out; measured by benchmarks/calibrate.py.
 _BEYOND_LINEAR = 1.1
-#: Most rounds.
-MOST_ROUNDS = len(_BANDS) * (_FIRST + _MOST_SEARCHES * _BETWEEN) + _LAST
+#: Maximum number of rounds.
+MAX_ROUNDS = len(_BANDS) * (_FIRST + _MAX_SEARCHES * _BETWEEN) + _LAST
 #: Poles are at rest where this share of the steps is no longer than this share of their own deviations.
-_MOST_MODES, _AT_REST = 0.97, 0.5
+_MAX_MODES, _AT_REST = 0.97, 0.5
 #: The search: the widest, in prior deviations and relative to the frequency, and its step in damping ratios.
 _WIDEST, _WIDEST_SHARE, _FINEST = 3.0, 0.12, 0.35
 #: Least gain in log likelihood of a mode that moves to another valley, and how far modes are apart that move together.
-_LEAST_GAIN, _APART = 10.0, 0.04
+_MIN_GAIN, _APART = 10.0, 0.04
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class Blows:
         return Blows(self.frames[rows], self.start[rows], self.noise[rows], colour)
 
     def sought(self, raised: Floats | float = 1.0, limit: float | None = None) -> Observations:
-        """Return the blows with their noise raised by factors, (n,)."""
+        """Return the impacts with their noise raised by factors, (n,)."""
         colour = self.colour
         return Observations(
             self.frames, self.noise * raised, colour.coefficients, colour.innovation * raised, limit=limit
@@ -89,9 +89,9 @@ class Blows:
 
 
 def evidence_of(inversion: Inversion, blows: Blows) -> Floats:
-    """Return the log evidence of each blow per sample, (n,): 0 would be samples that are known without noise.
+    """Return the log evidence of each impact per sample, (n,): 0 would be samples that are known without noise.
 
-    White noise alone has -0.5. A beam that explains the blows has some tenths less, as places and forces are unknown;
+    White noise alone has -0.5. A beam that explains the impacts has some tenths less, as places and forces are unknown;
     one that does not has much less.
     """
     found = inversion.invert(blows.sought(), blows.start)
@@ -107,7 +107,7 @@ def learn(
     *,
     progress: Callable[[int], object] | None = None,
 ) -> Learned:
-    """Learn the modes of a beam from blows, starting from this beam.
+    """Learn the modes of a beam from impacts, starting from this beam.
 
     `deviation` (3, n_modes) is the prior standard deviation of ln frequency, ln damping ratio and ln participation;
     rows of zeros are not learned. `progress` receives the number of rounds done since the last call.
@@ -120,11 +120,11 @@ def learn(
     # a resonance need no such care.
     for share in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
         limit = None if share == 1 else share * top
-        for search in range(_MOST_SEARCHES + 1):
+        for search in range(_MAX_SEARCHES + 1):
             for _ in range(_BETWEEN if search else _FIRST):
                 if found.step(few, limit):
                     break
-            if search == _MOST_SEARCHES or not found.search(few, limit):
+            if search == _MAX_SEARCHES or not found.search(few, limit):
                 break
     for _ in range(_LAST):
         if found.step(len(blows)):
@@ -133,12 +133,12 @@ def learn(
 
 
 class Learned:
-    """What blows tell of the modes of a beam, and the steps that improve it.
+    """What impacts tell of the modes of a beam, and the steps that improve it.
 
     Attributes
     ----------
     correction, deviation : of ln frequency, ln damping ratio and ln participation, (3, n_modes), and its standard
-        deviation: that of the prior where the blows tell nothing
+        deviation: that of the prior where the impacts tell nothing
     at_rest : whether the last step was small against the deviations
     """
 
@@ -154,7 +154,7 @@ class Learned:
         return System(corrected(self._beam, self.correction), self._blows.taken(rows), self._raised[rows], limit)
 
     def step(self, n_blows: int, limit: float | None = None) -> bool:
-        """Make a Gauss-Newton step with the first blows, up to a frequency; return whether the poles are at rest."""
+        """Make a Gauss-Newton step with the first impacts, up to a frequency; return whether the poles are at rest."""
         system, kept = self._system(n_blows, limit), self._kept
         prior = np.maximum(self._prior[kept], 1e-9)
         indices = np.add.outer(np.arange(kept.size) * prior.shape[1], system.active).ravel()
@@ -166,7 +166,7 @@ class Learned:
         self.deviation[kept] = np.minimum(_BEYOND_LINEAR * deviation.reshape(prior.shape), prior)
         if self._progress is not None:
             self._progress(1)
-        self.at_rest = bool(np.quantile(np.abs(step) / deviation, _MOST_MODES) < _AT_REST)
+        self.at_rest = bool(np.quantile(np.abs(step) / deviation, _MAX_MODES) < _AT_REST)
         return self.at_rest
 
     def search(self, n_blows: int, limit: float | None) -> bool:
@@ -184,7 +184,7 @@ def newton(curvature: Floats, pulls: Floats, prior: Floats, now: Floats) -> tupl
     parameters, which are expected to be 0, and `now` (n,) is what they are.
     """
     covariance = np.linalg.inv(curvature + np.diag(prior**-2))
-    # Where the pulls of single blows scatter more than the curvature says, the model is not exact: Huber (1967).
+    # Where the pulls of single impacts scatter more than the curvature says, the model is not exact: Huber (1967).
     scatter = np.sum(np.square(covariance @ pulls.T), axis=1)
     step = np.clip(covariance @ (pulls.sum(axis=0) - now / prior**2), -prior, prior)
     return now + step, step, np.sqrt(np.maximum(np.diag(covariance), scatter))
@@ -198,7 +198,7 @@ def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
 
 
 class System:
-    """Blows as one beam explains them, and the normal equations of what may be wrong about it.
+    """Impacts as one beam explains them, and the normal equations of what may be wrong about it.
 
     `raised` (n_blows,) are factors of the noise, `limit` [Hz] is the highest frequency that is looked at.
 
@@ -206,7 +206,7 @@ class System:
     ----------
     active : modes that act on what is looked at
     found : places and forces
-    power : mean square of what is left of each blow, over the noise, (n_blows,); from `equations`
+    power : mean square of what is left of each impact, over the noise, (n_blows,); from `equations`
     """
 
     def __init__(self, beam: Beam, blows: Blows, raised: Floats, limit: float | None = None) -> None:
@@ -225,7 +225,7 @@ class System:
         self.power = np.empty(len(blows))
 
     def by_modes(self, kept: NDArray[np.intp]) -> Callable[[int], Singles]:
-        """Return the slopes of a blow in the kept corrections of the active modes, one quantity after the other."""
+        """Return the slopes of an impact in the kept corrections of the active modes, one quantity after the other."""
         slopes = [self._slope(quantity) if quantity < 2 else self.table[self.active] for quantity in kept]
 
         def of(row: int) -> Singles:
@@ -242,9 +242,9 @@ class System:
         return self._told((sides[0] - sides[1]) / (2 * POLE_STEP))
 
     def equations(self, slopes: Callable[[int], Singles | Floats]) -> tuple[Floats, Floats]:
-        """Return the pulls of the blows on parameters, (n_blows, n), and their curvature, (n, n).
+        """Return the pulls of the impacts on parameters, (n_blows, n), and their curvature, (n, n).
 
-        `slopes` returns how the coefficients of a blow, by its number, follow the parameters, (n, n_columns).
+        `slopes` returns how the coefficients of an impact, by its number, follow the parameters, (n, n_columns).
         """
         pulls, curvature = [], np.zeros(())
         for row in range(len(self.power)):
@@ -272,9 +272,9 @@ class System:
         return self._told(self._responses(beam))
 
     def by_beams(self, sides: Callable[[int], tuple[Beam, Beam]], n: int, step: float) -> Callable[[int], Floats]:
-        """Return the slopes of a blow in n parameters, from the beams a step above and below in each.
+        """Return the slopes of an impact in n parameters, from the beams a step above and below in each.
 
-        In double precision: what no blow tells, as the size of a plain plate, is a small difference of large numbers.
+        In double precision: what no impact tells, as the size of a plain plate, is a small difference of large numbers.
         """
         slopes = np.zeros((len(self.power), n, self.columns.size), np.float32)
         for number in range(n):
@@ -286,11 +286,11 @@ class System:
         return lambda row: slopes[row].astype(np.float64)
 
     def level(self, row: int) -> float:
-        """Return the prior variance of the coefficients of one blow."""
+        """Return the prior variance of the coefficients of one impact."""
         return max(float(np.mean(np.square(self.found.coefficients[row]))), 1.0)
 
     def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, float]:
-        """Return of one blow the ways of force and place, their precision, what is left, and the samples' weight.
+        """Return of one impact the ways of force and place, their precision, what is left, and the samples' weight.
 
         All in coefficients whose noise is white.
         """
@@ -350,7 +350,7 @@ def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -
     moved, taken = now.copy(), np.empty(0)
     for number in np.argsort(-gain):
         mode = active[number]
-        if gain[number] < _LEAST_GAIN:
+        if gain[number] < _MIN_GAIN:
             break
         places = frequency[mode] + np.array([now[0, mode], shift[number]])
         if abs(places[1] - places[0]) < finest or np.abs(np.subtract.outer(places, taken)).min(initial=np.inf) < _APART:

@@ -49,7 +49,7 @@ _PERIODS, _HIGHEST = 5.0, 0.4
 #: Participations are at least this, so that masses are finite.
 _LEAST = 1e-12
 #: Largest table of taps [bytes].
-_LARGEST_FILE = 1 << 20
+_MAX_FILE_SIZE = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,7 +222,7 @@ def tap_test(
 
 def read_times(path: str | Path) -> list[float]:
     """Return the times [s] of a table of taps: a CSV file with a column `time_s`, formerly `time [s]`."""
-    lines = read_cells(path, "the table of taps", _LARGEST_FILE)
+    lines = read_cells(path, "the table of taps", _MAX_FILE_SIZE)
     titles = lines[0][1] if lines else []
     title = next((name for name in ("time_s", "time [s]") if name in titles), None)
     if title is None or len(lines) < 2:

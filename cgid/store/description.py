@@ -20,7 +20,7 @@ RECORDING_FORMAT, RECORDING_SCHEMA_VERSION = "cgid-recording", 1
 TABLE_FORMAT, TABLE_VERSION = "cgid-table", 1
 #: Largest shard [bytes]; a shard is built in memory.
 MAX_SHARD_SIZE = 2 << 30
-LARGEST_RECORDING = MAX_SHARD_SIZE
+MAX_RECORDING = MAX_SHARD_SIZE
 #: See `cgid.store.hdf5`.
 COMPRESSIONS = ("none", "gzip", "zstd", "blosc2")
 #: Root attribute of a file: the SHA-256 of the description that it follows from.

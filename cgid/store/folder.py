@@ -33,19 +33,19 @@ FOLDER_VERSION = 3
 MANIFEST, JOURNAL, MANIFEST_VERSION = "manifest.json", "unfinished.jsonl", 2
 #: Links in folders are not followed, because folders are untrusted.
 LINKED = "must lie in the folder itself, it is a link; copy the file there"
-#: Most files that one description may ask for.
+#: Maximum number of files that one description may ask for.
 MAX_FILES = 300_000
 #: The beginning of the names of the files, and the field that counts them.
 _STEMS = {FORMAT: "shard", RECORDING_FORMAT: "recording"}
 #: HDF5's counts are smaller.
-_LARGEST_COUNT = 1 << 63
+_MAX_COUNT = 1 << 63
 #: Largest text file [bytes], mostly for the scene, and its most values; and what each file in its folder adds.
 _ROOM, _ROOM_OF_FILE = 16 << 20, 4096
 _VALUES, _VALUES_OF_FILE = 100_000, 100
 
 
 def _is_count(value: Any) -> bool:
-    return type(value) is int and 0 < value < _LARGEST_COUNT
+    return type(value) is int and 0 < value < _MAX_COUNT
 
 
 #: The fields of each kind, besides the attributes of all files, and their rules.
@@ -169,9 +169,7 @@ def _is_attribute(name: str, value: Any) -> bool:
     """Return whether HDF5 can store an attribute: a number or Unicode text."""
     try:
         name.encode()
-        return (
-            isinstance(value, float) or (isinstance(value, int) and abs(value) < _LARGEST_COUNT) or bool(value.encode())
-        )
+        return isinstance(value, float) or (isinstance(value, int) and abs(value) < _MAX_COUNT) or bool(value.encode())
     except (AttributeError, UnicodeEncodeError):
         return False
 

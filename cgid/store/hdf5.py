@@ -32,7 +32,7 @@ from cgid.counting import count
 from cgid.errors import BadData, InvalidValue, optional
 from cgid.files import whole_file
 from cgid.signals import Batch
-from cgid.store.description import LARGEST_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
+from cgid.store.description import MAX_RECORDING, RECORDING_FORMAT, RECORDING_SCHEMA_VERSION
 from cgid.store.disk import VERSIONS, Hdf5OnDisk, hdf5_on_disk, undisturbed
 from cgid.units import quantity_of
 
@@ -318,9 +318,9 @@ def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) ->
     has been taken meanwhile; `WriteFailed` if the disk is full or broken, which leaves an existing file untouched.
     """
     path = Path(path)
-    if plan.size > LARGEST_RECORDING:
+    if plan.size > MAX_RECORDING:
         raise InvalidValue(
-            f"{path}: a recording must be at most {LARGEST_RECORDING / 2**30:g} GiB of samples, "
+            f"{path}: a recording must be at most {MAX_RECORDING / 2**30:g} GiB of samples, "
             f"{plan.n_samples} of {plan.dtype} make {plan.size / 2**30:.3g} GiB; make several"
         )
     with whole_file(path, overwrite=overwrite) as temporary, hdf5_on_disk(temporary) as output:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from cgid.ceiling import MOST_SIGNALS, Ceiling, Learner, check_training, learner, require_supported, untrusted
+from cgid.ceiling import MAX_SIGNALS, Ceiling, Learner, check_training, learner, require_supported, untrusted
 from cgid.files import write_whole
 from cgid.plots.figure import new_picture
 from cgid.scene import load_scene
@@ -25,7 +25,7 @@ def study(given: argparse.Namespace) -> None:
     """Compute and print what was asked."""
     scene, n, seed, known = load_scene(given.scene), given.signals, given.seed, given.drop_height
     require_supported(scene)
-    whole("signals", n, 2, MOST_SIGNALS)
+    whole("signals", n, 2, MAX_SIGNALS)
     if given.learner is not None:
         check_training(given.learner)
     with tqdm(unit=" signals", file=sys.stderr) as progress:

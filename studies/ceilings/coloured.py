@@ -37,8 +37,8 @@ from cgid.measure.least_squares import solve_scaled
 from cgid.measure.likelihood import Profile, profile
 from cgid.measure.optimum import MAX_STEPS, bounded, normal_equations
 from cgid.measure.template import (
-    HIGHEST_SHAPE,
-    LOWEST_SHAPE,
+    MAX_SHAPE,
+    MIN_SHAPE,
     free_parameters,
     pulse_and_slopes,
     relative_times,
@@ -401,7 +401,7 @@ def _most_likely(frames: Frames, near: Floats, lowest: float, highest: float) ->
     """Return the most likely parameters, (n, 5), and the standard deviation of the shape, (n,)."""
     found, deviation = near.copy(), np.empty(len(near))
     longest = near.copy()
-    longest[:, 3] = np.maximum(longest[:, 3] - MAX_STEPS[2], LOWEST_SHAPE)
+    longest[:, 3] = np.maximum(longest[:, 3] - MAX_STEPS[2], MIN_SHAPE)
     for first in range(0, len(near), 256):
         block = slice(first, first + 256)
         for part, points in frames.whitened(block, longest[block]):
@@ -412,7 +412,7 @@ def _most_likely(frames: Frames, near: Floats, lowest: float, highest: float) ->
 
 def _search(points: Whitened, near: Floats, lowest: float, highest: float) -> tuple[Floats, Floats]:
     parameters = points.tied(near.copy())
-    low, high = max(lowest - 0.5, LOWEST_SHAPE), min(highest + 0.5, HIGHEST_SHAPE)
+    low, high = max(lowest - 0.5, MIN_SHAPE), min(highest + 0.5, MAX_SHAPE)
     cost = np.full(len(near), np.inf)
     best, damping = parameters.copy(), np.full(len(near), 1e-3)
     information = np.empty(0)

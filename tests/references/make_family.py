@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cgid.family import INTERVALS, LOWEST_RESTITUTION, ORDERS, POWERS, SEGMENTS, TABLE_PATH, FamilyTable
+from cgid.family import INTERVALS, MIN_RESTITUTION, ORDERS, POWERS, SEGMENTS, TABLE_PATH, FamilyTable
 from cgid.physics.closed_forms import damping_number, exponential_rest, logarithms, peak_logarithm
 from cgid.validation import Floats
 
@@ -157,7 +157,7 @@ def _points(n: int) -> Floats:
 def _nodes(n_orders: int) -> list[list[float]]:
     """Return the restitutions at the Chebyshev points of each interval of ln e."""
     places = np.arange(INTERVALS)[:, None] + 0.5 * (1 + _points(n_orders))
-    return [[float(e) for e in row] for row in LOWEST_RESTITUTION ** (places / INTERVALS)]
+    return [[float(e) for e in row] for row in MIN_RESTITUTION ** (places / INTERVALS)]
 
 
 def _powers(values: Floats) -> Floats:

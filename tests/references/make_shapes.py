@@ -18,7 +18,7 @@ from cgid.measure.residual import N_SHAPES as N_COMPONENTS
 from cgid.measure.residual import residual_bins
 from cgid.measure.search import BIN, MIDDLES, N_BINS, NODES, Samples, bank
 from cgid.measure.template import (
-    LOWEST_SHAPE,
+    MIN_SHAPE,
     N_CELLS,
     N_SHAPES,
     SHAPES_PATH,
@@ -39,7 +39,7 @@ STEP = 1e-3  # of difference quotients in s, and in the shapes of the bank
 def in_shape(function, shapes):
     """Return a function of the shape and its first two derivatives at shapes that are not above 0."""
     # The family ends at the lowest shape: quotients about a point further on.
-    middle = np.maximum(shapes, LOWEST_SHAPE + STEP)
+    middle = np.maximum(shapes, MIN_SHAPE + STEP)
     off = (shapes - middle).reshape(-1, *(1,) * (function(shapes).ndim - 1))
     below, at, above = (function(middle + sign * STEP) for sign in (-1, 0, 1))
     bend = (above - 2 * at + below) / STEP**2
@@ -48,7 +48,7 @@ def in_shape(function, shapes):
 
 def template() -> np.ndarray:
     """Return the table of `slopes_and_pulse`, as `cgid.measure.template.tables` describes it."""
-    shapes, x = np.linspace(LOWEST_SHAPE, 0.0, N_SHAPES), np.arange(N_CELLS + 1)
+    shapes, x = np.linspace(MIN_SHAPE, 0.0, N_SHAPES), np.arange(N_CELLS + 1)
 
     def along(step):
         """The contact's points moved by a step [cells]; curves there."""
@@ -76,7 +76,7 @@ def over_width(shapes: np.ndarray) -> np.ndarray:
 
 def times() -> np.ndarray:
     """Return `over_width` with derivatives in s, (N_SHAPES, 2, 3)."""
-    return np.stack(in_shape(over_width, np.linspace(LOWEST_SHAPE, 0.0, N_SHAPES)), axis=-1)
+    return np.stack(in_shape(over_width, np.linspace(MIN_SHAPE, 0.0, N_SHAPES)), axis=-1)
 
 
 def averaged(place: np.ndarray, width: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
