@@ -40,7 +40,7 @@ class Rule:
     >>> Rule(0, 1, without="ends")("damping_ratio", [0.1, 1.2])
     Traceback (most recent call last):
         ...
-    cgid.errors.InvalidValue: damping_ratio must be between 0 and 1 (exclusive), got 1.2 at index 1
+    cgid.errors.InvalidValue: damping_ratio must lie between 0 and 1 (exclusive), got 1.2 at index 1
     """
 
     lowest: float = -math.inf

@@ -22,7 +22,7 @@ COMMANDS = {"cgid": cli, **cli.commands}
 #: The first word of the help of every option.
 VERBS = """
     Add Check Choose Compress Correct Count Decide Divide Download Draw Give Go Judge Keep Let Make Mark Measure Name
-    Print Publish Put Read Reject Replace Run Say Serve Set Show Simulate Stop Store Survey Tabulate Take Train Switch
+    Print Publish Put Read Reject Replace Run Say Serve Set Show Simulate Stop Store Survey Tabulate Take Train Turn
     Use Weight Write
 """
 #: Of minutes.

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import threading
+import zipfile
 from pathlib import Path
 from signal import SIGKILL
 from types import SimpleNamespace
@@ -21,7 +22,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.io import wavfile
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, WriteFailed
-from cgid.recordings import RecordingFile, is_dataset, read_recording
+from cgid.recordings import RecordingFile, is_dataset, open_recording, read_recording
 from cgid.recordings.recording import MAX_CHANNELS
 
 REAL = Path(__file__).parents[2] / "shared" / "realdata"
@@ -563,6 +564,18 @@ def test_npz_with_an_array_of_objects_beside_the_samples(tmp_path):
     np.savez(tmp_path / "with.npz", x=np.arange(9.0), fs=5.0, about=np.array({"site": "a long text " * 9}, object))
     (signal,) = read_recording(tmp_path / "with.npz")
     assert (signal.samples.size, signal.sampling_rate) == (9, 5.0)
+
+
+@pytest.mark.parametrize("length", [8, 10, 10**12])
+def test_npz_whose_array_declares_another_length_than_it_holds(tmp_path, length):
+    """Another array beside it must not be taken for the recording."""
+    samples, file = np.arange(9.0), io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (length,)})
+    with zipfile.ZipFile(tmp_path / "two.npz", "w") as archive:
+        archive.writestr("force.npy", file.getvalue() + samples.tobytes())
+        archive.writestr("other.npy", npy(samples))
+    with pytest.raises(BadData, match=r"force\.npy"):
+        open_recording(tmp_path / "two.npz", sampling_rate=5)
 
 
 @pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])

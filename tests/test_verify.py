@@ -535,6 +535,16 @@ def test_verify_tells_and_repairs(made: Path, copies: Path, capsys: pytest.Captu
     assert capsys.readouterr().out == f"{folder}: dataset of 4 files, whole\n"
 
 
+def test_an_unfinished_folder_is_not_repaired(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No reason is given beside the cure, and no colon without one."""
+    generate("reference", tmp_path / "folder", 128, shard_signals=64)
+    (tmp_path / "folder" / "shard-00001.h5").unlink()
+    sums = (tmp_path / "folder" / "SHA256SUMS").read_text().splitlines(keepends=True)
+    (tmp_path / "folder" / "SHA256SUMS").write_text("".join(sums[:-1]))
+    assert run(["verify", str(tmp_path / "folder"), "--repair"]) == 65
+    assert not any(line.rstrip().endswith(":") for line in capsys.readouterr().out.splitlines())
+
+
 def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = Path(__file__).parents[1] / "models" / "default.npz"
     damaged = tmp_path / "damaged.npz"

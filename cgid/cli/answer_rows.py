@@ -178,7 +178,7 @@ class AnswerLines:
             say(message, err=True)
 
     def _line(self, kind: str, source: str, content: dict[str, Any]) -> None:
-        """Print the content as a line of JSON, if requested; then the listener measures it."""
+        """Print the content as a line of JSON, if requested; then the listener receives it."""
         line = {"kind": kind, "source": source, **content}
         now = {"wall_time": datetime.now(UTC).isoformat(timespec="milliseconds")}
         if self.as_json:
@@ -233,7 +233,7 @@ class RecordingTally:
 
 #: Maximum number of rows that wait for a measurable one.
 _MAX_PENDING = 1000
-#: Maximum number of silent channels are named one by one.
+#: Maximum number of silent channels that are named one by one.
 _MAX_SILENT_LISTED = 3
 
 

@@ -17,7 +17,7 @@ from cgid.terminal import counted
 
 #: Version of the lines that --json prints: since 2 the source is the file alone, beside the channel or the index.
 FEATURES_VERSION = 2
-#: Maximum number of unmeasurable impacts or channels, and left-out columns, are named one by one.
+#: Maximum number of unmeasurable impacts or channels, and left-out columns, that are named one by one.
 _MAX_REPORTED = 3
 
 

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from cgid.identification.prediction_settings import PredictionSettings
     from cgid.plant import PlantOutputs
 
-#: Maximum number of data in the queue [bytes].
+#: Most data in the queue [bytes].
 MAX_WAITING = 128 << 20
-#: Maximum number of data taken at once [bytes], because processing takes many times more memory.
+#: Most data taken at once [bytes], because processing takes many times more memory.
 MAX_READ = 8 << 20
 #: Blocks are joined until they last this long [s], because short ones cost more than they contain,
 MIN_INTERVAL = 0.05
@@ -162,7 +162,7 @@ _BEHIND = 1.0
 )
 @click.option("--unit", help="Set the unit of the numbers: of floats as they are, of integers scaled to -1 to 1.")
 @chain_options
-@click.option("--invert", is_flag=True, help="Switch the signal upside down; impacts must point upwards.")
+@click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards.")
 @answering_options
 @dead_time_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")

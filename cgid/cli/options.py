@@ -291,7 +291,7 @@ reading_options = _bundle(
     click.option("--variable", help="Choose an array, table or group if the file holds several."),
     format_option,
     click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
-    click.option("--invert", is_flag=True, help="Switch the signal upside down; impacts must point upwards."),
+    click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
     dead_time_option,
     chain_options,
 )

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def impactor_columns_for(scene: str | None, *, keep: bool) -> ImpactorColumns | None:
-    """Return what says the impactor, among the rocks of a scene; None without one."""
+    """Return what estimates the impactor, one of the rocks of a scene; None without one."""
     if scene is None:
         return None
     from cgid.impactor import ImpactorColumns

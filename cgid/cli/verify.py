@@ -212,5 +212,6 @@ def _tell(
         state = ("repaired" if any(line.get("repaired") for line in lines) else "whole") if whole else "damaged"
     say(f"{path}: {kind} of {counted(n_files, 'file')}, {state}")
     for line in lines:
-        told = f"; {'repaired' if line['repaired'] else 'not repaired'}: {line['told']}" if "repaired" in line else ""
+        told = f"; {'repaired' if line['repaired'] else 'not repaired'}" if "repaired" in line else ""
+        told += f": {line['told']}" if line.get("told") else ""
         say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")

@@ -23,7 +23,7 @@ from cgid.validation import Floats
 N_NODES, N_TIMES = 16, 32
 #: Largest phase [rad] of the fastest mode in a step (`J_32(8)` is 1e-16), and the longest step [T0].
 _MAX_PHASE, _MAX_STEP = 16.0, 1.2
-#: Maximum number of modes, an impact or two are not worth compiling.
+#: Up to this many modes, an impact or two are not worth compiling.
 _FEW_MODES = 256
 #: Steps per impact allocated at first, and the most steps in one block of memory.
 _USUAL_STEPS, _PIECE = 64, 16384

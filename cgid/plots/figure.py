@@ -19,7 +19,7 @@ from cgid.validation import Floats
 #: Blue, vermilion, green, purple, sky, orange of Okabe and Ito (jfly.uni-koeln.de/color, 2008); distinct for every
 #: kind of colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-#: ARNoise of everything other than the labels of a model.
+#: Colour of everything other than the labels of a model.
 NEUTRAL = "#555555"
 #: Formats by file name ending, with the metadata to omit so that equal figures give equal bytes.
 FORMATS: dict[str, dict[str, None]] = {

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 #: A channel that stays unreadable for this long is given up [s].
 GIVE_UP = 10.0
-#: Maximum number of channels are named.
+#: Maximum number of channels that are named.
 _MAX_NAMED = 5
 
 

@@ -20,7 +20,7 @@ from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel, rates_agree
 from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, WaveHead, read_wave_head
 from cgid.validation import require_rate
 
-#: Maximum number of numbers to read from the stream at once.
+#: Most numbers to read from the stream at once.
 _MAX_NUMBERS = 1 << 16
 #: First bytes of formats that can only be read as whole files.
 _FILES = {

@@ -24,7 +24,7 @@ DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index
 #: Default length of a block [samples].
 BLOCK_LENGTH = 1 << 16
 
-#: Maximum number of numbers in a block, of all channels together.
+#: Most numbers in a block, of all channels together.
 MAX_NUMBERS = 1 << 22
 
 #: Maximum number of channels; a file with more has its samples along the wrong axis.
@@ -457,7 +457,7 @@ def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None,
 
 @contextmanager
 def told(source: str) -> Iterator[None]:
-    """Switch system errors on opening or reading a file into a one-line `NoInput`."""
+    """Turn system errors on opening or reading a file into a one-line `NoInput`."""
     try:
         yield
     except CgidError:
@@ -478,7 +478,7 @@ def library(name: str, of: str, source: str, extra: str = "formats") -> Any:
 
 @contextmanager
 def understood(source: str, fault: str, cure: str = "copy it again") -> Iterator[None]:
-    """Switch errors of a library on a damaged file into a one-line `BadData`: source, fault, reason and cure."""
+    """Turn errors of a library on a damaged file into a one-line `BadData`: source, fault, reason and cure."""
     try:
         yield
     except (CgidError, FileNotFoundError, PermissionError):

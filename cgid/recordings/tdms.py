@@ -44,7 +44,7 @@ class _Tdms:
 
     @contextmanager
     def understood(self) -> Iterator[None]:
-        """Switch errors of nptdms into one line, and suppress its log."""
+        """Turn errors of nptdms into one line, and suppress its log."""
         from nptdms.log import log_manager
 
         level = log_manager.log_level

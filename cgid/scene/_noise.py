@@ -61,7 +61,7 @@ def random_words(first: int, row: Word, block: Word, high: Word, key_0: Word, ke
 
 @jit
 def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> None:
-    """Switch words (`LANES`) and angles (`LANES`) of 32 random bits into normal (2, `LANES`); scratch is (2, `LANES`).
+    """Turn words (`LANES`) and angles (`LANES`) of 32 random bits into normal (2, `LANES`); scratch is (2, `LANES`).
 
     With u = (word + 1/2)/2^32 and an angle of up to a whole turn, sqrt(-2 ln u) (cos, sin) are two normal numbers. The
     last bit of the angle says which half turn it is, the others where in it.

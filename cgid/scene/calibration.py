@@ -37,7 +37,7 @@ _CHANNELS_APART = 4
 _FLIGHT = 0.8
 #: Points of the force of a drop to a sample.
 _FINER = 16
-#: What is still in ring-down past twice the length of a recording comes back damped by this factor.
+#: What still rings after twice the length of a recording comes back damped by this factor.
 _WRAPPED = 1e-9
 #: Numbers of a transfer function that are computed at once.
 _AT_ONCE = 1 << 20
@@ -173,8 +173,8 @@ def calibrated(scene: Scene | str | Path, impacts: Sequence[CalibrationImpact]) 
     >>> for unit, rig in {"m/s^2": varied(beam, gain=1.3), "N": varied(beam, quantity="force")}.items():
     ...     batch = next(synthesise(rig, 3, seed=1))
     ...     taps[unit] = [Signal(samples=row, sampling_rate=10e3, unit=unit) for row in batch.signals]
-    >>> found = calibrated(beam, [CalibrationImpact(motion=motion, force=force) for motion, force in zip(taps["m/s^2"],
-    taps["N"])])
+    >>> pairs = zip(taps["m/s^2"], taps["N"])
+    >>> found = calibrated(beam, [CalibrationImpact(motion=motion, force=force) for motion, force in pairs])
     >>> print(f"{found.gain:.2f}")
     1.30
     >>> bool((found.explained > 0.98).all())

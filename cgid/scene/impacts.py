@@ -1,4 +1,4 @@
-"""Switch drawn numbers into pulses, and pulses into the recorder's response.
+"""Turn drawn numbers into pulses, and pulses into the recorder's response.
 
 Pulses come from impacts on a target or a vibrating beam, and from taps.
 """

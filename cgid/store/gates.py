@@ -177,7 +177,7 @@ def opened(path: Path, source: str, identity: Identity | None = None) -> Iterato
 def damage_told(
     source: str, what: str = "is damaged", cure: str = "copy it again, or generate it anew"
 ) -> Iterator[None]:
-    """Switch h5py's errors on a damaged file into `BadData`."""
+    """Turn h5py's errors on a damaged file into `BadData`."""
     try:
         yield
     except CgidError:
