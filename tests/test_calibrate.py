@@ -440,7 +440,7 @@ def test_scenes_that_cannot_be_calibrated(scene, rate, error, says):
         ({"start_error": np.nan}, InvalidValue, "start_error"),
         ({"drift": -1.0}, InvalidValue, "drift"),
         ({"participation_error": 2.0}, InvalidValue, "participation_error"),
-        ({"max_impacts": 0}, InvalidValue, "max_impacts"),
+        ({"max_impacts": 19}, InvalidValue, "max_impacts"),
     ],
 )
 def test_numbers_out_of_range(known, changes, error, says):

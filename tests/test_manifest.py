@@ -136,6 +136,8 @@ MISTAKES = {
     "nothing": ("", "there is none"),
     "unknown column": ("path,lable\na,b\n", "got 'lable'"),
     "column twice": ("path,label,label\na,b,c\n", "'label' is there twice"),
+    "column and its former name": ("path,start,start_s,label\na,1,1,b\n", "start_s"),
+    "near a column": ("path,starts_s,label\na,1,b\n", "'start_s'"),
     "no path column": ("label,group\na,b\n", "must include path"),
     "too many cells": ("path,label\na,b,c\n", "row 2: must have 2 cells"),
     "no label": ("path,label\na,\n", "every row must have a label, 1 of 1 have none (the first is row 2)"),

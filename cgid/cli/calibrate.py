@@ -82,11 +82,12 @@ def calibrate(
     learned beam with cgid train site.toml. Nothing is written where the beam does not explain the impacts as well as it
     should.
     """
+    from cgid import validation
     from cgid.files import check_new
     from cgid.scene import load_scene
     from cgid.site import dimensions
+    from cgid.site.calibration import FEWEST, check_numbers, check_scene, table_beside
     from cgid.site.calibration import calibrate as calibrated
-    from cgid.site.calibration import check_numbers, check_scene, table_beside
     from cgid.site.learning import MAX_ROUNDS
 
     path = check_new(Path(output), "a site", (".toml",), overwrite=overwrite)
@@ -102,6 +103,7 @@ def calibrate(
         "drift": share_of("--drift", drift),
         "participation_error": share_of("--participation-error", participation_error),
     }
+    validation.whole("--impacts", impacts, FEWEST)
     check_numbers(**errors, max_impacts=impacts)
     check_scene(scene, scene.sampling.sampling_rate)
     of_dimensions = dimensions.dimension_errors(scene, _of_each(dimension_error))

@@ -187,8 +187,8 @@ def monitor(
     Stdout is one CSV table, a row an impact. All else goes to stderr: each channel is a support with a gangue fraction
     of its own, printed ten times within its window and once in a pause. A line SHUT says that going on costs more than
     it brings, with 95 % (--evidence): drawn gangue (--dilution-cost) against lost coal (1); OPEN, that it pays again,
-    after a window at the earliest (--hold). Nothing is dropped: anyone who is slower than the stream says how far
-    behind.
+    after a window at the earliest (--hold). Nothing is dropped: where answers are slower than the stream, a
+    warning says how far behind they are.
     """
     from cgid.identification.prediction_settings import SHARE_TIME
     from cgid.recordings.chain import Chain

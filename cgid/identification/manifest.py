@@ -32,8 +32,8 @@ COLUMNS = (
     *("path", "label", "start", "end", "group", "channel", "gain", "sensor", "reference", "rate", "unit"),
     *("variable", "format", "sensitivity", "full_scale", "invert"),
 )
-#: Title of a column in a CSV file -> its name above, which is also read, since earlier versions wrote it.
-_TITLES = {"start_s": "start", "end_s": "end", "rate_hz": "rate"}
+#: Name of a column -> its title in a CSV file; the name is also read, since earlier versions wrote it.
+_TITLES = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
 #: Columns of a CSV file that only inform the person who labels the rows.
 INFORMATIVE = ("time_s", "time [s]", "peak", "peak_unit", "flags", "content", "note")
 #: Columns of numbers, which a spreadsheet may write with a decimal comma.
@@ -363,6 +363,7 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         table = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator))
     except csv.Error as error:
         raise BadData(f"{path}: a manifest must be a CSV table ({error}); save it again") from None
+    by_title = {title.lower(): name for name, title in _TITLES.items()}
     names: list[str] = []
     rows: list[Row] = []
     for number, cells in enumerate(table, 1):
@@ -370,9 +371,10 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
         if not any(cells):
             continue
         if not names:
-            names = [_TITLES.get(cell.lower(), cell.lower()) for cell in cells]
-            read = [name for name in names if name not in INFORMATIVE]
-            _check_names(read, COLUMNS, f"{path}: columns", required="path")
+            names = [by_title.get(cell.lower(), cell.lower()) for cell in cells]
+            titles = [_TITLES.get(name, name) for name in names if name not in INFORMATIVE]
+            allowed = tuple(_TITLES.get(name, name) for name in COLUMNS)
+            _check_names(titles, allowed, f"{path}: columns", required="path")
             continue
         if len(cells) > len(names):
             raise BadData(f"{path}: row {number}: must have {len(names)} cells as the header, got {len(cells)}")
@@ -512,8 +514,7 @@ def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()
     columns = [name for name in order if name in required or any(row.get(name) for row in rows)]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    titles = {"start": "start_s", "end": "end_s", "rate": "rate_Hz"}
-    writer.writerow([titles.get(name, name) for name in columns])
+    writer.writerow([_TITLES.get(name, name) for name in columns])
     writer.writerows([row.get(name, "") for name in columns] for row in rows)
     return stream.getvalue()
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SiteCalibration", "calibrate", "usable_impacts"]
 
-#: Minimum number of usable blows.
+#: Minimum number of usable impacts.
 FEWEST = 20
 #: Prior deviations of ln damping ratio for those of ln frequency, and the largest.
 _DAMPING_A_FREQUENCY, _MAX_DAMPING = 10.0, 0.3
@@ -178,7 +178,7 @@ def calibrate(
         names (`cgid.site.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned first, with the
         damping ratio, and `start_error` is what is off beside them.
     max_impacts : int
-        Largest number of impacts that are used.
+        Largest number of impacts that are used, 20 or more.
     progress : callable, optional
         Receives the number of rounds done since the last call; there are at most `MAX_ROUNDS`.
 
@@ -205,7 +205,7 @@ def calibrate(
     if len(frames) < FEWEST:
         left_out = "" if clipped is None else f" and {clipped.any(axis=1).sum()} clipped ones"
         raise BadData(
-            f"blows must be at least {FEWEST} to learn from, got {len(frames)}{left_out}; record longer"
+            f"impacts must be at least {FEWEST} to learn from, got {len(frames)}{left_out}; record longer"
             + (", and below the sensor's range" if left_out else "")
         )
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), max_impacts)).round().astype(np.intp))
@@ -261,7 +261,7 @@ def calibrate(
 
 def uncertain(scene: Scene, start_error: float) -> Scene:
     """Return a scene that knows the modes of its beam no better than this; arguments and errors as in `calibrate`."""
-    check_numbers(start_error, start_error, 0.0, 1)
+    check_numbers(start_error, start_error, 0.0, FEWEST)
     check_scene(scene, scene.sampling.sampling_rate)
     start = _start(scene)
     deviation = _prior(scene, start, start_error, start_error, 0.0)
@@ -278,7 +278,7 @@ def check_numbers(start_error: float, drift: float, participation_error: float, 
         if not 0 <= value <= most or (name == "start_error" and value == 0):
             least = "above 0" if name == "start_error" else "at least 0"
             raise InvalidValue(f"{name} must be {least} and at most {most:g}, got {value:g}")
-    validation.count("max_impacts", max_impacts)
+    validation.whole("max_impacts", max_impacts, FEWEST)
 
 
 def check_scene(scene: Scene, sampling_rate: float) -> None:
