@@ -28,7 +28,7 @@ from cgid.scene.synthesis import require_count, require_frames
 from cgid.scene.through_beam import shared_beam
 from cgid.signals import Signal
 from cgid.store import Dataset
-from cgid.units import column_unit
+from cgid.units import UNITS, column_title, column_unit
 from cgid.validation import Floats
 from cgid.workers import MAX_JOBS
 from cgid.workers import workers as executor
@@ -434,7 +434,11 @@ def _units(column: str, unit: str) -> dict[str, str]:
     """Return the attribute of a column: the unit of its feature, or that of its title, such as `time_s`."""
     if column in FEATURES:
         return {"units": FEATURES[column].unit_for(unit)}
-    stated = column_unit(column)
+    # Products and powers cannot be read off a title: look for the feature and the unit of samples that give it.
+    features = [feature for name, feature in FEATURES.items() if column.startswith(f"{name}_")]
+    known = [one for spellings in UNITS.values() for one in spellings]
+    units = [(feature.name, feature.unit_for(one)) for feature in features for one in known]
+    stated = next((one for name, one in units if column_title(name, one) == column), column_unit(column))
     return {} if stated is None else {"units": stated}
 
 

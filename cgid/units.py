@@ -271,4 +271,6 @@ def column_unit(title: str) -> str | None:
     known = [unit for units in UNITS.values() for unit in units] + ["s", "Hz", "kg"]
     spelled = {column_title("", unit): unit for unit in reversed(known)}
     ends = (title[place:] for place, sign in enumerate(title) if sign == "_" and place)
-    return next((spelled[end] for end in ends if end in spelled and not title.startswith("p_")), None)
+    end = next((end for end in ends if end in spelled and not title.startswith("p_")), None)
+    # Behind another unit it is the end of a product, as in `impulse_N_s`.
+    return None if end is None or column_unit(title.removesuffix(end)) else spelled[end]

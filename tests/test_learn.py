@@ -291,6 +291,10 @@ def test_tables_go_to_xarray_and_back(impacts: tuple[np.ndarray, np.ndarray]) ->
     units = {name: made[name].attrs.get("units") for name in made}
     assert units == {"peak_force": "kN", "width_50": "s", "impulse": "kN s", "label": None, "time [s]": "s"}
     pd.testing.assert_frame_equal(from_xarray(made), table, check_dtype=False)
+    titles = {"impulse_N_s": "N s", "energy_kN2_s": "kN^2 s", "level_total_log10m_s22_s": "log10((m/s^2)^2 s)"}
+    titles |= {"width_50_s": "s", "peak_acceleration_m_s2": "m/s^2", "work_N_s": None, "novelty": None}
+    made = to_xarray(pd.DataFrame({name: [1.0] for name in titles}))
+    assert {name: made[name].attrs.get("units") for name in made} == titles
 
 
 def test_bad_arrays_are_refused() -> None:
