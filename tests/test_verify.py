@@ -536,13 +536,16 @@ def test_verify_tells_and_repairs(made: Path, copies: Path, capsys: pytest.Captu
 
 
 def test_an_unfinished_folder_is_not_repaired(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No reason is given beside the cure, and no colon without one."""
+    """No reason is given beside the cure, no colon without one, and none twice."""
     generate("reference", tmp_path / "folder", 128, shard_signals=64)
     (tmp_path / "folder" / "shard-00001.h5").unlink()
     sums = (tmp_path / "folder" / "SHA256SUMS").read_text().splitlines(keepends=True)
     (tmp_path / "folder" / "SHA256SUMS").write_text("".join(sums[:-1]))
     assert run(["verify", str(tmp_path / "folder"), "--repair"]) == 65
     assert not any(line.rstrip().endswith(":") for line in capsys.readouterr().out.splitlines())
+    (tmp_path / "folder" / "description.json").unlink()
+    assert run(["verify", str(tmp_path / "folder"), "--repair"]) == 65
+    assert capsys.readouterr().out.count("--resume") == 1
 
 
 def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -72,7 +72,11 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     show_default=True,
     help="Compress the signals; every program reads gzip, zstd and blosc2 need the extra compression.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing dataset when the new one is whole.")
+@click.option(
+    "--overwrite",
+    is_flag=True,
+    help="Replace an existing dataset; a folder is none until all of its shards are replaced.",
+)
 @click.option("--resume", is_flag=True, help="Go on with an unfinished run, to the bytes it would have made.")
 @click.option("--features-only", is_flag=True, help="Write a table of features instead of signals.")
 @click.option("--features", help="Tabulate only these features, separated by commas; by default those of a model.")

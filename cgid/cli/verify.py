@@ -213,5 +213,5 @@ def _tell(
     say(f"{path}: {kind} of {counted(n_files, 'file')}, {state}")
     for line in lines:
         told = f"; {'repaired' if line['repaired'] else 'not repaired'}" if "repaired" in line else ""
-        told += f": {line['told']}" if line.get("told") else ""
+        told += f": {line['told']}" if line.get("told") not in (None, "", line["what"]) else ""
         say(f"  {line['file']}: {line['problem']}: {line['what'].removeprefix(line['file'] + ': ')}{told}")
