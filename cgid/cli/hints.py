@@ -306,7 +306,7 @@ class Hints:
         table, model = _unused("parts", ".csv"), _unused("mine", ".npz")
         return (
             shlex.join(["cgid", "train", self._source, *self._options, "--template", table]),
-            f"fill in {table}: a row for each part, with its start, end and label",
+            f"fill in {table}: a row for each part, with its start_s, end_s and label",
             shlex.join(["cgid", "train", table, *self._options, "--by", "window", "-o", model]),
             self._predict_with(model),
         )
