@@ -132,7 +132,7 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
 
 
 def _speeds(population: Population) -> tuple[float, float]:
-    """Return the lowest and the highest speed of onset that can be drawn [m/s]."""
+    """Return the lowest and the highest speed at onset that can be drawn [m/s]."""
     if population.velocity is not None:
         return population.velocity.extremes
     assert population.drop_height is not None  # the population has checked it

@@ -115,7 +115,7 @@ class Dataset:
             self._state(number)
 
     def _state(self, number: int) -> Identity:
-        """Return the state of a shard, whose sum and header are checked when it is requested first."""
+        """Return the state of a shard, whose sum and header are checked when it is first requested."""
         if number in self._states:
             return self._states[number]
         shard, folder = self._shards[number], self._folder
