@@ -510,7 +510,15 @@ def test_every_command_of_a_hint_works(
         assert site.tail_beam is not None and site.tail_beam.learned_modes is not None
         modes = site.tail_beam.learned_modes
         return SiteCalibration(
-            scene=site, start=modes, learned=modes, n_blows=20, before=0, after=0, expected=0, crossings=0, at_rest=True
+            scene=site,
+            start=modes,
+            learned=modes,
+            n_impacts=20,
+            before=0,
+            after=0,
+            expected=0,
+            crossings=0,
+            at_rest=True,
         )
 
     def run_one(arguments: list[str]) -> int:
