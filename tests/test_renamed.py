@@ -18,6 +18,7 @@ from cgid.cli.main import cli, run
 from cgid.cli.table import written_table
 from cgid.errors import BadData, CgidError
 from cgid.identification.answers import Answer, identify
+from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.manifest import read_manifest
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import measure
@@ -79,7 +80,11 @@ def test_arguments_reach_the_function() -> None:
     ):
         with pytest.warns(FutureWarning, match="impacts="), pytest.raises(CgidError, match="impacts"):
             call()
-    for function, old, new in ((cgid.train, "strangers", "out_of_distribution"), (measure, "crew", "workers")):
+    for function, old, new in (
+        (cgid.train, "strangers", "out_of_distribution"),
+        (measure, "crew", "workers"),
+        (ImpactClassifier().fit, "crew", "workers"),
+    ):
         with pytest.warns(FutureWarning, match=new), pytest.raises(TypeError, match="missing"):
             function(**{old: None})
     with pytest.warns(FutureWarning, match="workers"), pytest.raises(TypeError, match="missing"):

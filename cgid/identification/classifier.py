@@ -22,6 +22,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
 from cgid import validation
+from cgid.deprecated import renamed_arguments
 from cgid.identification.families import Contrast, Linear, Neighbourhood, Network, Standardiser, softmax, squares
 from cgid.validation import Floats
 from cgid.workers import ALONE, Workers
@@ -241,12 +242,13 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.rejects = rejects
         self.random_state = random_state
 
+    @renamed_arguments(crew="workers")
     def fit(
         self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, workers: Workers = ALONE
     ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 
-        A fold never divides one of the `groups` (n_impacts,), usually specimens. The `workers` fits the folds with one
+        A fold never divides one of the `groups` (n_impacts,), usually specimens. The `workers` fit the folds with one
         thread each, because the number of threads would change the last digits of sums.
 
         Parameters
@@ -257,7 +259,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             Labels.
         groups : array_like, (n_impacts,), optional
             Number of the specimen of each impact; those of one specimen stay together.
-        crew : Workers
+        workers : Workers
             Processes that fit.
 
         Returns
