@@ -35,9 +35,9 @@ TOLERANCE, TOLERANCES = 1e-8, (1e-12, 1e-4)
 MIN_RESTITUTION = 1e-14
 #: A weight g L / v^2 below this times e^0.6 is neglected: over the contact it changes the speed by a fraction of 3e-12.
 NEGLIGIBLE_WEIGHT = 1e-12
-#: Maximum number of samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
+#: Up to this number of samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
-#: Maximum number of impacts kernels are interpreted, until this much time [s] has gone into interpreting.
+#: Up to this number of impacts kernels are interpreted, until this much time [s] has gone into interpreting.
 _FEW_IMPACTS, _PATIENCE = 4, 2.0
 _spent = 0.0
 #: Minimum number of rows worth another thread, and most rows in one call, so that Python can react to an interruption.
