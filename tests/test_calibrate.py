@@ -197,7 +197,7 @@ def test_participations_are_learned_where_asked(known):
     found = calibrate(scene, frames(parse_scene(content), 100, seed=9), RATE, BEFORE, participation_error=0.1)
     heard = beam_modes(scene).frequency < 1800
     # The common factor belongs to the forces, which nobody knows.
-    after = np.log(found.learned.participation / factor)[heard]
+    after = np.log(found.learned.at_sensor / factor)[heard]
     before = np.log(factor[heard])
     assert np.std(after) < 0.4 * np.std(before)
 
