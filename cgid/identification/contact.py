@@ -260,7 +260,7 @@ class ContactFit:
         covariance = np.linalg.inv(products[:, :4, :4])[:, :3, :3]
         # Rounding may leave a variance below 0 where a force is far too large.
         covariance[:, range(3), range(3)] = np.maximum(covariance[:, range(3), range(3)], _MIN_VARIANCE)
-        return at, peak, self._between(at)[:, 0] * peak[:, None], np.asarray(covariance, np.float64)
+        return at, peak, self.table_coefficients(at)[:, 0] * peak[:, None], np.asarray(covariance, np.float64)
 
     def _starts(self, information: Floats, vector: Floats) -> Floats:
         """Return the most probable pulses tried, of the best shapes one each, (n, n_starts, 3)."""
@@ -283,13 +283,8 @@ class ContactFit:
         slopes[:, 2] /= self.beam.sampling_rate
         return own, slopes
 
-    def table_coefficients(self, at: Floats) -> tuple[Floats, Floats]:
-        """Return coefficients and slopes as `exact_coefficients`, by cubic interpolation of the table."""
-        found = self._between(at).astype(np.float64)
-        return found[:, 0], found[:, 1:]
-
-    def _between(self, at: Floats) -> NDArray[np.float32]:
-        """Return coefficients and slopes in one array, (n, 4, n_shapes)."""
+    def table_coefficients(self, at: Floats) -> NDArray[np.float32]:
+        """Return coefficients and slopes, (n, 4, n_shapes), as `exact_coefficients` by interpolation of the table."""
         (low, high), counts = _LIMITS, np.array(_NODES)
         scale = (counts - 1) / (high - low)
         place = (at - low) * scale
@@ -307,7 +302,7 @@ class ContactFit:
 
     def _products(self, at: Floats, information: Floats, vector: Floats) -> tuple[Floats, Floats]:
         """Return the best peaks of pulses (n,), and products as of `least_squares`: of ln peak and the parameters."""
-        ways = self._between(at).astype(np.float64)
+        ways = self.table_coefficients(at).astype(np.float64)
         along = (ways @ vector[:, :, None])[:, :, 0]
         power = ways @ information @ ways.transpose(0, 2, 1)
         peak = np.maximum(along[:, 0], 1e-12) / np.maximum(power[:, 0, 0], 1e-30)

@@ -231,10 +231,7 @@ class Curves:
         numbers = f"{self._described(row)}, lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
         place = f" at index {row}" if self.inelasticity.size > 1 else ""
         if status[index] == _contact.STAYS:
-            raise InvalidValue(
-                f"the sphere must rebound, but its weight holds it on the target ({numbers}){place}; "
-                "raise the velocity or the restitution, or leave gravity out"
-            )
+            raise held_by_weight("target", numbers, place)
         if status[index] == _contact.NOT_FINITE:
             raise InvalidValue(
                 f"the force of a contact law must be finite, got nan or infinity ({numbers}){place}; check the law"
@@ -513,6 +510,14 @@ def _interpret(module: ModuleType, name: str, *arguments: Any) -> None:
     with np.errstate(all="ignore"):
         _interpreted(module)[name](*arguments)
     _spent += time.perf_counter() - start
+
+
+def held_by_weight(target: str, numbers: str, place: str) -> InvalidValue:
+    """Return the error of a sphere that does not rebound."""
+    return InvalidValue(
+        f"the sphere must rebound, but its weight holds it on the {target} ({numbers}){place}; "
+        "raise the velocity or the restitution, or leave gravity out"
+    )
 
 
 @cache
