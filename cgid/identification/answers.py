@@ -213,11 +213,7 @@ def identify_events(
     channels: Sequence[str] = ("1",),
     beam: BeamStream | None = None,
 ) -> list[Answer]:
-    """Return one answer for each detected impact, in order; frames of one shape form one batch.
-
-    `channels` holds the names of the channels of the recording, and `beam` knows the earlier impacts of a stream.
-    Raises as `identify`.
-    """
+    """Return one answer for each detected impact, in order; `beam` holds what a stream has shown."""
     if model.kind != "window" and any(np.atleast_2d(event.samples).shape[0] != model.together for event in events):
         raise BadData(
             f"channels must be {model.together}, one for each sensor that this model looks through its beam with, in "
@@ -353,10 +349,7 @@ def answers_from(
     sampling_rate: float,
     vote: Callable[[Floats, NDArray[np.bool_]], Floats] = lambda probabilities, _: probabilities,
 ) -> Iterator[Answer]:
-    """Yield answers at time 0 from measured inputs (n, n_inputs) and guards (n, n_guards).
-
-    `vote` joins the probabilities (n, n_labels) of successive rows, of which some lie in the training range.
-    """
+    """Yield answers at time 0 from inputs (n, n_inputs) and guards (n, n_guards); `vote` combines successive rows."""
     if not len(inputs):
         return
     novelties = model.novelty(inputs, guards)

@@ -1,4 +1,4 @@
-"""What the samples of one beam say about forces on it: Fourier coefficients, responses to principal shapes, noise.
+"""Fourier coefficients of beam vibrations, the responses of a beam to principal force shapes, and noise weights.
 
 Signals and tables are discrete Fourier transforms, in which coloured noise is a weight for each frequency.
 """
@@ -60,33 +60,15 @@ class Rowwise:
 
 @dataclass(frozen=True, eq=False)
 class Observations(Rowwise):
-    """Vibrations from which forces are estimated.
+    """Vibrations from which forces are estimated; the sensor axis may be omitted where the beam has one sensor."""
 
-    The axis of sensors may be left out where the beam has one.
-
-    Attributes
-    ----------
-    frames : ndarray, (n, n_sensors, n_samples)
-        At the sampling rate of the beam, without baseline; zeros where the frame has ended.
-    noise : ndarray, (n, n_sensors)
-        Standard deviation of the noise; infinite for an uninformative sensor.
-    coefficients, innovation : ndarray, (n, n_sensors, ORDER) and (n, n_sensors), optional
-        Of the colour of the noise, as in `cgid.measure.ar_noise.ARNoise`; white by default.
-    error : ndarray, (n, n_sensors, n_coefficients), optional
-        Power of further errors over that of the noise.
-    clipped : ndarray of bool, (n, n_sensors, n_samples), optional
-        Clipped samples: lower bounds, excluded from the fit.
-    limit : float, optional
-        Frequency up to which the samples count [Hz].
-    """
-
-    frames: Floats
-    noise: Floats
-    coefficients: Floats | None = None
-    innovation: Floats | None = None
-    error: Floats | None = None
-    clipped: NDArray[np.bool_] | None = None
-    limit: float | None = None
+    frames: Floats  # (n, n_sensors, n_samples), at the beam's rate, without baseline; 0 after the frame's end
+    noise: Floats  # (n, n_sensors), standard deviation; infinite for an uninformative sensor
+    coefficients: Floats | None = None  # (n, n_sensors, ORDER), of the AR noise; None for white noise
+    innovation: Floats | None = None  # (n, n_sensors)
+    error: Floats | None = None  # (n, n_sensors, n_coefficients), power of further errors over that of the noise
+    clipped: NDArray[np.bool_] | None = None  # (n, n_sensors, n_samples), lower bounds: excluded from the fit
+    limit: float | None = None  # highest frequency used [Hz]
 
     def by_sensor(self) -> Observations:
         """Return the same with an axis of sensors."""
@@ -100,22 +82,12 @@ class Observations(Rowwise):
 
 @dataclass(frozen=True, eq=False)
 class ModeErrors:
-    """Errors of the modes as noise whose power is proportional to the square of the force.
+    """Errors of the modes, as noise whose power is proportional to the square of the force."""
 
-    Attributes
-    ----------
-    turn : ndarray, (n_sensors, n_each, n_each)
-        Columns turn the coefficients of a sensor to others, in which this noise is independent.
-    power, diagonal : ndarray, (n_coefficients,)
-        Of this noise for a force of 1 N, in those and in Fourier coefficients.
-    energy : ndarray, (n_coefficients,)
-        Expected square of Fourier coefficients for a force of 1 N.
-    """
-
-    turn: Singles
-    power: Floats
-    diagonal: Floats
-    energy: Floats
+    turn: Singles  # (n_sensors, n_each, n_each), columns rotate coefficients so that this noise is independent
+    power: Floats  # (n_coefficients,), of this noise in rotated coefficients, for a force of 1 N
+    diagonal: Floats  # (n_coefficients,), of this noise in Fourier coefficients, for a force of 1 N
+    energy: Floats  # (n_coefficients,), expected square of Fourier coefficients for a force of 1 N
 
     @classmethod
     def of(cls, covariance: Floats, energy: Floats) -> ModeErrors:
@@ -144,23 +116,13 @@ class ModeErrors:
 
 @dataclass(frozen=True, eq=False)
 class ResponseTable:
-    """The responses of a beam to shapes of the force, or a part of them.
+    """Responses of a beam to force shapes, band by band, with principal mixtures in place of the modes."""
 
-    In each band of frequency principal mixtures stand instead of the modes: the modes beyond a band sound alike
-    there, so fewer mixtures respond the same.
+    # Modes beyond a band respond almost alike in it, so fewer mixtures give the same response.
 
-    Attributes
-    ----------
-    beam : Beam
-        With the participation of the mixtures, those of each band in turn.
-    kept : ndarray of int, (n_kept,)
-        Numbers of the coefficients, those of each band in turn.
-    bands : list
-        Mixtures, coefficients, and responses (n_mixtures, n_shapes, n_coefficients) of each band.
-    """
-
-    beam: Beam
-    kept: NDArray[np.intp]
+    beam: Beam  # with the participation of the mixtures, band after band
+    kept: NDArray[np.intp]  # (n_kept,), numbers of the coefficients, band after band
+    #: mixtures, coefficients, and responses (n_mixtures, n_shapes, n_coefficients)
     bands: list[tuple[slice, slice, Singles]]
 
     @property
@@ -179,10 +141,7 @@ class ResponseTable:
         return replace(self, kept=self.kept[: bands[-1][1].stop], bands=bands)
 
     def of_shapes(self, at: Singles, root: Singles | None) -> Singles:
-        """Return the responses to each shape where mixtures have weights `at` (n, n_mixtures), (n, n_shapes, n_kept).
-
-        They are times the roots of the weights of coefficients, (n, n_kept) or (n_kept,).
-        """
+        """Return weighted responses (n, n_shapes, n_kept) for weights `at` (n, n_mixtures) of the mixtures."""
         out = np.empty((len(at), self.n_shapes, self.kept.size), np.float32)
         for mixtures, kept, table in self.bands:
             part = (at[:, mixtures] @ table.reshape(len(table), -1)).reshape(len(at), self.n_shapes, -1)
@@ -205,10 +164,7 @@ class ResponseTable:
         return np.concatenate(parts, axis=1).reshape(len(samples), -1, self.n_shapes)
 
     def powers(self, at: Singles, root: Singles) -> tuple[Floats, Singles]:
-        """Return what coefficients times `root` indicate of a force at locations: powers, and their directions.
-
-        Shapes (n_locations, n_shapes) and (n_locations, n_shapes, n_shapes).
-        """
+        """Return powers (n_locations, n_shapes) and directions of the force that coefficients times `root` indicate."""
         gram = np.empty((len(at), self.n_shapes, self.n_shapes), np.float32)
         for first in range(0, len(at), ROWS):
             response = self.of_shapes(at[first : first + ROWS], root)
@@ -218,14 +174,7 @@ class ResponseTable:
 
 
 class BeamResponses:
-    """The Fourier coefficients that tell forces on one beam, its responses, and the weights that noise leaves them.
-
-    Parameters
-    ----------
-    beam : Beam
-    limit : float, optional
-        Frequency up to which the samples count [Hz].
-    """
+    """Fourier coefficients of one beam up to the frequency `limit` [Hz], its responses, and noise weights."""
 
     def __init__(self, beam: Beam, limit: float = np.inf) -> None:
         self.beam, self.limit = beam, limit
@@ -264,12 +213,7 @@ class BeamResponses:
 
     @cached_property
     def _responses(self) -> tuple[Singles, ModeErrors | None]:
-        """Transformed mean responses of each mode to each shape for participation 1, and the errors of the modes.
-
-        Shape (n_modes, n_shapes, n_coefficients), the coefficients of each sensor in turn.
-
-        Raises `BadData` if they leave the range of single precision, which no true beam does.
-        """
+        """Return mean responses (n_modes, n_shapes, n_coefficients) for participation 1, and errors of the modes."""
         n_modes, n_each, n_sensors = len(self.beam.poles), 2 * self.n_bins, self.beam.n_sensors
         out = np.empty((n_modes, len(self.forces), n_sensors, n_each), np.float32)
         covariance, loud = np.zeros((n_sensors, n_each, n_each)), np.zeros(n_modes)
@@ -313,17 +257,9 @@ class BeamResponses:
         return self.turned(table.reshape(-1, table.shape[2])).reshape(table.shape)
 
     def table(self, n_shapes: int, share: float, top: float = np.inf, *, turned: bool = False) -> ResponseTable:
-        """Return the responses below a frequency [Hz] to the first shapes.
-
-        Parameters
-        ----------
-        n_shapes : int
-        share : float
-            Of the amplitude by which mixtures of modes may differ from the modes.
-        top : float, optional
-        turned : bool
-            Whether of turned coefficients. These have no frequency where the modes have errors.
-        """
+        """Return the responses below `top` [Hz] to the first shapes."""
+        # Mixtures may differ from modes by `share` of the amplitude. Rotated coefficients (`turned`) have no frequency
+        # where the modes have errors.
         responses = self._turned_responses if turned else self._responses[0]
         n_low, n_bands = int(min(max(top * self.n_samples / self.beam.sampling_rate, 16), self.n_bins)), 1
         if turned:
@@ -400,10 +336,7 @@ def grid_numbers(beam: Beam, every: int = 1) -> NDArray[np.intp]:
 
 
 def _mixed(beam: Beam, responses: Singles, share: float) -> tuple[Floats, Singles]:
-    """Return the participation and the responses of principal mixtures of the modes.
-
-    They differ from the modes, (n_modes, n_shapes, n_kept), by a share of the amplitude.
-    """
+    """Return participation and responses of principal mixtures, which differ by at most `share` of the amplitude."""
     loud = np.sqrt(np.mean(np.square(beam.participation), axis=(1, 2)))[:, None]
     table = (responses.reshape(len(responses), -1) * loud).astype(np.float32)
     power, mixes = np.linalg.eigh((table @ table.T).astype(np.float64))

@@ -37,11 +37,7 @@ _MARKS = re.compile(r"[\\`*\[\]<>&|~]|\b_|_\b|(?<=_)_|_(?=_)")
 
 
 def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = False) -> Path:
-    """Return the path if a model may be written there; call this before any work.
-
-    Raises `CannotCreate` if the name does not end in .npz, the folder is missing or the model exists; `MissingExtra` if
-    plots are requested without matplotlib.
-    """
+    """Return the path if a model may be written there; call this before any work."""
     if path.suffix != ".npz":
         raise CannotCreate(f"{path}: the name of a model must end in .npz, got {path.suffix or 'no ending'!r}")
     pictures = [f"{path.stem}-{name}.png" for name in PICTURES] if plots else []
@@ -57,11 +53,7 @@ def check_model_output(path: Path, *, plots: bool = False, overwrite: bool = Fal
 def write_model(
     training: Training, path: Path, *, plots: bool = False, overwrite: bool = True, further: Sequence[Section] = ()
 ) -> list[Path]:
-    """Write pictures, card (with `further` sections) and model, all or nothing; return the files written.
-
-    Raises `CannotCreate` if the folder is not writable or a name was taken meanwhile; `WriteFailed` if the disk is full
-    or broken, which leaves an old model and its card unchanged.
-    """
+    """Write pictures, card and model, all or nothing; return the files written."""
     pictures: dict[str, bytes] = {}
     if plots:
         from cgid.plots.figure import judgement_pictures
@@ -374,11 +366,7 @@ def _limits_of_recordings(model: Model) -> list[str]:
 
 
 def plain(name: object) -> str:
-    r"""Escape a name from a file so that Markdown shows it literally.
-
-    >>> print(plain("<b>a|b"), plain("_coal_wet_"))
-    \<b\>a\|b \_coal_wet\_
-    """
+    """Escape a name from a file so that Markdown shows it literally."""
     return _MARKS.sub(r"\\\g<0>", printable(str(name)))
 
 

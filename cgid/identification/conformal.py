@@ -1,8 +1,7 @@
 """Split conformal prediction: sets of labels with guaranteed coverage for any model.
 
-Vovk, Gammerman & Shafer 2005; Lei et al. 2018. The score of a label is 1 minus its probability. The set of an impact
-holds the labels with a score of at most the ceil((n + 1) coverage)-th smallest true-label score of n calibration
-impacts, which neither train nor judge the model.
+Vovk, Gammerman & Shafer 2005; Lei et al. 2018. The score of a label is 1 minus its probability. A set contains the
+labels whose score is at most the ceil((n + 1) coverage)-th smallest true-label score of n calibration impacts.
 """
 
 from __future__ import annotations
@@ -22,13 +21,10 @@ COVERAGES = (0.80, 0.85, 0.90, 0.95, 0.99)
 
 @dataclass(frozen=True, eq=False)
 class Conformal:
-    """The scores of the true labels of the calibration impacts.
+    """Scores of the true labels of the calibration impacts."""
 
-    `labels` holds the numbers of the true labels, rising; `scores` lie within [0, 1], rising within each label.
-    """
-
-    scores: Floats
-    labels: NDArray[np.int_]
+    scores: Floats  # in [0, 1], ascending within each label
+    labels: NDArray[np.int_]  # numbers of the true labels, ascending
     n_labels: int
 
     def __post_init__(self) -> None:
@@ -48,10 +44,7 @@ class Conformal:
         return cls(scores[order], truth[order].astype(np.int32), probabilities.shape[1])
 
     def thresholds(self, coverage: float, *, class_conditional: bool = False) -> Floats:
-        """Return the largest score of each label in a set, (n_labels,).
-
-        Raises `InvalidValue` if the coverage is not in (0, 1) or too high for the number of calibration impacts.
-        """
+        """Return the largest score of each label in a set, (n_labels,)."""
         if not 0 < coverage < 1:
             raise InvalidValue(f"coverage must lie between 0 and 1 (exclusive), got {coverage:g}")
         if not class_conditional:
@@ -61,12 +54,7 @@ class Conformal:
     def prediction_set(
         self, probabilities: Floats, coverage: float, *, class_conditional: bool = False
     ) -> NDArray[np.bool_]:
-        """Return which labels belong to the set of each impact, (n_impacts, n_labels).
-
-        `coverage`, in (0, 1), is the share of the sets that contain the true label. It holds for the label mix of the
-        calibration, or if `class_conditional` for each label separately (Mondrian), and so for any mix.
-        Raises as `thresholds`.
-        """
+        """Return which labels belong to the set of each impact, (n_impacts, n_labels)."""
         return np.asarray(1.0 - probabilities <= self.thresholds(coverage, class_conditional=class_conditional))
 
 

@@ -72,41 +72,20 @@ _FLOOR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Contact(Rowwise):
-    """Fitted pulses, each row one impact.
+    """Fitted pulses, each row one impact."""
 
-    Attributes
-    ----------
-    peak : ndarray, (n,) [N]
-    width : ndarray, (n,) [s]
-        Impulse over peak.
-    shape : ndarray, (n,)
-        ln e, above 0 for a pulse that rises more slowly than it falls.
-    touch : ndarray, (n,)
-        After `ForceEstimate.start` [samples].
-    covariance : ndarray, (n, 3, 3)
-        Of ln peak, ln width and shape; times the misfit if that is above 1.
-    coefficients : ndarray, (n, n_shapes)
-        Of the fitted pulse, over the noise.
-    misfit : ndarray, (n,)
-        Distance of the recovered force from the fitted pulse, in its own deviations, squared, over the degrees of
-        freedom.
-    """
-
-    peak: Floats
-    width: Floats
-    shape: Floats
-    touch: Floats
-    covariance: Floats
-    coefficients: Floats
-    misfit: Floats
+    peak: Floats  # (n,) [N]
+    width: Floats  # (n,) [s], impulse over peak
+    shape: Floats  # (n,), ln e; above 0 for a pulse that rises more slowly than it falls
+    touch: Floats  # (n,), after `ForceEstimate.start` [samples]
+    covariance: Floats  # (n, 3, 3), of ln peak, ln width and shape; times the misfit if that is above 1
+    coefficients: Floats  # (n, n_shapes), of the fitted pulse, over the noise
+    misfit: Floats  # (n,), reduced chi-square of the recovered force against the fitted pulse
 
 
 @cache
 def _spectra() -> NDArray[np.complex128]:
-    """Return the spectrum of pulses of peak 1 and width 1 about their peak, (n_shapes, n_frequencies).
-
-    Frequencies are multiples of `_POINTS / _LENGTH` over the width.
-    """
+    """Return spectra (n_shapes, n_frequencies) of pulses of peak 1 and width 1, about their peak."""
     restitution = np.minimum(np.exp(-np.abs(_SHAPES)), family.MAX_RESTITUTION)
     contact, top, _ = family.times(restitution)
     height = family.force(top[:, None], restitution)[:, 0]
@@ -122,12 +101,7 @@ def _spectra() -> NDArray[np.complex128]:
 
 
 class ContactFit:
-    """The pulse family in the principal shapes of one beam.
-
-    Parameters
-    ----------
-    inversion : Inversion
-    """
+    """Fit the pulse family in the principal shapes of one beam."""
 
     def __init__(self, inversion: Inversion) -> None:
         self.beam: Beam = inversion.beam
@@ -154,17 +128,8 @@ class ContactFit:
         return np.ascontiguousarray(np.linalg.solve(inner, weights).T)
 
     def coefficients(self, width: Floats, shape: Floats, touch: Floats) -> tuple[Floats, Floats]:
-        """Return the coefficients of pulses of peak 1 N, (n, n_shapes), and their slopes, (n, 3, n_shapes).
-
-        Parameters
-        ----------
-        width : ndarray, (n,) [s]
-        shape : ndarray, (n,)
-        touch : ndarray, (n,) [s]
-            After the start of the table of forces.
-
-        The slopes are in ln width, shape and touch.
-        """
+        """Return coefficients (n, n_shapes) of pulses of peak 1 N, and slopes (n, 3, n_shapes)."""
+        # The slopes are in ln width, shape and onset [s].
         spectrum, in_width, in_shape = self._spectrum(width, shape)
         turn = -2j * np.pi * self._frequencies
         phase = np.exp(turn * touch[:, None])
@@ -219,11 +184,7 @@ class ContactFit:
 
     @cached_property
     def _tried(self) -> tuple[Floats, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """The pulses that are tried first, those of one shape together.
-
-        Parameters (n_shapes_tried, n_each, 3) and minus the logarithm of their prior (n,); coefficients (n_shapes, n)
-        and products of two of these, (n_products, n).
-        """
+        """Return the starting pulses, shape by shape: parameters, -ln prior, coefficients and their products."""
         sides = [
             np.linspace(low, high, n)[::every] for low, high, n, every in zip(*_LIMITS, _NODES, _FIRST, strict=True)
         ]
@@ -359,12 +320,9 @@ def _cubic(place: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] | None:
-    """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none.
-
-    A limit is a value that `shared` samples have in common at the top or the bottom, at least half as far out as the
-    other side. Of a limit the other side has its own as far out, even where a single sample reaches it. A constant
-    frame is that of a dead sensor.
-    """
+    """Return which samples (n, n_samples) are at the limit of their recorder; None if there are none."""
+    # A limit is a value that `shared` samples have in common at the top or the bottom, at least half as far out as the
+    # other side; the other side is then limited as far out, even where one sample reaches it.
     high, low = frames.max(axis=1), frames.min(axis=1)
     out = np.zeros(frames.shape, bool)
     beyond = np.zeros(len(frames), bool)
@@ -381,17 +339,11 @@ def clipped_samples(frames: Floats, shared: int = _SHARED) -> NDArray[np.bool_] 
 
 
 class ThroughBeam:
-    """A beam to look through: from vibrations to features of the contact force.
+    """Features of the contact force from vibrations of a beam."""
 
-    Of a beam with several sensors, the vibrations of one impact follow each other as rows, in the order of the sensors.
-
-    A recorder with another sampling rate is supposed to have the same anti-alias filter, at the same share of its rate
-    or, if it is faster, at the same frequency: whichever force is more like a pulse.
-
-    Parameters
-    ----------
-    beam : Beam
-    """
+    # Rows of one impact follow in the order of the sensors. A recorder with another sampling rate is assumed to have
+    # the same anti-alias filter, at the same fraction of its rate or, if it is faster, at the same frequency: whichever
+    # force is more like a pulse.
 
     def __init__(self, beam: Beam) -> None:
         self.beam = beam
@@ -452,11 +404,7 @@ class ThroughBeam:
     def look_as(
         self, vibrations: VibrationBatch, filters: NDArray[np.bool_], again: NDArray[np.bool_]
     ) -> tuple[ForceEstimate, Contact, Floats]:
-        """Return the same, and the misfits of the pulses for each filter (n, 2), infinite for one that is not tried.
-
-        `filters` (n, 2) says for each impact whether a filter is tried that is higher by the ratio of the rates, and
-        whether that of the beam is, at a recorder that is faster; `again` (n,), whether other samples of onset are.
-        """
+        """Return force, pulse, and misfit of each filter (n, 2), infinite if not tried; `again` tries other onsets."""
         rate, own = vibrations.sampling_rate, self.beam.sampling_rate
         if not rate > own * (1 + _SAME_RATE):
             filters = np.broadcast_to([True, False], filters.shape)
@@ -559,10 +507,7 @@ class ThroughBeam:
     def _settled(
         self, frames: Floats, quiet: NDArray[np.intp], noise: Floats, colour: ARNoise
     ) -> tuple[Floats, Floats, Floats | None]:
-        """Return frames without what rings from earlier impacts, the noise, and the power of the error of that.
-
-        Where there is ringing, `colour` becomes white.
-        """
+        """Return frames without ring-down of earlier impacts, the noise, and the error power of the ring-down."""
         rows = colour.rows[quiet[colour.rows] >= _MIN_QUIET]
         if not rows.size:
             return frames, noise, None
@@ -612,10 +557,9 @@ class ThroughBeam:
 
 
 class _Channel:
-    """What the impacts of a channel have shown, and how the next ones are looked at.
+    """What the impacts of a channel have shown, and how the next ones are fitted."""
 
-    Decisions fall after certain numbers of impacts, so they do not depend on how many arrive together.
-    """
+    # Decisions are made after fixed numbers of impacts, so they do not depend on how many arrive together.
 
     def __init__(self) -> None:
         self.reset()
@@ -664,15 +608,10 @@ class _Channel:
 
 
 class BeamStream:
-    """A beam behind the channels of a stream: what their impacts have shown need not be tried with each of the next.
+    """What the impacts of each channel of a stream have shown, so that it is not tried again with every impact."""
 
-    On a foreign beam another touch is no better, and a recorder keeps its filter. Both are tried again after a gap, a
-    change of level, or as many impacts that stay unexplained as it took to settle them.
-
-    Parameters
-    ----------
-    through : ThroughBeam
-    """
+    # On a foreign beam another onset is no better, and a recorder keeps its filter. Both are tried again after a gap, a
+    # change of level, or as many unexplained impacts as it took to settle them.
 
     def __init__(self, through: ThroughBeam) -> None:
         self.through = through

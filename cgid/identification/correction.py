@@ -1,17 +1,12 @@
-"""Correct a model by a few labelled impacts of a site: its bias and slope, and the gain of its sensor.
+"""Correct a model with a few labelled impacts of another beam: its bias and slope, and the gain of its sensor.
 
-The model is a good guess; ten to fifty impacts teach little beside it. So they move three things, each held by a prior:
+Ten to fifty impacts can move only a few parameters, each held by a prior: the bias of each label (standard deviation
+0.7), ln of the slope of the scores (0.3), and ln of the gain of the sensor (0.2), which divides features with the unit
+of the signal. With prior probability 3/4 nothing needs correction; the result is the mean over the alternatives,
+weighted by their evidence. `benchmarks/site_correction.py` checks these assumed numbers.
 
-* the bias of each label, b: other shares of the labels, and what shifts all scores (a prior deviation of 0.7);
-* the slope of the scores, a: a model surer, or less sure, than it is right (ln a: 0.3);
-* the gain of the sensor (its ln: 0.2): features with a unit of the signal are divided by it.
-
-That there is nothing to correct has a prior probability of 3/4, and the correction is the mean over what could be,
-weighed by the evidence: without evidence little moves. These numbers are assumed, and checked by
-`benchmarks/site_correction.py`.
-
-The corrected probabilities are softmax(a s + b) of the scores s at the corrected features. All of this is folded into
-the temperature, the last intercepts and the standardiser, so that a corrected model is a model like any other.
+The corrected probabilities are softmax(a s + b) of the scores s at the corrected features, folded into temperature,
+last intercepts and standardiser: a corrected model is a model like any other.
 """
 
 from __future__ import annotations
@@ -226,10 +221,7 @@ class _Lumps:
         return int(np.argmin(np.abs(np.log(self.gains / gain))))
 
     def _fitted(self, selected: NDArray[np.bool_]) -> Shift:
-        """Return the mean of the shifts that could be, each weighed by its evidence.
-
-        This is Bayesian model averaging (Hoeting et al. 1999) with the posterior modes of the shifts.
-        """
+        """Return the mean of the possible shifts, weighted by their evidence (Hoeting et al. 1999)."""
         truth, logs = self.truth[selected], self.logs[:, selected]
         none = logs[self.middle, np.arange(len(truth)), truth].sum() + np.log(_NOTHING / (1 - _NOTHING))
         fits = [fit_bias_and_slope(log_probabilities, truth) for log_probabilities in logs]
@@ -243,10 +235,7 @@ class _Lumps:
 
 
 def fit_bias_and_slope(logs: Floats, truth: NDArray[np.intp]) -> tuple[Floats, float]:
-    """Return the most probable biases and ln of the slope, (n_labels + 1,), and ln of their evidence.
-
-    The evidence is that of the Gaussian with the curvature at its maximum (Laplace; MacKay 2003, 27).
-    """
+    """Return the most probable biases and ln slope, (n_labels + 1,), and ln of their evidence by Laplace's method."""
     n, n_labels = logs.shape
     rows = np.arange(n)
     precision = np.append(np.full(n_labels, _BIAS**-2), _SLOPE**-2)

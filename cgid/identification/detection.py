@@ -1,8 +1,7 @@
 """Streaming impact detection: each impact with its onset, its end and a frame.
 
-The detector gives the same result for a whole recording, for blocks and for a live stream. There are two kinds of
-impact: pulses rise above a baseline (`pulse_onsets`), vibrations are a sudden rise of energy over ringing and noise
-(`vibration_onsets`).
+The result is the same for a whole recording, for blocks and for a live stream. Pulses rise above a baseline
+(`pulse_onsets`); vibrations are a sudden rise of energy above ring-down and noise (`vibration_onsets`).
 """
 
 from __future__ import annotations
@@ -319,10 +318,7 @@ class ImpactDetector:
         return found
 
     def _between_gaps(self, onset: Onset, reach: int) -> tuple[int, int | None] | None:
-        """Return where the samples around an onset begin and end, up to the next gaps; None without an end.
-
-        `reach` is the index to which they count. Return None alone if one of joint channels misses the onset.
-        """
+        """Return the samples around an onset up to the next gaps; None if one of joint channels misses the onset."""
         earliest = onset.sample - self._framing.quiet
         if earliest >= self._gap_until:
             return 0, None

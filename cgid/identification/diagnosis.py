@@ -1,12 +1,8 @@
 """Why most impacts of a recording are unknown, whether its beam has changed, and whether its scale is wrong.
 
-Each answer outside of the training has a `Cause`. A `Diagnosis` counts the answers of a recording, channel by channel;
-its `Finding` is the cause of most unknown answers. Every cause is tested: the impact stands barely above the noise
-before it; another amplitude or another sampling rate alone would bring it inside; or one measured quantity contributes
-most to its distance from the training. What to do about a cause is for the caller to say: `cgid.cli.hints` does.
-
-A model that looks through a beam also shows where the beam has changed too little for single impacts to show it: with
-the right modes, half of the impacts leave next to nothing unexplained, however loud the noise is.
+A `Diagnosis` counts the answers of a recording by channel and cause; its `Finding` is the cause of most unknown
+answers. `cgid.cli.hints` knows what to do about it. A model that looks through a beam also shows changes of the beam
+that are too small for single impacts: with the right modes, half of the impacts leave next to nothing unexplained.
 """
 
 from __future__ import annotations
@@ -66,17 +62,12 @@ _TESTED = ("noise", "drowned", "amplitude", "duration", "sampling_rate", "vibrat
 
 @dataclass(frozen=True)
 class Cause:
-    """What puts an answer outside of the training.
+    """What puts an answer outside of the training."""
 
-    Attributes
-    ----------
-    name : an input or guard of the model; else noise, drowned, amplitude, duration, sampling_rate or vibration
-    value : of the input or guard, as measured. Noise: amplitude of the impact over that before it. Drowned: the part of
-        the novelty of a window that is due to noise. Amplitude and
-        duration: how many times as large as those of the training. Sampling rate: the one at which the impact lies
-        inside [Hz]. Vibration: how deep a pulse swings below its baseline, over its peak
-    low, high : range of an input or guard in the training
-    """
+    # `value` by `name`: an input or guard of the model, as measured, with its training range; noise: amplitude of the
+    # impact over that before it; drowned: fraction of the novelty due to noise; amplitude and duration: ratio to the
+    # training; sampling_rate: the one at which the impact is inside [Hz]; vibration: depth below the baseline over the
+    # peak.
 
     name: str
     value: float
@@ -106,10 +97,7 @@ def causes_of(model: Model, inputs: Floats, guards: Floats) -> list[Cause]:
 
 
 def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floats:
-    """Return how many times as large as in the training the unit `symbol` of each row is; infinite where not that.
-
-    It is that where a factor beyond `_MAX_DISTANCE`, on all inputs with that unit, brings the row inside.
-    """
+    """Return how many times as large as in training the unit of each row is; infinite where no factor fits."""
     out = np.full(len(inputs), np.inf)
     powers, logarithmic = _powers(model, symbol)
     # No factor takes back what a guard has found.
@@ -127,10 +115,8 @@ def _scale_of(model: Model, inputs: Floats, guards: Floats, symbol: str) -> Floa
 
 
 def _powers(model: Model, symbol: str) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the power of a unit in each input, and whether the input is a logarithm; of that, durations are ignored.
-
-    The level of a vibration lasts as long as its window, so only pulses have durations.
-    """
+    """Return the power of a unit in each input, and which inputs are logarithms."""
+    # Durations of vibrations are ignored: their level lasts as long as the window.
     names = [name.split(" of channel ")[0] for name in model.inputs]
     units = [FEATURES[name].unit if name in FEATURES else "" for name in names]
     logarithmic = np.array([unit.startswith("log10") for unit in units])
@@ -242,10 +228,7 @@ class ChannelAnswers:
         return self.unmarked if few_marks else self.marks + self.unmarked
 
     def median_unexplained(self) -> tuple[float, list[float]]:
-        """Return a sure lower bound of the median of what the latest impacts leave unexplained, and these values [%].
-
-        Of few impacts or many, whichever leave more; not a number if there are too few.
-        """
+        """Return a lower confidence bound of the median unexplained part of recent impacts, and its values [%]."""
         bounds: list[tuple[float, list[float]]] = [(float("nan"), [])]
         for n_latest in _LATEST if len(self.unexplained) >= _LATEST[0] else ():
             latest = list(self.unexplained)[-n_latest:]
@@ -256,13 +239,11 @@ class ChannelAnswers:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Why most answers of some channels are unknown, or how their beam has changed.
+    """Why most answers of some channels are unknown, or how their beam has changed."""
 
-    `cause` is one word for programs: noise, drowned, amplitude, duration, sampling_rate, clipped, cut_off, overlapping,
-    vibration, shape, upside_down, features, coverage or unmeasured; or beam, where the beam has changed and its answers
-    are known. `value` is the median over the examples, of the input `name` with this range in the training; of a beam
-    it is what the latest `n_answers` impacts leave unexplained [%].
-    """
+    # `cause` is one word for programs: that of a `Cause`, or clipped, cut_off, overlapping, shape, upside_down,
+    # features, coverage, unmeasured or beam. `value` is a median over the examples, for "beam" the part that the latest
+    # `n_answers` impacts leave unexplained [%].
 
     cause: str
     channels: tuple[str, ...]
@@ -278,11 +259,9 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Hint:
-    """Why most answers are unknown or the beam is not the model's, and what helps.
+    """Why most answers are unknown or the beam is not the model's, and what helps."""
 
-    `cause` is that of the `Finding`; `commands` are the next steps, in order, and `instead` others that may be taken in
-    their place: commands, or words. `channels` is empty if it concerns all.
-    """
+    # `commands` are the next steps, in order, and `instead` the alternatives; `channels` is empty if it concerns all.
 
     cause: str
     reason: str
@@ -303,12 +282,7 @@ class Hint:
 
 
 class Diagnosis:
-    """Count the answers of a recording, and find the cause where most are unknown.
-
-    Parameters
-    ----------
-    model : Model
-    """
+    """Count the answers of a recording, and find the cause where most are unknown."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -381,10 +355,9 @@ class Diagnosis:
         }
 
     def wrong_scales(self, *, live: bool = False) -> dict[str, float]:
-        """Return the likely factor of each channel whose levels are not those of the training; none where a cause is.
-
-        A live stream is tested when it has three times as many impacts as at the last test: a chance for each test.
-        """
+        """Return the likely factor of each channel whose levels are not those of the training."""
+        # A live stream is tested when it has three times as many impacts as at the last test: each test may err by
+        # chance.
         if live:
             if max((channel.n_levels for channel in self.channels.values()), default=0) < self._next_test:
                 return {}
@@ -425,10 +398,7 @@ def scale_warning(factors: Mapping[str, float], model: Model, *, name_channels: 
 
 
 def _cause_of(answer: Answer, crowded: bool) -> tuple[str, bool]:
-    """Return the cause of an unknown answer, and whether a mark of its frame is that cause.
-
-    `crowded` says that another impact began within a frame before it.
-    """
+    """Return the cause of an unknown answer, and whether a mark of its frame is that cause."""
     if answer.cut and not answer.probabilities:
         return "cut_off", True
     cause = "" if answer.cause is None else answer.cause.name

@@ -1,8 +1,7 @@
 """Parameters of pulses by maximum likelihood, their Cramer-Rao bound, and posteriors for short pulses.
 
-The fitted restitution is the shape of the pulse: how much faster it rises than it falls. For a sphere on a half space
-it equals the restitution of the impact. On recordings of real shocks it varies between .77 and 1 with the fitted part,
-the baseline and the resonance of the mounting. There it describes the pulse, not a material.
+The fitted restitution is the shape of the pulse, how much faster it rises than it falls. For a sphere on a half space
+it is the restitution of the impact; on recordings of real shocks it varies with the mounting and describes the pulse.
 """
 
 from __future__ import annotations

@@ -141,10 +141,7 @@ class Event:
 
 
 def frames_alike(events: Sequence[Event]) -> Iterator[tuple[list[int], NDArray[Any]]]:
-    """Yield the events that can be measured in one batch: their indices and their stacked frames.
-
-    These have the same frame shape, sampling rate, `pre_trigger` and `detection_limit`.
-    """
+    """Yield indices and stacked frames of the events that can be measured in one batch."""
     alike: dict[tuple[Any, ...], list[int]] = {}
     for number, event in enumerate(events):
         key = event.samples.shape, event.sampling_rate, event.pre_trigger, event.detection_limit
@@ -202,11 +199,7 @@ class Framing:
 
 
 class FrameCutter:
-    """Cut the frames of impacts, which arrive in order of time.
-
-    `end_of` returns the samples of an impact from its onset on, -1 while it goes on. With `joint`, frames hold all
-    channels.
-    """
+    """Cut the frames of impacts, which arrive in order of time; with `joint`, frames hold all channels."""
 
     def __init__(self, framing: Framing, end_of: Callable[[Onset, Floats], int], joint: bool) -> None:
         self._framing, self._end_of, self._joint = framing, end_of, joint
@@ -223,12 +216,7 @@ class FrameCutter:
         stop: int | None,
         by: str,
     ) -> Event:
-        """Return the event of an onset.
-
-        `following` is the next onset of its row, if any. `samples` (n_channels, n) begin at index `first` of the
-        recording and cover the frame. It can be read from `begin` to `stop`: between gaps, and to its end once it is
-        over; `by` says what cuts it off there.
-        """
+        """Return the event of an onset, between gaps and up to the `following` onset; `by` tells what cuts it off."""
         framing, length = self._framing, self._framing.length_of(onset)
         before, running = self._before.get(onset.row, (None, False))
         if before is not None and before.sample < begin:
@@ -272,10 +260,7 @@ class FrameCutter:
     def _frame(
         self, part: NDArray[Any], onset: Onset, start: int, length: int, stretch: slice
     ) -> tuple[NDArray[Any], Floats]:
-        """Return the frames (n_channels, n_samples) around a part that begins at `start`, and their baselines.
-
-        `stretch` of the part stands in for the quiet part if there is little of that; it may be empty.
-        """
+        """Return the frames (n_channels, n_samples) around a part that begins at `start`, and their baselines."""
         framing = self._framing
         quiet = part[:, : max(onset.sample - framing.lead - start, 0)]
         if quiet.shape[1] < _FEW * framing.quiet and stretch.stop:
@@ -312,10 +297,7 @@ class FrameCutter:
 
 
 def quietest(samples: Floats, longest: int) -> slice:
-    """Return the stretch of the samples (n,) with the least variance: `longest` long, or a quarter of the samples.
-
-    It is empty for fewer than 4 `_ENOUGH` samples.
-    """
+    """Return the slice of the samples (n,) with the least variance; empty for fewer than 4 `_ENOUGH` samples."""
     length = min(longest, samples.size // 4)
     if length < _ENOUGH:
         return slice(0, 0)
@@ -326,10 +308,7 @@ def quietest(samples: Floats, longest: int) -> slice:
 
 
 def has_begun(samples: Floats, onset: int, baseline: float, stretch: slice, lead: int) -> bool:
-    """Return whether a vibration (n,) was going on at the first sample; `stretch` of it is noise.
-
-    `lead` samples last `LEAD_TIME`.
-    """
+    """Return whether a vibration (n,) was going on at the first sample; `stretch` of it is noise."""
     count = max(round(lead * _FIRST_TIME / LEAD_TIME), 3)
     first = float(np.abs(samples[:count] - baseline).max())
     peak = float(np.abs(samples[: onset + lead] - baseline).max())

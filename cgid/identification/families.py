@@ -1,7 +1,6 @@
-"""The classifiers as plain arrays: standardisation, scores, probabilities and novelty. Needs numpy only.
+"""The classifiers as plain arrays: standardisation, scores, probabilities and novelty, with numpy alone.
 
-Training and prediction share this code. Each family is a class with `scores(standardised)`, (n,) or (n, n_classes);
-its `arrays` are those of the model file.
+Each family is a class with `scores(standardised)`, (n,) or (n, n_classes); its `arrays` are those of the model file.
 """
 
 from __future__ import annotations
@@ -22,14 +21,10 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Standardiser:
-    """Take logarithms of always-positive features, then scale to zero mean and unit variance.
-
-    `floor` is the smallest value of a logarithmic feature; smaller ones are raised to it. All attributes are
-    (n_features,).
-    """
+    """Take logarithms of always-positive features, then scale to zero mean and unit variance."""
 
     logarithmic: NDArray[np.bool_]
-    floor: Floats
+    floor: Floats  # smallest value of a logarithmic feature
     mean: Floats
     scale: Floats
 
@@ -93,14 +88,10 @@ def _or_infinite(novelty: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """Novelty: Mahalanobis distance to the nearest class, scaled to be 1 at the 99.9 % quantile of the training.
+    """Novelty: Mahalanobis distance to the nearest class, 1 at the 99.9 % quantile of the training."""
 
-    `centres` are (n_classes, n_features), `whitening` (n_classes, n_features, n_features), or (1, n_features,
-    n_features) for all classes.
-    """
-
-    centres: Floats
-    whitening: Floats
+    centres: Floats  # (n_classes, n_features)
+    whitening: Floats  # (n_classes or 1, n_features, n_features)
     limit: float
 
     #: Share of the training impacts inside the limit.
@@ -110,10 +101,7 @@ class Neighbourhood:
 
     @classmethod
     def fit(cls, standardised: Floats, classes: NDArray[np.intp], covariance: Floats | None = None) -> Neighbourhood:
-        """Fit to rows and class numbers from 0.
-
-        Each class has its own covariance unless a common one, (n_features, n_features), is given.
-        """
+        """Fit to rows and class numbers from 0, with one covariance for each class unless a common one is given."""
         centres, whitening = [], []
         for k in range(int(classes.max()) + 1):
             rows = standardised[classes == k]
@@ -392,12 +380,9 @@ class Network(Family):
 
 @dataclass(frozen=True)
 class Contrast:
-    """Novelty from a network trained against other impacts, or from a line trained against noise.
+    """Novelty from a network trained against other impacts (ln density ratio), or from a line trained against noise."""
 
-    The distance to the training does not know what else there is; among many laws, lumps and noises it forgives too
-    much. The score of a network trained on both is the logarithm of the ratio of their densities, up to a constant;
-    that of a line is the logarithm of the power of noise over that of the window.
-    """
+    # The distance to the training alone forgives too much among many laws, shapes and noises.
 
     standardiser: Standardiser
     scorer: Network | Linear

@@ -1,7 +1,7 @@
 """Nested cross-validation by group, for few recordings of many windows each.
 
-The outer loop leaves out each group in turn to judge. The inner loop, over the other groups, leaves out each in turn to
-choose a candidate and calibrate its probabilities. So the judging group never takes part in a choice.
+The outer loop leaves out each group in turn for evaluation. The inner loop, over the other groups, selects a candidate
+and calibrates its probabilities, so the evaluation group never takes part in a selection.
 """
 
 from __future__ import annotations
@@ -105,11 +105,7 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None
 
 
 def in_blocks_of_time(rows: Rows) -> Rows:
-    """Return the rows of a single recording with successive blocks of time as their groups.
-
-    A block has about as many rows as another one. Rows that lie in two blocks, with what they share of their samples,
-    are left out: they would be on both sides of a split.
-    """
+    """Return the rows of a single recording with successive blocks of time as groups, without rows in two blocks."""
     assert rows.slicing is not None
     before, after = (0.0, rows.slicing.window_time) if rows.slicing.by == "window" else (_ONE_BLOW, EVENT_TIME)
     time = np.unique(rows.time)
@@ -183,11 +179,8 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = ALONE) -> Sel
 
 
 def vote_correlation(rows: Rows, probabilities: Floats, doubt: float) -> float:
-    """Return the correlation of windows whose votes have the smallest log loss, from 0 to 1.
-
-    `probabilities` (n_rows, n_labels) are those of left-out groups. What a group has of its own is the same in all of
-    its windows, so they are worth less than the overlap of their samples tells. For `doubt` see `best_temperature`.
-    """
+    """Return the correlation of windows whose votes have the smallest log loss, from 0 to 1."""
+    # All windows of a group share what is peculiar to it, so they are worth less than their overlap suggests.
     assert rows.slicing is not None
     truth, parts = np.unique(rows.labels, return_inverse=True)[1], []
     for source in np.unique(rows.source[rows.is_recorded]):
@@ -206,11 +199,7 @@ def vote_correlation(rows: Rows, probabilities: Floats, doubt: float) -> float:
 def smallest_as_good(
     candidates: Sequence[Candidate], accuracies: Sequence[float], hits: NDArray[np.bool_], group: NDArray[np.integer]
 ) -> int:
-    """Return the candidate of the fewest features that is not worse than the best by more than one standard error.
-
-    The error is that of the difference over groups (Breiman et al. 1984, the one-standard-error rule): a choice among
-    large sets by few groups learns the groups. `hits` are (n_candidates, n_rows).
-    """
+    """Return the candidate with the fewest features within one standard error of the best (Breiman et al. 1984)."""
     best = int(np.argmax(accuracies))
     errors = [paired_difference(hits[best], of_candidate, group)[1] for of_candidate in hits]
     good = [k for k, of_candidate in enumerate(accuracies) if accuracies[best] - of_candidate <= errors[k]]
@@ -268,10 +257,8 @@ def final(training_set: TrainingSet, selection: Selection, workers: Workers = AL
 
 
 def noise_guard(training_set: TrainingSet, selection: Selection, workers: Workers = ALONE) -> Contrast | None:
-    """Return what tells windows drowned in noise, which none of held-out groups is; None without noisy copies.
-
-    Its limit is what recorded windows keep, but no less noise than that of copies that teach their label.
-    """
+    """Return the novelty of windows drowned in noise; None without noisy copies."""
+    # Its limit keeps recorded windows, and copies whose label is still recognised.
     if not np.isfinite(training_set.rows.snr).any():
         return None
     only = replace(training_set, candidates=(training_set.candidates[selection.best],))

@@ -1,13 +1,10 @@
 """Estimate impact location and contact force from beam acceleration.
 
-The way from a contact force to an accelerometer is linear once the location is known. A force is a sum of a few
-principal shapes, and each shape excites every mode of the beam; the location only weighs the modes. So for a location
-the samples are a linear Gaussian model in some 16 unknowns, whose evidence has a closed form: `location_grid` finds the
-best location of a grid. From there Gauss-Newton steps lead to the location itself, which stays an unknown of the model:
-the uncertainty of the force includes that of the location. The samples of several sensors, each over its own noise, are
-samples of one model.
-
-A `Beam` is plain arrays, so that a model file can hold it; `cgid.scene.through_beam` makes it from a scene.
+For a given location the acceleration is linear in the contact force. A force is a sum of principal shapes, each of
+which excites every mode of the beam; the location only weighs the modes. This is a linear Gaussian model in some 16
+unknowns, whose evidence has a closed form: `location_grid` finds the best location of a grid. Gauss-Newton steps then
+refine the location, and the uncertainty of the force includes that of the location. The samples of several sensors,
+each over its own noise, are samples of one model.
 """
 
 from __future__ import annotations
@@ -40,40 +37,19 @@ _IN_BAND = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ForceEstimate(Rowwise):
-    """What samples indicate of some impacts, each row one impact.
+    """Location and force estimated from vibrations, each row one impact."""
 
-    Attributes
-    ----------
-    x, y : ndarray, (n,) [m]
-        The most probable location.
-    place_deviation : ndarray, (n, 2) [m]
-    start : ndarray, (n,)
-        Sample of the frame at which the table of forces begins: the onset lies within `TOUCH` samples of it.
-    coefficients : ndarray, (n, n_shapes)
-        Of the force in principal shapes, each over its deviation and over the noise, with the prior of the shapes.
-    information, vector : ndarray, (n, n_shapes, n_shapes) and (n, n_shapes)
-        The likelihood of coefficients c after the location is projected out: `-c information c / 2 + vector c`.
-    noise : ndarray, (n,)
-        Standard deviation of the noise of the quietest sensor [unit of the samples].
-    evidence : ndarray, (n,)
-        Logarithm of the evidence over that of noise alone, per sample.
-    misfit : ndarray, (n,)
-        Mean square of the residual, over the noise: 1 where the beam explains the samples.
-    unexplained : ndarray, (n,)
-        Share of the samples' energy in the residual beyond the noise, at least 0.
-    """
-
-    x: Floats
-    y: Floats
-    place_deviation: Floats
-    start: NDArray[np.intp]
-    coefficients: Floats
-    information: Floats
-    vector: Floats
-    noise: Floats
-    evidence: Floats
-    misfit: Floats
-    unexplained: Floats
+    x: Floats  # (n,) [m], most probable location
+    y: Floats  # (n,) [m]
+    place_deviation: Floats  # (n, 2) [m], standard deviation
+    start: NDArray[np.intp]  # (n,), sample at which the force table begins; the onset is within `TOUCH` samples of it
+    coefficients: Floats  # (n, n_shapes), of the force, each over its prior standard deviation and the noise
+    information: Floats  # (n, n_shapes, n_shapes), log-likelihood of c: `-c information c / 2 + vector c`
+    vector: Floats  # (n, n_shapes); the location is projected out
+    noise: Floats  # (n,), standard deviation at the quietest sensor [unit of the samples]
+    evidence: Floats  # (n,), ln evidence over that of noise alone, per sample
+    misfit: Floats  # (n,), mean square of the residual over the noise; 1 where the beam explains the samples
+    unexplained: Floats  # (n,), fraction of energy in the residual beyond the noise, at least 0
 
     def later(self, samples: NDArray[np.intp]) -> Start:
         """Return the start of another estimate at the same location, of a force that begins by some samples later."""
@@ -115,18 +91,7 @@ class Inversion(BeamResponses):
         return narrower, replace(observations, limit=None).by_sensor()
 
     def invert(self, observations: Observations, onset: NDArray[np.intp]) -> ForceEstimate:
-        """Return locations and forces of impacts.
-
-        Parameters
-        ----------
-        observations : Observations
-        onset : ndarray of int, (n, 2)
-            First and last sample of the frame in which the onset may lie.
-
-        Returns
-        -------
-        ForceEstimate
-        """
+        """Return locations and forces of impacts whose onset lies between samples `onset` (n, 2) of the frame."""
         own, observations = self._for(observations)
         parts = []
         for rows in own._slices(len(onset)):
@@ -179,10 +144,7 @@ class Inversion(BeamResponses):
         return ForceEstimate(start=start.first, noise=observations.level, **fields)
 
     def _directions(self, clipped: NDArray[np.bool_], weight: Singles) -> Singles:
-        """Return orthonormal directions of the weighted coefficients that clipped samples move, for each row.
-
-        Rows of zeros fill the shape (n, n_directions, n_coefficients).
-        """
+        """Return orthonormal directions (n, n_directions, n_coefficients) that clipped samples move; or zeros."""
         n, n_sensors, _ = clipped.shape
         parts = []
         for row in range(n):
@@ -205,10 +167,7 @@ class Inversion(BeamResponses):
     def _descended(
         self, samples: Singles, weight: Singles, x: Floats, y: Floats, level: Floats, without: Singles | None = None
     ) -> dict[str, Any]:
-        """Return the fields of `ForceEstimate` that follow from samples by Gauss-Newton steps from the grid.
-
-        Directions `without` (n, n_directions, n_coefficients) do not count.
-        """
+        """Return the fields of `ForceEstimate` after Gauss-Newton steps from the grid, except `without`."""
         kept = self._all.kept
         root = None if (weight == 1).all() else np.sqrt(weight[:, kept])
         without = None if without is None else without[:, :, kept]
@@ -240,10 +199,7 @@ class Inversion(BeamResponses):
         level: Floats,
         without: Singles | None,
     ) -> tuple[Floats, Floats, dict[str, Floats]]:
-        """Return the locations after a Gauss-Newton step and, with the whole table, what the samples indicate there.
-
-        Samples are times the roots of their weights. The force follows the step to first order.
-        """
+        """Return locations after a Gauss-Newton step and, with the complete table, what the samples indicate."""
         at, *slopes_of_at = self._all.beam.weights(x, y)
         # The first shapes are enough for slopes.
         leading = self._leading if table is self._all else table

@@ -39,11 +39,9 @@ from cgid.validation import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """Settings for reading recordings: metadata that files and manifest lack, and the handling of unreadable files.
+    """Settings for reading recordings: metadata that files and manifest lack, and the handling of unreadable files."""
 
-    For all but `strict` and `failed` see `cgid.recordings.open_recording`. If `strict`, the first unreadable recording
-    raises; else `failed` receives its error at once, and the others are read.
-    """
+    # If `strict`, the first unreadable recording raises; else `failed` receives its error and the others are read.
 
     sampling_rate: float | None = None
     unit: str | None = None
@@ -67,16 +65,12 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class AnnotatedFile:
-    """An open recording with the annotations of one choice of its channels.
+    """An open recording with the annotations of one choice of its channels."""
 
-    The annotations are sorted by start and do not overlap. All channels have one unit. `digest` is the SHA-256 of the
-    file.
-    """
-
-    annotations: tuple[Annotation, ...]
+    annotations: tuple[Annotation, ...]  # sorted by start, without overlap
     recording: RecordingFile
     unit: str
-    digest: str
+    digest: str  # SHA-256 of the file
 
     @property
     def upright(self) -> float:
@@ -109,11 +103,7 @@ class AnnotatedFile:
 def open_all(
     manifest: Manifest, reading: Reading, failures: list[CgidError], *, references: bool = False
 ) -> list[AnnotatedFile]:
-    """Open the labelled recordings of a manifest, or its reference runs; all of one quantity and number of channels.
-
-    `failures` receives the errors of files that cannot be opened. Raises `BadData` if no labelled recording can be
-    opened or two files of different groups have the same content.
-    """
+    """Open the labelled recordings of a manifest, or its reference runs; all of one quantity and number of channels."""
     files: list[AnnotatedFile] = []
     for rows in _by_channels([one for one in manifest.annotations if one.reference == references]):
         try:
@@ -150,10 +140,7 @@ def _overlap(some: Sequence[Annotation], others: Sequence[Annotation]) -> bool:
 
 
 def annotated_blocks(file: AnnotatedFile, unit: str) -> Iterator[tuple[Annotation, Iterator[NDArray[np.floating]]]]:
-    """Yield each annotation with the blocks of its interval, in a unit and with the gain divided out.
-
-    The file is read once: consume the blocks of an annotation before taking the next one.
-    """
+    """Yield each annotation with its blocks, in a unit, gain divided out; consume them before taking the next one."""
     rate = file.recording.sampling_rate
     bounds = [(round(one.start * rate), one.end * rate) for one in file.annotations]
     for k, parts in groupby(_cut(file.blocks(), bounds), lambda part: part[0]):
@@ -256,11 +243,7 @@ def _require_single(files: Sequence[AnnotatedFile], reading: Reading) -> None:
 
 
 def reference_spectra(files: Sequence[AnnotatedFile], labelled: AnnotatedFile, window_time: float) -> dict[str, Floats]:
-    """Return the reference spectrum of each sensor, (n_channels, n_bands), over the windows of all its runs.
-
-    Raises `BadData` if a run differs from the labelled recordings in quantity or number of channels, differs from other
-    runs of its sensor in sampling rate, or holds no signal.
-    """
+    """Return the mean spectrum of each sensor, (n_channels, n_bands), over the windows of all its reference runs."""
     spectra: dict[str, list[MeanSpectrum]] = {}
     for file in files:
         source, n_channels = file.recording.source, len(labelled.recording.channels)
@@ -298,17 +281,9 @@ def record(
     model: Model | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Rows:
-    """Return the rows of annotated recordings: the features of their windows or impacts.
-
-    By default these are all of `cgid.identification.rows.sets_for` that can be measured on every recording. Where the
-    slicing leaves it open, the features say whether rows are impacts or windows, else what the recordings hold
-    (`cgid.identification.silence`); `Rows.notes` says which. If `augment`, windows have noisy copies (`Rows.snr`), from
-    which a model learns what noise does, and when a window is drowned. With a `model` of impacts, rows are what it
-    measures: its features and guards, in its unit, through its beam. `progress` receives the number of rows measured.
-
-    Raises `BadData` if no recording yields a row or files of different groups are equal, `InvalidValue` for a bad
-    choice, and if strict the error of the first unreadable recording.
-    """
+    """Return the rows of annotated recordings: the features of their windows or impacts."""
+    # If `augment`, windows have noisy copies (`Rows.snr`), from which a model learns what noise does. With a `model` of
+    # impacts, rows are what it measures: its features and guards, in its unit, through its beam.
     slicing, reading = slicing or Slicing(), reading or Reading()
     failures: list[CgidError] = []
     files = open_all(manifest, reading, failures)
@@ -512,10 +487,8 @@ def _windows(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
 
 
 def _impacts(file: AnnotatedFile, cutting: _Cutting) -> Iterator[Piece]:
-    """Yield annotation, times and features of the impacts in annotated intervals; the detector sees all samples.
-
-    As in prediction, each channel is a sensor of its own: an impact is a row for each channel that measures it.
-    """
+    """Yield annotation, times and features of the impacts in annotated intervals; the detector gets all samples."""
+    # As in prediction, each channel is a sensor of its own: an impact is a row for each channel that measures it.
     recording = file.recording
     sign = file.upright
     detector = ImpactDetector(

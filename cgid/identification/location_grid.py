@@ -1,7 +1,7 @@
-"""Where the estimate of a force begins: the most probable onset and location, by evidence on grids of locations.
+"""The most probable onset and location of an impact, by evidence on grids of locations.
 
-For a location the samples are a linear Gaussian model, whose evidence has a closed form. It is computed from tables
-that are made once: on a coarse grid from low frequencies alone, then near its best locations on a fine one from all.
+The evidence is computed from tables that are made once: on a coarse grid from low frequencies alone, then near its best
+locations on a fine one from all frequencies.
 """
 
 from __future__ import annotations
@@ -47,24 +47,13 @@ _LOCATIONS = 16
 
 @dataclass(frozen=True, eq=False)
 class Start(Rowwise):
-    """Where Gauss-Newton steps begin.
+    """Where Gauss-Newton steps begin."""
 
-    Attributes
-    ----------
-    first : ndarray of int, (n,)
-        Sample of the frame at which the table of forces begins: the onset lies within `TOUCH` samples of it.
-    x, y : ndarray, (n,) [m]
-    level : ndarray, (n,)
-        Prior standard deviation of the coefficients of the force.
-    evidence : ndarray, (n,)
-        Its logarithm, on the grid.
-    """
-
-    first: NDArray[np.intp]
-    x: Floats
-    y: Floats
-    level: Floats
-    evidence: Floats
+    first: NDArray[np.intp]  # (n,), sample at which the force table begins; the onset is within `TOUCH` samples of it
+    x: Floats  # (n,) [m]
+    y: Floats  # (n,) [m]
+    level: Floats  # (n,), prior standard deviation of the force coefficients
+    evidence: Floats  # (n,), its logarithm, on the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +74,7 @@ class CoarseTables:
 
 
 class NoiseTables:
-    """What the samples indicate of the force at all locations, in noise that leaves coefficients a weight (n_kept,).
-
-    `levels` are those of the force; every so many count.
-    """
+    """Evidence of the force at all locations, for one weighting (n_kept,) of the coefficients by noise."""
 
     def __init__(self, tables: CoarseTables, weight: Singles, every: int = 1) -> None:
         self.tables, self.weight = tables, weight
@@ -133,12 +119,7 @@ class NearTables:
 
 
 class LocationGrid:
-    """Grids of locations of one beam: find where Gauss-Newton steps begin.
-
-    Parameters
-    ----------
-    responses : BeamResponses
-    """
+    """Grids of locations of one beam: find where Gauss-Newton steps begin."""
 
     def __init__(self, responses: BeamResponses) -> None:
         self.responses, self.beam = responses, responses.beam
@@ -174,11 +155,9 @@ class LocationGrid:
     def noise_tables(
         self, exponent: float, limit: float | None = None, strong: int = 0, fainter: tuple[int, ...] = ()
     ) -> tuple[NoiseTables, NearTables]:
-        """Return the tables of `wide` and `fine` in noise of power f^-exponent.
-
-        The power of the noise of each sensor is that of the quietest times `_RATIO` to the power of `fainter`, and the
-        square of the force that errors of the modes follow is `STRONGER` to that of `strong`.
-        """
+        """Return the tables of `wide` and `fine` for noise of power f^-exponent."""
+        # The noise power of a sensor is that of the quietest times `_RATIO` to the power of `fainter`; errors of the
+        # modes follow the square of the force, `STRONGER` to the power of `strong`.
         key = exponent, limit, strong, fainter
         if key not in self._noise_tables:
             responses, bins = self.responses, self.responses.bins
@@ -201,10 +180,7 @@ class LocationGrid:
     # -- the onset ------------------------------------------------------------------------------------
 
     def first(self, observations: Observations, weight: Singles, onset: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the sample at which the table of forces begins, as `Start.first`, (n,).
-
-        The onset lies between two samples of the frame, (n, 2); `weight` is that of `BeamResponses.weights`.
-        """
+        """Return the sample at which the force table begins, for an onset between two samples (n, 2)."""
         first = np.asarray(onset[:, 0] - TOUCH // 2)
         steps = np.arange(0, int((onset[:, 1] - onset[:, 0]).max(initial=0)) + 1, _STRIDE)
         if steps.size == 1:
@@ -277,11 +253,8 @@ class LocationGrid:
         return np.asarray(samples * weight / np.sqrt(scale)[:, None], np.float32)
 
     def _lawful(self, weight: Singles, law: Floats, faint: NDArray[np.bool_]) -> Singles:
-        """Return the weights of the law instead of others, (n, n_kept), at the level of those for faint sensors.
-
-        Else a sensor that is a little louder or of another colour than the tables say would shift the location. What
-        the ring-down of an earlier impact drowns stays drowned.
-        """
+        """Return the weights of a noise law for faint sensors, at the same level, and the other weights unchanged."""
+        # Else a sensor a little louder or of another colour than the tables would shift the location.
         n, n_sensors = len(weight), self.beam.n_sensors
         ratio = (weight / np.maximum(law, 1e-30)).reshape(n, n_sensors, -1)
         level = np.where(faint, np.minimum(ratio.mean(axis=2), 1.0), 1.0)
@@ -304,10 +277,7 @@ def _alike(kinds: NDArray[np.intp]) -> list[tuple[list[int], NDArray[np.intp]]]:
 
 
 def _shares(power: Floats, levels: Floats) -> tuple[Singles, Singles]:
-    """Return what squares of rotated vectors add to the evidence for each level of the force, and what it costs.
-
-    Power is (n_locations, n_shapes); shapes (n_locations, n_levels, n_shapes) and (n_locations, n_levels, 1).
-    """
+    """Return what squares of rotated vectors add to the evidence for each force level, and its normalisation."""
     share = 0.5 / (power[:, None] + levels[:, None] ** -2)
     cost = 0.5 * np.log1p(levels[:, None] ** 2 * power[:, None]).sum(axis=2, keepdims=True)
     return share.astype(np.float32), cost.astype(np.float32)

@@ -1,9 +1,7 @@
 """The manifest of labelled recordings: labels of files or intervals, and the groups they belong to.
 
-A CSV file has one row per interval, with any of `COLUMNS`, those of times and rates with their unit (`start_s`). A TOML
-file has one `[[recording]]` per file, with keys of the same names without units; top-level values apply to all
-recordings. Paths are relative to the manifest. A folder whose subfolders are labels is a manifest, too. `manifest_text`
-writes one for the user to fill in.
+A CSV file has one row per interval, with any of `COLUMNS`; a TOML file has one `[[recording]]` per file, and top-level
+values apply to all. A folder whose subfolders are labels is a manifest, too. Paths are relative to the manifest.
 """
 
 from __future__ import annotations
@@ -313,10 +311,7 @@ def _all_numbers(cells: Sequence[str]) -> bool:
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Return a checked manifest, without opening its recordings.
-
-    Raises `NoInput` if the file cannot be read; `BadData`, one line per mistake, if it is not a consistent manifest.
-    """
+    """Return a checked manifest, without opening its recordings; `BadData` has one line per mistake."""
     path = Path(path)
     rows, labels = _csv_rows(path) if path.suffix.lower() == ".csv" else _toml_rows(path)
     annotations, mistakes = [], []
@@ -386,7 +381,7 @@ def _csv_rows(path: Path) -> tuple[list[Row], tuple[str, ...] | None]:
 
 
 def _with_points(cell: str) -> str:
-    """Return a cell with decimal points for its commas; the name of a channel, as in NAME=VALUE, keeps them.
+    """Return a cell with decimal points for its commas, except in channel names (NAME=VALUE).
 
     >>> _with_points("a,b=10,2 mV/g;2=3,1 mV/N")
     'a,b=10.2 mV/g;2=3.1 mV/N'
@@ -445,11 +440,8 @@ def _check_names(names: Sequence[str], allowed: tuple[str, ...], what: str, requ
 
 
 def folder_manifest(folder: str | Path) -> Manifest:
-    """Return the manifest of a folder: the one that it holds, else its subfolders are labels.
-
-    In a subfolder, each file is a recording. Files of a folder further down are one group, such as a day. Raises
-    `BadData` if there is no recording or nothing tells the labels.
-    """
+    """Return the manifest of a folder: the one it holds, else one whose labels are the names of subfolders."""
+    # Files of a folder further down are one group, such as a day.
     folder = Path(folder)
     manifests = [folder / name for name in _NAMES if (folder / name).is_file()]
     if len(manifests) > 1:
@@ -478,10 +470,7 @@ def row_of(file: Path, folder: Path) -> dict[str, str]:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return the files in a folder and its subfolders that end as recordings do, sorted.
-
-    Raises `BadData` if there is none, `NoInput` if the folder cannot be read.
-    """
+    """Return the files in a folder and its subfolders that end as recordings do, sorted."""
     try:
         all_files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
     except OSError as error:
@@ -503,12 +492,7 @@ def unlabelled(name: str, given: str) -> str:
 
 
 def manifest_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
-    """Return the content of a CSV manifest; columns without a value are left out, but for path, label and the given.
-
-    >>> print(manifest_text([{"path": "a.wav", "start": "0.5", "peak": "12"}]), end="")
-    path,start_s,label,peak
-    a.wav,0.5,,12
-    """
+    """Return the content of a CSV manifest, without empty columns other than path, label and `columns`."""
     order = dict.fromkeys(("path", "channel", "start", "end", "label", *INFORMATIVE, *COLUMNS))
     required = ("path", "label", *columns)
     columns = [name for name in order if name in required or any(row.get(name) for row in rows)]

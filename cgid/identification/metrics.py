@@ -29,12 +29,9 @@ MIN_GROUPS = 3
 def evaluate(
     labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...], n_independent: int | None = None
 ) -> dict[str, Any]:
-    """Return the metrics of predictions, as plain numbers for JSON; `probabilities` are (n_impacts, n_classes).
-
-    The accuracy has a 95 % Wilson interval for `n_independent` trials, such as the number of specimens; by default all
-    impacts. The Brier score is summed over the classes (0 to 2), the rows of the confusion are the truth, and each bin
-    of the reliability has mean confidence, accuracy and count.
-    """
+    """Return the metrics of predictions (n_impacts, n_classes) as plain numbers for JSON."""
+    # The accuracy has a 95 % Wilson interval for `n_independent` trials, such as rocks. The Brier score is summed over
+    # the classes (0 to 2); rows of the confusion are the truth; bins hold mean confidence, accuracy and count.
     names = np.array(classes)
     predicted = names[np.argmax(probabilities, axis=1)]
     is_correct = predicted == labels
@@ -71,11 +68,8 @@ def reliability(confidence: Floats, hits: NDArray[np.bool_]) -> list[list[float]
 
 
 def calibration_error_by_chance(confidence: Floats) -> float:
-    """Return the expected calibration error of perfectly calibrated answers: one of this size means nothing.
-
-    The number of right answers in a bin is normal with variance sum p (1 - p) about its mean, and the mean absolute
-    deviation is sqrt(2 / pi) standard deviations.
-    """
+    """Return the expected calibration error of perfectly calibrated predictions."""
+    # The number of correct answers in a bin is normal with variance sum p (1 - p), and E|x| is sqrt(2 / pi) std.
     variances = np.bincount(_place(confidence), confidence * (1 - confidence), _BINS)
     return float(np.sqrt(2 / np.pi * variances).sum() / len(confidence))
 
@@ -87,11 +81,7 @@ def evaluate_sets(
     conformal: Conformal,
     coverages: tuple[float, ...] = COVERAGES,
 ) -> list[dict[str, Any]]:
-    """Return the results of prediction sets, one row per attainable coverage, as plain numbers for JSON.
-
-    Each has the coverage requested and achieved (overall and by label), the shares of sets with a single label, several
-    and none, and the accuracy of the single ones (None if there are none).
-    """
+    """Return coverage, size and accuracy of prediction sets, one row per attainable coverage, for JSON."""
     truth = labels[:, None] == np.array(classes)[None]
     rows: list[dict[str, Any]] = []
     for class_conditional in (False, True):
@@ -124,16 +114,9 @@ def _place(confidence: Floats) -> NDArray[np.int_]:
 
 
 def clustered_interval(hits: NDArray[np.bool_], group: NDArray[np.integer]) -> tuple[float, float]:
-    """Return the 95 % interval of a share of hits that are not independent within a group.
-
-    This is the score interval (Wilson 1927) for the number of independent trials with the variance observed between
-    groups (Korn & Graubard 1998): at least the number of groups, at most that of the hits and misses. If fewer than
-    `MIN_GROUPS` have all misses (or all hits), each group is one trial.
-
-    >>> hits = np.array([1, 1, 1, 1, 0, 0, 1, 1], bool)
-    >>> [round(end, 3) for end in clustered_interval(hits, np.array([0, 0, 1, 1, 2, 2, 3, 3]))]
-    [0.301, 0.954]
-    """
+    """Return the 95 % score interval of a hit rate for hits that are not independent within a group."""
+    # The number of independent trials follows from the variance between groups (Korn & Graubard 1998). With fewer than
+    # `MIN_GROUPS` that have all misses (or all hits), each group is one trial.
     share, (_, cluster) = float(hits.mean()), np.unique(group, return_inverse=True)
     n_groups = int(cluster.max()) + 1
     if n_groups < 2:
@@ -215,10 +198,7 @@ def _running(rows: Rows, probabilities: Floats, time: float) -> dict[str, Any]:
 def paired_difference(
     hits: NDArray[np.bool_], others: NDArray[np.bool_], specimen: NDArray[np.integer]
 ) -> tuple[float, float]:
-    """Return how much more often `hits` holds than `others` on the same impacts, and the standard error.
-
-    The impacts of one specimen are one trial.
-    """
+    """Return how much more often `hits` holds than `others`, and the standard error with one trial per specimen."""
     difference = hits.astype(float) - others
     mean = float(difference.mean())
     _, cluster = np.unique(specimen, return_inverse=True)

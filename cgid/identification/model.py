@@ -313,12 +313,9 @@ class Model:
 
     @cached_property
     def _level_weights(self) -> tuple[Floats, float] | None:
-        """Weights of the standardised inputs, (n_inputs,), for the level, and its standard deviation in the training.
-
-        The weighted sum is the best linear estimate of the logarithm of a factor on the signal: the peak force without
-        what the other quantities of the pulse, which no factor changes, say about it. Uncertainties are left out: they
-        depend on the noise.
-        """
+        """Return weights (n_inputs,) of standardised inputs for the level, and its std in the training."""
+        # The best linear estimate of a factor on the signal: the peak force without what other quantities of the pulse
+        # explain. Uncertainties are left out, as they depend on the noise.
         units = [FEATURES[name].unit if name in FEATURES else "" for name in self.inputs]
         scaled = np.array([unit in ("U", "N") for unit in units])
         certain = np.array([not name.endswith(("deviation", "correlation")) for name in self.inputs])

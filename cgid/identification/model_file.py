@@ -52,10 +52,7 @@ _DAMAGE = (
 
 
 def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield name and array of each entry of an archive in order, read-only.
-
-    Raises `BadData` if the archive or an array is damaged or packed, or holds anything but plain numbers.
-    """
+    """Yield name and array of each entry of an archive in order, read-only; `BadData` if anything else is in it."""
     # zipfile would read a directory of a million entries.
     directory = struct.unpack_from("<L", content, len(content) - 10)[0] if len(content) > 22 else 0
     if not content.startswith(b"PK") or content[-22:-18] != b"PK\x05\x06" or not 0 < directory <= _MAX_DIRECTORY_SIZE:
@@ -136,11 +133,7 @@ class NewerSchema(BadData):
 
 
 def read_header(stored: NDArray[Any]) -> dict[str, Any]:
-    """Return the header of a model file after checking its schema version.
-
-    Raises `NewerSchema` if a later cgid wrote it; `BadData` if it is not JSON, repeats a key, or has another format or
-    an unsupported older version.
-    """
+    """Return the header of a model file after checking its schema version."""
     if stored.size > MAX_HEADER_SIZE:
         raise BadData(f"its header must be at most {MAX_HEADER_SIZE >> 20} MiB, it is {stored.size / 2**20:.1f} MiB")
     try:
@@ -163,10 +156,7 @@ def read_header(stored: NDArray[Any]) -> dict[str, Any]:
 
 
 def fields_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return the fields of a model from a header, lists as tuples.
-
-    Raises `BadData` if a field is missing, unknown or of a wrong type, or the digest does not match.
-    """
+    """Return the fields of a model from a header whose digest matches, lists as tuples."""
     version = header["schema_version"]
     if version >= 4 and header.get("sha256") != digest(header, arrays):
         raise BadData("header and arrays must match the SHA-256 in the header, they were changed")
@@ -186,10 +176,7 @@ def signed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byt
 
 
 def digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the SHA-256 of the header without its digest, and of names, types, shapes and values of the arrays.
-
-    It detects accidental changes, such as a flipped bit or reordered features, but not deliberate ones.
-    """
+    """Return the SHA-256 of the header without its digest, and of the arrays; it detects accidental changes only."""
     fields = {name: value for name, value in header.items() if name != "sha256"}
     hashed = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
     for name in sorted(arrays):
@@ -237,10 +224,7 @@ _INTEGERS = {"conformal.labels", *(f"family.{name}" for name in Boosting.INDICES
 
 
 def with_floats(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a model, its weights as float64 where a file has integers: exports know no other type.
-
-    Those of a beam stay as they are: it refuses integers.
-    """
+    """Return the arrays of a model with float64 for integer weights, as exports need; those of a beam unchanged."""
     return {
         name: array
         if array.dtype.kind != "i" or name in _INTEGERS or name.startswith("beam.")

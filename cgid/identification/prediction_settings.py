@@ -258,11 +258,7 @@ def require_evidence(name: str, value: float) -> float:
 
 
 def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:
-    """Return the model inputs besides the features, (n_impacts, n_known).
-
-    The drop height is one number, or one for each impact [m]. Raises `MissingOption` if the model needs it and it is
-    not given, `InvalidValue` if the model does not use it, it is not above 0 or has another shape.
-    """
+    """Return the given model inputs, (n_impacts, n_known); the drop height [m] may be one number."""
     if drop_height is None:
         if "drop_height" in known:
             raise MissingOption(

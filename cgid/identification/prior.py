@@ -1,8 +1,7 @@
 """The density of the pulses of a population, and the probability of signals under it.
 
-Without the shape, peak and duration are the scales of an impact, `P0 = K L^(3/2)` and `T0 = L / v`. They follow from
-size, material and speed and do not depend on the loss. Their density and that of the shape are therefore kept
-separately, as smoothed histograms of draws. scipy is imported on use: telling the impactor needs numpy alone.
+Peak and duration over those of the shape are the scales of an impact, `P0 = K L^(3/2)` and `T0 = L / v`, which do not
+depend on the loss. So their density and that of the shape are separate smoothed histograms of samples.
 """
 
 from __future__ import annotations
@@ -38,10 +37,7 @@ class Prior:
 
     @classmethod
     def from_draws(cls, log_peak: Floats, log_duration: Floats, restitution: Floats) -> Prior:
-        """Return the density of draws, each (n,); 100,000 or more leave little noise.
-
-        The restitution must be independent of the other two within the population.
-        """
+        """Return the density of samples, each (n,), whose restitution is independent of the other two."""
         log_peak, log_duration, restitution = validation.broadcast(
             log_peak=validation.real("log_peak", log_peak),
             log_duration=validation.real("log_duration", log_duration),
@@ -85,11 +81,7 @@ class Prior:
     def evidence(
         self, along: Profile, log_peak_offset: Floats | float = 0.0, log_time_offset: Floats | float = 0.0
     ) -> Floats:
-        """Return ln of the probability of each signal, (n,), plus a constant of the signal.
-
-        The offsets, (n, 1) or float, are added to the profile's ln(peak) and ln(duration): its duration is in samples,
-        and a known speed shifts both.
-        """
+        """Return ln of the probability of each signal, plus a constant; offsets shift ln peak and ln duration."""
         from scipy.special import logsumexp
 
         return np.asarray(logsumexp(self._joint(along, log_peak_offset, log_time_offset), axis=1))

@@ -1,4 +1,4 @@
-"""Onsets of force pulses: samples clear of the noise and of the ringing of earlier blows.
+"""Onsets of force pulses: samples clear of the noise and of the ring-down of earlier impacts.
 
 A pulse points upwards from a baseline that may drift. It begins where the signal rises above
 
@@ -7,9 +7,8 @@ A pulse points upwards from a baseline that may drift. It begins where the signa
     b(t) = max over s < t of 2 d(s) exp(-(t - s) / 20 ms)
 
 with the noise sigma, the height h above the baseline, and the depth d below it where it exceeds 6 sigma. a excludes the
-echoes of an impact. b excludes ringing of 200 Hz or more, which swings below the baseline as far as above; each swing
-renews it. Both decay, so no impact, however high, hides another some tens of milliseconds later. Both end where the
-signal shows that nothing rings: after 5 ms with no sample beyond 6 sigma and a power near that of the noise.
+echoes of an impact, b excludes ring-down of 200 Hz or more, which swings below the baseline as far as above. Both end
+after 5 ms without a sample beyond 6 sigma and with a power near that of the noise.
 """
 
 from __future__ import annotations
@@ -73,16 +72,13 @@ class _Levels:
 
 @dataclass
 class _Ringing:
-    """State of a channel after its impacts: thresholds, heights, and quiet samples.
-
-    `quiet` counts the samples since the last one beyond the noise, `energy` is the sum of their squares.
-    """
+    """State of a channel after its impacts: thresholds, heights, and quiet samples."""
 
     echo: float = 0.0
     swing: float = 0.0
     peak: float = 0.0
-    quiet: int = 0
-    energy: float = 0.0
+    quiet: int = 0  # samples since the last one beyond the noise
+    energy: float = 0.0  # sum of their squares
 
     def update(self, n_samples: int, energy: float, noise: float, enough: int) -> None:
         """Take samples within the noise, with the sum of their squares; end both thresholds where nothing rings."""
@@ -115,17 +111,12 @@ class _Blow:
 
 
 class PulseOnsets:
-    """Find pulses in chunks of samples; nan is a missing sample.
+    """Find pulses in chunks of samples, in each channel or, if `joint`, in all together; nan is a missing sample."""
 
-    Each channel counts by itself or, if `joint`, a pulse in one channel is one in all. The noise is 1.4826 times the
-    median absolute deviation; where most samples are equal, the smallest step below the median. A recording shorter
-    than `START_CHUNKS` is one window. High samples at most `dead_time` [s] apart belong to one impact. An impact ends
-    after `longest` samples at the latest; a signal that stays high starts no new one until it falls.
-
-    `chunk`: `take` accepts multiples of this many samples, at first `START_CHUNKS` chunks or more; `lag`: onsets within
-    this many samples of the end so far may not be known yet; `rise, fall`: largest deviation above and below the
-    baseline so far, (n_channels,); `noise`: latest estimate of its standard deviation, (n_channels,).
-    """
+    # The noise is 1.4826 times the median absolute deviation; where most samples are equal, the smallest step below the
+    # median. High samples at most `dead_time` [s] apart belong to one impact, which ends after `longest` samples at the
+    # latest; a signal that stays high starts no new one until it falls. Onsets within `lag` samples of the end are
+    # open.
 
     lag = 0
 
@@ -150,10 +141,7 @@ class PulseOnsets:
         self.rise, self.fall, self.noise = np.zeros((3, n_channels))
 
     def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
-        """Take the next chunks (n_channels, k chunk) and return the pulses that begin in them.
-
-        `read` returns earlier samples. `n_known` marks the last chunk and is the number of its real samples.
-        """
+        """Take chunks (n_channels, k chunk) with `n_known` real samples; return the pulses that begin."""
         ended = n_known is not None
         samples = samples[:, :n_known]
         onsets = []
@@ -354,10 +342,7 @@ def _extremes(windows: Floats) -> tuple[Floats, Floats]:
 
 
 def _typical(noises: Floats) -> Floats:
-    """Return the median noise (n_channels,) over windows (n_channels, n).
-
-    If most windows of a channel have no noise, only the others count.
-    """
+    """Return the median noise (n_channels,) over windows (n_channels, n), of those with noise if most have none."""
     typical = _median(noises)
     for channel in np.flatnonzero(typical == 0):
         some = noises[channel][noises[channel] > 0]

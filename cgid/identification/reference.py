@@ -1,9 +1,7 @@
 """The reference run of a sensor: its mean spectrum, the equalisation from it, and the drift of a session.
 
-Two sensors, or one on two supports, differ in their response, and differences of 4 dB cost more accuracy than any
-noise. So each sensor records the same kind of flow once, its reference run, and the model keeps the mean spectra.
-Before any measurement, a signal is equalised from the spectrum of its sensor to the mean of all sensors
-(`cgid.measure.filters.Equalisation.between`).
+Sensors and supports differ in response by some 4 dB, which costs more accuracy than noise. So each sensor records the
+same kind of flow once, and signals are equalised from the spectrum of their sensor to the mean of all sensors.
 """
 
 from __future__ import annotations
@@ -32,11 +30,7 @@ Equalisations = Mapping[str, Sequence[Equalisation]]
 
 
 class MeanSpectrum:
-    """The mean power of a run in each mel band, accumulated by window.
-
-    Bands above half the sampling rate [Hz] get the level of the highest band below it. Raises `InvalidValue` if the
-    rate leaves no band.
-    """
+    """The mean power of a run in each mel band; bands above half the rate [Hz] get the highest level below it."""
 
     def __init__(self, sampling_rate: float) -> None:
         self.sampling_rate = require_rate(sampling_rate)
@@ -84,10 +78,7 @@ class MeanSpectrum:
 
 
 def target_spectrum(references: Iterable[ArrayLike]) -> Floats:
-    """Return the target of all equalisations: the mean of the reference spectra, (n_bands,).
-
-    Raises `InvalidValue` if there is no spectrum or one has a wrong number of bands.
-    """
+    """Return the target of all equalisations: the mean of the reference spectra, (n_bands,)."""
     rows = [validation.real("reference spectrum", row) for row in references]
     if not rows or any(row.shape != (len(MEL_BANDS),) for row in rows):
         raise InvalidValue(f"reference spectra must be one or more rows of {len(MEL_BANDS)} levels, got {len(rows)}")
@@ -127,10 +118,7 @@ class Drift:
 
 
 def drift(session: MeanSpectrum, reference: ArrayLike) -> Drift:
-    """Return the drift of a session from the reference spectrum (n_bands,) of its sensor.
-
-    The session needs a flow like that of the reference run, because another flow looks like a drift.
-    """
+    """Return the drift of a session from the reference spectrum (n_bands,) of its sensor, for a similar flow."""
     of_session = slice(0, session.n_bands)
     difference = 10.0 * (session.levels - validation.real("reference", reference))[of_session]
     # The band with the most certain difference, not one raised by a single impact.

@@ -11,19 +11,10 @@ from cgid.validation import Floats
 
 
 class RingDown:
-    """Ring-down of earlier impacts: a Gaussian process, observed before the onset.
+    """Ring-down of earlier impacts: a Gaussian process, observed in `n_quiet` samples before the onset."""
 
-    The amplitudes of the modes are those that an impact anywhere leaves after one of `AGES`; their common strength is
-    the one of the highest evidence.
-
-    Parameters
-    ----------
-    responses : BeamResponses
-    n_quiet : int
-        Samples before the onset that are used.
-    sensor : int
-        Which of the beam's sensors.
-    """
+    # Mode amplitudes are those that an impact anywhere leaves after one of `AGES`, with the strength of highest
+    # evidence.
 
     #: Ages of the earlier impact [s], powers of its ring-down over that of the noise, and gain of evidence it takes.
     AGES, POWERS, CERTAIN = (0.005, 0.02, 0.08), np.geomspace(0.3, 3e6, 15), 12.0
@@ -50,21 +41,8 @@ class RingDown:
             self._tables.append((np.maximum(power, 0.0), turn, onward, spectra[0].sum(axis=0), spectra[1]))
 
     def after(self, before: Floats, innovation: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
-        """Return the ring-down that follows samples before the onset.
-
-        Parameters
-        ----------
-        before : ndarray, (n, n_quiet)
-        innovation : ndarray, (n,)
-            Standard deviation of what noise of any colour leaves unpredicted: the rival of the ring-down.
-
-        Returns
-        -------
-        tuple of ndarray
-            The ring-down after these samples (n, n_samples), the standard deviation of the noise (n,), the power of the
-            error of the ring-down over that of the noise at each coefficient (n, n_coefficients), and whether there is
-            any (n,).
-        """
+        """Return the ring-down, the noise, the power of the error by coefficient, and whether there is any."""
+        # `innovation` (n,) is what AR noise leaves unpredicted: the alternative to a ring-down.
         n = len(before)
         best = -self.n_quiet * np.log(np.maximum(innovation, 1e-150)) + self.CERTAIN
         out, level, rings = np.zeros((n, self.n_samples)), innovation.copy(), np.zeros(n, bool)

@@ -68,10 +68,7 @@ MAX_SYNTHETIC = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Slicing:
-    """How recordings become rows: by window, with length and hop [s], or by impact; None leaves it to the recordings.
-
-    For `dead_time` [s] see `cgid.identification.detection.ImpactDetector`.
-    """
+    """How recordings become rows: by window or by impact, with times [s]; None leaves it to the recordings."""
 
     by: Literal["window", "impact"] | None = None
     window_time: float = WINDOW_TIME
@@ -224,10 +221,7 @@ Sets = Mapping[str, tuple[str, ...]]
 
 @cache
 def _sets(kind: Kind) -> Sets:
-    """Return the feature sets of a kind by name; of equal ones the first is preferred.
-
-    In a set whose name ends in "level-free" the gain of the sensor cancels.
-    """
+    """Return the feature sets of a kind by name, the preferred first; the gain cancels in "level-free" sets."""
     if kind == "pulse":
         return {"fitted pulse": DEFAULT_FEATURES}
     if kind == "vibration":
@@ -264,10 +258,7 @@ def union_of(sets: Sets) -> tuple[str, ...]:
 def features_for(
     batches: Iterable[Batch], features: Iterable[str] | None, beam: Beam | None = None
 ) -> tuple[Iterator[Batch], tuple[str, ...]]:
-    """Return the batches unchanged, and the features to measure on them.
-
-    The default depends on the quantity, and on sampling rate and frame of the first batch.
-    """
+    """Return the batches unchanged, and the features to measure on them, by default those for their quantity."""
     batches = iter(batches)
     if features is not None:
         return batches, choose(features)
@@ -428,11 +419,7 @@ def is_level(feature: str) -> bool:
 
 
 def in_unit(batches: Iterable[Batch], unit: str, features: Iterable[str]) -> Iterator[Batch]:
-    """Yield synthetic batches in the unit of the recordings.
-
-    The quantity may differ if only levels are measured, because `adapted` shifts them. Raises `InvalidValue` if it
-    differs and another feature depends on the unit of the signal.
-    """
+    """Yield synthetic batches in the unit of the recordings; the quantity may differ if only levels are measured."""
     for batch in batches:
         factor = 1.0
         if quantity_of(batch.unit) == quantity_of(unit):
@@ -479,10 +466,7 @@ def adapted(rows: Rows) -> Rows:
 
 
 def shift(names: tuple[str, ...], features: Floats, labels: NDArray[np.str_], synthetic: NDArray[np.bool_]) -> Floats:
-    """Return the shift that `adapted` adds to synthetic rows, (n_features,); 0 for features that are not levels.
-
-    Raises `BadData` if synthetic and recorded rows have no label in common.
-    """
+    """Return the shift that `adapted` adds to synthetic rows, (n_features,); 0 for features that are not levels."""
     both = np.intersect1d(labels[synthetic], labels[~synthetic])
     if not both.size:
         raise BadData(

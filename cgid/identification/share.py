@@ -95,10 +95,7 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True)
 class NoConfusion:
-    """Probabilities that are believed, of a model with this gangue fraction in its training: like a `Confusion`.
-
-    Raises `InvalidValue` unless the share lies within (0, 1).
-    """
+    """Probabilities taken as they are, for a gangue fraction in the training; used like a `Confusion`."""
 
     trained_share: float = 0.5
     abundance: ClassVar = 1.0
@@ -115,11 +112,7 @@ class NoConfusion:
 
 
 def answers_of(model: Model, gangue: Collection[str]) -> Confusion | NoConfusion:
-    """Return what a model answers to rocks of gangue and of coal, as far as it knows.
-
-    First from streams, then from its calibration impacts; else its probabilities are believed. Of more than two labels
-    they always are.
-    """
+    """Return how a model answers to coal and gangue: from streams, calibration or its probabilities."""
     if len(model.labels) == 2:
         first = model.labels[0] in gangue
         confusion = model.confusion
@@ -249,11 +242,8 @@ class ShareWindow:
 
 
 def trained_share(model: Model, gangue: Collection[str]) -> float:
-    """Return the share of some labels in the training of a model, as far as its card knows.
-
-    The share is that of the test impacts, which are drawn label by label like the training impacts. Without them, all
-    labels count as equally frequent. Class weights multiply the frequencies; balanced weights make them equal.
-    """
+    """Return the fraction of some labels in the training of a model, as far as its card knows."""
+    # The test impacts are drawn label by label like those of the training. Class weights multiply the frequencies.
     confusion = model.training.get("metrics", {}).get("confusion")
     weights = model.training.get("class_weights") or model.training.get("recorded", {}).get("class_weights")
     counts = np.ones(len(model.labels))
@@ -299,10 +289,7 @@ class Switch:
 
 
 class ShutDecision:
-    """Watch the share of one channel and report when going on costs more than shutting, or pays again.
-
-    Initially, going on pays. Raises `InvalidValue` unless `dilution_cost` [lost coal rocks per drawn gangue] is above
-    0, `evidence` lies from .5 to below 1, and `hold` [s] is not negative.
+    """Report when going on costs more than shutting the window, or pays again; at first it pays.
 
     >>> round(ShutDecision(3.0).threshold, 3)
     0.25

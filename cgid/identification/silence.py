@@ -1,8 +1,7 @@
-"""Impacts or windows: which of them recordings hold, as the impact finder and the level between impacts say.
+"""Whether recordings hold impacts or dense flow, from the impact detector and the level between impacts.
 
-A window without an impact is uninformative about the material, unless the recording is loud throughout. So a model
-decides on impacts where most windows are silence between impacts, and on windows where impacts are dense or noise never
-ends.
+A window without an impact is uninformative unless the recording is loud throughout. So a model decides on impacts where
+most windows are silent, and on windows where impacts are dense or noise never ends.
 """
 
 from __future__ import annotations

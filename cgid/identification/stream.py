@@ -107,11 +107,7 @@ def model_blocks(
     gaps: Gaps | None = None,
     seen: Callable[[NDArray[Any]], object] = lambda block: None,
 ) -> Iterator[NDArray[Any]]:
-    """Return an iterator over the blocks of some channels, in the quantity and unit of the model, with nan in gaps.
-
-    Raises as `identify_recording`; a wrong quantity or unit raises here, before the first block is read. `gaps` are
-    those of these channels, by default anew; `seen` receives each block of them in their own units.
-    """
+    """Return the blocks of some channels in the unit of the model, with nan in gaps; `seen` gets raw blocks."""
     selected, sign = list(rows), -1.0 if settings.invert else 1.0
     channels = [recording.channels[row] for row in selected]
     factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=settings.mass) for c in channels]
@@ -141,12 +137,7 @@ def identify_blocks(
     settings: PredictionSettings,
     source: str = "signal",
 ) -> Iterator[Step]:
-    """Return an iterator over the answers for blocks (n_channels, n_samples) in the unit of the model.
-
-    Samples that are nan are missing. `source` names the recording. Raises `BadData` for absurd samples, or another
-    number of channels than the model uses together; `InvalidValue` for a sampling rate that is too low for the model's
-    features, or absurdly high.
-    """
+    """Return the answers for blocks (n_channels, n_samples) in the unit of the model; nan is missing."""
     needed = max([SLOWEST, *(2 * FEATURES[name].highest_frequency for name in model.measured)])
     if sampling_rate < needed:
         raise InvalidValue(
@@ -241,10 +232,7 @@ class _Quiet:
 
 
 def answering_channels(model: Model, channels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names under which a model answers: one per channel, or one for all channels that it uses together.
-
-    Raises `BadData` for another number of channels than the model uses.
-    """
+    """Return the names under which a model answers: one per channel, or one for all channels it uses together."""
     if model.together == 1:
         return tuple(channels)
     if model.together != len(channels):
@@ -315,10 +303,7 @@ def _judged(
 
 
 class Drifts:
-    """Drift of known sensors from their reference runs, from the mean spectra of their channels.
-
-    `sensors` names the sensor of each channel, or of each group of channels that the model uses together.
-    """
+    """Drift of known sensors from their reference runs, from the mean spectra of their channels."""
 
     def __init__(self, model: Model, sensors: Sequence[str | None], sampling_rate: float) -> None:
         self._model, self._sensors = model, sensors

@@ -307,10 +307,7 @@ def _trained(
 def hold_out(
     labels: NDArray[np.str_], specimen: NDArray[np.integer], share: float = TEST_SHARE, seed: int = 0
 ) -> NDArray[np.bool_]:
-    """Return a mask of the impacts to hold out: whole specimens, the same share of each label.
-
-    Raises `InvalidValue` if the share is not in (0, 1) or a label has fewer than 2 specimens.
-    """
+    """Return a mask of the impacts to hold out: complete specimens, the same fraction of each label."""
     if not 0 < share < 1:
         raise InvalidValue(f"test share must lie between 0 and 1, got {share:g}")
     generator = np.random.default_rng(seed)
@@ -333,11 +330,7 @@ def set_apart(
     share: float = CALIBRATION_SHARE,
     seed: int = 0,
 ) -> NDArray[np.bool_]:
-    """Return a mask of the impacts to calibrate on: whole specimens that do not judge, the same share of each label.
-
-    It is empty if the share is 0 or would give a label fewer than `MIN_CALIBRATION_SPECIMENS`.
-    Raises `InvalidValue` if the share is not in [0, 1) or nothing is left to train on.
-    """
+    """Return a mask of calibration impacts: specimens outside the test, the same fraction of each label."""
     if not 0 <= share < 1:
         raise InvalidValue(f"calibration share must lie between 0 and 1, got {share:g}")
     apart = np.zeros(len(labels), bool)
@@ -380,11 +373,7 @@ def _tried_on_left_out(
     workers: Workers,
     record: Mapping[str, Any],
 ) -> Training:
-    """Fit on some specimens, calibrate on others, judge on the rest.
-
-    Of several sets of features it takes the one that tells rows left out of the training best, or the first if these
-    are too few to say.
-    """
+    """Fit on some specimens, calibrate on others, test on the rest; select the features best for unseen impacts."""
     labels, specimen = rows.labels, rows.group
     training, calibration, test = parts["train"], parts["calibration"], parts["test"]
 

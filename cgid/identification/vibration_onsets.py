@@ -1,10 +1,9 @@
-"""Onsets of impacts in ringing vibrations: a sudden rise of the energy in most bands.
+"""Onsets of impacts in vibrations: a sudden rise of the energy in most bands.
 
-A struck beam rings for longer than the next rock takes to fall, and motors hum all the time. So no level of the signal
-indicates an impact. But an impact brings energy to several frequency bands within a millisecond, while ringing only
-decays and noise is steady. In each of `BANDS`, the energy of the next 2 ms is divided by that of the 4 ms before, or by
-the noise of the band if that is more. The rise is the squared mean of the square roots of these ratios. The root keeps
-a single band from deciding: two beating modes swell one band, an impact most of them.
+A struck beam rings for longer than the next rock takes to fall, and motors hum, so no level indicates an impact. But an
+impact brings energy to several bands within a millisecond, while ring-down only decays and noise is steady. In each of
+`BANDS`, the energy of the next 2 ms is divided by that of the 4 ms before, or by the noise of the band if that is more.
+The rise is the squared mean of the square roots of these ratios, so that two beating modes in one band do not decide.
 """
 
 from __future__ import annotations
@@ -55,15 +54,10 @@ _ONSET_RATE = 25_600.0
 
 
 class VibrationOnsets:
-    """Find impacts in vibrations in chunks of samples; nan is a missing sample.
+    """Find impacts in chunks of vibrations, by channel or, if `joint`, in all together; nan is missing."""
 
-    Each channel counts by itself or, if `joint`, an impact in one channel is one in all. A rise within `dead_time` [s]
-    after an impact, at least 4 ms, is not a new one.
-
-    `hop`: samples from one window to the next; `chunk`: `take` accepts multiples of this many samples, at first
-    `START_CHUNKS` chunks or more; `lag`: onsets within this many samples of the end so far may not be known yet;
-    `steepest`: highest rise so far, (n_channels,); an impact is above `RISE`.
-    """
+    # A rise within `dead_time` [s], at least 4 ms, is no new impact. Onsets within `lag` samples of the end are open;
+    # `steepest` is the highest rise so far (n_channels,), an impact is above `RISE`.
 
     def __init__(self, sampling_rate: float, n_channels: int, dead_time: float, joint: bool) -> None:
         self.hop = max(round(HOP_TIME * sampling_rate), _MIN_HOP)
@@ -88,11 +82,8 @@ class VibrationOnsets:
     # -- energies -------------------------------------------------------------------------------------
 
     def _scaled(self, samples: Floats) -> Singles:
-        """Return samples (n_channels, n) in single precision, of order 1.
-
-        Zero is the median of each channel's first chunk with samples, since a single one may be loud; the unit is the
-        power of two above the largest sample of its first chunk that is not silent.
-        """
+        """Return samples (n_channels, n) in single precision, of order 1, about the median of the first chunk."""
+        # The unit is a power of two, from the first chunk that is not silent.
         for channel in np.flatnonzero(np.isnan(self._offset[:, 0])):
             for chunk in samples[channel].reshape(-1, self.chunk):
                 there = chunk[~np.isnan(chunk)]
@@ -124,10 +115,7 @@ class VibrationOnsets:
         return energies
 
     def _floors_of(self, energies: Singles, n_known: int) -> tuple[Singles, Singles]:
-        """Return the noise and the rounding in each chunk, both (n_channels, n_chunks, n_bands).
-
-        Only the first `n_known` hops are real.
-        """
+        """Return noise and rounding in each chunk, both (n_channels, n_chunks, n_bands), of `n_known` real hops."""
         n_channels, _, n_bands = energies.shape
         means = _window_means(energies)
         highest = np.fmax.reduce(means.reshape(n_channels, -1, _CHUNK_WINDOWS, n_bands), axis=2)
@@ -188,10 +176,7 @@ class VibrationOnsets:
     # -- impacts ----------------------------------------------------------------------------------------
 
     def take(self, samples: Floats, read: Read, n_known: int | None = None) -> list[Onset]:
-        """Take the next chunks (n_channels, k chunk) and return the impacts that begin in them.
-
-        `read` returns earlier samples. `n_known` marks the last chunk and is the number of its real samples.
-        """
+        """Take chunks (n_channels, k chunk) with `n_known` real samples; return the impacts that begin."""
         n_hops = samples.shape[1] // self.hop
         known = n_hops if n_known is None else n_known // self.hop
         if known == 0:
@@ -277,11 +262,8 @@ def _window_means(energies: Singles) -> Singles:
 
 
 def _atoms(hop: int) -> Floats:
-    """Return the matrix (hop, 4 n_bands) from the samples of a hop to its part in the two windows that contain it.
-
-    Columns: cosines and sines of all bands for the first half of a window, then for its second half. Constants and slow
-    curves, up to the second degree, have no energy.
-    """
+    """Return the matrix (hop, 4 n_bands) from a hop to the cosines and sines of all bands in its two windows."""
+    # Constants and slow curves, up to the second degree, have no energy.
     length = 2 * hop
     place = np.arange(length)
     bands = np.array([band for band in BANDS if band <= HIGHEST * length])
@@ -294,12 +276,7 @@ def _atoms(hop: int) -> Floats:
 
 
 def onset_in(samples: Floats, width: int) -> int:
-    """Return where a vibration begins in the samples (n,): where one variance changes to another.
-
-    The place maximises the likelihood of the differences of the samples as two stretches of noise: Akaike's criterion,
-    after Maeda, "A method for reading and checking phase times in autoprocessing system of seismic wave data", Zisin 38
-    (1985). Averages over `width` samples precede the differences.
-    """
+    """Return the onset in the samples (n,): where one variance changes to another (Akaike's criterion; Maeda 1985)."""
     if width > 1:
         sums = np.append(0.0, np.cumsum(samples - samples[:1]))
         averages = (sums[width:] - sums[:-width]) / width

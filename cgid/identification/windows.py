@@ -1,7 +1,6 @@
 """A recording in windows of one length, block by block, and votes of several windows.
 
-Windows replace impacts where these are too dense to be separated. They do not depend on the blocks of the recording:
-window k starts at sample k * hop.
+Window k starts at sample k * hop, whatever the blocks of the recording.
 """
 
 from __future__ import annotations
@@ -61,13 +60,7 @@ class Grid:
 
     @classmethod
     def at(cls, sampling_rate: float, window_time: float, hop_time: float) -> Grid:
-        """Return the grid at a sampling rate [Hz] for a window length and a hop [s].
-
-        Raises `InvalidValue` if a time is not above 0, or a window has too few samples.
-
-        >>> Grid.at(44_100.0, 0.1, 0.05)
-        Grid(length=4410, hop=2205)
-        """
+        """Return the grid at a sampling rate [Hz] for a window length and a hop [s]."""
         length = round(validation.number("window_time", window_time, "s", validation.positive) * sampling_rate)
         hop = round(validation.number("hop_time", hop_time, "s", validation.positive) * sampling_rate)
         if length < MINIMUM_FRAME:
@@ -81,17 +74,7 @@ class Grid:
 def windows_of(
     blocks: Iterable[NDArray[np.floating]], sampling_rate: float, window_time: float, hop_time: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.floating]]]:
-    """Yield the first samples (n_windows,) and the complete windows (n_windows, n_channels, n_samples) of a recording.
-
-    Blocks (n_channels, n_samples) may have any length; only the samples that the next window needs are kept. Windows
-    are read-only views, at most 512 at once. Raises as `Grid.at`.
-
-    >>> blocks = np.arange(10.0)[None, :7], np.arange(10.0)[None, 7:]
-    >>> for first, windows in windows_of(blocks, 1.0, 6.0, 2.0):
-    ...     print(first, windows[:, 0, 0], windows.shape)
-    [0] [0.] (1, 1, 6)
-    [2 4] [2. 4.] (2, 1, 6)
-    """
+    """Yield first samples and read-only windows (n_windows, n_channels, n_samples), at most 512 at once."""
     grid = Grid.at(sampling_rate, window_time, hop_time)
     waiting: list[NDArray[np.floating]] = []
     start = n_waiting = number = 0  # first sample in `waiting`, number of samples there, next window
@@ -119,11 +102,7 @@ def measure_windows(
     names: tuple[str, ...],
     equalisation: Sequence[Equalisation] | None = None,
 ) -> Floats:
-    """Return the features of windows (n_windows, n_channels, n_samples) as (n_windows, n_channels * n_features).
-
-    The features of the first channel come first; nan where a window cannot be measured, or lacks a sample.
-    `equalisation` corrects the response of each channel's sensor.
-    """
+    """Return features (n_windows, n_channels * n_features), channel by channel; nan where not measurable."""
     is_complete = whole_windows(windows)
     if not is_complete.all():
         table = np.full((len(windows), windows.shape[1] * len(names)), np.nan)
@@ -142,11 +121,7 @@ def whole_windows(windows: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def columns_of(names: Sequence[str], selected: Sequence[str], n_columns: int) -> list[int]:
-    """Return the columns of the chosen features in a table that holds all `names` of one channel after the other.
-
-    >>> columns_of(("a", "b", "c"), ("c", "a"), 6)
-    [2, 0, 5, 3]
-    """
+    """Return the columns of the selected features in a table with all `names` of one channel after the other."""
     columns = [names.index(name) for name in selected]
     return [start + column for start in range(0, n_columns, len(names)) for column in columns]
 
@@ -164,11 +139,7 @@ class NoisyCopies:
         self._random = np.random.default_rng(seed)
 
     def of(self, windows: NDArray[np.floating]) -> Iterator[tuple[Floats, Floats]]:
-        """Yield the power over that of the noise [dB], (n_copies,), and the copies of each window, n_copies of them.
-
-        `windows` are (n_windows, n_channels, n_samples). The noise of a copy is as strong, compared with the window, on
-        all channels, and its spectrum falls with any power of the frequency between white and pink.
-        """
+        """Yield for each window its copies and their power over that of the noise [dB], (n_copies,)."""
         ranges = [_CLEAR_SNR] * CLEAR_COPIES + [_DROWNED_SNR] * DROWNED_COPIES
         for window in windows:
             levels, slopes, gains = self._random.random((3, len(ranges)))
@@ -182,7 +153,7 @@ class NoisyCopies:
 
 
 def independent_windows(n_windows: Floats, correlation: float) -> Floats:
-    """Return how many independent windows successive ones are worth (the design effect of Kish 1965, 8.2).
+    """Return how many independent windows successive ones are worth (design effect; Kish 1965, 8.2).
 
     >>> independent_windows(np.array([1, 9]), 0.5).tolist()
     [1.0, 1.8]
@@ -191,10 +162,7 @@ def independent_windows(n_windows: Floats, correlation: float) -> Floats:
 
 
 class RunningVote:
-    """Running vote of the last `n_windows` windows, at the beginning of all so far.
-
-    Log-probabilities are added as of `independent_windows`; a correlation of 1 is their mean.
-    """
+    """Running vote of the last `n_windows` windows; a correlation of 1 averages log-probabilities, 0 adds them."""
 
     def __init__(self, n_windows: int, correlation: float = 1.0) -> None:
         self.n_windows = validation.count("n_windows", n_windows)
@@ -203,11 +171,7 @@ class RunningVote:
 
     @classmethod
     def over(cls, vote_time: float, window_time: float, hop_time: float, correlation: float = 1.0) -> RunningVote:
-        """Return the vote over the windows that lie entirely within a time, at least one; all times in seconds.
-
-        >>> RunningVote.over(0.5, 0.1, 0.05).n_windows
-        9
-        """
+        """Return the vote over the windows that lie entirely within a time, at least one; all times in seconds."""
         validation.positive("vote_time, window_time and hop_time", [vote_time, window_time, hop_time], "s")
         if vote_time > _MAX_VOTING * hop_time:
             raise InvalidValue(
@@ -216,14 +180,7 @@ class RunningVote:
         return cls(max(int((vote_time - window_time) / hop_time + 1e-9) + 1, 1), correlation)
 
     def feed(self, probabilities: Floats, known: NDArray[np.bool_] | None = None) -> Floats:
-        """Return the probabilities by vote for more windows, (n, n_labels); each row sums to 1.
-
-        Windows that are not `known` do not vote; where none does, they keep their own probabilities. The rows are
-        identical to the last digit however they are divided into calls.
-
-        >>> RunningVote(2).feed(np.array([[0.5, 0.5], [0.9, 0.1], [0.9, 0.1]])).round(2).tolist()
-        [[0.5, 0.5], [0.75, 0.25], [0.9, 0.1]]
-        """
+        """Return voted probabilities of more windows, (n, n_labels), the same however they are divided into calls."""
         counted = np.ones(len(probabilities)) if known is None else known.astype(np.float64)
         logs = np.log(np.maximum(probabilities, MIN_PROBABILITY))
         votes = np.column_stack([counted[:, None] * logs, counted])
