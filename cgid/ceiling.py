@@ -2,9 +2,8 @@
 
 It is the accuracy of Bayes' rule on many synthetic signals. The probability of a signal under a population is the
 integral of its likelihood over the population's pulses: by quadrature along the shape, by Laplace's approximation over
-peak, duration and (if unknown) onset. The density of the pulses comes from many draws. Where this does not cover a
-scene, a learner on measured signals bounds its limit from below. Coloured noise, acceleration and bounds from above are
-in `studies/ceilings`.
+peak, duration and (if unknown) onset. Where this does not cover a scene, a learner on measured signals bounds its limit
+from below. Coloured noise, acceleration and bounds from above are in `studies/ceilings`.
 """
 
 from __future__ import annotations
@@ -177,11 +176,8 @@ def ceilings(
     n_rows: int = 1024,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Ceiling, ...]:
-    """Return the limits of the same signals for each value of `drop_height_known`; otherwise as `ceiling`.
-
-    The likelihoods take almost all of the time and do not depend on this. `along` computes them, for white noise by
-    default; `n_nodes` are those along the shape, `n_rows` the signals at once.
-    """
+    """Return the limits of the same signals for each value of `drop_height_known`; otherwise as `ceiling`."""
+    # The likelihoods take almost all of the time and do not depend on the drop height.
     validation.whole("n_signals", n_signals, 2, MAX_SIGNALS)  # one signal has no standard error
     known = [
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
@@ -342,10 +338,8 @@ def _one(pending: list[Batch]) -> Batch:
 
 
 def _profiles(scene: Scene, batch: Batch, along: Along, knowledge: list[_Knowledge], n_nodes: int) -> list[Profile]:
-    """Return the likelihood along the shape for each population.
-
-    The populations share it, unless the restitution of one hardly varies: then each has its own nodes.
-    """
+    """Return the likelihood along the shape for each population."""
+    # The populations share it, unless the restitution of one hardly varies: then each has its own nodes.
     bounds = [k.prior.shape_bounds for k in knowledge]
     if min(high - low for low, high in bounds) > _NARROW:
         bounds = [(min(low for low, _ in bounds), max(high for _, high in bounds))] * len(bounds)

@@ -1,15 +1,10 @@
-"""Compilation of kernels: the same options for all, and a cache on disk that can only help.
+"""Compilation of kernels: the same options for all, and a cache on disk.
 
-numba's own cache has an index and data files for each function. Two processes that compile at once may mix them up, a
-damaged file ends the run or changes the numbers, an edit in another file goes unnoticed, and as the files are pickles,
-anyone who can write to their folder can run code. Here every compiled kernel is one file in a folder that nobody else
-can write to. Its name contains a hash of everything it depends on, and it begins with the SHA-256 of its name and
-content. A file that cannot be read is compiled anew; one that cannot be written stays in memory: no disk fault ends a
-run.
-
-The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR`, or else in the user's cache folder (`XDG_CACHE_HOME`,
-~/.cache/cgid on Linux); the digest covers the kernels' sources in cgid and the versions of Python, numpy,
-numba and llvmlite. The name of a kernel from elsewhere, such as a study, covers the content of its own file, too.
+numba's own cache breaks when two processes compile at once, misses edits in other files, and unpickles files that
+others may have written. Here every compiled kernel is one file in a folder that nobody else can write to. Its name
+contains a hash of everything it depends on (sources in cgid, versions of Python, numpy, numba and llvmlite), and it
+begins with the SHA-256 of its content. A file that cannot be read is compiled again; one that cannot be written stays
+in memory. The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR` or the user's cache folder (`XDG_CACHE_HOME`).
 """
 
 from __future__ import annotations
@@ -102,10 +97,7 @@ VERBS = (
 
 
 def with_law(kernel: Any, *arguments: Any) -> None:
-    """Call a kernel whose first arguments are the verbs of a law, by their addresses: it is compiled once for all laws.
-
-    An exception that a verb raises comes through.
-    """
+    """Call a kernel whose first arguments are the addresses of a law's functions; it is compiled once for all laws."""
     types = (*map(numba.types.FunctionType, VERBS), *map(numba.typeof, arguments[len(VERBS) :]))
     if types not in kernel.overloads:
         kernel.compile(types)
@@ -113,10 +105,7 @@ def with_law(kernel: Any, *arguments: Any) -> None:
 
 
 class KernelCache(NullCache):
-    """Cache of the compiled forms of one function, in the interface that numba expects.
-
-    `folder` returns the folder of the files, or None if there is none; it is called when something is compiled.
-    """
+    """Cache of the compiled forms of one function, in the interface that numba expects."""
 
     def __init__(self, function: Callable[..., Any], folder: Callable[[], Path | None]) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"

@@ -18,13 +18,8 @@ _lock = threading.Lock()
 
 @contextmanager
 def counted() -> Iterator[Counter[str]]:
-    """Collect the counts of the enclosed code, by name.
+    """Collect the counts of the enclosed code by name, and add them to an enclosing `counted`.
 
-    This covers the current thread and threads that run in a copy of its context. At the end, the counts are also added
-    to an enclosing `counted`.
-
-    Examples
-    --------
     >>> with counted() as counts:
     ...     count("frames", 256)
     ...     count("frames", 44)

@@ -10,10 +10,7 @@ from typing import Any
 
 
 class CgidError(Exception):
-    """Base of all errors that cgid raises intentionally; `exit_code` is the exit code of the command line.
-
-    Each argument is one error and starts on a new line. Names in an error may contain line breaks, too.
-    """
+    """Base of all errors that cgid raises intentionally; each argument is one error on a line of its own."""
 
     exit_code = 70
 
@@ -52,10 +49,7 @@ class MissingExtra(CgidError, ImportError):
 
 
 def optional(module: str, needs: str, extra: str, *, name: str = "", cure: str = "") -> Any:
-    """Return a library that an extra of cgid installs.
-
-    Raises `MissingExtra` if it cannot be loaded: "`needs` `name`, which is not installed: pip install ...`cure`".
-    """
+    """Return a library that an extra of cgid installs; `MissingExtra` says how to install it."""
     try:
         return import_module(module)
     except (ImportError, OSError):

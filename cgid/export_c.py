@@ -1,7 +1,6 @@
 """A model as one C99 file: features in, answer out, for controllers and programs without Python.
 
-The file depends on the C library alone, allocates nothing, and has no state. It repeats `Model.probabilities`,
-`Model.novelty`, `Model.decide` and `Model.prediction_set`; anyone who calls it measures the features.
+The file depends on the C library alone, allocates nothing, and has no state. Its caller measures the features.
 """
 
 from __future__ import annotations
@@ -171,10 +170,7 @@ def _interface(model: Model) -> str:
 
 
 def _bands(model: Model) -> dict[str, NDArray[Any]] | None:
-    """Return the tables of the bands, if all values are levels of a vibration that C measures.
-
-    Edges are in Hz; equal ones stand for the level of all frequencies.
-    """
+    """Return the tables of the bands [Hz], if all values are levels of a vibration that C measures."""
     octaves = {name: third_octave(number) for number, name in enumerate(THIRD_OCTAVES)}
     levels = {"level_total": (0.0, 0.0)} | {f"level_{name}_hz": edges for name, edges in octaves.items()}
     relative = {f"relative_level_{name}_hz": edges for name, edges in octaves.items()}

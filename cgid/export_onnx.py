@@ -56,12 +56,9 @@ class _Graph:
 
 
 def onnx_bytes(model: Model) -> bytes:
-    """Return the content of an ONNX file that answers like the model; its metadata hold labels, names, unit and digest.
-
-    Its input is `values`, float64 (n, n_values): those of `Model.inputs`, then the guards. Its outputs are
-    `probabilities` (n, n_labels), `novelty` (n,) and `label`, int64 (n,): the number of the label, or -1 for unknown.
-    Raises `MissingExtra` without the library onnx, `InvalidValue` if the model has too many numbers.
-    """
+    """Return an ONNX file that predicts like the model; its metadata hold labels, names, unit and digest."""
+    # Input: `values`, float64 (n, n_values), those of `Model.inputs`, then the guards. Outputs: `probabilities` (n,
+    # n_labels), `novelty` (n,) and `label`, int64 (n,), the number of the label, or -1 for unknown.
     optional("onnx", "ONNX needs", "onnx")
     from onnx import TensorProto, checker, helper, numpy_helper
 

@@ -3,12 +3,10 @@
 `x'' = -x^(3/2) (1 + D x')`, `x(0) = 0`, `x'(0) = 1`: every damped impact is this curve, scaled. The parameter here is
 the restitution e, which determines D (`cgid.physics.closed_forms`).
 
-A pulse is stored as follows. The contact is cut at `tau_s`, between its largest displacement and its middle.
-With `sigma = sqrt(tau / tau_s)` counted from touch, and `sigma = sqrt((tau_c - tau) / (tau_c - tau_s))`
-counted back from separation, force / sigma^3 and displacement / sigma^2 are smooth and positive: each
-is a polynomial on every one of the segments of sigma. Each coefficient of these, like the times, is in turn
-a polynomial of ln e on every one of the intervals of ln e.
-`tests/references/make_family.py` makes the table by quadrature to machine precision.
+The contact is cut at `tau_s`, between its largest displacement and its middle. With `sigma = sqrt(tau / tau_s)` from
+onset, and `sigma = sqrt((tau_c - tau) / (tau_c - tau_s))` back from separation, force / sigma^3 and displacement /
+sigma^2 are smooth and positive: piecewise polynomials of sigma, whose coefficients, like the times, are piecewise
+polynomials of ln e. `tests/references/make_family.py` makes the table by quadrature to machine precision.
 """
 
 from __future__ import annotations
@@ -35,12 +33,11 @@ CONTACT, CUT = 2 * SEGMENTS * POWERS, 2 * SEGMENTS * POWERS + 1
 
 @dataclass(frozen=True)
 class FamilyTable:
-    """Coefficients of polynomials in the place within an interval of ln e (-1 to 1), lowest order first.
+    """Coefficients of polynomials in the place within an interval of ln e (-1 to 1), lowest order first."""
 
-    `force` and `displacement` (INTERVALS, ORDERS, CUT + 1) are the local polynomials of both halves (from touch, from
-    separation), segment by segment, lowest power first, then contact time and time of the cut. `times` (INTERVALS,
-    n_time_orders, 3) are contact time, time of the peak force, time of the largest displacement.
-    """
+    # `force` and `displacement` (INTERVALS, ORDERS, CUT + 1): local polynomials from onset and from separation, segment
+    # by segment, then contact time and time of the cut. `times` (INTERVALS, n_time_orders, 3): contact time, time of
+    # the peak force, time of the largest displacement.
 
     force: Floats
     displacement: Floats
@@ -67,25 +64,13 @@ def coordinate(restitution: ArrayLike) -> Floats:
 
 
 def times(restitution: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Return contact time, time of peak force and time of largest displacement, in units of T0 = L / v.
-
-    Each has the shape of `restitution`, within `MIN_RESTITUTION` and 1.
-
-    Examples
-    --------
-    >>> contact, peak, maximum = times(0.5)
-    >>> round(float(contact), 9), round(float(peak), 9), round(float(maximum), 9)
-    (3.603560584, 0.90537521, 1.383143902)
-    """
+    """Return contact time, time of peak force and time of largest displacement, in units of T0 = L / v."""
     values = _at(table().times, restitution)
     return values[..., 0], values[..., 1], values[..., 2]
 
 
 def force(tau: ArrayLike, restitution: ArrayLike) -> Floats:
-    """Return the dimensionless force f(tau; e) in units of `K L^(3/2)`, (..., n_times), zero outside contact.
-
-    `tau` (..., n_times) is the time since onset in units of T0, `restitution` (...) one number for each row of it.
-    """
+    """Return the dimensionless force f(tau; e) in units of `K L^(3/2)`, (..., n_times), zero outside contact."""
     return _evaluate(table().force, 3, tau, restitution)
 
 

@@ -52,12 +52,7 @@ def write_whole(
 def whole_file(
     path: str | Path, *, overwrite: bool = True, check: Callable[[], object] | None = None
 ) -> Iterator[Path]:
-    """Yield the name of an empty temporary file, which gets the final name if the context ends without an error.
-
-    `check` is called just before that; an error of it keeps the old file.
-    Raises `CannotCreate` if the folder is missing or not writable, or if the name is taken and `overwrite` is false;
-    `WriteFailed` if the disk is full or broken. An existing file then stays untouched.
-    """
+    """Yield a temporary file name; the file gets its final name if the context, and `check`, end without an error."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
@@ -109,10 +104,7 @@ def _publish_new(temporary: Path, path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a folder to the disk, so that a rename in it survives a power cut.
-
-    Some systems cannot do this. The renamed file is already complete, so a failure is ignored.
-    """
+    """Flush a folder to the disk, so that a rename in it survives a power cut, where the system can do this."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -124,8 +116,6 @@ def sync_folder(folder: Path) -> None:
 def half_written(name: str) -> str:
     """Return the pattern of the temporary files of `whole_file` for names that match `name`.
 
-    Examples
-    --------
     >>> import re
     >>> bool(re.fullmatch(half_written("shard-[0-9]+"), ".shard-7.0123456789ab.part"))
     True
@@ -151,20 +141,9 @@ def _remove(path: Path) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) -> None:
-    """Write files of one folder so that all have their old content or all have the new.
-
-    All files are written and flushed before the first is renamed, in the order of `contents`. If one rename fails, the
-    others are undone. A process killed between two renames (microseconds) may leave a mix of whole old and new files.
-    Raises as `whole_file`.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_together({Path(folder) / "card.md": b"# card", Path(folder) / "model": b"..."})
-    ...     sorted(path.name for path in Path(folder).iterdir())
-    ['card.md', 'model']
-    """
+    """Write files of one folder so that all have their old content or all have the new."""
+    # All are flushed before the first is renamed; a failed rename undoes the others. A process killed between two
+    # renames (microseconds) may leave a mix of complete old and new files.
     made: dict[Path, int] = {}
     with contextlib.ExitStack() as stack:
         for path in contents:
@@ -213,11 +192,7 @@ def _second_name(path: Path, other: Path) -> None:
 
 
 def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: bool = False) -> Path:
-    """Return the path if a file may be created there; run before any work is done.
-
-    `what` names the file for messages, with its article; `endings` are compared in lower case.
-    Raises `CannotCreate` for another ending, a missing folder or an existing file.
-    """
+    """Return the path if a file may be created there; run before any work is done."""
     if path.suffix.lower() not in endings:
         raise CannotCreate(
             f"{path}: the name of {what} must end in {' or '.join(endings)}, got {path.suffix or 'no ending'!r}"
@@ -244,10 +219,7 @@ def looking_at(path: Path) -> Iterator[None]:
 
 
 def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) -> None:
-    """Raise `CannotCreate` if the disk of `folder` has less than `needed` [bytes] free.
-
-    The message names `path`, `what` takes the space, and the `cure`.
-    """
+    """Raise `CannotCreate` if the disk of `folder` has less than `needed` [bytes] free."""
     free = shutil.disk_usage(folder).free
     if needed > free:
         raise CannotCreate(
@@ -259,11 +231,8 @@ def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) ->
 
 
 def require_regular(path: str | Path, what: str, largest: int) -> int:
-    """Return the size of an untrusted file [bytes] if it is regular and has at most `largest` bytes.
-
-    A pipe would block, a device never ends, and a large file fills memory or disk.
-    Raises `BadData` if not; `OSError` if it does not exist or is a folder.
-    """
+    """Return the size of an untrusted file [bytes] if it is regular and has at most `largest` bytes."""
+    # A pipe would block, a device never ends, and a large file fills memory or disk.
     about = Path(path).stat()
     if stat.S_ISDIR(about.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -290,10 +259,7 @@ def read_regular(path: str | Path, what: str, largest: int, cure: str = "check t
 
 
 def read_cells(path: str | Path, what: str, largest: int) -> list[tuple[int, list[str]]]:
-    """Return the numbered lines of a UTF-8 file of comma-separated values as cells.
-
-    Empty lines and lines that begin with # are left out. Raises as `read_regular`, `BadData` also for other text.
-    """
+    """Return the numbered lines of a UTF-8 CSV file as cells, without empty lines and comments."""
     import csv
 
     try:

@@ -36,13 +36,7 @@ SCENES = (
 
 
 def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
-    """Return the path of a shipped file; raises `NoInput` if the installation is incomplete.
-
-    Examples
-    --------
-    >>> path_of("datasets", "reference.toml").name
-    'reference.toml'
-    """
+    """Return the path of a shipped file; raise `NoInput` if the installation is incomplete."""
     for folder in (_PACKAGE / "shipped" / kind, _PACKAGE.parent / kind):
         if (folder / name).is_file():
             return folder / name
@@ -50,19 +44,7 @@ def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
 
 
 def scene_path(scene: str | Path) -> Path:
-    """Return the path of a scene: a file, or a shipped scene such as "reference".
-
-    Raises `NoInput` if there is neither; the message suggests a name.
-
-    Examples
-    --------
-    >>> scene_path("reference").name
-    'reference.toml'
-    >>> scene_path("reference.tml")
-    Traceback (most recent call last):
-        ...
-    cgid.errors.NoInput: reference.tml: no such scene; did you mean 'reference'?
-    """
+    """Return the path of a scene: a file, or a shipped scene such as "reference"."""
     return _chosen(scene, "datasets", SCENES, ".toml", "scene", "cgid check --list names those that come with cgid")
 
 

@@ -1,21 +1,15 @@
 """Texts for people: untrusted ones made safe for the terminal, and counts.
 
-A name or label from a file may contain escape sequences that overwrite earlier output or set the title or clipboard.
-It may also contain bidirectional controls, which make a line read differently from its content (Unicode Technical
-Report 36; CVE-2021-42574).
+A name from a file may contain escape sequences that overwrite earlier output, or bidirectional controls that change how
+a line reads (Unicode Technical Report 36; CVE-2021-42574).
 """
 
 from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    r"""Return the text with every unprintable character escaped.
+    r"""Return the text with every unprintable character escaped, except the space and the tab.
 
-    Unprintable are Unicode's categories "other" (control, format, surrogate, private, unassigned) and "separator",
-    except the space and the tab, which separates columns.
-
-    Examples
-    --------
     >>> print(printable("coal\x1b[2Jgangue\u202e"))
     coal\x1b[2Jgangue\u202e
     >>> printable("Kohle, уголь, 煤 °C")
@@ -31,8 +25,6 @@ def printable(text: str) -> str:
 def counted(number: int, noun: str) -> str:
     """Return a count with its noun.
 
-    Examples
-    --------
     >>> counted(1, "impact"), counted(0, "answer"), counted(2, "window")
     ('1 impact', '0 answers', '2 windows')
     """

@@ -113,13 +113,7 @@ _NUMBER = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:[eE]([-+]?[0-9]{1,9
 
 
 def quantity_of(unit: str) -> str:
-    """Return the quantity of a unit of samples; raise `InvalidValue` with the known units if it is unknown.
-
-    Examples
-    --------
-    >>> quantity_of("kN"), quantity_of("g")
-    ('force', 'acceleration')
-    """
+    """Return the quantity of a unit of samples; raise `InvalidValue` with the known units if it is unknown."""
     for quantity, units in UNITS.items():
         if isinstance(unit, str) and unit in units:
             return quantity
@@ -132,8 +126,6 @@ def quantity_of(unit: str) -> str:
 def plain_unit(text: str) -> str:
     """Return a unit from a file without surrounding brackets and blanks, with the micro sign for a Greek mu.
 
-    Examples
-    --------
     >>> plain_unit(" [m/s^2] ")
     'm/s^2'
     """
@@ -143,8 +135,6 @@ def plain_unit(text: str) -> str:
 def known_unit(text: str) -> str | None:
     """Return the unit of samples that a text names, None if it names none.
 
-    Examples
-    --------
     >>> known_unit("[kN]"), known_unit("Volts"), known_unit("counts")
     ('kN', 'V', None)
     """
@@ -156,10 +146,6 @@ def known_unit(text: str) -> str | None:
 def seconds_of(unit: str) -> float | None:
     """Return the factor from a unit of sample times to seconds: 1 for "", None for any other unit.
 
-    Minutes and hours are not accepted: as column labels "min" and "h" more often mean a minimum and a height.
-
-    Examples
-    --------
     >>> seconds_of("msec"), seconds_of(""), seconds_of("h")
     (0.001, 1.0, None)
     """
@@ -168,10 +154,8 @@ def seconds_of(unit: str) -> float | None:
 
 
 def hertz_of(unit: str) -> float | None:
-    """Return the factor from a unit of frequency, in upper or lower case, to Hz: 1 for "", None for any other unit.
+    """Return the factor from a unit of frequency, in any case, to Hz: 1 for "", None for any other unit.
 
-    Examples
-    --------
     >>> hertz_of("khz"), hertz_of("S/s"), hertz_of("s")
     (1000.0, 1.0, None)
     """
@@ -181,10 +165,8 @@ def hertz_of(unit: str) -> float | None:
 
 
 def number_and_unit(text: str) -> tuple[float, str] | None:
-    """Return the number at the start of a text and what follows it; None if it does not start with a number.
+    """Return the number at the start of a text and what follows it; None if it does not start with one.
 
-    Examples
-    --------
     >>> number_and_unit("10.2 mV/g"), number_and_unit("loud")
     ((10.2, 'mV/g'), None)
     """
@@ -193,12 +175,8 @@ def number_and_unit(text: str) -> tuple[float, str] | None:
 
 
 def ratio_of(text: str) -> tuple[str, str, float] | None:
-    """Return the two quantities of a unit such as mV/g, and its factor to the ratio of their SI units.
+    """Return the two quantities of a unit such as mV/g, and its factor to the ratio of their SI units; or None.
 
-    None if it is not one unit of `UNITS` over another.
-
-    Examples
-    --------
     >>> ratio_of("mV/N"), ratio_of("pC/(m/s^2)"), ratio_of("mVolts per g")[:2], ratio_of("mV")
     (('voltage', 'force', 0.001), ('charge', 'acceleration', 1e-12), ('voltage', 'acceleration'), None)
     """
@@ -213,10 +191,6 @@ def ratio_of(text: str) -> tuple[str, str, float] | None:
 def parse(value: Any, dimension: str) -> float:
     """Return a number, or a string with a unit such as "3.1 GPa", in the SI unit of its dimension.
 
-    Raises `ValueError` if it is not a finite number or has a unit of another dimension.
-
-    Examples
-    --------
     >>> parse("3.1 GPa", "modulus"), parse(20, "length"), parse("2 %", "ratio")
     (3100000000.0, 20.0, 0.02)
     """
@@ -249,8 +223,6 @@ def parse(value: Any, dimension: str) -> float:
 def column_title(name: str, unit: str = "") -> str:
     """Return the title of a column: its name, then its unit in ASCII; the unit "1" adds nothing.
 
-    Examples
-    --------
     >>> column_title("peak_acceleration", "m/s^2"), column_title("impulse", "N s"), column_title("novelty", "1")
     ('peak_acceleration_m_s2', 'impulse_N_s', 'novelty')
     """
@@ -259,10 +231,8 @@ def column_title(name: str, unit: str = "") -> str:
 
 
 def column_unit(title: str) -> str | None:
-    """Return the unit that ends the title of a column, as in `time_s`, or in `time [s]` of older tables; None without.
+    """Return the unit that ends the title of a column, as in `time_s` or the older `time [s]`; None without.
 
-    Examples
-    --------
     >>> column_unit("width_10_s"), column_unit("peak_acceleration_m_s2"), column_unit("time [s]"), column_unit("label")
     ('s', 'm/s^2', 's', None)
     """

@@ -30,13 +30,8 @@ _LABEL_SIGNS = " _.-"
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule of single numbers, as data: they are finite and in an interval, whose ends belong to it unless left out.
+    """A rule of single numbers, as data: finite and in an interval; called with a name, a value and its unit.
 
-    Called with a name, a real number or array, and its unit, it returns finite float64 of the same shape, or raises
-    `InvalidValue`; one sentence names all rules.
-
-    Examples
-    --------
     >>> Rule(0, 1, without="ends")("damping_ratio", [0.1, 1.2])
     Traceback (most recent call last):
         ...
@@ -113,10 +108,7 @@ def between(name: str, value: ArrayLike, lowest: float, highest: float, unit: st
 
 
 def plain(name: str, value: Any) -> NDArray[Any]:
-    """Return `value` as an array of any type; raise `InvalidValue` if numbers are masked.
-
-    A plain array has no mask: masked numbers would count as measured.
-    """
+    """Return `value` as an array of any type; raise `InvalidValue` if numbers are masked."""
     if type(value) is np.ndarray:
         return value
     masked = 0 if type(value) in (float, int) else _masked(value)
@@ -189,10 +181,8 @@ def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> 
 
 
 def suggestion(given: Any, known: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: a question for the known one most like it, or nothing.
+    """Return "; did you mean ...?" for the known name most like an unknown one, or nothing.
 
-    Examples
-    --------
     >>> suggestion("Gange", ["coal", "gangue"]), suggestion("steel", ["coal", "gangue"])
     ("; did you mean 'gangue'?", '')
     """
@@ -209,15 +199,7 @@ def similar(given: str, known: Iterable[str], n: int = 1, cutoff: float = 0.7) -
 
 
 def label(name: str, value: Any) -> str:
-    """Return `value` if it is a valid label of a class, or raise `InvalidValue`. All labels follow this rule.
-
-    Examples
-    --------
-    >>> label("label", "coal, wet")
-    Traceback (most recent call last):
-        ...
-    cgid.errors.InvalidValue: label must be 1 to 100 letters, digits, blanks, _, . or -, got 'coal, wet'; rename it
-    """
+    """Return `value` if it is a valid label of a class, or raise `InvalidValue`."""
     letters = "".join(sign for sign in value if sign not in _LABEL_SIGNS) if isinstance(value, str) else ""
     # After its first letter, an identifier may hold letters, combining marks and digits.
     if not letters or len(value) > MAX_LABEL_LENGTH or value != value.strip() or not f"a{letters}".isidentifier():
@@ -257,10 +239,7 @@ def hold(owner: Any, *names: str) -> None:
 
 
 def unchecked(kind: type[_T], **fields: Any) -> _T:
-    """Return a frozen dataclass of numbers that are known to be sound, without its checks and copies.
-
-    For numbers that the engine made itself, by rules that were checked at the door; arrays may not change afterwards.
-    """
+    """Return a frozen dataclass of numbers that are known to be sound, without its checks and copies."""
     made = object.__new__(kind)
     vars(made).update(fields)
     return made

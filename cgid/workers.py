@@ -1,7 +1,6 @@
-"""One executor for parallel work: in this process, in several processes, or on a cluster.
+"""One executor for parallel work: in this process, in several processes, or on a cluster, by joblib.
 
-joblib distributes the parts, by its own backend for dask on a cluster. Each result depends only on the common data and
-its part, not on the worker. Processes are started anew and never forked, also on Windows (not tested).
+Each result depends only on the common data and its part, not on the worker. Processes are started anew, never forked.
 """
 
 from __future__ import annotations
@@ -44,14 +43,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Workers:
-    """The executor; made by `workers`.
+    """The executor; made by `workers`."""
 
-    jobs : number of processes on this machine; 1 is this process
-    client : `distributed.Client` of a cluster, or None
-    """
-
-    jobs: int = 1
-    client: Any = None
+    jobs: int = 1  # number of processes on this machine; 1 is this process
+    client: Any = None  # `distributed.Client` of a cluster, or None
 
     @property
     def alone(self) -> bool:
@@ -66,18 +61,13 @@ class Workers:
         *,
         ordered: bool = True,
     ) -> Generator[Result, None, None]:
-        """Yield `function(common, part)` for each part, in order or as they finish.
+        """Yield `function(common, part)` for each part, in order or as they finish; arguments are pickled.
 
-        The workers must be able to import `function`; all arguments are pickled. Closing the generator cancels the
-        rest; parts already running on a cluster finish, and their results are dropped. Raises the errors of `function`,
-        and `ClusterFailed` if the scheduler or all workers are lost, a part killed several workers, or a local one was
-        killed.
-
-        Examples
-        --------
         >>> list(Workers().each(pow, 2, [1, 2, 3]))
         [2, 4, 8]
         """
+        # Closing the generator cancels the rest; parts already running on a cluster finish, and their results are
+        # dropped.
         if self.alone:
             for part in parts:
                 yield function(common, part)
@@ -120,10 +110,8 @@ class Workers:
     def each_in_step(
         self, function: Callable[[Common, Part], Result], common: Common, parts: Iterable[Part]
     ) -> Generator[Result, None, None]:
-        """Yield as `each` does, in order, but start no more than two parts a process ahead of the reader.
-
-        So `parts` may be endless, and a slow reader does not fill the memory. Local processes only. Raises as `each`.
-        """
+        """Yield as `each` does, in order, but start at most two parts a process ahead of the reader; local only."""
+        # So `parts` may be endless, and a slow reader does not fill the memory.
         if self.alone:
             yield from self.each(function, common, parts)
             return
@@ -152,10 +140,7 @@ class Workers:
 
 
 def _cluster_backend(client: Any) -> Any:
-    """Return joblib's backend for dask, mended: alone it waits for ever for a part that dask has given up.
-
-    `tests/test_cluster.py` shows this.
-    """
+    """Return joblib's backend for dask, repaired: alone it waits for ever for a part that dask has given up."""
     import asyncio
     from concurrent.futures import CancelledError
 
@@ -225,12 +210,7 @@ ALONE = Workers()
 
 @contextmanager
 def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
-    """Yield the executor: `jobs` local processes, or all workers of the dask `scheduler` instead.
-
-    The address looks like tcp://192.168.0.7:8786. Raises `InvalidValue` for a bad address or `jobs` outside 1 to 1024,
-    `MissingExtra` without dask.distributed, and `ClusterFailed` if the scheduler does not answer, has no workers, or a
-    worker has other library versions.
-    """
+    """Yield the executor: `jobs` local processes, or all workers of the dask `scheduler` (tcp://host:port) instead."""
     jobs = validation.whole("jobs", jobs, 1, MAX_JOBS)
     if scheduler is None:
         yield Workers(jobs)

@@ -69,11 +69,7 @@ class ImpactorColumns:
         pre_trigger: int | None,
         detection_limit: float,
     ) -> list[dict[str, Any]]:
-        """Return the impactor in each frame (n_signals, n_samples) in the unit of the model.
-
-        The names are those of `QUANTITIES`, alone and with `_low` and `_high`, and `impactor_problem`; None where
-        nothing is known.
-        """
+        """Return the impactor in each frame (n_signals, n_samples) in the unit of the model; None where unknown."""
         samples = frames * UNITS[model.quantity][model.unit]
         if model.beam is None:
             pulses = forces(samples, sampling_rate, pre_trigger, detection_limit)
@@ -126,10 +122,7 @@ def detection_of(scene: Scene, seed: int = _SEED) -> Detection:
 
 
 def match_times(true: NDArray[np.floating], detected: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Return the number of the found impact of each true one, (n_true,), -1 where there is none; each is the nearest's.
-
-    Times (n_true,) and (n_found,) are in seconds, the true ones ascending.
-    """
+    """Return the number of the nearest detected impact of each true one, (n_true,), -1 where there is none."""
     out = np.full(len(true), -1)
     for number, time in enumerate(detected):
         nearest = int(np.argmin(np.abs(true - time))) if len(true) else -1

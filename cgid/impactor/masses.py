@@ -1,10 +1,9 @@
-"""The distribution of the impactor in a recording: unfolded, and corrected for what is too small to be found.
+"""The distribution of the impactor in a recording: unfolded, and corrected for impacts too small to be detected.
 
-Posteriors may not simply be added up: each leans towards the population. The distribution is the one that makes the
-fitted pulses of all impacts most likely together, by expectation and maximisation (Shepp and Vardi 1982, IEEE Trans.
-Med. Imaging 1, 113), smoothed after each step (Silverman et al. 1990, J. R. Stat. Soc. B 52, 271). An impact is only
-among them if it was found: its likelihood is divided by the probability of that. Intervals are those of resampled
-impacts, with the classes of these drawn from their posterior, and the impacts that were not found.
+Posteriors cannot simply be added up: each leans towards the population. The distribution is the one that makes the
+fitted pulses of all impacts most likely together, by expectation maximisation (Shepp and Vardi 1982, IEEE Trans. Med.
+Imaging 1, 113), smoothed after each step (Silverman et al. 1990, J. R. Stat. Soc. B 52, 271). The likelihood of an
+impact is divided by the probability of its detection. Intervals are those of resampled impacts.
 """
 
 from __future__ import annotations

@@ -167,11 +167,9 @@ def _fitted(pulses: Impact | ModalImpact, lasts: Floats, peak: Floats) -> tuple[
 
 
 def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBeam) -> tuple[Floats, Floats, Floats]:
-    """Return what the fit behind a beam measures of pulses, as `_fitted`.
-
-    Waves of the beam that come back during contact take the pulses of heavy rocks out of the family. The closest pulse
-    of the family then depends on which frequencies the beam lets through.
-    """
+    """Return what the fit behind a beam measures of pulses, as `_fitted`."""
+    # Waves of the beam that come back during contact take the pulses of heavy rocks out of the family; the closest
+    # pulse of the family then depends on which frequencies the beam lets through.
     rate, shapes = beam.beam.sampling_rate, beam.inversion.forces
     order = np.arange(peak.size)
     force = np.zeros((peak.size, shapes.shape[1]))

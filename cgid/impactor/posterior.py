@@ -1,14 +1,13 @@
 """Mass, radius and speed of the impactor, from fitted pulses: the posterior within a population.
 
 A pulse of the damped-Hertz family has the scales `P0 = K L^(3/2)` and `T0 = L / v`. With `K ~ E* R^(1/2)` and
-`L = (m v^2 / K)^(2/5)`, P0 / T0^2 does not depend on the size, and follows from the speed as `v^(8/5)`; T0 is
-proportional to the size (Hertz 1882; Johnson 1985, Contact Mechanics, section 11.4). So a pulse leaves radius, speed
-and modulus undetermined along one direction, which what is known of the population fills.
+`L = (m v^2 / K)^(2/5)`, P0 / T0^2 does not depend on the size and varies as `v^(8/5)`; T0 is proportional to the size
+(Hertz 1882; Johnson 1985, Contact Mechanics, section 11.4). So a pulse leaves radius, speed and modulus undetermined
+along one direction, which the population fills.
 
-Draws of the population stand for it. Each that could have given the pulse is moved onto it along these powers: its
-speed until P0 / T0^2 agrees, then its radius until T0 does, at the density of radii there. (Without the powers this is
-the regression adjustment of Beaumont, Zhang and Balding 2002, Genetics 162, 2025.) The draws lie in a table sorted by
-shape and P0 / T0^2, so that an impact looks at some hundred of them, whatever their number.
+Each sample of the population that could have given the pulse is moved onto it along these powers: its speed until
+P0 / T0^2 agrees, then its radius until T0 does. (Without the powers this is the regression adjustment of Beaumont,
+Zhang and Balding 2002, Genetics 162, 2025.) Samples are sorted by shape and P0 / T0^2, so an impact uses some hundred.
 """
 
 from __future__ import annotations
@@ -322,10 +321,7 @@ class _Table:
 
 
 def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return size-free scale and ln T0 of pulses if their shape were that of nodes, each (n, n_nodes).
-
-    And the deviation of the first, the slope of the second along it, and what deviation this leaves.
-    """
+    """Return size-free scale, ln T0, and the first's deviation, slope and rest, if the shape were that of nodes."""
     c, offset = pulses.covariance, shape - pulses.shape[:, None]
     slope = c[:, :2, 2] / c[:, 2:, 2]
     left = c[:, :2, :2] - slope[:, :, None] * c[:, None, :2, 2]

@@ -1,4 +1,4 @@
-"""The impactor, from samples: forces, or the vibrations of a beam that is looked through.
+"""The impactor, from samples: forces, or vibrations of a beam.
 
 Where the material is known, Hertz' two scales give radius and speed, without a population.
 """
@@ -118,11 +118,7 @@ def through_beam(
     beam: ThroughBeam,
     detection_limit: float = DETECTION_LIMIT,
 ) -> MeasuredPulses:
-    """Return the pulses behind vibrations of a beam; a frame without an impact is not usable.
-
-    Frames (n_signals, n_samples) are in the SI unit of the sensor, `pre_trigger` is the number of samples before onset,
-    `detection_limit` the least height of a vibration over the standard deviation of the noise.
-    """
+    """Return the pulses of the contact forces behind vibrations; a frame without an impact is not usable."""
     rate, parts = require_rate(sampling_rate), []
     detection_limit = max(detection_limit - BEAM_LEAD, 0.0)
     for first in range(0, max(len(frames), 1), _ROWS):
@@ -163,12 +159,9 @@ def of_material(
     material: Material,
     target: HalfSpace | RigidWall = HalfSpace(material=STEEL),  # noqa: B008
 ) -> ImpactorEstimates:
-    """Return radius, speed and mass of spheres of a known material, single numbers, on a target.
-
-    From `P0 = K L^(3/2)` and `T0 = L / v` with `K = 4/3 E* R^(1/2)` and `L = (m v^2 / K)^(2/5)`, which are linear in
-    the logarithms; intervals by plain propagation of the covariance of the pulse. Raise `InvalidValue` if the material
-    has several values, or the target is neither a half space nor rigid.
-    """
+    """Return radius, speed and mass of spheres of a known material on a half space or rigid wall."""
+    # From `P0 = K L^(3/2)` and `T0 = L / v` with `K = 4/3 E* R^(1/2)` and `L = (m v^2 / K)^(2/5)`, linear in the
+    # logarithms; intervals by propagation of the covariance of the pulse.
     pulses = pulses.widened()
     modulus, density = _scales(material, target)
     size_free, time = _observed(pulses, pulses.shape)

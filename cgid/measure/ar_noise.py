@@ -1,12 +1,9 @@
-"""The colour of noise: an autoregression from the samples before onset, and the filter that makes the noise white.
+"""Autoregressive (AR) noise: fitted to the samples before onset, and the filter that whitens it.
 
-Where noise is not white, least squares is not the most likely pulse, and deviations are wrong: slow noise looks like a
-longer pulse. Samples minus what the ones before predict are white again, and so the pulse is fitted to these.
-
-A hundred samples do not tell many coefficients. The candidates are therefore noise with a power density of f^-a on
-white noise, with two numbers to be found, and, for any other colour, an autoregression of low order. Schwarz's
-criterion (1978, Ann. Stat. 6, 461) decides. Noise whose first autocorrelations are small (Box & Pierce 1970, J. Am.
-Stat. Assoc. 65, 1509) counts as white.
+In coloured noise least squares is not the most likely pulse, and its standard deviations are wrong; whitened samples
+are fitted instead. A hundred samples determine few coefficients, so the candidates are power density f^-a on white
+noise (two parameters) and an autoregression of low order, selected by Schwarz's criterion (1978, Ann. Stat. 6, 461).
+Noise with small first autocorrelations (Box & Pierce 1970, J. Am. Stat. Assoc. 65, 1509) counts as white.
 """
 
 from __future__ import annotations
@@ -34,13 +31,10 @@ _EXPONENTS, _WHITE, _PERIOD = np.arange(0.25, 2.01, 0.25), np.array([0.0, 0.1, 0
 
 @dataclass(frozen=True, eq=False)
 class ARNoise:
-    """Autoregression of the noise of some rows: coefficients (n, ORDER), 0 for white noise, and what they leave.
+    """Autoregression of the noise of some rows."""
 
-    `innovation` (n,) is the standard deviation of the part that the samples before do not predict.
-    """
-
-    coefficients: Floats
-    innovation: Floats
+    coefficients: Floats  # (n, ORDER), 0 for white noise
+    innovation: Floats  # (n,), standard deviation of what earlier samples do not predict
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -52,10 +46,7 @@ class ARNoise:
         return ARNoise(self.coefficients[rows], self.innovation[rows])
 
     def power(self, frequency: Floats) -> Floats:
-        """Return the power of a sample of the noise by frequency [cycles per sample], (n, n_frequencies).
-
-        It is the density for which white noise of variance 1 has 1 everywhere.
-        """
+        """Return the power density (n, n_frequencies) at frequencies [cycles per sample]; 1 if white with std 1."""
         lag = np.exp(-2j * np.pi * np.outer(np.arange(1, ORDER + 1), frequency))
         return np.asarray(self.innovation[:, None] ** 2 / np.abs(1 - self.coefficients @ lag) ** 2)
 
@@ -70,11 +61,8 @@ class ARNoise:
 
 
 def ar_noise_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, run: int = 1) -> ARNoise:
-    """Return the colour of the noise in the first `n_quiet` (n,) samples of frames (n, n_samples).
-
-    Each `run` of samples is averaged first. `floor` (n,) is the standard deviation of white noise to add: what the
-    model of a pulse is worth.
-    """
+    """Return the AR noise in the first `n_quiet` (n,) samples of frames (n, n_samples), averaged over runs first."""
+    # `floor` (n,) is the standard deviation of white noise to add: the error of the pulse model.
     n = len(samples)
     colour = ARNoise(np.zeros((n, ORDER)), np.zeros(n))
     n_samples = samples.shape[1]
@@ -101,10 +89,7 @@ def ar_noise_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, r
 
 
 def _coloured(seen: Floats, white: Floats) -> tuple[Floats, Floats]:
-    """Return coefficients and innovation of the most likely candidate for samples (n, n_samples).
-
-    The likelihood is that of the samples after the first `ORDER`, with an unknown mean; `white` (n,) is a variance.
-    """
+    """Return coefficients and innovation of the most likely candidate for samples (n, n_samples)."""
     n, count = len(seen), seen.shape[1] - ORDER
     lagged = np.stack([seen[:, ORDER - lag : seen.shape[1] - lag] for lag in range(ORDER + 1)], axis=1)
     lagged -= lagged.mean(axis=2, keepdims=True)

@@ -1,7 +1,6 @@
-"""A beam and its sensor as plain arrays: the response of each mode to a contact force, weighed by the place.
+"""A beam and its sensor as plain arrays: the response of each mode to a contact force.
 
-`cgid.scene.through_beam` makes it from a scene, a model file holds it, and `cgid.identification.inversion` turns it
-round.
+`cgid.scene.through_beam` makes it from a scene, and a model file holds it; `cgid.identification.inversion` inverts it.
 """
 
 from __future__ import annotations
@@ -47,29 +46,20 @@ Singles = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Beam:
-    """A beam and its sensor as arrays.
-
-    Attributes
-    ----------
-    sampling_rate : of the recorder whose anti-alias filter `filters` describes [Hz]
-    modes : their shapes at nodes of the region where rocks fall, times that at the sensor that measures them best and a
-        gain [1/kg]; at the sensors, (n_sensors, n_modes), the fractions of this that each measures
-    filters : poles of the sensor chain, in the upper half-plane and on the real axis, (n_filter_poles,) [rad/s]
-    derivatives : of the displacement: 0, 1 or 2 for displacement, velocity or acceleration
-    shapes : principal shapes of contact forces, `FINE` points to a sample, before the filters, (n_shapes, n_points)
-    deviations : standard deviation of the coefficient of each, for a force of peak 1, (n_shapes,)
-    """
+    """A beam and its sensor as arrays."""
 
     #: Names of the arrays in a model file; the last may be missing.
     OPTIONAL: ClassVar = ("sensors", "errors")
     ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations", *OPTIONAL)
 
-    sampling_rate: float
+    sampling_rate: float  # of the recorder whose anti-alias filter `filters` describes [Hz]
+    #: shapes at nodes where rocks fall, times that at the best sensor and a gain [1/kg]; fractions by sensor
     modes: Modes
+    #: (n_filter_poles,), poles of the sensor chain, in the upper half-plane and on the real axis [rad/s]
     filters: NDArray[np.complex128]
-    derivatives: int
-    shapes: Floats
-    deviations: Floats
+    derivatives: int  # 0, 1 or 2 for displacement, velocity or acceleration
+    shapes: Floats  # (n_shapes, n_points), principal contact forces, `FINE` points a sample, before the filters
+    deviations: Floats  # (n_shapes,), standard deviations of their coefficients for a force of peak 1
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -293,11 +283,9 @@ def filtered(beam: Beam, forces: Floats) -> Floats:
 
 
 def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
-    """Return the response of every mode to forces (n_forces, n_points) at samples, (n_modes, n_forces, n_samples).
-
-    A mode is a pole s: `x' = s x + f`, exact for forces straight between their points. Its displacement is
-    `Im x / Im s`, its derivatives have further factors s, and the acceleration has the force itself, too.
-    """
+    """Return responses (n_modes, n_forces, n_samples) of the modes to forces (n_forces, n_points)."""
+    # A mode is a pole s: `x' = s x + f`, exact for forces straight between their points. Its displacement is `Im x / Im
+    # s`; derivatives have further factors s, and the acceleration has the force itself, too.
     pole, step = beam.poles, 1 / (FINE * beam.sampling_rate)
     z = pole * step
     grown = np.exp(z)
@@ -332,11 +320,9 @@ def corrected(beam: Beam, correction: Floats) -> Beam:
 
 
 def respond_on_average(beam: Beam, forces: Floats, n_samples: int) -> tuple[Floats, list[Floats]]:
-    """Return the mean of `respond` over the errors of the modes, and deviations whose squares add up to its variance.
-
-    The error of a frequency turns a response by radians, so it is averaged by the rule of Gauss and Hermite; errors of
-    damping and participation are small enough for their slopes.
-    """
+    """Return the mean of `respond` over the errors of the modes, and deviations whose squares sum to its variance."""
+    # The error of a frequency turns a response by radians, so it needs Gauss-Hermite quadrature; for damping and
+    # participation slopes suffice.
     errors = beam.errors
     if errors is None:
         return respond(beam, forces, n_samples), []

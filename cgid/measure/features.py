@@ -1,7 +1,6 @@
 """Features of impacts and windows: names, requirements and values.
 
-`FEATURES` is the table of all features by name; `cgid.measure.table` explains how to add one. Only the requested
-features are computed, and measurements that several of them share are made once.
+`FEATURES` is the table of all features by name; `cgid.measure.table` explains how to add one.
 """
 
 from __future__ import annotations
@@ -221,14 +220,10 @@ def extract_array(
     beam: Beam | None = None,
     channel: NDArray[np.intp] | None = None,
 ) -> Floats:
-    """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`.
-
-    A peak must exceed `detection_limit` standard deviations of the noise before onset; lower it for impacts found in a
-    recording by other means. `equalisation` corrects the sensor's response first; it does not apply to pulses.
-    `beam` is the one that vibrates, for features that look through it (such as `beam_peak_force`). Of a beam with
-    several sensors, samples are (n_signals, n_sensors, n_samples), and there are no other features. `channel` says
-    which channel of a recording each signal is from, for a `beam` that learns from these.
-    """
+    """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`."""
+    # `equalisation` corrects the sensor's response first; it does not apply to pulses. With several sensors on `beam`,
+    # samples are (n_signals, n_sensors, n_samples), and only features through the beam exist. A `beam` that learns from
+    # the channels of a recording gets the `channel` of each signal.
     names = choose(features)
     each = 1 if beam is None else beam.n_sensors
     frames, rate = frames_of(_as_rows(samples, each, names), pre_trigger), require_rate(sampling_rate)
@@ -272,10 +267,7 @@ def problems_of(
     pre_trigger: int | None = None,
     detection_limit: float = DETECTION_LIMIT,
 ) -> dict[int, str]:
-    """Map each row of frames that cannot be measured to the broken rule, its value and the remedy.
-
-    Of frames (n_signals, n_sensors, n_samples) no sensor can be measured.
-    """
+    """Map each row of frames that cannot be measured at any sensor to the broken rule, its value and the remedy."""
     names, each = tuple(names), 1 if frames.ndim == 2 else frames.shape[1]
     rows = frames.reshape(-1, frames.shape[-1])
     return _of_all(_problems(_batches(rows, sampling_rate, names, pre_trigger, True, detection_limit), names), each)
@@ -398,12 +390,9 @@ def extract_truncated(
     pre_trigger: int,
     highest_after: Floats,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the features of pulses in truncated frames (nan where not measurable), and where they are certain.
-
-    They are certain where no missing sample (at most `highest_after`, (n_signals,)) can exceed the peak and no window
-    extends past the end; there they equal those of the whole frame to the last bit. Elsewhere, and where nothing can be
-    measured, the whole frame is needed.
-    """
+    """Return the features of pulses in truncated frames, nan where not measurable, and where they are certain."""
+    # Certain: no missing sample (at most `highest_after`, (n_signals,)) can exceed the peak, and no window extends past
+    # the end. These equal those of the complete frame to the last bit.
     table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)
     pulses = PulseBatch(samples, sampling_rate, pre_trigger)
     sound = np.setdiff1d(np.arange(len(samples)), list(_problems({"pulse": pulses}, names)))

@@ -142,15 +142,7 @@ def _below(frequency: Floats, edge: float, taper: float) -> Floats:
 
 
 def low_pass_response(sampling_rate: float, edge: float) -> Floats:
-    """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric.
-
-    Raise `InvalidValue` unless the edge (the sensor's bandwidth) [Hz] is within 2^-14 and 1/2 of the sampling rate
-    [Hz].
-
-    >>> response = low_pass_response(1e5, 1e4)
-    >>> round(float(response[0] + 2 * response[1:].sum()), 4)  # gain at 0 Hz
-    1.0
-    """
+    """Return the impulse response of `fft_filter`'s low-pass from lag 0 on, (n_lags,); it is symmetric."""
     edge = validation.number("bandwidth", edge, "Hz")
     validation.between("bandwidth", edge, _MIN_EDGE * sampling_rate, sampling_rate / 2, "Hz")
     n = int(2 ** np.ceil(np.log2(_RESPONSE_PERIODS * sampling_rate / edge)))
@@ -163,10 +155,7 @@ def low_pass_response(sampling_rate: float, edge: float) -> Floats:
 
 
 def mixing_matrix(response: Floats, n_samples: int) -> Floats:
-    """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples.
-
-    Raise `InvalidValue` for more than `_MAX_MIXED` samples.
-    """
+    """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples."""
     if n_samples > _MAX_MIXED:
         raise InvalidValue(
             f"a pulse seen through a bandwidth must last at most {_MAX_MIXED} samples with what rings beside it, got "
@@ -236,11 +225,7 @@ class Equalisation:
         return np.asarray(np.fft.irfft(spectrum, n=length, axis=1)[:, :n_samples] + mean)
 
     def _response(self, length: int, sampling_rate: float) -> NDArray[np.complex128]:
-        """Return the complex minimum-phase gain at the bins of a transform.
-
-        By the cepstrum, whose part before time 0 is folded onto the part after it (Oppenheim & Schafer, Discrete-Time
-        Signal Processing).
-        """
+        """Return the minimum-phase gain at the bins of a transform, by the cepstrum (Oppenheim & Schafer)."""
         level = self.gain(np.asarray(np.fft.rfftfreq(length, 1 / sampling_rate), np.float64)) * (np.log(10.0) / 20.0)
         cepstrum = np.fft.irfft(level, n=length)
         cepstrum[1 : length // 2] *= 2.0

@@ -1,8 +1,7 @@
 """The damped-Hertz pulse fitted to samples by maximum likelihood, batched over signals.
 
-Under white noise the most likely pulse is the least-squares pulse; noise of another colour is made white first. A
-search of all shapes (`cgid.measure.search`) comes before the fit to all samples (`cgid.measure.optimum`), and where the
-likelihood is no parabola, deviations follow from all of it (`cgid.measure.profile`).
+Coloured noise is whitened first. A search of all shapes (`cgid.measure.search`) precedes the fit to all samples
+(`cgid.measure.optimum`); `cgid.measure.profile` gives standard deviations where the likelihood is no parabola.
 """
 
 from __future__ import annotations
@@ -61,41 +60,24 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class PulseFit:
-    """Fitted pulses; each attribute (n,) unless stated, times in samples of the frame.
+    """Fitted pulses; each attribute (n,) unless stated, times in samples of the frame."""
 
-    Attributes
-    ----------
-    peak : above the baseline, in the unit of the signal
-    duration, onset, width : contact duration, time of onset, impulse over peak [samples]
-    shape : s = ln e, above 0 for a pulse that rises more slowly than it falls
-    baseline : 0 unless fitted
-    covariance : (n, 5, 5), of `cgid.measure.template.PARAMETERS`, onset in samples; zero for given parameters
-    restitution_deviation : of exp(s)
-    expected_restitution, expected_deviation : mean and standard deviation of the restitution after the fit, if it was
-        `WIDE_RESTITUTION` before
-    misfit : reduced chi-square, 1 on average for a pulse of the family; more if a sample outside the pulse stands out
-    stray : the largest sample outside the pulse, squared, over what noise and `STRAY` of the peak allow
-    clipped : number of samples at the sensor's limit
-    evidence : sum of squares that the pulse explains, over the variance of the noise
-    reach : last sample used by the fit and by what it leaves; only the misfit depends on the whole frame
-    """
-
-    peak: Floats
+    peak: Floats  # above the baseline, in the unit of the signal
     duration: Floats
     onset: Floats
-    width: Floats
-    shape: Floats
-    baseline: Floats
-    covariance: Floats
-    restitution_deviation: Floats
-    expected_restitution: Floats
+    width: Floats  # impulse over peak
+    shape: Floats  # s = ln e, above 0 for a pulse that rises more slowly than it falls
+    baseline: Floats  # 0 unless fitted
+    covariance: Floats  # (n, 5, 5), of `cgid.measure.template.PARAMETERS`; zero for given parameters
+    restitution_deviation: Floats  # of exp(s)
+    expected_restitution: Floats  # mean after the fit, if it was `WIDE_RESTITUTION` before
     expected_deviation: Floats
-    misfit: Floats
-    stray: Floats
-    clipped: NDArray[np.intp]
-    evidence: Floats
+    misfit: Floats  # reduced chi-square; more if a sample outside the pulse stands out
+    stray: Floats  # largest sample outside the pulse, squared, over what noise and `STRAY` of the peak allow
+    clipped: NDArray[np.intp]  # number of samples at the sensor's limit
+    evidence: Floats  # sum of squares that the pulse explains, over the variance of the noise
     converged: NDArray[np.bool_]
-    reach: NDArray[np.intp]
+    reach: NDArray[np.intp]  # last sample that the fit and its residual use; only the misfit uses the complete frame
 
     @classmethod
     def joined(cls, parts: list[PulseFit]) -> PulseFit:
@@ -158,14 +140,10 @@ def fit_pulses(
     response: Floats | None = None,
     n_quiet: Floats | None = None,
 ) -> PulseFit:
-    """Return the most likely pulse of the damped-Hertz family in each row of samples, (n, n_samples).
-
-    `noise` (n,) is the standard deviation of the noise. It is white, unless the first `n_quiet` (n,) samples of the
-    frames show another colour. `offset` (n,) is subtracted first, `onset` (n,) [samples]
-    is the time of onset if known. Samples at or above `clip_level` (n,) are lower bounds of the force; infinite: not
-    clipped. `response` (n_lags,) is the sensor's symmetric impulse response from lag 0: it filters the pulse, not the
-    noise.
-    """
+    """Return the most likely pulse of the damped-Hertz family in each row of samples, (n, n_samples)."""
+    # `noise` (n,) is a standard deviation, white unless the first `n_quiet` (n,) samples show otherwise. `offset` (n,)
+    # is subtracted first, `onset` (n,) [samples] may be given. Samples at or above `clip_level` (n,) are lower bounds.
+    # `response` (n_lags,) is the sensor's symmetric impulse response from lag 0: it filters the pulse, not the noise.
     if not len(samples):
         return PulseFit.nothing()
     n = len(samples)
@@ -273,10 +251,7 @@ def _report(
 def _improve(
     problems: Problems, best: Optimum, profile: Profiled, variance: Floats, rows: NDArray[np.intp]
 ) -> list[Optimum]:
-    """Search again from the second likely shape of some rows; keep the better in place, return both, of these rows.
-
-    The cost of the second is infinite where there is none.
-    """
+    """Search again from the second-best shape of some rows; keep the better in place, return both."""
     tops = [best.rows(rows), best.rows(rows)]
     guess, likely = profile.second(tops[0], variance[rows])
     again = np.flatnonzero(likely)

@@ -34,23 +34,13 @@ def rows_of(values: NDArray[Any] | None, rows: Rows) -> Any:
 
 
 class Window:
-    """The samples of some rows that a fit uses, and the curve to fit to them.
+    """The samples of some rows that a fit uses, `length` columns from `first` (n,) on, and the curve to fit to them."""
 
-    Each row has `length` columns from `first` (n,) on; a `run` of them makes a point. `levels` (3, n) are an offset,
-    the sensor's limit, and what divides the samples less the offset. Onset (n,) [samples] and the sensor's response may
-    be unknown.
-
-    Attributes
-    ----------
-    rows : rows of the frames, (n,)
-    values, times : (n, n_points); times in samples of the frame
-    averaged : samples per point, (n,)
-    outside, clipped : points outside the frame and at the sensor's limit, (n, n_points); None if there are none
-    elsewhere : largest magnitude of the samples outside the window, (n,)
-    reach : last column of the window, in the frame or beyond it, (n,)
-    free : columns of the parameters that are fitted
-    colour : of the noise; None for white noise
-    """
+    # A `run` of columns makes a point. `levels` (3, n): an offset, the sensor's limit, and a divisor of the samples.
+    # Attributes: `rows` (n,) of the frames; `values` and `times` (n, n_points), times in samples of the frame;
+    # `averaged` (n,) samples per point; `outside` and `clipped` (n, n_points) or None; `elsewhere` (n,), largest
+    # magnitude outside the window; `reach` (n,), its last column; `free`, columns of the fitted parameters; `colour` of
+    # the noise or None.
 
     def __init__(
         self,
@@ -151,12 +141,9 @@ def windows(
     before: int = 0,
     among: NDArray[np.intp] | None = None,
 ) -> Iterator[Window]:
-    """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length.
-
-    The pulses are those of all rows of samples, or of the rows `among`. Values are divided by `unit`; `offset` and
-    `clip_level` are in the unit of the samples. Each window begins `before` points earlier than the pulse needs. With a
-    sensor's response samples are not averaged.
-    """
+    """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length."""
+    # Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples. Each window begins
+    # `before` points earlier than the pulse needs. With a sensor's response samples are not averaged.
     levels = np.stack([np.broadcast_to(value, len(guess)) for value in (offset, clip_level, unit)])
     width = np.exp(guess[:, 1])
     duration, lead, _, _ = relative_times(guess[:, 3])
@@ -195,11 +182,8 @@ def _largest_elsewhere(
 
 
 def strongest_run(samples: NDArray[np.floating], offset: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return peak, width [samples] and place [samples] of the pulse that stands out most, each (n,).
-
-    It is where the mean over a run of samples is most significant. A box is within 6 % of the matched filter for these
-    pulses, and running sums make boxes of all lengths cheap. `offset` (n,) is subtracted first.
-    """
+    """Return peak, width [samples] and place [samples] of the most significant running mean, each (n,)."""
+    # A box is within 6 % of the matched filter for these pulses, and running sums make boxes of all lengths cheap.
     n, n_samples = samples.shape
     total = np.zeros((n, n_samples + 1))
     np.cumsum(samples - offset[:, None], axis=1, dtype=np.float64, out=total[:, 1:])

@@ -22,11 +22,7 @@ DETECTION_LIMIT = 5.0
 
 
 def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any]:
-    """Return samples as rows of float32 or float64, (n_signals, n_samples).
-
-    Raise `BadData` for rows of fewer than `MINIMUM_FRAME` samples and for samples that are not finite or above
-    `LARGEST`; `InvalidValue` for samples that are not real or are masked, or a pre-trigger as long as a row.
-    """
+    """Return samples as rows of float32 or float64, (n_signals, n_samples), after checking them."""
     frames = validation.plain("samples", samples)
     if frames.dtype not in (np.float32, np.float64):
         frames = validation.real("samples", frames)
@@ -52,13 +48,12 @@ def constant_signal(value: float) -> str:
 
 @dataclass(eq=False, repr=False)
 class Frames:
-    """Frames (n_signals, n_samples) with one impact each; baseline and noise are those of the samples before onset.
+    """Frames with one impact each; baseline and noise are those of the samples before onset."""
 
-    Without `pre_trigger` (samples before onset), the subclass finds a number for each row. An impact must exceed
-    `detection_limit` standard deviations of the noise before onset.
-    """
+    # Without `pre_trigger` (samples before onset), the subclass determines it for each row. An impact must exceed
+    # `detection_limit` standard deviations of the noise before onset.
 
-    samples: NDArray[np.floating]
+    samples: NDArray[np.floating]  # (n_signals, n_samples)
     sampling_rate: float
     pre_trigger: int | None = None
     remove_baseline: bool = True

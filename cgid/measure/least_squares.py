@@ -1,7 +1,4 @@
-"""Least squares by Levenberg (1944) and Marquardt (1963), batched over rows: pulses, contacts and poles use it.
-
-Damping bounds the steps of each row, and rows that are done leave the batch.
-"""
+"""Least squares by Levenberg (1944) and Marquardt (1963), batched over rows: pulses, contacts and poles use it."""
 
 from __future__ import annotations
 
@@ -28,18 +25,11 @@ def least_squares(
     n_steps: int,
     held: Callable[[Floats, Floats], NDArray[np.bool_]] | None = None,
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return parameters of least squares near `start` (n, ...), the products there, and which rows have converged.
-
-    Parameters
-    ----------
-    equations : from parameters and the numbers of their rows to products (n, k + 1, k + 1) of the slopes of the model
-        and, last, the residual
-    moved : from parameters, steps (n, k) in what is free and the rows to new parameters, within bounds
-    small : gains of the squared residual that end the search of each row, (n,): that of the last step, which is taken
-        but not evaluated, may be as large before any damping was needed, then a quarter
-    n_steps : most steps
-    held : from parameters and gradients (n, k) to what stays where it is, (n, k)
-    """
+    """Return parameters of least squares near `start` (n, ...), the products there, and which rows have converged."""
+    # `equations` returns products (n, k + 1, k + 1) of the model's slopes and, last, the residual; `moved` takes steps
+    # (n, k) within bounds; `held` (n, k) is what stays where it is. `small` (n,) are gains of the squared residual that
+    # end a row's search: the last step is not evaluated, so it may gain as much undamped, a quarter of it after
+    # damping.
     parameters, n = start, len(start)
     products = equations(parameters, np.arange(n))
     damping, active, converged = np.full(n, _FIRST_DAMPING), np.arange(n), np.zeros(n, bool)

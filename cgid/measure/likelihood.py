@@ -1,10 +1,8 @@
-"""What samples tell about a pulse: the Cramer-Rao bound, and the likelihood along the shape.
+"""The information of samples about a pulse: the Cramer-Rao bound, and the likelihood along the shape.
 
-The bound (Rao 1945, Cramer 1946) limits how well any unbiased estimate can know the parameters of a pulse.
-
-The profile is the likelihood of the shape s = ln e. At a given shape, peak, duration and onset are well determined
-and their likelihood is nearly Gaussian, so Laplace's approximation integrates them. Along the shape the likelihood
-may be skewed or have two maxima; it is computed on a grid on which the standard deviation is the same everywhere.
+The bound (Rao 1945, Cramer 1946) limits the precision of any unbiased estimate. The profile is the likelihood of the
+shape s = ln e, which may be skewed or have two maxima; at a given shape, peak, duration and onset are nearly Gaussian
+and integrated by Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -55,16 +53,11 @@ _WIDEST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """The Cramer-Rao bound.
+    """The Cramer-Rao bound."""
 
-    Attributes
-    ----------
-    covariance : (..., 5, 5), of ln(peak), ln(duration), onset [s], ln(restitution), baseline over peak; zero if known
-    restitution : (...), of the pulse
-    """
-
+    #: (..., 5, 5), of ln(peak), ln(duration), onset [s], ln(restitution), baseline over peak; 0 if known
     covariance: Floats
-    restitution: Floats
+    restitution: Floats  # (...), of the pulse
 
     def _deviation(self, name: str) -> Floats:
         place = PARAMETERS.index(name)
@@ -206,19 +199,13 @@ def _covariance(
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The likelihood of pulses on grids of the shape s = ln e, each attribute (n, n_nodes).
+    """The likelihood of pulses on grids of the shape s = ln e, each attribute (n, n_nodes)."""
 
-    Attributes
-    ----------
-    log_weight : ln of the likelihood integrated over peak, duration and onset, times the node's width in s, plus a
-        constant for each row
-    log_peak, log_duration : mean values at the node; duration in samples
-    peak_deviation, duration_deviation, cross : their standard deviations a and b, and c, at the node: with independent
-        standard normal numbers x and y they are Gaussian as `log_peak + a x`, `log_duration + c x + b y`
-    """
+    # At a node, with independent standard normal x and y: ln peak is `log_peak + peak_deviation x`, ln duration
+    # [samples] is `log_duration + cross x + duration_deviation y`.
 
     shape: Floats
-    log_weight: Floats
+    log_weight: Floats  # ln of the likelihood integrated over peak, duration and onset, plus a constant by row
     log_peak: Floats
     log_duration: Floats
     peak_deviation: Floats
@@ -268,15 +255,12 @@ def profile(
     response: Floats | None = None,
     whitened: Whitened | None = None,
 ) -> Profile:
-    """Return the likelihood along the shape of pulses in samples (n, n_samples).
-
-    `near` (n, 5) holds pulses near the most likely ones: (peak, ln width, place, s, baseline). The prior is zero
-    outside `lowest` and `highest`. With `n_quiet` (n,), the offset is only known as the mean of this many samples;
-    otherwise it is exact. Touch is equally likely within `onset_between` [samples] and impossible outside; for None it
-    may be anywhere. `noise` (n,) is above 0; `offset`, `onset`, `clip_level` and `response` are as in `fit_pulses`.
-    `whitened` takes the place of the samples and of these four where the noise is not white; `noise` is then the white
-    noise in which the shape would be as uncertain.
-    """
+    """Return the likelihood along the shape of pulses in samples (n, n_samples)."""
+    # `near` (n, 5) holds pulses near the most likely ones: (peak, ln width, place, s, baseline). The prior is zero
+    # outside `lowest` and `highest`, and outside `onset_between` [samples] if given. With `n_quiet` (n,), the offset is
+    # only known as the mean of this many samples. `noise` (n,) is above 0; other arguments are as in `fit_pulses`.
+    # Where the noise is not white, `whitened` replaces samples, offset, onset, limit and response, and `noise` is the
+    # equivalent white noise.
     shapes = _grid(near, noise, lowest, highest, n_nodes)
     out = Profile(shapes, *(np.empty(shapes.shape) for _ in range(6)))
     for first in range(0, len(samples), _PROFILED_ROWS):
@@ -341,10 +325,7 @@ def _at(
     hold: Floats | None,
     onset_between: tuple[float, float] | None,
 ) -> tuple[Floats, ...]:
-    """Return the attributes of a profile at given shapes, after the shape.
-
-    The baseline is as uncertain as a mean of `hold` points, (n,); for None it is 0.
-    """
+    """Return the attributes of a profile at given shapes; the baseline is that of `hold` points (n,), or 0 for None."""
     parameters = guess.copy()
     parameters[:, 3] = shape
     parameters = problem.tied(parameters)
@@ -394,11 +375,7 @@ def _at(
 def _inside(
     parameters: Floats, lead: Floats, information: Floats, between: tuple[float, float]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return what is known by touch lying between two times, for a Gaussian likelihood.
-
-    That is the log of its probability, how far it moves the means of the parameters, (n, n_free), and the vector
-    (n, n_free) whose products it takes from their covariance.
-    """
+    """Return ln probability, mean shift and covariance vector (n, n_free) of an onset between two times."""
     width = np.exp(parameters[:, 1])
     onset = parameters[:, 2] - lead * width
     # Slope of onset in (peak, ln width, place, ...): it moves with the width and the place.

@@ -1,7 +1,7 @@
-"""The natural modes of a beam, computed, measured by taps, or learned from impacts, and their tables.
+"""The natural modes of a beam, computed, measured by hammer taps, or learned from impacts, and their tables.
 
-Forwards they turn a force into motion (`cgid.physics.response`), backwards a motion into the force
-(`cgid.measure.beam`, `cgid.identification.inversion`).
+They turn a force into motion (`cgid.physics.response`) and motion into the force (`cgid.measure.beam`,
+`cgid.identification.inversion`).
 """
 
 from __future__ import annotations
@@ -211,10 +211,7 @@ def resonator_poles(frequency: ArrayLike, damping_ratio: ArrayLike) -> Complex:
 
 
 def residues(poles: Complex, derivatives: int) -> Complex:
-    """Return by what the states of poles are multiplied, `x' = s x + F`, so that the real part is a motion.
-
-    It is the displacement, velocity or acceleration for 0, 1 or 2 derivatives, of a shape of 1 at impact and sensor.
-    """
+    """Return factors of the states of poles (`x' = s x + F`) that make a motion of 0 to 2 derivatives."""
     return np.asarray(poles**derivatives / (1j * poles.imag))
 
 
@@ -257,10 +254,8 @@ def nodes(n: int, lowest: float, highest: float) -> Floats:
 
 
 def lagrange(n: int, lowest: float, highest: float, place: Floats) -> tuple[Floats, Floats]:
-    """Return the weights of n Chebyshev nodes at places (n_places,) and their slopes, each (n_places, n).
-
-    Through Chebyshev polynomials: `f(t) = sum_j c_j T_j(t)`, with `c_j` a cosine transform of the values at the nodes.
-    """
+    """Return the weights of n Chebyshev nodes at places (n_places,) and their slopes, each (n_places, n)."""
+    # `f(t) = sum_j c_j T_j(t)`, with `c_j` a cosine transform of the values at the nodes.
     half = (highest - lowest) / 2
     if n == 1 or half == 0:
         return np.full((place.size, n), 1 / n), np.zeros((place.size, n))

@@ -25,13 +25,9 @@ _BLOCK = 16384
 
 
 class Problems:
-    """The windows of many rows, by the place of each row; `onset` (n,) [samples] may be unknown.
+    """The windows of many rows, by the position of each row; `onset` (n,) [samples] may be unknown."""
 
-    Attributes
-    ----------
-    averaged : samples per point of each row's window, (n,)
-    coloured : rows whose noise is not white, (n,)
-    """
+    # `averaged` (n,): samples per point of each row's window; `coloured` (n,): rows whose noise is not white.
 
     def __init__(self, windows: list[Window], onset: Floats | None) -> None:
         self.windows, self.onset = windows, onset

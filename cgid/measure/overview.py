@@ -64,18 +64,7 @@ class Overview:
 
 
 class OverviewStream:
-    """Compute the overview of a recording that comes in blocks, in constant memory (about 10 MB per channel).
-
-    The block size changes only the last digits of means and spectra. `source` names the recording in messages. Raise
-    `InvalidValue` for a rate [Hz] or a number of channels that is not positive.
-
-    >>> stream = OverviewStream(1000.0, 1)
-    >>> for _ in range(3):
-    ...     stream.feed(np.array([[0.0, 1.0, -2.0]]))
-    >>> seen = stream.overview()
-    >>> seen.n_samples, float(seen.highest.max()), float(seen.lowest.min())
-    (9, 1.0, -2.0)
-    """
+    """Compute the overview of a recording that comes in blocks, in constant memory (about 10 MB per channel)."""
 
     def __init__(self, sampling_rate: float, n_channels: int = 1, source: str = "recording") -> None:
         self._rate = require_rate(sampling_rate)
@@ -89,10 +78,7 @@ class OverviewStream:
         self._spectra: _Spectra | None = None
 
     def feed(self, block: NDArray[Any]) -> None:
-        """Add samples (n_channels, n_samples); n_samples may be 0. The mean stands in for missing ones, which are nan.
-
-        Raise `InvalidValue` for another number of channels, `BadData` for a sample so large that its power overflows.
-        """
+        """Add samples (n_channels, n_samples); nan is missing, and counts as the mean."""
         block = validation.plain("block", block)
         if block.ndim != 2 or len(block) != self._n_channels:
             raise InvalidValue(f"block must be of shape ({self._n_channels}, n_samples), got shape {block.shape}")
@@ -159,13 +145,7 @@ class OverviewStream:
 
 
 def segment_length(sampling_rate: float, n_samples: int | None) -> int:
-    """Return the samples in a segment of the spectra; 0 if the recording is too short for a spectrum.
-
-    `n_samples` is the length of the recording; None if it is long. The sampling rate is in Hz.
-
-    >>> segment_length(51200.0, None), segment_length(51200.0, 100_000), segment_length(51200.0, 10)
-    (8192, 1024, 0)
-    """
+    """Return the samples in a segment of the spectra; 0 if the recording is too short. `n_samples` None is long."""
     shortest, longest = SEGMENTS
     longest = max(min(_power_of_two(sampling_rate * MAX_SEGMENT_TIME), longest), shortest)
     if n_samples is None:
@@ -180,11 +160,9 @@ def _power_of_two(number: float) -> int:
 
 
 class _Columns:
-    """A growing row of values in at most `most` (even) columns of `step` values each.
+    """A growing row of values in at most `most` (even) columns of `step` values each."""
 
-    When all columns are full, `join` (np.minimum, np.maximum or np.add) merges pairs. Values have the given shape; they
-    come along one more axis, the last.
-    """
+    # When all columns are full, `join` (np.minimum, np.maximum or np.add) merges pairs. Columns are the last axis.
 
     def __init__(self, join: np.ufunc, shape: tuple[int, ...], most: int) -> None:
         self._join, self._most = join, most

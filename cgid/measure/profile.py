@@ -66,17 +66,13 @@ def parabolic(problems: Problems, best: Optimum, variance: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Profiled:
-    """The best parameters (n, n_shapes, 5) at each of `PROFILED`, and their squared residuals (n, n_shapes).
+    """The best parameters at each of `PROFILED` shapes, and their squared residuals."""
 
-    The costs of the search, `found`, times `scale` (n,) are squared residuals, too. Where the bins tell as much as the
-    samples, they are these (`binned`).
-    """
-
-    parameters: Floats
-    cost: Floats
+    parameters: Floats  # (n, n_shapes, 5)
+    cost: Floats  # (n, n_shapes)
     found: Found
-    scale: Floats
-    binned: bool
+    scale: Floats  # (n,), factor from costs of the search to squared residuals
+    binned: bool  # whether costs of the search are used, as bins hold as much information as samples
 
     def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return parameters (n, 5) of another likely shape than the best, and which rows have one."""
@@ -93,12 +89,9 @@ class Profiled:
         return np.where(lower[:, None], self.parameters[rows, node], guess), likely | lower
 
     def moments(self, tops: list[Optimum], variance: Floats, problems: Problems) -> tuple[Floats, Floats]:
-        """Return covariances about the best parameters, and restitutions as `gaussian_restitution`.
-
-        `tops` holds the best parameters and those of a second top of the likelihood, of infinite cost if there is none;
-        `variance` is that of the noise. A top narrower than the grid counts by its own parabola, as three points of
-        Gauss and Hermite.
-        """
+        """Return covariances about the best parameters, and restitutions as `gaussian_restitution`."""
+        # `tops` holds the best parameters and those of a second maximum, of infinite cost if there is none. A maximum
+        # narrower than the grid counts by its own parabola, as three points of Gauss-Hermite quadrature.
         fine, spline = _interpolation()
         best, shapes = tops[0].parameters, [np.broadcast_to(fine, (len(variance), fine.size))]
         squares = [np.matmul((self.cost / variance[:, None])[:, None], spline.T)[:, 0]]

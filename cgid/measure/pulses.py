@@ -48,20 +48,16 @@ _RING_STEPS, _MIN_RINGING = 8, 8
 
 
 class PulseBatch(Frames):
-    """Single positive pulses in frames; each quantity is computed on first use.
+    """Single positive pulses in frames; each quantity is computed on first use."""
 
-    Arguments are those of `Frames`. Without `pre_trigger`, each row is quiet up to shortly before its last sample below
-    1 % of the way from its first samples to its largest.
-    """
+    # Without `pre_trigger`, each row is quiet up to shortly before its last sample below 1 % of its rise.
 
     # -- before onset ---------------------------------------------------------------------------------
 
     @cached_property
     def _surely_quiet(self) -> NDArray[np.intp]:
-        """A sample certainly before onset: a fifth of the rise before the last one below 1 % of the peak.
-
-        The peak is relative to the mean of the first quarter of the samples before it, so a sensor's offset cancels.
-        """
+        """A sample certainly before onset: a fifth of the rise before the last one below 1 % of the peak."""
+        # Relative to the mean of the first quarter of the samples before it, so a sensor's offset cancels.
         place, highest = self._highest
         columns = np.arange(self.samples.shape[1])
         count = np.maximum(place // 4, 1)
@@ -131,11 +127,9 @@ class PulseBatch(Frames):
 
     @cached_property
     def _window(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Samples around contact (n_signals, width), less the baseline, and the column of the first.
-
-        The window extends the run by a quarter of its length before and by its whole length after: a damped pulse has a
-        long tail. Zeros follow, so a row does not depend on the other rows of the batch.
-        """
+        """Samples around contact (n_signals, width), less the baseline, and the column of the first."""
+        # A quarter of the run's length more before it and its complete length after: a damped pulse has a long tail.
+        # Zeros follow, so a row does not depend on the other rows of the batch.
         first, last = self._edges
         start, stop = first - (last - first + 1) // 4 - 2, self.window_reach
         offset = np.arange(int((stop - start).max()) + 1)
@@ -153,10 +147,7 @@ class PulseBatch(Frames):
         return {}
 
     def crossings(self, level: float) -> tuple[Floats, Floats]:
-        """Return where the pulse crosses a fraction of its peak, rising and falling [samples of the window].
-
-        Outwards from the peak, the first sample below the level counts; linear between samples.
-        """
+        """Return where the pulse crosses a fraction of its peak, rising and falling [samples of the window]."""
         if level not in self._crossings:
             self._crossings[level] = self._crossings_at(np.full(len(self.samples), level))
         return self._crossings[level]
@@ -184,12 +175,9 @@ class PulseBatch(Frames):
 
     @cached_property
     def contact(self) -> tuple[Floats, Floats]:
-        """Touch and separation [samples of the window], extrapolated from two crossings near the foot.
-
-        An elastic pulse is close to sin^(3/2), so `arcsin(F^(2/3))` is nearly linear in time near touch and separation;
-        the line through two crossings gives its zero. The lower crossing is as low as the noise allows: at
-        `FOOT_OVER_NOISE` standard deviations, but within `FOOT_LEVELS`.
-        """
+        """Onset and separation [samples of the window], extrapolated from two crossings near the foot."""
+        # An elastic pulse is close to sin^(3/2), so `arcsin(F^(2/3))` is nearly linear in time near both. The lower
+        # crossing is at `FOOT_OVER_NOISE` standard deviations of the noise, within `FOOT_LEVELS`.
         low = np.clip(FOOT_OVER_NOISE * self.noise / self.peak, *FOOT_LEVELS)
         angle, angle_up = np.arcsin(low ** (2 / 3)), np.arcsin((3 * low) ** (2 / 3))
         reach = angle / (angle_up - angle)

@@ -1,7 +1,6 @@
-"""What a fitted damped-Hertz pulse leaves of the samples: components of other laws of loss, and the rest.
+"""The residual of a fitted damped-Hertz pulse: principal components of other laws of loss, and the rest.
 
-The components are the principal ones of how pulses of other laws differ from the family, in the bins of
-`cgid.measure.search`; `tests/references/make_shapes.py` makes them.
+`tests/references/make_shapes.py` makes the components, in the bins of `cgid.measure.search`.
 """
 
 from __future__ import annotations
@@ -25,10 +24,7 @@ N_SHAPES = 4
 def residual_bins(
     samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats
 ) -> tuple[Bins, Floats, NDArray[np.intp]]:
-    """Return samples minus fitted pulse, over its peak, in the bins around it, the unit and the nearest of `NODES`.
-
-    Times in samples; `unit` (n,) is that of the bins' coordinates.
-    """
+    """Return samples minus fitted pulse, over its peak, in bins around it, their unit (n,), and the nearest `NODES`."""
     node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
     bin_place, bin_width = bank().conditions(shape)
     unit = width / bin_width

@@ -1,12 +1,10 @@
 """The global search for a pulse: all shapes at once, each with its own peak, width and place.
 
-A bank holds the damped-Hertz pulse of each shape of `NODES` in common coordinates, chosen so that the pulses overlap as
-well as they can, with their slopes in place and width. The samples around a pulse become bins in the same coordinates.
-The least-squares solutions for all shapes are then one product of matrices, so that every shape is a start of the
-search, at the cost of one. A few repetitions with the bins moved to the best solution find the global optimum.
-
-What remains is the likelihood of every shape (`Found.cost`), from which honest deviations follow where a parabola would
-not do: a dull pulse of restitution .15 in 3 % noise may also be one of .45.
+A bank holds the damped-Hertz pulse of each shape of `NODES`, with its slopes in place and width, in coordinates in
+which the pulses overlap most. The samples around a pulse become bins in the same coordinates, so one product of
+matrices solves least squares for all shapes. A few repetitions with the bins moved to the best solution find the global
+optimum. The likelihood of every shape (`Found.cost`) then gives standard deviations where a parabola would not: a dull
+pulse of restitution .15 in 3 % noise may also be one of .45.
 """
 
 from __future__ import annotations
@@ -91,11 +89,10 @@ class Bins:
 
 
 class Samples:
-    """Running sums of the samples around some pulses, from which bins anywhere follow.
+    """Running sums of the samples around some pulses, from which bins anywhere follow."""
 
-    `first` and `last` (n,) are the columns of the frame that the first and the last of them are, `last` by default that
-    of the last column of `samples`. `reach` (n,) is the last column that bins have touched, in the frame or beyond it.
-    """
+    # `first` and `last` (n,) are frame columns of the first and last sample; `reach` (n,) the last column that bins
+    # used.
 
     def __init__(
         self,

@@ -36,21 +36,13 @@ MIN_SHARE = 1e-12
 
 
 def third_octave(number: int) -> tuple[float, float]:
-    """Return the edges [Hz] of a third-octave band, numbered from the first of `THIRD_OCTAVES`.
-
-    >>> [round(edge, 2) for edge in third_octave(15)]
-    [891.25, 1122.02]
-    """
+    """Return the edges [Hz] of a third-octave band, numbered from the first of `THIRD_OCTAVES`."""
     middle = 1000.0 * 10 ** ((_FIRST_THIRD_OCTAVE + number) / 10)
     return middle * 10**-0.05, middle * 10**0.05
 
 
 def mel(frequency: Floats) -> Floats:
-    """Return the mel of frequencies [Hz] (O'Shaughnessy 1987): even steps below 1 kHz, even ratios far above.
-
-    >>> float(mel(np.float64(1000.0)).round(2))
-    999.99
-    """
+    """Return the mel of frequencies [Hz] (O'Shaughnessy 1987): even steps below 1 kHz, even ratios far above."""
     return np.asarray(2595.0 * np.log10(1.0 + frequency / 700.0))
 
 
@@ -61,13 +53,9 @@ def frequency_of(mels: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TriangularBands:
-    """A bank of overlapping triangular bands with `corners` (n_bands + 2,) [Hz]: lowest edge, centres, highest edge.
+    """A bank of overlapping triangular bands: between the first and the last centre they add up to 1."""
 
-    A band rises from the centre below to its own and falls to the centre above, so energy that leaves one band enters
-    the next: between the first and the last centre the bands add up to the whole.
-    """
-
-    corners: Floats
+    corners: Floats  # (n_bands + 2,) [Hz]: lowest edge, centres, highest edge
 
     @property
     def centres(self) -> Floats:
@@ -87,11 +75,8 @@ class TriangularBands:
         return TriangularBands(self.corners[: max(int(np.searchsorted(self.corners, highest, side="right")), 2)])
 
     def sums(self, energy: Floats, spacing: float) -> Floats:
-        """Return the energy in each band, (..., n_bands), from the energy in each bin, (..., n_bins).
-
-        The first bin is centred at 0 Hz, the last must reach the highest edge; `spacing` is that of the bins [Hz]. No
-        row depends on the others, which a matrix product would not guarantee.
-        """
+        """Return the energy in each band, (..., n_bands), from the energy in each bin, (..., n_bins)."""
+        # Bins are `spacing` [Hz] apart, the first at 0 Hz. Not a matrix product, whose rows would depend on each other.
         first, stop = (int(np.ceil(edge / spacing)) for edge in (self.corners[0], self.corners[-1]))
         stop = min(stop, energy.shape[-1])
         frequency = np.arange(first, stop) * spacing
@@ -180,11 +165,9 @@ class EnergySpectrum:
 
     @cached_property
     def standardised_moments(self) -> tuple[Floats, Floats]:
-        """Third and fourth moment of the frequency about its mean, in standard deviations.
-
-        They depend on the sampling rate: the energy of a vibration that begins at once falls with the fourth power of
-        the frequency, so the third moment grows like the logarithm of the rate, the fourth in proportion to it.
-        """
+        """Third and fourth moment of the frequency about its mean, in standard deviations."""
+        # They depend on the sampling rate: the energy falls with the fourth power of the frequency, so the third moment
+        # grows like the logarithm of the rate, the fourth in proportion to it.
         mean, deviation = self.moments
         # A line within one bin is as wide as the bin.
         place = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
@@ -199,20 +182,14 @@ class EnergySpectrum:
 
     @cached_property
     def flatness(self) -> Floats:
-        """Log10 of the geometric over the arithmetic mean above 0 Hz; 0 is flat.
-
-        It depends on the sampling rate: the larger the faint part of the spectrum, the lower it is.
-        """
+        """Log10 of the geometric over the arithmetic mean above 0 Hz; it depends on the sampling rate."""
         above = self.energy[:, 1:]
         mean = above.mean(axis=1)
         floor = np.maximum(MIN_SHARE * mean, np.finfo(np.float64).tiny)[:, None]
         return np.asarray(np.log10(np.maximum(above, floor)).mean(axis=1) - np.log10(np.maximum(mean, floor[:, 0])))
 
     def dominant(self, count: int, apart: float) -> Floats:
-        """Return the frequencies of the strongest maxima [Hz], the strongest first, (n_signals, count).
-
-        They are at least `apart` [Hz] apart; if there are fewer maxima, the last one is repeated.
-        """
+        """Return the `count` strongest maxima [Hz] at least `apart` [Hz] apart; repeat the last if there are fewer."""
         energy, rows = self.energy, np.arange(len(self.energy))
         padded = np.pad(energy, ((0, 0), (1, 1)), constant_values=-1.0)
         maxima = np.where((energy > padded[:, :-2]) & (energy >= padded[:, 2:]), energy, 0.0)
@@ -232,15 +209,10 @@ class EnergySpectrum:
 
 
 class PulseSpectrum:
-    """Power spectra of pulses up to `SPECTRUM_LIMIT` over the contact duration.
+    """Power spectra (n_signals, n_bins) of pulses up to `SPECTRUM_LIMIT` over the contact duration, zero-padded."""
 
-    Windows (n_signals, n_samples) are zero outside contact, which lasts from touch to separation, each (n_signals,)
-    [samples]. The transform is zero-padded to a power of two of at least `_ZERO_PADDING` times the row's own contact,
-    so a row does not depend on the others.
-
-    `frequency, power`: (n_signals, n_bins), each row at its own frequencies [Hz] from 0; `n_bins`: number of bins of
-    each row, (n_signals,); beyond them power is zero.
-    """
+    # Windows (n_signals, n_samples) are zero outside contact. The padding, at least `_ZERO_PADDING` times the row's own
+    # contact, makes a row independent of the others. Power is zero beyond `n_bins` (n_signals,).
 
     def __init__(self, windows: Floats, touch: Floats, separation: Floats, sampling_rate: float) -> None:
         min_length = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
@@ -318,17 +290,14 @@ def hann(length: int) -> Floats:
 
 
 def frame_spectra(samples: Floats, length: int, sampling_rate: float) -> tuple[float, Floats]:
-    """Return the width of a bin [Hz] and the energy spectra of half-overlapping Hann-windowed frames.
-
-    Energies are (n_rows, n_frames, n_bins) [unit^2 s]; a bin is at most half as wide as the resolution of a frame.
-    """
+    """Return bin width [Hz] and energies (n_rows, n_frames, n_bins) of half-overlapping Hann frames [unit^2 s]."""
     frames = np.lib.stride_tricks.sliding_window_view(samples, length, axis=1)[:, :: max(length // 2, 1)]
     spectrum = EnergySpectrum.of((frames * hann(length)).reshape(-1, length), sampling_rate, finer=2)
     return spectrum.spacing, spectrum.energy.reshape(len(samples), frames.shape[1], -1)
 
 
 def padded_length(length: int) -> int:
-    """Return a length of at least `length` samples with a fast transform: four to eight times a power of two.
+    """Return a length of at least `length` samples with a fast transform: 4 to 8 times a power of two.
 
     >>> padded_length(882), padded_length(1024)
     (896, 1024)
@@ -348,11 +317,7 @@ def passage(running: Floats, share: float) -> Floats:
 
 
 def packet_energies(samples: Floats) -> Floats:
-    """Return the sum of squares of each wavelet packet, (n_rows, 16), the lowest band first.
-
-    Each packet spans a sixteenth of half the sampling rate. Samples (n_rows, n_samples) are zero-padded to a multiple
-    of 16 and taken as periodic, so the energies of a row add up to its own. Raise `MissingExtra` without PyWavelets.
-    """
+    """Return the sum of squares of each wavelet packet, (n_rows, 16), the lowest band first; they sum to the row's."""
     pywt = optional("pywt", "wavelet packets need", "wavelets", name="PyWavelets")
     packets = [np.pad(samples, ((0, 0), (0, -samples.shape[1] % N_PACKETS)))]
     for _ in range(LEVEL):

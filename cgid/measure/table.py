@@ -71,10 +71,7 @@ class Feature:
 
 
 def described(measures: Mapping[str, Callable[[Any], Floats]], **about: Any) -> tuple[Feature, ...]:
-    """Return the features of these names in `features.csv`; `about` holds what they have in common.
-
-    The column `traits` names the attributes that are true.
-    """
+    """Return the features of these names in `features.csv`; `about` holds what they have in common."""
     return tuple(Feature(**_described(name), measure=measure, **about) for name, measure in measures.items())
 
 

@@ -1,16 +1,14 @@
 """The damped-Hertz pulse as a curve to fit: its values, its slopes, and the covariance of its parameters.
 
-A pulse of peak 1 is `g(u; s)` at the share u of its contact, with s = ln e. Reversed in time, the pulse of e is that of
-1/e (`tau -> -tau` changes the sign of the damping in `x'' = -x^(3/2) (1 + D x')`), so the family continues smoothly
-beyond e = 1. No material has such a shape, but estimates near 1 may err to either side.
+A pulse of peak 1 is `g(u; s)` at the fraction u of its contact, with s = ln e. Reversed in time, the pulse of e is that
+of 1/e (`tau -> -tau` changes the sign of the damping in `x'' = -x^(3/2) (1 + D x')`), so the family continues smoothly
+beyond e = 1, where estimates near 1 may fall.
 
-It is tabulated with its derivatives at `N_SHAPES` shapes and at the ends of `N_CELLS` equal parts of the contact, and
-extrapolated from the nearest node by a Taylor polynomial of order two. `tests/references/make_shapes.py` makes the
-tables from `cgid.family`.
+It is tabulated with its derivatives at `N_SHAPES` shapes and `N_CELLS` equal parts of the contact, and extrapolated
+from the nearest node to second order. `tests/references/make_shapes.py` makes the tables from `cgid.family`.
 
-The parameters of a fit are (peak, ln width, place = time of the peak, s, baseline), where width is impulse over peak.
-They are nearly independent, while contact duration and onset of a damped pulse, which ends in the noise, are strongly
-correlated with s. The reported parameters are `PARAMETERS`.
+The parameters of a fit, (peak, ln width, place = time of the peak, s, baseline) with width = impulse over peak, are
+nearly independent; contact duration and onset would be strongly correlated with s. `PARAMETERS` are reported.
 """
 
 from __future__ import annotations
@@ -42,10 +40,7 @@ def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def dimensionless_logarithms(shape: Floats, *names: str) -> tuple[Floats, ...]:
-    """Return ln of "contact" time, "peak" or "width" of the dimensionless pulse by a table, each as `shape`.
-
-    The width is impulse over peak. A pulse that rises more slowly than one of s = 0 gets the values there.
-    """
+    """Return ln of "contact" time, "peak" or "width" of the dimensionless pulse by a table, each as `shape`."""
     table = _logarithms()
     return tuple(np.interp(shape, table["shape"], table[name]) for name in names)
 
@@ -60,12 +55,10 @@ def _logarithms() -> dict[str, Floats]:
 
 @cache
 def tables() -> tuple[NDArray[np.float32], Floats]:
-    """Return the tables of the family from their files.
-
-    The first (6, n_shapes, n_cells + 1) holds g, g_u, g_uu, g_s, g_su and g_ss at the nodes of s and at even fractions
-    u; u counts cells. Onset and separation are zero with all slopes, and so is what lies beyond. The second
-    (n_shapes, 2, 3) holds contact duration and time from onset to peak, over the width, with two derivatives in s.
-    """
+    """Return the tables of the family from their files."""
+    # The first (6, n_shapes, n_cells + 1) holds g, g_u, g_uu, g_s, g_su and g_ss at nodes of s and even fractions u; u
+    # counts cells. The second (n_shapes, 2, 3) holds contact duration and time from onset to peak, over the width, with
+    # two derivatives in s.
     with np.load(SHAPES_PATH, allow_pickle=False) as stored:
         return np.load(TEMPLATE_PATH, allow_pickle=False), stored["times"]
 
@@ -94,10 +87,7 @@ def _near_node(shape: Floats) -> tuple[NDArray[np.intp], Floats, Floats, Floats,
 
 
 def curve(fraction: Floats, shape: Floats) -> Floats:
-    """Return the exact pulse over its peak (n, n_samples), zero outside contact.
-
-    `fraction` (n, n_samples) is u, 0 at onset and 1 at separation; `shape` (n,) is s = ln e.
-    """
+    """Return the exact pulse over its peak at fractions u (n, n_samples) of the contact; zero outside contact."""
     restitution, contact, _, peak = dimensionless(-np.abs(shape))
     fraction = np.where(shape[:, None] > 0, 1 - fraction, fraction)
     return family.force(fraction * contact[:, None], restitution) / peak[:, None]
@@ -117,12 +107,9 @@ def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
 def slopes_and_pulse(
     parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
 ) -> Floats:
-    """Return the slopes of pulses in the free parameters and, last, the pulses without baseline.
-
-    From parameters (n, 5) and times (n, n_samples); the result is (n, n_free + 1, n_samples). With a known onset, the
-    place follows from width and shape. Next to `curve` it errs by 1e-5 of the peak for e from .2 and 1.2e-4 at .05;
-    within a thousandth of the contact from its ends by up to 4e-5 for e from .3, 4e-4 at .05.
-    """
+    """Return slopes in the free parameters and, last, pulses without baseline, (n, n_free + 1, n_samples)."""
+    # With a known onset, the place follows from width and shape. The error against `curve` is 1e-5 of the peak for e
+    # from .2 and 1.2e-4 at .05; within a thousandth of the contact from its ends up to 4e-5 for e from .3, 4e-4 at .05.
     peak, log_width, place, shape, _ = parameters.T
     width = np.exp(log_width)
     node, offset, duration, lead, duration_slope, lead_slope = _near_node(shape)
@@ -200,10 +187,7 @@ def pulse_and_slopes(
 def covariance_of(
     information: Floats, parameters: Floats, onset_known: bool = False, fit_baseline: bool = False
 ) -> Floats:
-    """Return the covariance of `PARAMETERS`, (n, 5, 5), for noise of variance 1; zero where a parameter is known.
-
-    `information` (n, n_free, n_free) holds the sums of products of the slopes at the parameters (n, 5).
-    """
+    """Return the covariance of `PARAMETERS`, (n, 5, 5), for noise of variance 1; zero where a parameter is known."""
     peak, log_width, _, shape, _ = parameters.T
     width = np.exp(log_width)
     duration, lead, duration_slope, lead_slope = relative_times(shape)

@@ -1,12 +1,8 @@
 """Measurements on a batch of vibrations, one impact each, and their features (`VIBRATION_FEATURES`, at the end).
 
-A struck structure responds with an oscillation of both signs that begins at once and decays. All quantities are
-relative to a baseline and a noise from before onset, and use the event: the samples from the onset on.
-
-Most quantities use the event times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. Noise, the next
-impact and the end of the frame come late and have little weight, so the length of the frame hardly matters. Neither
-does the sampling rate, as long as the vibration lies well below half of it. Only skewness, kurtosis and flatness of the
-spectrum depend on the rate, because they use the whole spectrum (`EnergySpectrum`).
+Quantities are relative to a baseline and a noise from before onset, and use the event: the samples from the onset on,
+most of them times `exp(-t / WINDOW_TIME)`, the exponential window of impact testing. So neither the length of the frame
+nor the sampling rate matters much, except for skewness, kurtosis and flatness of the spectrum (`EnergySpectrum`).
 """
 
 from __future__ import annotations
@@ -72,11 +68,9 @@ class Beam(Protocol):
 
 
 class VibrationBatch(Frames):
-    """Vibrations in frames, one impact each; each quantity is computed on first use.
+    """Vibrations in frames, one impact each; each quantity is computed on first use."""
 
-    Arguments are those of `Frames`. Without `pre_trigger`, each row is quiet up to well before it first leaves its
-    initial level. No row depends on the other rows of the batch.
-    """
+    # Without `pre_trigger`, each row is quiet up to well before it first leaves its initial level.
 
     #: The beam that vibrates, for the features that look through it.
     beam: Beam | None = None
@@ -173,10 +167,8 @@ class VibrationBatch(Frames):
         return np.asarray(self.noise**2 * sums[self.n_event] / self.sampling_rate)
 
     def _running_energy(self, weight: Floats) -> Floats:
-        """Return the weighted energy of the event up to each sample, less that of the noise [unit^2 s].
-
-        At most half of the energy is subtracted: the noise before onset may be the decay of the previous impact.
-        """
+        """Return the weighted energy of the event up to each sample, less that of the noise [unit^2 s]."""
+        # At most half of the energy is subtracted: the noise before onset may be the decay of the previous impact.
         square = self.event**2 * weight
         share = np.append(0.0, np.cumsum(weight))[self.n_event]
         noise = np.minimum(self.noise**2, 0.5 * square.sum(axis=1) / share)
@@ -254,11 +246,8 @@ class VibrationBatch(Frames):
 
     @cached_property
     def decay_time(self) -> Floats:
-        """Time in which the energy falls by 60 dB, from where the energy to come is 5 and 15 dB down [s].
-
-        From Schroeder's backward integral of the event without window, less the noise. It ends with the frame, so it is
-        too short for a vibration that outlasts the frame.
-        """
+        """Time in which the energy falls by 60 dB, extrapolated from Schroeder's integral between -5 and -15 dB [s]."""
+        # It ends with the frame, so it is too short for a vibration that outlasts the frame.
         running = self._running_energy(np.ones(self.event.shape[1]))
         five, fifteen = (passage(running, 1 - 10**-fall) for fall in (0.5, 1.5))
         return np.asarray(6 * np.maximum(fifteen - five, 1.0) / self.sampling_rate)
@@ -271,11 +260,7 @@ class VibrationBatch(Frames):
         return EnergySpectrum.of(self.event * self._window, self.sampling_rate)
 
     def level(self, low: float, high: float) -> Floats:
-        """Return log10 of the energy between two frequencies [Hz] in the windowed event.
-
-        The share of the noise, assumed white, is subtracted, but at least that share and `MIN_SHARE` of all energy
-        remain.
-        """
+        """Return log10 of the energy between two frequencies [Hz] in the windowed event, less that of white noise."""
         return self._level(self.spectrum, self._noise_share, low, high)
 
     @cached_property
@@ -326,10 +311,7 @@ class VibrationBatch(Frames):
 
     @cached_property
     def mel_delay(self) -> Floats:
-        """Mean time after the onset of the energy in each of `MEL_BANDS` [s], (n_signals, n_bands).
-
-        From the windowed event in Hann-windowed frames of `DELAY_FRAME`, the first centred at the onset.
-        """
+        """Mean time after the onset of the energy in each of `MEL_BANDS` [s], (n_signals, n_bands)."""
         length = 2 * max(round(0.5 * DELAY_FRAME * self.sampling_rate), 1)
         padded = np.pad(self.event * self._window, ((0, 0), (length // 2, length // 2)))
         spacing, energy = frame_spectra(padded, length, self.sampling_rate)

@@ -1,11 +1,8 @@
 """Measurements on windows of a recording, and their features (`WINDOW_FEATURES`, at the end).
 
-A window is a section of a stationary recording in which many bodies fall, slide and overlap. Single impacts are not
-located, so there is no onset, no noise before onset and no end of a vibration.
-
-A window is cut into half-overlapping Hann-windowed frames of `FRAME_TIME`. Their mean spectrum describes the sources,
-the differences between frames the kind of sound: single impacts vary, a steady rustle does not. Features with
-`relative` in their names, frequencies and those without a unit do not depend on the gain of the sensor.
+In a window many bodies fall, slide and overlap, so single impacts are not located. It is cut into half-overlapping
+Hann-windowed frames of `FRAME_TIME`: their mean spectrum describes the sources, the differences between frames the kind
+of sound. Features with `relative` in their names, frequencies and those without a unit do not depend on the gain.
 """
 
 from __future__ import annotations

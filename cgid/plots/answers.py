@@ -92,11 +92,7 @@ def _draw_switch(axes: Any, switch: Switch, clock: Clock) -> None:
 
 
 def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Sequence[Switch]) -> Any:
-    """Return a figure of the cumulative gangue fraction against the recovered coal, one curve per channel.
-
-    `times` are those of the answers of each channel [s], each of which counts as one rock; its share must be known at
-    two or more times. At most `MAX_CHANNELS` are drawn.
-    """
+    """Return a figure of the cumulative gangue fraction against the recovered coal, one curve per channel."""
     names = list(times)[:MAX_CHANNELS]
     figure = require_matplotlib()(figsize=(WIDTH, _DRAWN_HEIGHT), layout="constrained")
     axes = figure.subplots()
@@ -126,11 +122,7 @@ def draw_drawn(
     width: float = 2.2,
     says_times: bool = True,
 ) -> None:
-    """Draw the operators' curve of one support, with the time along it, named if `says_times`, and SHUT.
-
-    `times` and `gangue` (n_rocks,) are when each rock fell [s], and whether it is gangue, or the probability of that;
-    `shut` are times [s], `width` is that of the line [points].
-    """
+    """Draw the operators' curve of one support: gangue fraction against time [s], and SHUT."""
     from matplotlib.patheffects import withStroke
 
     # The share of the first rocks is that of chance.

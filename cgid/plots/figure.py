@@ -79,8 +79,6 @@ def png(figure: Any) -> bytes:
 def colours_of(labels: Iterable[str]) -> dict[str, str]:
     """Return a colour for each label, in alphabetical order; "unknown" is grey.
 
-    Examples
-    --------
     >>> colours_of(["gangue", "unknown", "coal"])
     {'coal': '#0072b2', 'gangue': '#d55e00', 'unknown': '#555555'}
     """
@@ -93,8 +91,6 @@ def colours_of(labels: Iterable[str]) -> dict[str, str]:
 def plain(text: str, longest: int = 80) -> str:
     r"""Return untrusted text as one printable line of at most `longest` characters.
 
-    Examples
-    --------
     >>> plain("a\x00 file\n"), plain("a rather long name.wav", 11)
     ('a file', 'a rat….wav')
     """
@@ -113,11 +109,7 @@ def _families() -> list[str]:
 def judgement_pictures(
     labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ...], metrics: dict[str, Any]
 ) -> dict[str, bytes]:
-    """Return PNG pictures of a model's test, "confusion", "reliability" and "roc".
-
-    `labels` (n_impacts,) are the true ones, `probabilities` are (n_impacts, n_classes), `metrics` those of
-    `cgid.identification.metrics.evaluate`.
-    """
+    """Return PNG pictures of a model's test: "confusion", "reliability" and "roc"."""
     return {
         "confusion": _confusion(np.array(metrics["confusion"]), classes),
         "reliability": _reliability(metrics["reliability"]),

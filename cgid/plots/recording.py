@@ -55,11 +55,7 @@ def overview_figure(
     marks: Sequence[Mark] = (),
     begin: float = 0.0,
 ) -> Any:
-    """Return a figure of waveform and spectrogram of each channel and the spectra of all, with marks by label.
-
-    `channels` are those of the overview, in order, `title` and `facts` two lines above it. Marks are drawn above the
-    waveform of their channel, in one row per label. `begin` is the time of the first sample [s].
-    """
+    """Return a figure of waveform and spectrogram of each channel and the spectra of all, with marks by label."""
     colours = colours_of(mark.label for mark in marks)
     strip = [_STRIP_ROW * len(colours)] if colours else []
     shrunk = 1.0 if len(channels) <= _FULL_SIZE else _SHRUNK
@@ -243,8 +239,6 @@ def _quantity(channel: Channel) -> str:
 def hertz(frequency: float, digits: int = 6) -> str:
     """Format a frequency [Hz] in Hz or kHz.
 
-    Examples
-    --------
     >>> hertz(43.06640625, 3), hertz(44100.0)
     ('43.1 Hz', '44.1 kHz')
     """
@@ -306,10 +300,7 @@ def _shares(
     colours: Mapping[str, str],
     width: float = 0.05,
 ) -> None:
-    """Draw the share of each label among the rocks arriving near a time.
-
-    The window is Gaussian; its standard deviation is `width` times the duration.
-    """
+    """Draw the fraction of each label among the rocks arriving near a time, in a Gaussian window."""
     first = truth["bounce"] == 0
     arrivals, labels = truth["time"][first], truth["label"][first]
     times = np.linspace(0, duration, 400)

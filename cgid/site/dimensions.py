@@ -1,9 +1,8 @@
-"""The dimensions of a beam, learned from impacts whose places and forces nobody knows.
+"""The dimensions of a beam, learned from impacts at unknown locations with unknown forces.
 
-A drawing gives length, width, thickness and ribs, and they are some per cent off. Every natural frequency and every
-shape follows from these few numbers, so they are learned before the modes are: Gauss-Newton steps on the logarithms of
-all dimensions, with the places and forces of the impacts projected out as in `learning`. The lowest modes come first:
-their responses turn by less than a period even where the drawing is wrong. Each wider band then learns what is left.
+A drawing gives length, width, thickness and ribs to some per cent. Gauss-Newton steps on their logarithms, with
+locations and forces projected out as in `learning`, precede the learning of modes. The lowest modes come first: their
+responses shift by less than a period even where the drawing is wrong. Each wider band then refines the dimensions.
 """
 
 from __future__ import annotations
@@ -54,12 +53,8 @@ class Dimension:
 
 
 def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[str, float]:
-    """Return the errors of the dimensions that are to be learned, by name; none where all are 0.
-
-    `error` is relative: that of each dimension, or of those that a mapping names, while the others are exact. The
-    damping ratio is 10 times as uncertain as the worst of them, at most 30 %. Raise `InvalidValue` if an error is not
-    between 0 and 0.1 (of the damping ratio 0.3), the beam has no such dimension, or its modes are tapped or learned.
-    """
+    """Return the relative errors of the dimensions that are to be learned, by name; none where all are 0."""
+    # The damping ratio is 10 times as uncertain as the worst dimension, at most 30 %.
     dimensions = dimensions_of(scene)
     given = (
         dict(error) if isinstance(error, Mapping) else dict.fromkeys(dimensions or DIMENSIONS, error) | {DAMPING: 0.0}
@@ -94,11 +89,9 @@ def learn_dimensions(
     *,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Scene, tuple[Dimension, ...]]:
-    """Return a scene with the dimensions that impacts tell of, and these.
-
-    `beam` is that of the scene, whose modes nobody has learned; `errors` are those of `dimension_errors`, standard
-    deviations of logarithms. `progress` receives the number of rounds done since the last call, at most `MAX_ROUNDS`.
-    """
+    """Return a scene with the dimensions that impacts indicate, and these."""
+    # `beam` is that of the scene, with modes not yet learned; `progress` receives the number of rounds since the last
+    # call.
     before, names, prior = dimensions_of(scene), list(errors), np.array(list(errors.values()))
     now, deviation = np.zeros(len(names)), prior
     blows = blows.taken(slice(_FEW))
@@ -148,10 +141,8 @@ def dimensions_of(scene: Scene) -> dict[str, float]:
 
 
 def with_dimensions(scene: Scene, names: list[str], change: Floats) -> Scene:
-    """Return a scene whose beam has other dimensions; `change` is that of their logarithms.
-
-    Impacts and the sensor stay where they are, or go as far in as the beam is shorter.
-    """
+    """Return a scene with other dimensions of its beam, by the change of their logarithms."""
+    # Impacts and the sensor stay where they are, or move inwards as the beam gets shorter.
     content = json.loads(scene.text)
     beam = content["tail_beam"]
     for name, log in zip(names, change.tolist(), strict=True):

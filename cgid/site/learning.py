@@ -1,10 +1,9 @@
-"""The modes of a beam, learned from impacts whose places and forces nobody knows.
+"""The modes of a beam, learned from impacts at unknown locations with unknown forces.
 
-The samples of an impact are `sum_r participation_r(place) response_r(pole_r, force) + noise`. Place and force differ
-from impact to impact, but all share the poles. So the place and the force of each impact are found with the present
-poles, and a Gauss-Newton step then corrects all modes at once, with the places and forces projected out: variable
-projection (Golub & Pereyra 1973), with Gaussian priors of the forces and of the corrections. A mode that ended in a
-wrong valley is sought alone over a wider range.
+The samples of an impact are `sum_r participation_r(location) response_r(pole_r, force) + noise`. Location and force
+differ from impact to impact, but all share the poles. Both are estimated with the present poles; a Gauss-Newton step
+then corrects all modes at once, with locations and forces projected out: variable projection (Golub & Pereyra 1973),
+with Gaussian priors. A mode in a wrong local minimum is then searched for alone over a wider range.
 """
 
 from __future__ import annotations
@@ -48,19 +47,11 @@ _MIN_GAIN, _APART = 10.0, 0.04
 
 @dataclass(frozen=True, eq=False)
 class Blows:
-    """Recorded blows.
+    """Recorded impacts."""
 
-    Attributes
-    ----------
-    frames : at the sampling rate of the beam, without baseline, (n, n_samples)
-    start : first and last sample in which touch may lie, (n, 2)
-    noise : its standard deviation, (n,)
-    colour : of the noise
-    """
-
-    frames: Floats
-    start: NDArray[np.intp]
-    noise: Floats
+    frames: Floats  # (n, n_samples), at the sampling rate of the beam, without baseline
+    start: NDArray[np.intp]  # (n, 2), first and last sample in which the onset may lie
+    noise: Floats  # (n,), standard deviation
     colour: ARNoise
 
     def __len__(self) -> int:
@@ -89,11 +80,9 @@ class Blows:
 
 
 def evidence_of(inversion: Inversion, blows: Blows) -> Floats:
-    """Return the log evidence of each impact per sample, (n,): 0 would be samples that are known without noise.
-
-    White noise alone has -0.5. A beam that explains the impacts has some tenths less, as places and forces are unknown;
-    one that does not has much less.
-    """
+    """Return the log evidence of each impact per sample, (n,)."""
+    # White noise alone has -0.5. A beam that explains the impacts has some tenths less, as locations and forces are
+    # unknown; one that does not has much less.
     found = inversion.invert(blows.sought(), blows.start)
     samples = _cut(blows.frames, found.start, inversion.n_samples) / blows.noise[:, None]
     power = np.sum(np.square(inversion.transformed(samples), dtype=np.float64) * blows.weight(inversion), axis=1)
@@ -107,11 +96,9 @@ def learn(
     *,
     progress: Callable[[int], object] | None = None,
 ) -> Learned:
-    """Learn the modes of a beam from impacts, starting from this beam.
-
-    `deviation` (3, n_modes) is the prior standard deviation of ln frequency, ln damping ratio and ln participation;
-    rows of zeros are not learned. `progress` receives the number of rounds done since the last call.
-    """
+    """Learn the modes of a beam from impacts, starting from this beam."""
+    # `deviation` (3, n_modes): prior standard deviation of ln frequency, ln damping ratio and ln participation; rows of
+    # zeros are not learned. `progress` receives the number of rounds since the last call.
     found = Learned(beam, blows, deviation, progress)
     few = min(_FEW, len(blows))
     top = Inversion(beam).bins.stop / Inversion(beam).n_samples * beam.sampling_rate
@@ -133,14 +120,10 @@ def learn(
 
 
 class Learned:
-    """What impacts tell of the modes of a beam, and the steps that improve it.
+    """What impacts indicate about the modes of a beam, and the steps that improve it."""
 
-    Attributes
-    ----------
-    correction, deviation : of ln frequency, ln damping ratio and ln participation, (3, n_modes), and its standard
-        deviation: that of the prior where the impacts tell nothing
-    at_rest : whether the last step was small against the deviations
-    """
+    # `correction` and `deviation` (3, n_modes): of ln frequency, ln damping ratio and ln participation; `at_rest`:
+    # whether the last step was small compared with the deviations.
 
     def __init__(
         self, beam: Beam, blows: Blows, prior: Floats, progress: Callable[[int], object] | None = None
@@ -178,11 +161,7 @@ class Learned:
 
 
 def newton(curvature: Floats, pulls: Floats, prior: Floats, now: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return parameters after a Gauss-Newton step, the step, at most as long as the prior, and their deviations.
-
-    Curvature (n, n) and pulls (n_blows, n) are those of `System.equations`; `prior` (n,) are standard deviations of the
-    parameters, which are expected to be 0, and `now` (n,) is what they are.
-    """
+    """Return parameters (n,) after a Gauss-Newton step at most as long as the prior, the step, and deviations."""
     covariance = np.linalg.inv(curvature + np.diag(prior**-2))
     # Where the pulls of single impacts scatter more than the curvature says, the model is not exact: Huber (1967).
     scatter = np.sum(np.square(covariance @ pulls.T), axis=1)
@@ -198,16 +177,10 @@ def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
 
 
 class System:
-    """Impacts as one beam explains them, and the normal equations of what may be wrong about it.
+    """Impacts as one beam explains them, and the normal equations of its errors."""
 
-    `raised` (n_blows,) are factors of the noise, `limit` [Hz] is the highest frequency that is looked at.
-
-    Attributes
-    ----------
-    active : modes that act on what is looked at
-    found : places and forces
-    power : mean square of what is left of each impact, over the noise, (n_blows,); from `equations`
-    """
+    # `raised` (n_blows,) are factors of the noise, `limit` [Hz] is the highest frequency used; `active` are the modes
+    # up to it, `found` locations and forces, and `power` (n_blows,) the mean squared residual over the noise.
 
     def __init__(self, beam: Beam, blows: Blows, raised: Floats, limit: float | None = None) -> None:
         self.beam, self.inversion, self.raised = beam, Inversion(beam), raised
@@ -242,10 +215,8 @@ class System:
         return self._told((sides[0] - sides[1]) / (2 * POLE_STEP))
 
     def equations(self, slopes: Callable[[int], Singles | Floats]) -> tuple[Floats, Floats]:
-        """Return the pulls of the impacts on parameters, (n_blows, n), and their curvature, (n, n).
-
-        `slopes` returns how the coefficients of an impact, by its number, follow the parameters, (n, n_columns).
-        """
+        """Return the gradients of the impacts in the parameters, (n_blows, n), and their curvature, (n, n)."""
+        # `slopes` returns the slopes of the coefficients of an impact, by its number, (n, n_columns).
         pulls, curvature = [], np.zeros(())
         for row in range(len(self.power)):
             every, precision, left, weight = self.nuisance(row)
@@ -272,10 +243,8 @@ class System:
         return self._told(self._responses(beam))
 
     def by_beams(self, sides: Callable[[int], tuple[Beam, Beam]], n: int, step: float) -> Callable[[int], Floats]:
-        """Return the slopes of an impact in n parameters, from the beams a step above and below in each.
-
-        In double precision: what no impact tells, as the size of a plain plate, is a small difference of large numbers.
-        """
+        """Return the slopes of an impact in n parameters, from the beams a step above and below in each."""
+        # In double precision: a parameter that impacts hardly determine is a small difference of large numbers.
         slopes = np.zeros((len(self.power), n, self.columns.size), np.float32)
         for number in range(n):
             for beam, sign in zip(sides(number), (1, -1), strict=True):
@@ -290,10 +259,7 @@ class System:
         return max(float(np.mean(np.square(self.found.coefficients[row]))), 1.0)
 
     def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, float]:
-        """Return of one impact the ways of force and place, their precision, what is left, and the samples' weight.
-
-        All in coefficients whose noise is white.
-        """
+        """Return the directions of force and location of an impact, their precision, the residual, and the weight."""
         force = self.found.coefficients[row]
         single = force.astype(np.float32)
         ways = np.tensordot(np.stack([at[row] for at in self.at]), self.table, 1) * self.root[row]
@@ -310,11 +276,9 @@ class System:
 
 
 def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -> Floats | None:
-    """Return corrections in which some modes have moved to another valley; None if none gains by it.
-
-    Each mode is tried alone at frequencies all over its prior, with its prior damping and participation, while the
-    other modes stay and places and forces follow.
-    """
+    """Return corrections in which some modes have moved to another local minimum; None if none improves."""
+    # Each mode is tried alone at frequencies all over its prior, while the other modes stay, and locations and forces
+    # follow.
     active = system.active
     ratio = beam.modes.damping_ratio[active]
     widest = min(_WIDEST * float(deviation[0].max()), _WIDEST_SHARE)

@@ -13,12 +13,9 @@ _FITTING = 3.0
 
 
 def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error: float) -> tuple[Modes, Floats]:
-    """Return the modes of a scene, corrected where taps have found them, and which of them were found, (n_modes,).
-
-    Frequencies and damping ratios (n_modes,) are those of the scene, ascending; `start_error` is the relative standard
-    deviation of its frequencies, its damping ratios have ten times as much. Modes keep their order. One step of the
-    whole beam, such as a stiffer steel, is allowed for.
-    """
+    """Return the modes of a scene, corrected where the hammer taps show them, and which these are, (n_modes,)."""
+    # `start_error` is the relative standard deviation of the scene's frequencies; damping ratios have ten times as
+    # much. Modes keep their order, and a common factor of all frequencies, such as a stiffer steel, is allowed for.
     found, computed = np.log(test.modes.frequency), np.log(frequency)
     shifts = np.linspace(-_FITTING, _FITTING, 61) * start_error
     pairs = min(((*_aligned(found, computed + shift, start_error), shift) for shift in shifts), key=lambda one: one[0])
@@ -37,10 +34,8 @@ def matched(test: TapTest, frequency: Floats, damping_ratio: Floats, start_error
 
 
 def _aligned(found: Floats, computed: Floats, error: float) -> tuple[float, list[tuple[int, int]]]:
-    """Return the cost and the pairs (found, own) of the best alignment that keeps both orders.
-
-    A pair costs its squared distance; a mode of the taps without a partner `_FITTING` squared.
-    """
+    """Return the cost and the pairs (found, own) of the best alignment that keeps both orders."""
+    # A pair costs its squared distance; a measured mode without a partner `_FITTING` squared.
     distance = np.square((found[:, None] - computed) / error)
     cost = np.zeros((found.size + 1, computed.size + 1))
     cost[1:, 0] = _FITTING**2 * np.arange(1, found.size + 1)

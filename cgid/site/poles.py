@@ -1,16 +1,15 @@
-"""Poles of free decays: natural frequencies and damping ratios of what rings after a tap, with deviations.
+"""Poles of free decays: natural frequencies and damping ratios after hammer taps, with standard deviations.
 
-After the force has ended, every decay is a sum of the same damped exponentials. Its discrete Fourier transform over
-any stretch is then exactly a sum of simple poles, without leakage. Band by band, each decay is such a sum over the
-modes of the band and a polynomial for everything else: modes of other bands, their mirror images, what is left of the
-force.
+After the force has ended, every decay is a sum of the same damped exponentials. Its discrete Fourier transform is
+exactly a sum of simple poles, without leakage. Band by band, each decay is such a sum over the modes of the band and a
+polynomial for everything else.
 
 1. Least squares for a common denominator (LSCF: Guillaume, Verboven & Vanlanduit 1998) gives poles at every order of
    the model; those that return from order to order are stable.
 2. From the poles of some orders maximum likelihood in white noise, the amplitudes projected out (Golub & Pereyra 1973),
-   gives the estimates; Schwarz's criterion chooses among the orders.
-3. Their covariance is the larger of the Cramer-Rao bound and of the scatter of the pulls of single taps (Huber 1967):
-   with the second a beam that is not the same from tap to tap does not look better known than it is.
+   gives the estimates; Schwarz's criterion selects the order.
+3. Their covariance is the larger of the Cramer-Rao bound and of the scatter between single taps (Huber 1967), so that a
+   beam that changes from tap to tap does not look better known than it is.
 """
 
 from __future__ import annotations
@@ -56,26 +55,14 @@ _MAX_UNSURE = 0.35
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Poles:
-    """Modes that ring in some decays.
+    """Modes of some free decays."""
 
-    Attributes
-    ----------
-    pole : `-damping_ratio w + j w sqrt(1 - damping_ratio^2)` with `w = 2 pi frequency`, by ascending frequency,
-        (n_modes,) [1/s]
-    deviation : standard deviations of ln frequency and ln damping ratio, (2, n_modes)
-    amplitude : each decay is the sum of `Re(amplitude exp(pole t))` from its first sample on, (n_decays, n_modes)
-    amplitude_deviation : of the amplitudes, complex numbers: from the noise of each decay, and from the error of the
-        poles that all decays share, (2, n_decays, n_modes)
-    orders : number of orders of the model at which least squares found the mode, (n_modes,)
-    chart : every pole of every order: order, frequency [Hz], damping ratio, and 1 if it is stable, (n, 4)
-    """
-
-    pole: Complexes
-    deviation: Floats
-    amplitude: Complexes
-    amplitude_deviation: Floats
-    orders: NDArray[np.intp]
-    chart: Floats
+    pole: Complexes  # (n_modes,) [1/s], `-damping_ratio w + j w sqrt(1 - damping_ratio^2)`, ascending
+    deviation: Floats  # (2, n_modes), standard deviations of ln frequency and ln damping ratio
+    amplitude: Complexes  # (n_decays, n_modes), a decay is the sum of `Re(amplitude exp(pole t))`
+    amplitude_deviation: Floats  # (2, n_decays, n_modes), from the noise of each decay and from the shared poles
+    orders: NDArray[np.intp]  # (n_modes,), number of orders of the model at which least squares found the mode
+    chart: Floats  # (n, 4), every pole of every order: order, frequency [Hz], damping ratio, 1 if stable
 
     @property
     def frequency(self) -> Floats:
@@ -95,12 +82,9 @@ def poles_of(
     max_order: int,
     progress: Callable[[int], object] | None = None,
 ) -> Poles:
-    """Return the modes that ring in some decays of one body, possibly none.
-
-    Decays (n_decays, n_samples) are free; the channels of several sensors are further decays. `band` [Hz] holds the
-    lowest and highest natural frequency that is sought, `max_order` is the largest number of modes in one of the bands
-    that are fitted one by one. `progress` receives the percentage of the work that has been added.
-    """
+    """Return the modes of some free decays (n_decays, n_samples) of one body, possibly none."""
+    # `band` [Hz] holds the lowest and highest natural frequency, `max_order` the largest number of modes in one of the
+    # bands that are fitted one by one. `progress` receives the percentage of the work added.
     decays = decays - decays.mean(axis=1, keepdims=True)
     fits, cores = [], list(_cores(band, decays.shape[1] / sampling_rate))
     for k, core in enumerate(cores):
@@ -136,12 +120,9 @@ def _cores(band: tuple[float, float], duration: float) -> Iterator[tuple[float, 
 
 
 class _Band:
-    """The decays in one band: bins of their transform.
+    """The decays in one band: bins of their transform."""
 
-    line : frequencies of the bins [rad/s], (n_bins,)
-    bins : transform of the decays, over the square root of their length, (n_bins, n_decays)
-    chart : see `Poles`
-    """
+    # `line` (n_bins,): frequencies [rad/s]; `bins` (n_bins, n_decays): transform over the square root of the length.
 
     def __init__(self, decays: Floats, sampling_rate: float, core: tuple[float, float]) -> None:
         self.core, self.step = core, 1 / sampling_rate
@@ -178,11 +159,9 @@ class _Band:
         return out
 
     def _roots(self, powers: Complexes) -> tuple[Complexes, Complexes]:
-        """Return the poles of one order [1/s]: least squares of `denominator bins - numerators`, twice.
-
-        With 1 as the lowest coefficient poles that only noise calls for grow, and go (Cauberghe et al. 2005), but in
-        much noise others do, too. With 1 as the highest all decay.
-        """
+        """Return the poles of one order [1/s]: least squares of `denominator bins - numerators`, twice."""
+        # With 1 as the lowest coefficient, poles due to noise grow and are dropped (Cauberghe et al. 2005), but in much
+        # noise others are, too. With 1 as the highest, all decay.
         basis = np.linalg.qr(powers)[0]
         n = powers.shape[1]
         matrix = np.zeros((n, n), complex)
@@ -241,11 +220,9 @@ class _Band:
         return np.asarray((frequency >= self.core[0]) & (frequency < self.core[1]))
 
     def _joined(self, fit: _Fit) -> _Fit:
-        """Return a fit with one pole for each pair that is one mode which does not decay exponentially.
-
-        Such a mode, in a joint that slips, looks like two at one frequency with different dampings. Half of
-        what they are apart is added to the deviations of the one.
-        """
+        """Return a fit with one pole for each pair that is one mode which does not decay exponentially."""
+        # A mode in a joint that slips looks like two at one frequency with different dampings. Half of their difference
+        # is added to the deviations.
         while (pair := _double(fit.pole)) is not None:
             gain = fit.gains()
             weak, kept = sorted(pair, key=lambda k: gain[k])
@@ -302,13 +279,10 @@ def _n_ringing(decays: Floats, sampling_rate: float, band: tuple[float, float]) 
 
 
 class _Fit:
-    """Poles in a band, with the amplitudes that follow.
+    """Poles in a band, with the amplitudes that follow."""
 
-    pole : (n_poles,) [1/s]
-    blur : further deviations of real and imaginary part, because a mode does not decay exponentially, (n_poles,)
-    coefficients : complex, (n_poles + background, n_decays)
-    left : complex, (n_bins, n_decays); power : sum of squares of it
-    """
+    # `pole` (n_poles,) [1/s]; `blur` (n_poles,): further deviations where a mode does not decay exponentially;
+    # `coefficients` (n_poles + background, n_decays); `left` (n_bins, n_decays): residual; `power`: its sum of squares.
 
     def __init__(self, band: _Band, pole: Complexes, blur: Complexes | None = None) -> None:
         self.band, self.pole = band, pole
@@ -368,10 +342,7 @@ class _Fit:
         return self.basis[:, : self.pole.size] / (1j * self.band.line[:, None] - self.pole)
 
     def jacobian(self) -> Complexes:
-        """Return the slopes of the fit in real and imaginary parts of the poles, (2 n_poles, n_bins, n_decays).
-
-        The amplitudes follow (Kaufman 1975).
-        """
+        """Return slopes (2 n_poles, n_bins, n_decays) in real and imaginary parts of the poles (Kaufman 1975)."""
         bends = self._bends()
         bends = bends - self.q @ (self.q.conj().T @ bends)
         slopes = bends.T[:, :, None] * self.coefficients[: self.pole.size, None, :]

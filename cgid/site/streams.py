@@ -1,8 +1,8 @@
-"""Simulated streams of a scene: rows of impacts as the detector finds them, and what a model answers to their rocks.
+"""Simulated streams of a scene: rows of impacts as the detector finds them, and the answers of a model to their rocks.
 
-An impact in a frame of its own is an ideal. In a stream it follows others that still ring, overlaps with them, and most
-rocks bounce. A model of acceleration therefore also trains on streams (`rows_of_streams`), and is finished on others
-(`finished`): they say how novel its own streams are, and what it answers to rocks of either label.
+In a stream an impact follows others that still ring, overlaps with them, and most rocks bounce. So a model of
+acceleration also trains on streams (`rows_of_streams`), and is finished on others (`finished`): they determine its
+novelty limit and its confusion of rocks.
 """
 
 from __future__ import annotations
@@ -69,11 +69,8 @@ def is_streamable(scene: Scene) -> bool:
 
 
 def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
-    """Return streams like that of a scene, each with a constant mixture, and with other rates, places and noises.
-
-    Shares of the second label fill 0 to 1 evenly. Modes that are not known exactly are drawn for each stream. Raise
-    `InvalidValue` if the scene has no stream, or not two labels.
-    """
+    """Return streams like that of a scene, each with a constant mixture, and with other rates, locations and noises."""
+    # Fractions of the second label fill 0 to 1 evenly. Uncertain modes are sampled for each stream.
     if scene.stream is None or len(labels_of(scene)) != 2:
         raise InvalidValue(
             f"scene {scene.name}: must have a [stream] and rocks of two labels to train on streams, got "
@@ -124,11 +121,7 @@ def rows_of_streams(
     progress: Callable[[int], object] | None = None,
     workers: Workers = ALONE,
 ) -> list[StreamRows]:
-    """Simulate streams, such as `variations`, and measure what the detector finds in them.
-
-    Each is simulated with its number in the sequence. `names` are features and guards, which look through the beam.
-    `progress` is called with 1 for each stream.
-    """
+    """Simulate streams, such as `variations`, and measure features and guards of what the detector finds in them."""
     found = []
     with closing(workers.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
         for stream in streams:
@@ -216,12 +209,7 @@ def train_on_streams(
     workers: Workers = ALONE,
     **settings: Any,
 ) -> Training:
-    """Train a model on simulated streams of a scene (see `is_streamable`), and finish it on others.
-
-    It trains on about `n_impacts`, rounded up to whole streams, and is judged on impacts of rocks that did not train.
-    `progress` is called with 1 for each stream; `settings` are those of
-    `cgid.identification.training.train`, such as `family`.
-    """
+    """Train a model on about `n_impacts` from simulated streams of a scene, test it, and finish it on other streams."""
     n_streams, n_further = numbers_of_streams(scene, n_impacts)
     beam, names = full_beam(scene), (*BEAM_FEATURES, *BEAM_GUARDS)
     scenes = variations(scene, n_streams, seed)
@@ -234,10 +222,7 @@ def train_on_streams(
 
 
 def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
-    """Return a model that knows what it answers to rocks in streams of its own, and takes them for its own.
-
-    The model has two labels, and features through a beam. The streams have its features and guards; none trained it.
-    """
+    """Return a model with its confusion of rocks in streams that did not train it, which it takes for its own."""
     rows = Rows.joined([stream.rows for stream in streams])
     found = sum(stream.n_found for stream in streams)
     left = max(1 - UNKNOWN_SHARE * found / len(rows.labels), 0.0)

@@ -1,9 +1,8 @@
-"""A tap test: taps of a hammer on a beam, recorded by an accelerometer on it, and the modes that ring after them.
+"""A tap test: hammer taps on a beam, recorded by an accelerometer on it, and the modes in the decay after them.
 
-A recording is cut at its taps. What follows a tap, from the end of the impact to the next tap, is a free decay; `poles`
-finds the modes in all decays together. With an instrumented hammer, the decay also gives the participation of a mode,
-`shape(tap) shape(sensor) / modal mass`: its amplitude over the Laplace transform of the force at the mode's own pole.
-That is the estimate H1 at the pole, and neither windows nor leakage come in.
+From the end of an impact to the next tap the recording is a free decay; `poles` finds the modes in all decays together.
+With an instrumented hammer, the participation of a mode, `shape(tap) shape(sensor) / modal mass`, is its amplitude over
+the Laplace transform of the force at its pole: the estimate H1 at the pole, without windows or leakage.
 """
 
 from __future__ import annotations
@@ -241,10 +240,7 @@ def read_times(path: str | Path) -> list[float]:
 
 
 def _events(response: Floats, sampling_rate: float, every: bool, source: str) -> list[Event]:
-    """Return the impacts that the sensors measure.
-
-    Raises `BadData` if there is none, or if `every` one should be a tap and those of the first minute are too close.
-    """
+    """Return the impacts that the sensors measure."""
     detector = ImpactDetector(sampling_rate, len(response), kind="vibration", joint=True)
     first = round(_LOOK * sampling_rate)
     events = detector.feed(response[:, :first])
@@ -427,11 +423,8 @@ def _participation(
 
 
 def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:
-    """Return the mean over taps (n_taps, n_modes) of some strength, and its relative standard deviation.
-
-    `noise` and `shared` are those of each times strength; the second is common to all taps. Where the taps scatter by
-    more, that counts.
-    """
+    """Return the mean over taps (n_taps, n_modes) of some strength, and its relative standard deviation."""
+    # `noise` is that of each tap, `shared` common to all taps. A larger scatter between taps takes their place.
     n_taps, total = len(each), np.square(strength).sum(axis=0)
     mean = np.sum(np.square(strength) * each, axis=0) / total
     std = np.sqrt(np.square(noise * strength).sum(axis=0)) / total
