@@ -1,7 +1,4 @@
-"""What predict and monitor say: a table of answers on stdout, and gangue fractions, turns and a summary on stderr.
-
-With --json all of it is on stdout, one JSON object per line.
-"""
+"""Output of predict and monitor: answers on stdout, all else on stderr; with --json all on stdout, a line each."""
 
 from __future__ import annotations
 
@@ -62,10 +59,7 @@ def answer_columns(
 
 
 class AnswerLines:
-    """Print one row at a time, with its kind in JSON.
-
-    `clock` adds the time of the clock to each line of JSON. `listener` receives each line, printed or not, with it.
-    """
+    """Print one row at a time, with its kind in JSON; `listener` receives each line, printed or not."""
 
     def __init__(
         self,
@@ -238,11 +232,10 @@ _MAX_SILENT_LISTED = 3
 
 
 class RecordingRows:
-    """Print the answers of one model for the channels of one recording.
+    """Print the answers of one model for the channels of one recording."""
 
-    `keep` stores answers, shares and turns. Unless `always`, rows wait for a measurable one, and shares for a second
-    row. `hints` see all answers; the hint follows the last line or, if `always`, the first clear answers.
-    """
+    # Unless `always`, rows wait for a measurable one, and shares for a second row. `hints` see all answers; the hint
+    # follows the last line or, if `always`, the first clear answers.
 
     def __init__(
         self,
@@ -304,10 +297,7 @@ class RecordingRows:
                 self._print_level(live=True)
 
     def finish(self, duration: float, start_time: Any = None) -> None:
-        """Print the rest at the end of a recording of this duration [s], and its silent channels.
-
-        Raises `BadData` if there was no answer or none could be measured; never for a live stream.
-        """
+        """Print the rest at the end of a recording of this duration [s], and its silent channels."""
         from cgid.errors import BadData
 
         self.lines.begin(self.source, self._model, self._settings)  # the head of an empty table

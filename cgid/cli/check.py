@@ -163,10 +163,7 @@ def _shares(draws: list[Any], values: dict[str, Any], sampling_rate: Any, scene:
 
 
 def _stream(scene: Any) -> dict[str, Any]:
-    """Return the contents of a scene with a stream, and its label shares over the recording.
-
-    Raises as `generate` for a recording that is too long, or a background that cannot be read.
-    """
+    """Return the contents of a scene with a stream, and its label fractions over the recording."""
     import numpy as np
 
     from cgid.scene.noise import background_of

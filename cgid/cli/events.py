@@ -67,10 +67,7 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
 
 
 def _require_trainable(files: Sequence[str], reading: Reading) -> None:
-    """Raise `MissingOption`, `BadData` or `InvalidValue` if no model could be trained on a table of these recordings.
-
-    Nobody should label impacts first and hear it then. A file that cannot be read is left to its turn.
-    """
+    """Raise an error if no model could be trained on these recordings, before anybody labels their impacts."""
     from cgid.identification.labelled_recordings import require_alike, unit_of
 
     first: RecordingFile | None = None

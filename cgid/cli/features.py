@@ -114,10 +114,7 @@ class _Rows:
                 self.table.add(row)
 
     def signals(self, path: str, reading: Reading) -> None:
-        """Print the impacts of all channels of a recording, or of one signal of a dataset.
-
-        Raises `BadData` if no channel has an impact that can be measured.
-        """
+        """Print the impacts of all channels of a recording, or of one signal of a dataset."""
         signals = reading.signals(path)
         for warning in signals[0].warnings:
             warn(warning)
@@ -246,10 +243,7 @@ class _Rows:
             raise BadData(f"{signal.name}: none of its {n_impacts} can be measured; the first: {failed[0]}")
 
     def _begin(self, source: str, columns: list[Column]) -> None:
-        """Set the columns of the table; those that a later file has in addition are left out with a warning.
-
-        Raises `BadData` if the table has none of these.
-        """
+        """Set the columns of the table; a later file's additional ones are left out with a warning."""
         if self.as_json:
             return
         new_columns = tuple(dict.fromkeys(columns))

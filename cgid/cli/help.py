@@ -1,7 +1,4 @@
-"""The pages of --help: options and commands under headings, and one example that works in a fresh checkout.
-
-An option finds its heading by its name, so that a new one of a known name needs no edit here.
-"""
+"""The pages of --help: options and commands under headings, by their names, and one example that works."""
 
 from __future__ import annotations
 
@@ -60,13 +57,7 @@ _COMPLETION = (
 
 
 def heading_of(command: str | None, option: click.Parameter) -> str | None:
-    """Return the heading of an option of a command; None if its name is not known here.
-
-    Examples
-    --------
-    >>> heading_of("predict", click.Option(["--rate"])), heading_of("train", click.Option(["--window"]))
-    ('Reading the recording', 'Model')
-    """
+    """Return the heading of an option of a command; None if its name is not known here."""
     flag = max(option.opts, key=len)
     special = _EXCEPTIONS.get(f"{command} {flag}")
     return special or next((heading for heading, flags in _OPTIONS.items() if flag in flags.split()), None)

@@ -91,12 +91,10 @@ _WORDS = {
 
 
 class Hints:
-    """Diagnose the answers of a recording, and say which commands help.
+    """Diagnose the answers of a recording, and say which commands help."""
 
-    `source` is the file as the next commands name it; `options` are those that all commands need to read it, such as
-    `--rate 25600`, `answering` those of `cgid predict` alone, such as `--model mine.npz`. `channels` are all that these
-    options read. `labelled` says that the file is a dataset, which holds signals and the labels to train on.
-    """
+    # `source` is the file as the next commands name it; `options` are those that all commands need to read it,
+    # `answering` those of `cgid predict` alone, such as `--model mine.npz`; `labelled`: whether the file is a dataset.
 
     def __init__(
         self,

@@ -66,13 +66,10 @@ class UnbufferedInput:
 
 
 class Inbox:
-    """Read blocks (n_channels, n_samples) in a separate thread, so that the stream continues meanwhile.
+    """Read blocks (n_channels, n_samples) in a separate thread, so that the stream continues meanwhile."""
 
-    An exception of `blocks` is raised again for the consumer, after the blocks before it. If more than `max_waiting`
-    bytes wait, reading stops and the source has to wait.
-
-    `n_taken`: samples of each channel that the consumer has taken; `is_held_up`: whether the stream ever had to wait.
-    """
+    # An exception of `blocks` is raised for the consumer, after the blocks before it. If more than `max_waiting` bytes
+    # wait, the source has to wait, too (`is_held_up`).
 
     def __init__(self, blocks: Iterable[NDArray[Any]], sampling_rate: float, max_waiting: int = MAX_WAITING) -> None:
         self._blocks, self._rate, self._most = blocks, sampling_rate, max_waiting
@@ -96,10 +93,9 @@ class Inbox:
 
     @property
     def behind(self) -> float:
-        """Delay of the answers behind the stream [s], at most the duration of the waiting samples.
-
-        It also is at most the lead of the clock over the samples taken: a stream faster than real time is not live.
-        """
+        """Delay of the answers behind the stream [s], at most the duration of the waiting samples."""
+        # A stream faster than real time is not live, so it is also at most the lead of the clock over the samples
+        # taken.
         return max(min(self._n_waiting / self._rate, self._clock - self.n_taken / self._rate), 0.0)
 
     @property

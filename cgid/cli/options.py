@@ -193,10 +193,7 @@ class Reading:
         return dead_time_in_seconds(self.milliseconds)
 
     def wants_whole_dataset(self, path: str, mass: float | None = None) -> bool:
-        """Return whether this is a dataset without a chosen signal.
-
-        Refuse the options for reading a recording, because a dataset describes itself.
-        """
+        """Return whether this is a dataset without a chosen signal, which takes no options for reading a recording."""
         from cgid.recordings import is_dataset
 
         if not is_dataset(path):
@@ -421,10 +418,7 @@ def given_options() -> tuple[list[str], list[str]]:
 
 
 class Models:
-    """The given model; else the default model of each quantity, loaded and checked when a signal needs it.
-
-    A mass or a drop height implies a force.
-    """
+    """The given model; else the default model of each quantity, loaded when a signal needs it."""
 
     def __init__(self, path: str | None, settings: PredictionSettings) -> None:
         self._path, self._settings = path, settings

@@ -1,10 +1,4 @@
-"""The standard streams of a command, its errors and progress, and interruptions.
-
-Commands print only through `say`, so that no text of a file can control the terminal.
-
-Python raises KeyboardInterrupt at an arbitrary place, and loses it where nothing can be raised, such as in callbacks of
-weak references, of which h5py has many. So interruptions are also noted, and long work asks for them.
-"""
+"""The standard streams of a command, its errors and progress, and interruptions; all printing goes through `say`."""
 
 from __future__ import annotations
 
@@ -31,16 +25,14 @@ JSON_VERSION = 1
 _COUNTED_EXACTLY = 100_000
 #: Files that a library reads in this process, and trusts.
 _TRUSTED_BY_LIBRARIES = (".h5", ".hdf5", ".mat")
+#: Ctrl-C was pressed: Python loses KeyboardInterrupt in callbacks of weak references, of which h5py has many.
 _noted = threading.Event()
 #: Progress bars on the terminal, the last of which is drawn.
 _bars: list[Any] = []
 
 
 def open_missing() -> None:
-    """Open the null device for every closed standard stream.
-
-    Otherwise the next opened file, such as a dataset, becomes the standard output of every C library.
-    """
+    """Open the null device for closed standard streams, whose numbers the next opened files would get."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -60,10 +52,7 @@ def drop(stream: TextIO | None) -> None:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line on stdout or stderr; escape characters that would control a terminal.
-
-    A stderr that cannot be written, for example on a full disk, is ignored.
-    """
+    """Print one line on stdout or stderr, with control characters escaped; a full stderr is ignored."""
     if _bars and (err or sys.stdout.isatty()):
         _bars[-1].clear()  # the next step draws it again, below this line
     try:
@@ -84,13 +73,9 @@ def warn(warning: object) -> None:
 def each_file(
     files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False, one_output: bool = False
 ) -> int:
-    """Treat every file; report the error of one and go on, or stop if `strict`.
-
-    With one output for all files, an error of writing it ends the work: it would lack rows. Among several files, the
-    name of one that may end or hang this process comes first on stderr.
-
-    Return the exit code of the first failed file.
-    """
+    """Treat every file, go on after an error unless `strict`, and return the exit code of the first failed one."""
+    # With one output for all files, an error of writing it ends the work: it would lack rows. Among several files, the
+    # name of one that may end or hang this process comes first on stderr.
     code, files = 0, list(files)
     for file in files:
         if len(files) > 1 and file.lower().endswith(_TRUSTED_BY_LIBRARIES):
@@ -155,10 +140,7 @@ def _note(_number: int, _frame: FrameType | None) -> None:
 
 @contextmanager
 def progress_bar(total: int | None, what: str, task: str) -> Iterator[Callable[[int], object]]:
-    """Yield a function that moves a progress bar; the bar appears only if stderr is a terminal.
-
-    It reads such as `measuring: 1200 of 3000 signals`; without a total it counts.
-    """
+    """Yield a function that moves a progress bar, if stderr is a terminal; without a total it counts."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda number: stop_if_asked()
         return

@@ -115,10 +115,7 @@ def plot(
 
 
 class _Finder:
-    """Find the impacts of each channel, as pulses or vibrations.
-
-    `kind` None chooses by the quantity of each channel. `begin` is the time of the first sample [s].
-    """
+    """Find the impacts of each channel as pulses or vibrations, by its quantity if `kind` is None."""
 
     def __init__(
         self,
@@ -197,10 +194,7 @@ def _require_order(begin: float, end: float | None) -> None:
 
 
 def _between(recording: RecordingFile, begin: float, end: float | None) -> Iterator[NDArray[Any]]:
-    """Yield the blocks of the recording between two times [s].
-
-    Raises `InvalidValue` if the recording ends before `begin`, or there is no sample between the two.
-    """
+    """Yield the blocks of the recording between two times [s]."""
     from cgid.errors import InvalidValue
 
     first = round(begin * recording.sampling_rate)

@@ -103,10 +103,7 @@ class _Prediction:
     reports: list[Report] | None
 
     def recording(self, recording: RecordingFile) -> None:
-        """Print the answers for a recording, read block by block, once for each model that its channels need.
-
-        Raises `CgidError` if it cannot be read, is of another quantity, or has no measurable impact.
-        """
+        """Print the answers for a recording, read block by block, once for each model that its channels need."""
         groups: dict[int, tuple[Model, list[int]]] = {}
         for number, channel in enumerate(recording.channels):
             model = self.models.of(channel.quantity)

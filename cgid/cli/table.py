@@ -1,8 +1,4 @@
-"""The table that a command prints: CSV on stdout, or one file.
-
-`pandas.read_csv` reads stdout without any argument, so whatever is no row goes to stderr. A file gets its name when it
-is whole; only Parquet and HDF5 need more than the standard library.
-"""
+"""The table that a command prints: CSV on stdout, which pandas reads without arguments, or one file."""
 
 from __future__ import annotations
 
@@ -77,10 +73,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class TableOutput:
-    """A table on stdout, or in a file; use as a context, which writes the file when it ends without an error.
-
-    Raises `CannotCreate` if the file cannot be written there, `MissingExtra` without the library of its format.
-    """
+    """A table on stdout, or in a file, which is written when the context ends without an error."""
 
     def __init__(self, output: str | None = None, *, overwrite: bool = False, as_json: bool = False) -> None:
         self.columns: tuple[Column, ...] = ()
@@ -161,10 +154,7 @@ _HEADS = tuple(("source", "channel", time) for time in ("time_s", "time [s]", "t
 
 
 def written_table(path: str) -> WrittenTable | None:
-    """Return what is in a table of answers or features, read to its end; None for any other file.
-
-    Raises `BadData` if it is damaged, `MissingExtra` without the library of its format.
-    """
+    """Return the content of a table of answers or features, read to its end; None for any other file."""
     readers = {".csv": _csv_table, ".jsonl": _json_table, ".parquet": _parquet_table}
     readers |= dict.fromkeys((".h5", ".hdf5"), _hdf5_table)
     file = Path(path)

@@ -466,10 +466,7 @@ def _point(text: str) -> tuple[float, float]:
 
 
 def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
-    """Return the beam that scenes and datasets share, if the features, or the default, look through it.
-
-    Raises `InvalidValue` if there are sensors, but no single scene with such a beam.
-    """
+    """Return the beam that scenes and datasets share, if the features, or the default, look through it."""
     from cgid.measure.features import FEATURES, kind_for
     from cgid.scene import Scene
     from cgid.scene.through_beam import shared_beam

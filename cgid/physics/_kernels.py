@@ -51,11 +51,8 @@ def _blend(columns: Array, place: float, out: Array) -> None:
 def _add_segment(
     samples: Array, coefficients: Array, segment: int, square: float, step: float, amplitude: float
 ) -> None:
-    """Add the force on samples that lie in one segment; square is sigma^2 of the first, step its increment.
-
-    The loop runs over a slice from its start and over a fixed number of powers, so that the compiler vectorises over
-    samples. Even and odd powers are two independent chains.
-    """
+    """Add the force on samples that lie in one segment; square is sigma^2 of the first, step its increment."""
+    # A slice from its start and a fixed number of powers let the compiler vectorise over samples.
     offset = 2.0 * segment + 1.0
     for k in range(samples.size):
         sigma_square = abs(square + k * step)
@@ -79,11 +76,8 @@ def _sample_after(place: float, n_samples: int) -> int:
 def add_to_frames(
     frames: Array, onset: Array, step: Array, place: Array, amplitude: Array, columns: Array, rows: Array
 ) -> None:
-    """Add one force pulse to some rows of frames (n, n_samples); only contact is touched.
-
-    onset [samples] is where touch falls on the sample grid, step is the sampling interval over T0, place is
-    `family.coordinate` of the restitution.
-    """
+    """Add one force pulse to some rows of frames (n, n_samples); only contact is touched."""
+    # onset [samples] is on the sample grid, step is the sampling interval over T0, place `family.coordinate` of e.
     pulse = np.empty(columns.shape[2])
     for i in rows:
         _blend(columns, place[i], pulse)
@@ -135,10 +129,7 @@ def at_times(
     out: Array,
     rows: Array,
 ) -> None:
-    """Fill some rows of out (n, k) with the pulses at times (n, k) [s]; zero outside contact.
-
-    cubic: the columns hold a force (over sigma^3), else a displacement (over sigma^2).
-    """
+    """Fill some rows of out (n, k) with force (cubic) or displacement at times (n, k) [s]; zero outside contact."""
     pulse = np.empty(columns.shape[2])
     for i in rows:
         _blend(columns, place[i], pulse)
@@ -165,11 +156,7 @@ def add_branches_to_frames(
     columns: Array,
     rows: Array,
 ) -> None:
-    """Add one force pulse of three branches to some rows of frames (n, n_samples); only contact is touched.
-
-    onset and step are those of `add_to_frames`, branches (n, len(`BRANCHES`)) those of the force. linear: the last
-    branch unloads a linear spring, else a Hertzian contact.
-    """
+    """Add one force pulse of three branches to some rows of frames; linear: how the last branch unloads."""
     pulse = np.empty(columns.shape[2])
     _blend(columns, 0.0, pulse)
     cut = pulse[CUT]
@@ -222,10 +209,7 @@ def branches_at_times(
     out: Array,
     rows: Array,
 ) -> None:
-    """Fill some rows of out (n, k) with the pulses at times (n, k) [s]; zero outside contact.
-
-    branches and linear are as in `add_branches_to_frames`, cubic as in `at_times`.
-    """
+    """Fill some rows of out (n, k) with pulses of three branches at times (n, k) [s], as `at_times`."""
     pulse = np.empty(columns.shape[2])
     _blend(columns, 0.0, pulse)
     cut = pulse[CUT]

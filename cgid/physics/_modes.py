@@ -39,10 +39,8 @@ def _legendre(u: float, out: Array) -> None:
 
 @jit
 def polynomial_shapes(x: Array, y: Array, along: Array, across: Array, coefficients: Array, out: Array) -> None:
-    """Fill out (points, modes) with sums of `P_i(2x - 1) P_j(2y - 1)`, i = along, j = across (terms).
-
-    Points are taken in blocks: each row of coefficients is then fetched once for all of them.
-    """
+    """Fill out (points, modes) with sums of `P_i(2x - 1) P_j(2y - 1)`, i = along, j = across (terms)."""
+    # Points are taken in blocks: each row of coefficients is then fetched once for all of them.
     legendre_along, legendre_across = np.empty(along.max() + 1), np.empty(across.max() + 1)
     weights = np.empty((_POINTS, along.size))
     for start in range(0, x.size, _POINTS):

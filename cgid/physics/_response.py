@@ -23,10 +23,7 @@ Array = NDArray[Any]
 
 @jit
 def _advance(state: Array, turn: Array, polynomials: Array, shares: Array, drive: Array, moments: Array) -> None:
-    """Move the states (2, n_poles) by one sample; turn (2, n_poles) is exp(p) of it.
-
-    polynomials (n_steps or more, n_polynomials), shares (2, n_polynomials, n_poles): what each brings to each pole.
-    """
+    """Move the states (2, n_poles) by one sample; turn (2, n_poles) is exp(p) of it."""
     moments[:] = 0.0
     for j in range(drive.size):
         force, row = drive[j], polynomials[j]
@@ -73,13 +70,10 @@ def strike(
     ringing: Array,
     chosen: Array,
 ) -> None:
-    """Add the response during contact to frames (n_rows, n_samples), and return the ringing that is left after it.
-
-    Pulse i falls on row[i]. force (n, k) holds it on a grid of stride[i] steps a sample that begins on sample first[i]
-    and has count[i] samples and ends with zeros; drive is the same, corrected for straight lines between steps.
-    polynomials, shares and edge have a leading axis for level[i]; amplitude (n, 2, n_poles); direct (n) is the share
-    that passes without delay. ringing (n, 2, n_poles) becomes amplitude times state at the sample first + count.
-    """
+    """Add the response during contact to frames, and fill ringing (n, 2, n_poles): what is left at first + count."""
+    # force (n, k) is on a grid of stride[i] steps a sample from sample first[i] on and ends with zeros; drive is
+    # corrected for straight lines between steps. polynomials, shares and edge have a leading axis for level[i]; direct
+    # passes undelayed.
     n_samples, n_poles = frames.shape[1], amplitude.shape[2]
     state, moments = np.empty((2, n_poles)), np.empty(polynomials.shape[2])
     for i in chosen:
@@ -97,10 +91,7 @@ def strike(
 
 @jit
 def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skipped: int) -> None:
-    """Add the ringing of some poles to samples; table (2, n_poles, length) holds exp(p t), real and imaginary part.
-
-    The inner loop runs over samples, so that the compiler vectorises it.
-    """
+    """Add the ringing of some poles to samples; table (2, n_poles, length) holds exp(p t), real and imaginary part."""
     for r in range(n_alive):
         re, im = weights[0, r], weights[1, r]
         cosine, sine = table[0, r, skipped:], table[1, r, skipped:]
@@ -118,12 +109,10 @@ def _size(pairs: Array, r: int) -> float:
 def ring(
     frames: Array, begin: Array, order: Array, start: Array, ringing: Array, table: Array, hop: Array, silence: float
 ) -> int:
-    """Add free ringing to frames (n_rows, n_samples); return how many samples of poles were computed.
-
-    Of row i the pulses order[begin[i]:begin[i + 1]], sorted by start, begin to ring at sample start of the frame.
-    table (2, n_poles, length), hop (2, n_poles) is exp(p length). Poles are sorted, the longest ringing first: the last
-    ones are left out as long as they are together quieter than silence times the largest sample so far.
-    """
+    """Add free ringing to frames (n_rows, n_samples); return how many samples of poles were computed."""
+    # Of row i the pulses order[begin[i]:begin[i + 1]] begin to ring at sample start. hop (2, n_poles) is exp(p length).
+    # Poles are sorted, the longest ringing first: the last ones are left out while together quieter than silence
+    # allows.
     length, n_poles = table.shape[2], table.shape[1]
     kind = table[0, 0, :1]
     state = np.empty((2, n_poles))

@@ -35,19 +35,13 @@ class Pulses(Protocol):
 
 
 def steps_for(tolerance: float) -> int:
-    """Return the number of steps per contact for this error over the largest sample.
-
-    The force is linear between steps, after a correction by its second difference. The remaining error comes from touch
-    and separation, where the force grows as `t^(3/2)`; it falls as the number of steps to the power -5/2.
-    """
+    """Return the number of steps per contact for this error over the largest sample."""
+    # The error comes from onset and separation, where the force grows as `t^(3/2)`: it falls as the number to the -5/2.
     return max(_MIN_STEPS, int(np.ceil(_STEPS_FOR_ONE * np.power(tolerance, -0.4))))
 
 
 class DrivenSample:
-    """Effect of one sample of `stride` steps on poles, as polynomials in the step number.
-
-    `Response._driven` describes the arrays.
-    """
+    """Effect of one sample of `stride` steps on poles, as polynomials in the step number; see `Response._driven`."""
 
     def __init__(self, poles: Complex, sampling_rate: float, stride: int, n_polynomials: int) -> None:
         h = 1 / (sampling_rate * stride)
@@ -74,10 +68,7 @@ def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:
 
 
 def _bessel(c: Complex, count: int) -> Complex:
-    """Return the modified spherical Bessel functions i_0(c), i_1(c), ..., (count, n).
-
-    Miller's backward recurrence gives their ratios; `e^c = sum (2 n + 1) i_n(c)` gives the scale.
-    """
+    """Return the modified spherical Bessel functions i_0(c), i_1(c), ..., (count, n), by Miller's recurrence."""
     start = count + int(np.ceil(1.5 * np.abs(c).max(initial=0.0))) + 30
     above = np.zeros((start + 2, *c.shape), complex)
     above[start] = 1e-30
@@ -101,13 +92,10 @@ def polynomials_for(phase: float, tolerance: float) -> int:
 
 
 class Windows:
-    """The forces of n pulses that touch at `onset` [s], each on its own grid, as fine as its contact needs.
+    """The forces of n pulses that begin at `onset` [s], each on its own grid, as fine as its contact needs."""
 
-    first, count : first sample of each grid, and number of samples, (n,)
-    stride : steps per sample, a power of 2, (n,)
-    strides, level : the distinct strides, ascending, and the index of each pulse's stride among them
-    force, drive : force [N], and the force corrected for linear interpolation, (n, n_steps)
-    """
+    # stride : steps per sample, a power of 2, (n,); strides, level : the distinct ones, and the index of each pulse's
+    # force, drive : force [N], and the force corrected for linear interpolation, (n, n_steps)
 
     def __init__(self, pulses: Pulses, onset: Floats, sampling_rate: float, tolerance: float) -> None:
         duration = pulses.contact_duration * sampling_rate

@@ -42,15 +42,10 @@ _PER_HALF_WAVE, _FOR_EDGES = math.pi / 2, 8
 
 @dataclass(frozen=True, kw_only=True)
 class Rigidities:
-    """Bending and twisting rigidities of an orthotropic plate [N m], and its mass per area [kg/m^2].
+    """Bending and twisting rigidities of an orthotropic plate [N m], and its mass per area [kg/m^2]."""
 
-    Its energy per area is `(Dx wxx^2 + 2 D1 wxx wyy + Dy wyy^2 + 4 Dxy wxy^2) / 2`.
-
-    along : Dx, bending along x, the direction of the ribs
-    across : Dy
-    coupling : D1, `nu D` of the skin
-    twist : Dxy
-    """
+    # The energy per area is `(Dx wxx^2 + 2 D1 wxx wyy + Dy wyy^2 + 4 Dxy wxy^2) / 2`: Dx is along (the ribs), Dy
+    # across, D1 coupling, Dxy twist.
 
     along: float
     across: float
@@ -65,14 +60,10 @@ class Rigidities:
 
     @property
     def impedance(self) -> float:
-        """Force over velocity at a point of the infinite plate [kg/s], real at every frequency.
-
-        In the receptance `1/(4 pi^2) integral dk / (D(theta) k^4 - m omega^2)`, slightly damped, the integral over |k|
-        is half the residue of its pole: `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`. With `t = tan theta`
-        this is a complete elliptic integral, given by the arithmetic-geometric mean:
-        `Z = 8 sqrt(m sqrt(Dx Dy)) agm(1, sqrt((1 + H / sqrt(Dx Dy)) / 2))`. For an isotropic plate it is
-        `8 sqrt(B rho h)`: Cremer, Heckl & Petersson (2005), Structure-Borne Sound, section 4.
-        """
+        """Force over velocity at a point of the infinite plate [kg/s], real at every frequency."""
+        # The residue of the pole of the receptance gives `Z = 16 pi / integral_0^2pi dtheta / sqrt(m D(theta))`, a
+        # complete elliptic integral: `8 sqrt(m sqrt(Dx Dy)) agm(1, sqrt((1 + H / sqrt(Dx Dy)) / 2))`; for an isotropic
+        # plate `8 sqrt(B rho h)` (Cremer, Heckl & Petersson 2005, Structure-Borne Sound, section 4).
         mean = math.sqrt(self.along * self.across)
         return 8 * math.sqrt(self.mass * mean) * _agm(1.0, math.sqrt((1 + self.mixed / mean) / 2))
 
@@ -86,10 +77,7 @@ def _agm(a: float, b: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SineShapes:
-    """`sin(i pi x) sin(j pi y)` over the unit square: a simply supported panel.
-
-    along, across : half waves i in x and j in y, (n_modes,)
-    """
+    """`sin(i pi x) sin(j pi y)` over the unit square: a simply supported panel; i along, j across, (n_modes,)."""
 
     along: Indices
     across: Indices
@@ -104,12 +92,10 @@ class SineShapes:
 
 @dataclass(frozen=True, eq=False)
 class _Symmetry:
-    """The modes of one symmetry, with terms `P_i(2x - 1) P_j(2y - 1)`.
+    """The modes of one symmetry, with terms `P_i(2x - 1) P_j(2y - 1)`."""
 
-    modes : indices among all modes, (n_modes,)
-    along, across : i and j of each term, (n_terms,)
-    coefficients : (n_terms, n_modes), zero-padded: the kernel takes four terms and sixteen modes at a time
-    """
+    # modes : indices among all modes; coefficients : (n_terms, n_modes), zero-padded for four terms and sixteen modes
+    # at once
 
     modes: Indices
     along: Indices
@@ -125,10 +111,7 @@ class PolynomialShapes:
 
     @classmethod
     def of(cls, coefficients: list[Floats], order: Indices) -> PolynomialShapes:
-        """Return the shapes from the coefficients (n_degrees_x, n_degrees_y, n_modes) of each symmetry.
-
-        `order` lists the modes in their final order, by index counted through all symmetries.
-        """
+        """Return the shapes from the coefficients of each symmetry; `order` lists the modes in their final order."""
         place = np.empty(order.size, dtype=np.intp)
         place[order] = np.arange(order.size)
         symmetries, start = [], 0
@@ -159,12 +142,7 @@ class PolynomialShapes:
 
 @dataclass(frozen=True, eq=False)
 class PanelShapes:
-    """Shapes over a panel, divided by the square root of the modal mass.
-
-    length, width : of the panel [m]
-    scale : 1 over the root of the modal mass [1/sqrt(kg)]
-    square : functions over the unit square, each with mean square 1/4
-    """
+    """Shapes over a panel [m]: `square` over the unit square, times `scale`, 1 over the root of the modal mass."""
 
     length: float
     width: float
@@ -198,19 +176,13 @@ def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """Functions of one coordinate u in [-1, 1], and the integrals of their products.
-
-    functions : coefficients in Legendre polynomials, (n_degrees, n_functions)
-    """
+    """Functions of a coordinate u in [-1, 1] as Legendre coefficients, (n_degrees, n_functions), and integrals."""
 
     functions: Floats
 
     @cached_property
     def integrals(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """The integrals of f f, f' f', f'' f'' and f'' f over [-1, 1], each (n_functions, n_functions).
-
-        Gauss quadrature with as many nodes as degrees is exact.
-        """
+        """The integrals of f f, f' f', f'' f'' and f'' f over [-1, 1], by Gauss quadrature, which is exact here."""
         nodes, weights = gauss(len(self.functions))
         value, slope, bend = (
             legendre.legvander(nodes, len(part) - 1) @ part
@@ -234,11 +206,9 @@ def _integrated(series: Floats) -> Floats:
 
 @lru_cache(maxsize=64)
 def _line(number: int, held: str) -> tuple[_Line, ...]:
-    """Return `number` functions; if the line is symmetric, even and odd ones separately.
-
-    Value and slope are 0 where the line is held: at "both" ends, the "start", or "none". The second derivatives are
-    Legendre polynomials, transformed to diagonalise the integrals of f f as well.
-    """
+    """Return `number` functions, even and odd ones separately if the line is symmetric."""
+    # Value and slope are 0 where the line is held: at "both" ends, the "start", or "none". The second derivatives are
+    # Legendre polynomials, transformed to diagonalise the integrals of f f as well.
     # From degree 2 on, the integrals of P_n from -1 also vanish at +1.
     degrees = np.arange(number) + (2 if held == "both" else 0)
     bends = np.zeros((degrees[-1] + 1, number))
@@ -257,11 +227,7 @@ def _line(number: int, held: str) -> tuple[_Line, ...]:
 
 
 class _Panel:
-    """One symmetry of a panel, whose shapes are products of a function along and a function across.
-
-    stiffness : over mass per area [rad^2/s^2], over the square [-1, 1] x [-1, 1], (n_products, n_products)
-    mass : of each product (the functions make it diagonal), (n_products,)
-    """
+    """One symmetry of a panel: stiffness over mass per area [rad^2/s^2] and diagonal mass of products of functions."""
 
     def __init__(self, along: _Line, across: _Line, rigidities: Rigidities, length: float, width: float) -> None:
         self.along, self.across = along, across
@@ -288,10 +254,7 @@ class _Panel:
         return np.asarray(1 / np.sqrt(inverse[inverse > 1 / (highest * highest)]))
 
     def modes(self, highest: float) -> tuple[Floats, Floats]:
-        """Return the frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4.
-
-        The shapes are coefficients (n_degrees_x, n_degrees_y, n_modes) in products of Legendre polynomials.
-        """
+        """Return the frequencies up to `highest` [rad/s] and the shapes (n_degrees_x, n_degrees_y, n_modes)."""
         scale, mass, stiffness = self._scaled()
         # M v = K v / omega^2, so that the modes wanted are the largest eigenvalues, the most accurate ones.
         inverse, vectors = eigh(mass, stiffness)
@@ -306,11 +269,8 @@ class _Panel:
 def ritz_modes(
     rigidities: Rigidities, length: float, width: float, held: tuple[str, str], highest: float
 ) -> tuple[Floats, PolynomialShapes]:
-    """Return the natural frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4.
-
-    `held` says for x and y where value and slope are 0: at "both" ends, the "start", or "none". BLAS takes one thread:
-    its last digits depend on their number, and several are slower.
-    """
+    """Return the natural frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4."""
+    # `held` is as in `_line`, for x and y. BLAS takes one thread: its last digits depend on their number.
     with threadpool_limits(1, "blas"):
         return _ritz_modes(rigidities, length, width, held, highest)
 

@@ -165,10 +165,7 @@ class Response:
 
     @cached_property
     def _residues(self) -> tuple[Complex, Complex]:
-        """Amplitudes of the modes' poles, (n_modes,), and of the filters' poles, (n_modes or 1, n_filter_poles).
-
-        Both are for a participation of 1, and twice the residue where a pole also stands for its conjugate.
-        """
+        """Amplitudes of the poles of modes and filters for a participation of 1, doubled for a conjugate."""
         fold = np.where(self.poles.imag != 0, 2.0, 1.0)
         after = np.array([self._filtered(pole, n) for n, pole in enumerate(self._filter_poles)], complex)
         if self.modes is None:
@@ -184,11 +181,8 @@ class Response:
 
     @cached_property
     def _loudness(self) -> Floats:
-        """Loudness of each mode after an impact, for a participation of 1.
-
-        The gain of the filters is that for a steady tone: at the pole itself it is unbounded if a filter's pole is
-        close.
-        """
+        """Loudness of each mode after an impact, for a participation of 1."""
+        # The gain of the filters is that for a steady tone: at the pole itself it may be unbounded.
         assert self.modes is not None
         size, k = np.abs(self.modes.poles), DERIVATIVES[self.quantity]
         gain = np.abs(self._filtered(1j * size))
@@ -317,10 +311,9 @@ class Response:
         count("mode_samples", sum(in_parts(run, np.array_split(np.arange(len(frames)), threads), threads)))
 
     def _driven(self, chosen: NDArray[np.intp], strides: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-        """Return the effect of a sample of each stride on the poles: polynomials, their shares, and g1 of `_response`.
-
-        Shapes (n_levels, largest stride, n_polynomials), (n_levels, 2, n_polynomials, n_poles), (n_levels, 2, n_poles).
-        """
+        """Return the effect of a sample of each stride on the poles: polynomials, shares, and g1 of `_response`."""
+        # Shapes (n_levels, largest stride, n_polynomials), (n_levels, 2, n_polynomials, n_poles), (n_levels, 2,
+        # n_poles).
         levels = [self._samples_of(stride) for stride in strides.tolist()]
         polynomials = np.zeros((strides.size, strides[-1], self._n_polynomials))
         for level, stride in enumerate(strides.tolist()):

@@ -23,24 +23,15 @@ _FINER, _CUBIC = 32, 3
 
 
 def shares_of_contact(n_points: int) -> Floats:
-    """Return fractions of a contact from 0 (touch) to 1 (separation), dense at both ends: `(1 - cos) / 2`.
-
-    >>> shares_of_contact(5).round(3).tolist()
-    [0.0, 0.146, 0.5, 0.854, 1.0]
-    """
+    """Return fractions of a contact from 0 to 1, dense at both ends: `(1 - cos) / 2`."""
     if validation.count("n_points", n_points) < MIN_POINTS:
         raise InvalidValue(f"n_points must be {MIN_POINTS} or more, got {n_points}")
     return np.asarray((1 - np.cos(np.linspace(0, np.pi, n_points))) / 2)
 
 
 def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
-    """Return the force [N] of one noisy pulse at fractions of its contact, smoothed by least squares.
-
-    The curve is a cubic spline in the angle of `SampledPulses`, 0 at both ends, with `knots` knots in between; all
-    samples have equal weight. Eight knots follow a damped impact within .3 % of its peak and .1 % on average, and
-    remove the force steps of a mesh that makes contact node by node. Times since onset [s] must rise; forces outside
-    contact are ignored.
-    """
+    """Return the force [N] of one noisy pulse at fractions of its contact: a cubic spline by least squares."""
+    # Eight knots follow a damped impact within .3 % of its peak, and remove the force steps of a mesh.
     from scipy.interpolate import BSpline
 
     since, course = validation.real("times", times, "s"), validation.real("forces", forces, "N")

@@ -70,11 +70,7 @@ class Ribs:
 
 @dataclass(frozen=True, kw_only=True)
 class RibbedPlate(ThinPlate):
-    """A thin plate whose ribs raise its impedance: the target of an `Impact` on a ribbed beam.
-
-    thickness : of the skin [m]
-    ribbed_impedance : of skin and ribs together [kg/s]
-    """
+    """A thin plate whose ribs raise its impedance [kg/s]: the target of an `Impact` on a ribbed beam."""
 
     ribbed_impedance: ArrayLike = np.nan
 
@@ -260,13 +256,10 @@ class TailBeam:
 
 
 def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: float) -> Rigidities:
-    """Return the rigidities of a skin with ribs at a `spacing` [m].
-
-    Along the ribs a strip one spacing wide bends about the neutral axis of its T-section: the skin with the modulus of
-    a wide plate, `E / (1 - nu^2)`, the bar with E. Across them only the skin bends, and the bars twist with it:
-    `H = D + G J / (2 spacing)` (Huber's plate, Timoshenko & Woinowsky-Krieger 1959, Theory of Plates and Shells,
-    sections 86-87). This holds for waves longer than about two spacings; shorter ones see each rib.
-    """
+    """Return the rigidities of a skin with ribs at a `spacing` [m], for waves longer than about two spacings."""
+    # Along the ribs a strip one spacing wide bends about the neutral axis of its T-section, the skin with `E / (1 -
+    # nu^2)`. Across them the skin bends, and the bars twist with it: `H = D + G J / (2 spacing)` (Huber's plate,
+    # Timoshenko & Woinowsky-Krieger 1959, Theory of Plates and Shells, sections 86-87).
     modulus, density, ratio = (
         float(np.asarray(value)) for value in (material.youngs_modulus, material.density, material.poisson_ratio)
     )
@@ -304,11 +297,8 @@ def modes_of(beam: TailBeam, highest: float) -> Modes:
 
 
 def _simply_supported(beam: TailBeam, highest: float) -> tuple[Floats, SineShapes]:
-    """Return the frequencies [Hz] and shapes of Navier's solution.
-
-    `omega^2 = pi^4 / m (Dx (i/a)^4 + 2 H (i j / (a b))^2 + Dy (j/b)^4)`: Timoshenko & Woinowsky-Krieger (1959), Theory
-    of Plates and Shells, section 85; for an isotropic plate `omega = pi^2 sqrt(D / m) (i^2/a^2 + j^2/b^2)`.
-    """
+    """Return the frequencies [Hz] and shapes of Navier's solution (Timoshenko & Woinowsky-Krieger 1959, section 85)."""
+    # `omega^2 = pi^4 / m (Dx (i/a)^4 + 2 H (i j / (a b))^2 + Dy (j/b)^4)`
     rigidities, sides = beam.rigidities, (beam.length, beam.width)
     most = [
         math.floor(extent / math.pi * math.sqrt(2 * math.pi * highest * math.sqrt(rigidities.mass / rigidity)))

@@ -1,8 +1,4 @@
-"""The outputs of `cgid monitor`: its answers in the protocols that a plant speaks.
-
-A listener of the lines that `--json` prints. Each output works in threads of its own, behind a queue that drops the
-oldest message when it is full, so the answers never wait for a broker, a reader or a command.
-"""
+"""The outputs of `cgid monitor`: its answers in the protocols that a plant speaks."""
 
 from __future__ import annotations
 
@@ -20,13 +16,9 @@ __all__ = ["PlantOutputs"]
 
 
 class PlantOutputs:
-    """Everything that receives the answers of one `cgid monitor`; use as a context, which starts and ends it.
+    """Everything that receives the answers of one `cgid monitor`; the context starts and ends it."""
 
-    The arguments are the options of that name; `warn` prints a line about an output, and is called from several
-    threads. Raises `InvalidValue` for an address or a command that is none, `MissingExtra` without the library of an
-    output, `CannotCreate` if a port is in use or the page cannot be written, `NoInput` or `BadData` if a file with a
-    password or a certificate cannot be read.
-    """
+    # Each output has threads of its own behind a queue that drops the oldest message, so answers never wait for it.
 
     def __init__(
         self,
@@ -95,10 +87,7 @@ class PlantOutputs:
         threshold: float | None,
         behind: Callable[[], float],
     ) -> None:
-        """Name what is followed: supports (`channels`), rows of the blocks, and a function for the delay [s].
-
-        Raises `InvalidValue` if a command waits for a decision that this model cannot make.
-        """
+        """Name the supports (`channels`), the rows of the blocks, and a function for the delay [s]."""
         decision = next((kind for kind, command in self._commands.items() if command is not None), None)
         if decision is not None and threshold is None:
             raise InvalidValue(

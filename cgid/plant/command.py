@@ -21,10 +21,9 @@ N_RESERVED = 10
 
 
 class Command(Output):
-    """Runs one command at a time, without a shell; it gets the turn as JSON on stdin and in its environment.
+    """Run one command at a time, without a shell; it gets the turn as JSON on stdin and in its environment."""
 
-    Descriptors are kept in reserve between the runs, so that it can start even if none are left.
-    """
+    # Descriptors are kept in reserve between the runs, so that it can start even if none are left.
 
     def __init__(self, option: str, command: str, kind: str, warn: Callable[[str], None]) -> None:
         super().__init__(option, warn, MAX_PENDING)

@@ -37,13 +37,7 @@ class Broker(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Broker:
-        """Return the broker and topic of a URL; raises `InvalidValue` if it is none.
-
-        Examples
-        --------
-        >>> Broker.of("mqtt://broker/plant/support7")
-        Broker(host='broker', port=1883, topic='plant/support7', secure=False)
-        """
+        """Return the broker and topic of a URL; raises `InvalidValue`."""
         try:
             url = urlsplit(text)
             host, port = url.hostname, url.port
@@ -67,11 +61,9 @@ class Broker(NamedTuple):
 
 
 class Mqtt(Output):
-    """Messages below one topic: KIND/CHANNEL for each line, state/CHANNEL and status retained.
+    """Messages below one topic: KIND/CHANNEL for each line, state/CHANNEL and status retained."""
 
-    Messages are acknowledged by the broker (QoS 1). What it has not acknowledged is sent again after a break, so a
-    message may come twice; the field `message` counts them, and shows those that were dropped while it was away.
-    """
+    # Messages need an acknowledgement (QoS 1) and may come twice; their field `message` counts them.
 
     def __init__(self, url: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         self._broker = broker = Broker.of(url)

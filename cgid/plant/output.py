@@ -24,10 +24,7 @@ MAX_CLIENTS, _PAUSE_AFTER_EVICTION = 10, 0.01
 
 
 class Service:
-    """Something that runs in a thread until it is asked to end.
-
-    Nothing that happens to it ends the monitor: an error is a line by `warn`.
-    """
+    """A thread that runs until it is asked to end; its errors become warnings and never end the monitor."""
 
     def __init__(self, name: str, warn: Callable[[str], None]) -> None:
         self.name, self._warn = name, warn
@@ -71,11 +68,7 @@ class Service:
 
 
 class Output(Service):
-    """A service with a queue of messages; when it is full, the oldest is dropped and counted.
-
-    `passed, dropped`: messages that arrived where they should, and those that did not fit into the queue; `up`: whether
-    the receiver is there.
-    """
+    """A service with a queue of messages that drops the oldest; `up`: whether the receiver is there."""
 
     def __init__(self, name: str, warn: Callable[[str], None], max_waiting: int = MAX_WAITING) -> None:
         super().__init__(name, warn)
@@ -113,13 +106,7 @@ class Address(NamedTuple):
 
     @classmethod
     def of(cls, option: str, text: str) -> Address:
-        """Return HOST:PORT or :PORT as an address; raises `InvalidValue` if it is none.
-
-        Examples
-        --------
-        >>> Address.of("--modbus", ":1502"), Address.of("--modbus", "[::1]:502")
-        (Address(host='127.0.0.1', port=1502), Address(host='::1', port=502))
-        """
+        """Return HOST:PORT or :PORT as an address; raises `InvalidValue`."""
         match = re.fullmatch(r"(?:\[([0-9A-Fa-f:.%]+)\]|([^\s:/\[\]]*)):(\d{1,5})", text)
         if match is None or not 1 <= int(match[3]) <= 65535:
             file = ", or a file .html" if option == "--live" else ""
@@ -157,12 +144,10 @@ class Address(NamedTuple):
 
 
 class Server(Service):
-    """A TCP server; each of at most `MAX_CLIENTS` clients has a thread.
+    """A TCP server with a thread for each of at most `MAX_CLIENTS` clients."""
 
-    A client without a complete request for `timeout` [s] is disconnected, however often it sends a byte. A client too
-    many replaces the one whose last complete request is the oldest. `handler` reads `self.request`, and may call
-    `self.server.completed(self.request)`.
-    """
+    # A client without a complete request for `timeout` [s] is disconnected; one too many replaces the one that has been
+    # idle longest. `handler` reads `self.request`, and may call `self.server.completed(self.request)`.
 
     def __init__(
         self,

@@ -31,10 +31,7 @@ _PIXELS = 10_000
 
 @dataclass
 class Support:
-    """What is known of one support, the last gangue fraction and the decision.
-
-    `impacts` and `unknown` are those of the share's window, `labels` counts all answers since the start.
-    """
+    """The last gangue fraction and decision of one support; `impacts` and `unknown` are those of its window."""
 
     state: int = NOTHING
     share: float = math.nan
@@ -74,10 +71,7 @@ class Support:
 
 
 class PlantState:
-    """All supports of a stream, and whether it is alive; several threads may ask.
-
-    `supports`: by the name of the channel; `beats`: blocks of the stream that were taken.
-    """
+    """All supports of a stream by channel, and whether it is alive; several threads may read it."""
 
     def __init__(self) -> None:
         self.supports: dict[str, Support] = {}
@@ -190,10 +184,7 @@ class Waveform:
                 self._bins.append((number, least, most))
 
     def content(self, rows: Sequence[str]) -> dict[str, Any]:
-        """Return begin and width of the bins [s], and of each channel the least and largest samples, for JSON.
-
-        Samples are integers times the `scale` of their channel: a picture shows no more, and they are quick to write.
-        """
+        """Return begin and width of the bins [s], and least and largest samples of each channel, as integers."""
         with self._lock:
             bins = list(self._bins)
         if not bins:

@@ -54,11 +54,7 @@ def web_services(
 
 
 class WebServer(Server):
-    """Serves a few paths by GET and HEAD.
-
-    On a loopback address it answers loopback names only. Otherwise any web page could read it through a name of its own
-    that it lets point here (DNS rebinding).
-    """
+    """Serve a few paths by GET and HEAD; on a loopback address only under loopback names (DNS rebinding)."""
 
     def __init__(self, option: str, address: Address, routes: Routes, warn: Callable[[str], None]) -> None:
         class Handler(BaseHTTPRequestHandler):
@@ -92,13 +88,7 @@ class WebServer(Server):
 
 
 def _host(header: str) -> str:
-    """Return the name in a Host header, without its port.
-
-    Examples
-    --------
-    >>> _host("localhost:8080"), _host("[::1]:8080"), _host("::1")
-    ('localhost', '::1', '::1')
-    """
+    """Return the name in a Host header, without its port."""
     match = re.fullmatch(r"\[(.*)\](?::\d*)?|([^:]*)(?::\d*)?", header.strip())
     return (match[1] or match[2] or "") if match else header.strip()
 

@@ -1,7 +1,4 @@
-"""Read the arrays of NPY, NPZ and HDF5 files, without pickle and within limits for declared sizes.
-
-NPY and HDF5 (also MATLAB v7.3, by `cgid.store`) are read block by block, NPZ whole.
-"""
+"""Read the arrays of NPY, NPZ and HDF5 files (also MATLAB v7.3), without pickle, within limits for declared sizes."""
 
 from __future__ import annotations
 
@@ -38,12 +35,7 @@ _HEADER_SIZE = 1 << 16
 
 
 def read_npy(path: Path, source: str) -> Blocks:
-    """Return the channels of an NPY file, which holds one array.
-
-    (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
-    shorter. Raises `BadData` if the header is damaged, the type is not real numbers, or the shape is empty, has more
-    than two axes or does not match the file size.
-    """
+    """Return the channels of an NPY file; the longer of two axes is that of the samples."""
     with path.open("rb") as file:
         shape, fortran_order, dtype, offset = _header(file.read(_HEADER_SIZE), source)
         stored = os.fstat(file.fileno()).st_size - offset
@@ -167,12 +159,7 @@ def _variable(group: str, name: str, array: NDArray[Any], axes: tuple[int | None
 
 
 def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of an array in an NPZ archive, or of several of one length.
-
-    Values such as ``fs`` or ``unit`` give rate and unit; an array of times of the same length also gives the rate.
-    Raises `BadData` if the archive is damaged (checksums are compared), its arrays are larger than 2 GiB, or it holds
-    none, or several of which `variable` (a name or pattern) selects none.
-    """
+    """Return the channels of an array in an NPZ archive, or of several of one length."""
     arrays = []
     damage = understood(source, "the archive is damaged or cut off", "copy or save it again")
     with damage, zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="ignore"):
@@ -226,13 +213,9 @@ _PACKING = {"scale_factor": 1.0, "add_offset": 0.0}
 
 
 def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of one array of an HDF5 file, or of several arrays of one length.
-
-    Rate, unit, start and channel names come from attributes and single values of the array, its groups and the root,
-    the nearest first; the rate else from an array of times next to it. Packed numbers are unpacked by ``scale_factor``
-    and ``add_offset`` (CF conventions). Raises `BadData` if the file is damaged, is a dataset of cgid, or holds no
-    array or several; or if the array is in another file, declares more than is stored, or needs an unavailable filter.
-    """
+    """Return the channels of one array of an HDF5 file, or of several arrays of one length."""
+    # Values of the array, its groups and the root state rate, unit, start and names: the nearest first. Packed numbers
+    # have `scale_factor` and `add_offset` (CF conventions).
     from cgid.store.description import RECORDING_FORMAT, hdf5_format
     from cgid.store.foreign import array_blocks, survey
 

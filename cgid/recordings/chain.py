@@ -39,11 +39,7 @@ _FULL_SCALE = re.compile(r"(?:±|\+/?-)?\s*(.*?)(?:\s+at\s+([0-9]{1,3})\s*bits?)
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """The signal of a sensor for one unit of what it measures.
-
-    value : in SI units, such as V/(m/s^2)
-    signal, measured : quantities, such as "voltage" and "acceleration"
-    """
+    """The signal of a sensor for one unit of what it measures, in SI units such as V/(m/s^2)."""
 
     value: float
     signal: str
@@ -102,11 +98,7 @@ class Gain:
 
 @dataclass(frozen=True, kw_only=True)
 class FullScale:
-    """What a sample of full scale stands for, in `unit`; None: the unit is stated elsewhere.
-
-    `bits` is the resolution of the converter for integers whose type does not show it; its largest number is just below
-    2^(bits - 1).
-    """
+    """What a sample of full scale stands for; `bits` is the resolution of the converter of integers."""
 
     value: float
     unit: str | None = None
@@ -233,10 +225,8 @@ class Chain:
         )
 
     def links(self, contents: Blocks, channels: Sequence[int], unit: str | None, source: str) -> list[Link]:
-        """Return the link of each channel, from the statements of user and file, which must agree.
-
-        A sensitivity or charge gain for all channels is for those in volts or coulombs, of which there must be one.
-        """
+        """Return the link of each channel, from the statements of user and file, which must agree."""
+        # A sensitivity or charge gain for all channels is for those in volts or coulombs, of which there must be one.
         units = units_of(unit)
         scaled_links = [self._scaled(contents, index, units, source) for index in channels]
         is_some = any(link.unit and quantity_of(link.unit) in ELECTRICAL for link in scaled_links)

@@ -46,12 +46,7 @@ WAITING_TIME = 5.0
 
 @dataclass(frozen=True)
 class Format:
-    """One file format.
-
-    is_format : whether a file has this format, from its first `HEAD_SIZE` bytes
-    reader : ``module:function`` in `cgid.recordings`
-    takes_variable : whether a file may hold several arrays to choose from
-    """
+    """One file format; `takes_variable`: whether a file may hold several arrays to choose from."""
 
     name: str
     is_format: Callable[[bytes], bool]
@@ -150,10 +145,7 @@ def format_named(name: str) -> Format | OutsideFormat:
 
 
 def format_of(path: Path, source: str) -> Format | OutsideFormat:
-    """Return the format of a regular file: that of its first bytes, else one of other packages, else text.
-
-    Raises `BadData` if the file is empty, or is text with the name of an HDF5 dataset.
-    """
+    """Return the format of a regular file: that of its first bytes, else one of other packages, else text."""
     with path.open("rb") as file:
         head = file.read(HEAD_SIZE)
     if not head:

@@ -28,12 +28,7 @@ _MAX_NAMED = 5
 
 
 class Gaps:
-    """Mark the samples of some channels that no sensor can give, count them, and give up channels that stay unreadable.
-
-    `say` takes each line: at the end what is missing, if anything; with `at_once`, already at the first gap. A channel
-    is given up when it has been unreadable for `give_up` [s]; when all are, or one that is used together with others
-    (`joint`), the blocks end.
-    """
+    """Make samples that no sensor can give nan and count them; give up channels that stay so for `give_up` [s]."""
 
     def __init__(
         self,
@@ -144,10 +139,6 @@ class Gaps:
 
 
 def largest(unit: str | None) -> float:
-    """Return the largest sample that a sensor can give, in a unit; without one, that of full scale.
-
-    >>> largest("kN"), largest(None)
-    (100000.0, 10000000000.0)
-    """
+    """Return the largest sample that a sensor can give, in a unit; without one, that of full scale."""
     quantity = "level" if unit is None else quantity_of(unit)
     return LARGEST[quantity] / (1.0 if unit is None else UNITS[quantity][unit])

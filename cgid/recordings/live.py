@@ -1,7 +1,4 @@
-"""Read samples while they arrive: raw numbers or a WAV of unknown length on the standard input.
-
-Nothing here is specific to Unix, but Windows is untested.
-"""
+"""Read samples while they arrive: raw numbers or a WAV of unknown length on the standard input."""
 
 from __future__ import annotations
 
@@ -36,15 +33,10 @@ _FILES = {
 
 @dataclass(kw_only=True)
 class LiveStream:
-    """Samples that arrive while they are recorded; made by `live_stream`, iterated over once.
+    """Samples that arrive while they are recorded; made by `live_stream`, iterated over once."""
 
-    channels : by default in "FS" for a WAV and for integers, which are scaled to full scale
-    factors : of the samples of each channel as they enter, to its unit
-    n_samples : of each channel so far
-    warnings : what was left out, one line each; complete when the stream has ended
-    head : first bytes of the samples, read to recognise the format
-    size : bytes of sound; None if only the end of the stream shows it
-    """
+    # factors : of the samples of each channel as they enter, to its unit; warnings : complete when the stream has ended
+    # size : bytes of sound; None if only the end of the stream shows it
 
     file: BinaryIO
     coding: Coding
@@ -63,10 +55,7 @@ class LiveStream:
         return len(self.channels)
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Yield arrived samples, (n_channels, n), as soon as one is whole; never wait for a full block.
-
-        Floats that are not finite are yielded as they are. Raises `BadData` if the stream holds no samples.
-        """
+        """Yield samples as they arrive, (n_channels, n); never wait for a full block."""
         frame_size = self.n_channels * self.coding.width
         pending, left = self.head, self.size
         while True:
@@ -103,13 +92,7 @@ def live_stream(
     source: str = "stdin",
     chain: Chain | None = None,
 ) -> LiveStream:
-    """Return a stream of samples: a WAV by its header, anything else as raw numbers with interleaved channels.
-
-    Raw numbers need `sampling_rate` [Hz], `n_channels` and a `sample_format` such as "s16le", "s24le", "f32le" or "u8".
-    Integers are scaled to a full scale of 1.0, floats are kept; `chain` turns both into N or m/s^2. Raises
-    `MissingOption` if neither stream nor options tell how to read it, `InvalidValue` if an option is invalid or
-    contradicts the WAV header, `BadData` if the stream is empty or its WAV header damaged.
-    """
+    """Return a stream of samples: a WAV by its header, anything else as raw numbers with interleaved channels."""
     units_of(unit)
     given = None if sampling_rate is None else require_rate(sampling_rate)
     if n_channels is not None and validation.count("n_channels", n_channels) > MAX_CHANNELS:

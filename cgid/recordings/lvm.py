@@ -41,12 +41,7 @@ _GAP, _STAMP = 1.5, 2e-6
 
 
 def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of a LabVIEW measurement file.
-
-    `variable` is the number of a segment from 1. The rate is that of Delta_X, or of the column of x where Delta_X has
-    too few digits. A file with fewer rows than it declares gives these and a warning. Raises `BadData` if a header or a
-    row is damaged or cut off; without `variable` also if segments do not follow each other.
-    """
+    """Return the channels of a LabVIEW measurement file; `variable` is the number of a segment from 1."""
     encoding, warnings = encoding_and_end(path, source)
     lvm = _Segments(path, encoding, source, warnings)
     only = None
@@ -77,15 +72,7 @@ def read_lvm(path: Path, source: str, variable: str | None) -> Blocks:
 
 @dataclass(frozen=True, kw_only=True)
 class _Segment:
-    """The header of a packet of rows.
-
-    number : from 1
-    line : of the first row in the file, from 1
-    x : "no", "one" or "multi": columns with values of x
-    tags : fields of each tag, in the columns to which they belong; column 0 is that of x
-    of_file : tags of the header of the file
-    labels : texts above the columns
-    """
+    """The header of a packet of rows; its `tags` are in the columns of their channels, 0 is that of x."""
 
     number: int
     line: int

@@ -20,12 +20,7 @@ _DEEPEST, _MAX_TEXT_LENGTH = 16, 4096
 
 
 def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of one array of a MATLAB file, or of several arrays of one length.
-
-    The file is as written by ``save -v6`` or ``-v7``; fields of structs are named ``struct/field``. Rate and unit are
-    found as by `read_npz`. Raises `BadData` if the file is cut off or damaged, its arrays are larger than 2 GiB, or it
-    holds no real array or several. scipy trusts the file: a crafted or damaged one may end the process.
-    """
+    """Return the channels of an array in a MATLAB file (-v6, -v7), or of several; `struct/field` names a field."""
     from scipy.io import loadmat, whosmat
 
     with (

@@ -34,12 +34,7 @@ _INDEX = "__index_level_"
 
 
 def read_parquet(path: Path, source: str) -> Blocks:
-    """Return the columns of a Parquet file as channels; it holds one table.
-
-    Columns without numbers are left out with a warning. Names and units are as in a text header, or in field metadata
-    (``unit``). The rate is that of the column of times (numbers or timestamps), else that of the file metadata. Raises
-    `BadData` if the file is damaged, has no numbers or uneven times; `MissingExtra` without pyarrow.
-    """
+    """Return the columns of a Parquet file as channels; those without numbers are left out with a warning."""
     file = _Parquet(path, source)
     warnings, variables, names = list[str](), list[Variable](), list[str]()
     for name, kind, values in file.columns():
@@ -84,10 +79,7 @@ def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], co
 
 
 def parquet_columns(path: Path, source: str, first: Sequence[str]) -> tuple[list[str], int]:
-    """Return the names of the columns and the number of rows of a table that begins with the columns `first`.
-
-    It is read to its end; raises as `read_parquet`. Another table has no columns.
-    """
+    """Return names and number of rows of a table that begins with the columns `first`, read to its end; else none."""
     file = _Parquet(path, source)
     names = [name for name, *_ in file.columns()]
     if names[: len(first)] != [*first]:

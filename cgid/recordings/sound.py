@@ -1,8 +1,4 @@
-"""Read sound files by blocks: WAV without a library, FLAC and OGG with libsndfile.
-
-Whole frames of a WAV are read, contradictions and cuts become warnings: EBU Tech 3285 (broadcast WAV), EBU Tech 3306
-(RF64), RFC 2361 (codings).
-"""
+"""Read WAV without a library, FLAC and OGG with libsndfile (EBU Tech 3285 and 3306, RFC 2361)."""
 
 from __future__ import annotations
 
@@ -41,11 +37,7 @@ _WIDTHS = {"u": (1,), "i": (2, 3, 4, 8), "f": (4, 8)}
 
 @dataclass(frozen=True, kw_only=True)
 class Coding:
-    """Encoding of one number.
-
-    kind : "u": unsigned integers around the middle of their range; "i": signed integers; "f": floats
-    width : bytes of a number: "u" 1; "i" 2, 3, 4 or 8; "f" 4 or 8
-    """
+    """Encoding of a number of `width` bytes: "u" unsigned around the middle, "i" signed integers, "f" floats."""
 
     kind: Literal["u", "i", "f"]
     width: int
@@ -53,10 +45,7 @@ class Coding:
 
     @classmethod
     def of_name(cls, name: str) -> Coding:
-        """Return the coding of a name such as "u8", "s16le", "s24be", "f32le"; little-endian by default.
-
-        Raises `InvalidValue` with the known names if it is unknown.
-        """
+        """Return the coding of a name such as "u8", "s16le", "s24be", "f32le"; little-endian by default."""
         found = _NAMED.get(str(name).lower())
         if found is None:
             listed = ", ".join(known for known in _NAMED if known == "u8" or known.endswith("e"))
@@ -103,12 +92,7 @@ def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, kw_only=True)
 class WaveHead:
-    """Statements of a WAV file or stream before the sound.
-
-    data_size : declared bytes of sound
-    start_time : from a broadcast chunk
-    warnings : contradictions within the header
-    """
+    """What a WAV file states before the sound; `start_time` is from a broadcast chunk."""
 
     n_channels: int
     sampling_rate: float
@@ -124,12 +108,7 @@ class WaveHead:
 
 
 def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, start: bytes = b"") -> WaveHead:
-    """Read up to the first byte of sound.
-
-    `file` is at the first byte after `start`, which holds at most 12 bytes read before. `skip` skips bytes of `file`,
-    by seeking if possible, else by reading. Raises `BadData` if it is not a WAV, is cut off before the sound, or its
-    sound is neither PCM nor float of a known width.
-    """
+    """Read up to the first byte of sound; `start` holds bytes read before, `skip` skips bytes of `file`."""
     start += file.read(12 - len(start))
     order = ">" if start.startswith(b"RIFX") else "<"
     if len(start) < 12 or start[8:] != b"WAVE":
@@ -205,12 +184,8 @@ def _start_time(broadcast: bytes) -> datetime | None:
 
 
 def read_wav(path: Path, source: str) -> Blocks:
-    """Return the channels of a WAV file (RIFF, RIFX or RF64).
-
-    Integers of 8, 16, 24, 32 or 64 bits are scaled to a full scale of 1.0, floats of 32 or 64 bits are kept; both are
-    in "FS" unless the user gives a unit. A file that is cut off or was never closed gives its whole samples and a
-    warning. Raises `BadData` if it is cut off before the sound, is not a WAV, or has another encoding.
-    """
+    """Return the channels of a WAV file (RIFF, RIFX or RF64), integers scaled to a full scale of 1.0."""
+    # A file that is cut off or was never closed gives its whole samples and a warning.
     with path.open("rb") as file:
         held = os.fstat(file.fileno()).st_size
         head = read_wave_head(file, lambda size: file.seek(size, os.SEEK_CUR), source)
@@ -292,11 +267,7 @@ _PAGE_HEAD, _MAX_PAGE_SIZE, _LAST_PAGE = 27, 65_307, 4
 
 
 def read_audio(path: Path, source: str) -> Blocks:
-    """Return the channels of a FLAC or OGG file.
-
-    Full scale is 1.0, in "FS" unless the user gives a unit. Raises `BadData` if the file is damaged or cut off,
-    `MissingExtra` without soundfile.
-    """
+    """Return the channels of a FLAC or OGG file, with a full scale of 1.0."""
     soundfile = library("soundfile", "FLAC and OGG files", source)
     fault, cure = "the audio file is damaged or cut off", "copy or export it again"
 
@@ -338,10 +309,8 @@ def read_audio(path: Path, source: str) -> Blocks:
 
 
 def _ogg_end(path: Path) -> tuple[bool, int | None]:
-    """Return whether an Ogg file ends with its last page, and the samples that this counts if they are Vorbis.
-
-    libsndfile says neither, and leaves out damaged pages. Other files are ended.
-    """
+    """Return whether an Ogg file ends with its last page, and its number of samples if they are Vorbis."""
+    # libsndfile reports neither, and leaves out damaged pages.
     with path.open("rb") as file:
         head = file.read(_MAX_PAGE_SIZE)
         file.seek(max(0, os.fstat(file.fileno()).st_size - _MAX_PAGE_SIZE))

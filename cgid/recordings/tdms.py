@@ -82,14 +82,9 @@ class _Tdms:
 
 
 def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of one group of a TDMS file; an index file next to it is not used.
-
-    Rate, unit and start come from waveform properties of the channels (``wf_increment``, ``unit_string``,
-    ``wf_start_time``), else from properties of group or file, or from a channel of times. A property such as
-    ``Sensitivity`` or ``Sensor Sensitivity [mV/g]`` gives the sensitivity. A cut file gives the samples
-    that are whole in all channels. Raises `BadData` if the file is damaged, holds no numbers or several groups, or its
-    channels differ in length or rate; `MissingExtra` without nptdms.
-    """
+    """Return the channels of one group of a TDMS file; an index file next to it is not used."""
+    # Rate, unit and start come from waveform properties of the channels, else of group or file, or from a channel of
+    # times.
     file = _Tdms(path, source)
     warnings: list[str] = []
     if file.is_cut:

@@ -1,7 +1,4 @@
-"""Read text files (CSV, TXT, ...): the first piece shows header and layout, numpy parses the rows piece by piece.
-
-Only where numpy fails are rows parsed line by line, to name the damaged one.
-"""
+"""Read text files (CSV, TXT, ...): the first piece shows header and layout, numpy parses the rows piece by piece."""
 
 from __future__ import annotations
 
@@ -53,13 +50,7 @@ _NAMES_OF_COUNTERS = ("", "index", "no", "nr", "n", "i", "sample", "samples", "s
 
 
 def read_text(path: Path, source: str) -> Blocks:
-    r"""Return the channels of a text file, with the statements of its header and its time column.
-
-    Layout and sampling rate are those of the first `PIECE` characters; each further piece is checked when it is read.
-    Raises `BadData` if the file is not text or holds no numbers; if a row is uneven, cut off or has a field that is not
-    a finite number (the message names sample and line); or if the times are uneven or contradict the stated sampling
-    rate.
-    """
+    """Return the channels of a text file, with the statements of its header and its time column."""
     encoding, warnings = encoding_and_end(path, source)
     header, body = _header_and_body(path, encoding, source)
     if body.layout.n_columns > MAX_CHANNELS:
@@ -71,10 +62,7 @@ def read_text(path: Path, source: str) -> Blocks:
 
 
 def encoding_and_end(path: Path, source: str) -> tuple[str, list[str]]:
-    """Return the encoding of a text, and a warning if its last line has no end.
-
-    A text that is cut off at the end of a line, and states no length, looks like a whole one.
-    """
+    """Return the encoding of a text, and a warning if its last line has no end."""
     with path.open("rb") as file:
         encoding = encoding_of(file.read(SNIFFED), source)
         file.seek(max(0, file.seek(0, io.SEEK_END) - 4))
@@ -88,12 +76,7 @@ def encoding_and_end(path: Path, source: str) -> tuple[str, list[str]]:
 
 
 class Piece(NamedTuple):
-    """Whole lines of rows.
-
-    line : line number of the first row, from 1
-    is_last : whether no more follow
-    is_restart : whether times may begin anew
-    """
+    """Whole lines of rows; `line` is the number of the first; `is_restart`: whether times may begin anew."""
 
     text: str
     line: int
@@ -103,11 +86,7 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """The rows of a text file: where they begin and how they are divided.
-
-    start : characters above the first row
-    first_line : line number of the first row, from 1
-    """
+    """The rows of a text file: where they begin [characters, lines] and how they are divided."""
 
     path: Path
     encoding: str
@@ -124,13 +103,9 @@ class Body:
             line += text.count("\n")
 
     def pieces(self, times: Sequence[int], samples: Sequence[int] = ()) -> Iterator[tuple[Floats, Piece]]:
-        """Yield rows (n, n_columns) in order, and as they are written.
-
-        Fields in the columns of times must be finite numbers; in those of samples nan and inf stand for a lost sample;
-        in other columns, invalid fields become nan. Raises `BadData` with sample and line if such a field is invalid, a
-        row has more or fewer fields than the first, or a comment or an empty line stands among the rows, where a sample
-        may be missing.
-        """
+        """Yield rows (n, n_columns) in order, and as they are written; raises `BadData` with sample and line."""
+        # Times must be finite; in columns of samples nan and inf stand for a lost sample; elsewhere invalid fields
+        # become nan.
         needed = [*times, *samples]
         layout, sample, points = self.layout, 0, bool(self.layout.picked)
         comment: tuple[int, str] | None = None
@@ -176,10 +151,7 @@ class Body:
 
 
 def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Iterator[tuple[str, bool]]:
-    """Yield whole lines, about `PIECE` characters at a time from character `start`, and whether they are the last ones.
-
-    Lines end with a line feed; only the last line may lack it. Raises `BadData` if a line is too long for a row.
-    """
+    """Yield whole lines, about `PIECE` characters at a time from character `start`, and whether they are the last."""
     with path.open(encoding=encoding, errors="replace") as file:
         rest, following = "", file.read(start + PIECE)[start:]
         while following:
@@ -420,12 +392,9 @@ def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:
 
 
 def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
-    """Return the indices of the time columns, of which the first one counts; `rows` are (n_samples, n_columns).
-
-    It is the first column with a name for time, else the first in a unit of time; without a header, the first of
-    several columns if it increases in even steps. Other columns named time follow if they do so, too: some programs
-    give each channel its own time column.
-    """
+    """Return the indices of the time columns, of which the first one counts; `rows` are (n_samples, n_columns)."""
+    # Named for time, else in a unit of time; without a header, the first of several if it increases in even steps.
+    # Others named for time follow if they do so, too: some programs give each channel its own.
     if len(columns) == 1 and " " in columns[0].name:
         # Any comment above a single column looks like its name, even "time of day unknown".
         return []

@@ -27,12 +27,8 @@ _COMMON_CHINESE = re.compile(rb"[\xa1-\xa9\xb0-\xd7][\xa1-\xfe]")
 
 
 def encoding_of(start: bytes, source: str) -> str:
-    """Return the encoding of a text from its first `SNIFFED` bytes; the last character may be incomplete.
-
-    "utf-8-sig" and "utf-16" are recognised by their marks, "utf-8" by valid bytes, "gb18030" if most bytes beyond ASCII
-    are common Chinese characters (LabVIEW writes in the code page of the system); else "latin-1". Raises `BadData` if
-    the bytes are not text.
-    """
+    """Return the encoding of a text from its first `SNIFFED` bytes; raises `BadData` if they are not text."""
+    # LabVIEW writes in the code page of the system: gb18030 if most bytes beyond ASCII are common Chinese characters.
     if start.startswith(codecs.BOM_UTF8):
         encoding = "utf-8-sig"
     elif start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -130,10 +126,7 @@ def is_comment(line: str) -> bool:
 
 
 def layout_of(line: str) -> Layout | None:
-    """Return the layout of `line` if it is a row of numbers, else None.
-
-    Fields may be empty if at least one is a number: such a row is damaged, not a header.
-    """
+    """Return the layout of `line` if it is a row of numbers, else None; empty fields are damage, not a header."""
     for layout in _candidates(line.translate(_QUOTES)):
         fields = layout.fields(line)
         if any(fields) and all(layout.number(field) for field in fields if field):
@@ -288,10 +281,7 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """Statements above the numbers; no columns if no line has as many fields as the rows.
-
-    Several lines may state a sampling rate [Hz].
-    """
+    """Statements above the numbers; no columns if no line has as many fields as the rows."""
 
     columns: tuple[Column, ...] = ()
     sampling_rates: tuple[float, ...] = ()
@@ -302,10 +292,7 @@ class Header:
 
 
 def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
-    """Return "sensitivities" or "gains" and the values that a line states, None for any other line.
-
-    Commas divide values, but for one within each number with a unit of its own: 10,2 mV/g; 2,3 mV/N.
-    """
+    """Return "sensitivities" or "gains" and the values that a line states, None for any other line."""
     found = _STATED_CHAIN.fullmatch(line)
     if found is None:
         return None
@@ -340,11 +327,9 @@ def column_of(text: str) -> Column:
 
 
 def read_header(lines: Iterable[str], layout: Layout) -> Header:
-    """Parse `lines`, those above the first row, for rows of this layout.
-
-    The last line with as many fields as the rows names the columns; a line with a known unit or a name for time is
-    preferred. A line of units may follow the line of names.
-    """
+    """Parse `lines`, those above the first row, for rows of this layout."""
+    # The last line with as many fields as the rows names the columns; a known unit or a name for time is preferred. A
+    # line of units may follow.
     header = Header()
     best: tuple[Column, ...] = ()
     before: tuple[Column, ...] = ()

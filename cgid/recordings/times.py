@@ -34,11 +34,7 @@ def seconds(unit: str, source: str) -> float:
 
 
 def rate_of(times: Floats, source: str) -> float:
-    """Return the sampling rate [Hz] of two or more even times [s], (n - 1) / (last - first).
-
-    Raises `BadData` with the sample if the times do not increase, or if their steps differ by more than 1 % beyond the
-    rounding of the printed digits.
-    """
+    """Return the sampling rate [Hz] of two or more even times [s]; steps may differ by 1 % and the printed digits."""
     require_even(times, source)
     with np.errstate(all="ignore"):
         rate = float((len(times) - 1) / (times[-1] - times[0]))
@@ -99,11 +95,8 @@ class EvenTimes:
 
 
 def refined_rate(rate: float, first: float, last: float) -> float:
-    """Return the sampling rate [Hz] from the first and last time [s] of a recording and the `rate` of its beginning.
-
-    The times are a whole number of steps apart. The printed digits of n samples give the rate to 1 / n at worst; the
-    refined rate is never worse.
-    """
+    """Return the sampling rate [Hz] from the first and last time [s] and the `rate` of the beginning."""
+    # The times are a whole number of steps apart: the printed digits give the rate of n samples to 1 / n at worst.
     span = last - first
     if not (np.isfinite(span) and span * rate > 1):
         return rate
@@ -111,11 +104,7 @@ def refined_rate(rate: float, first: float, last: float) -> float:
 
 
 def rate_of_vector(times: Variable, unit: str, source: str) -> float:
-    """Return the sampling rate [Hz] of an array of even times, read once by blocks.
-
-    `times` is one channel of two samples or more; float32 times may be uneven by their rounding. Raises `BadData` if
-    they do not increase in even steps of 1 %, or are rounded too coarsely to show it.
-    """
+    """Return the sampling rate [Hz] of an array of even times, read once by blocks; float32 may be rounded."""
     factor = seconds(unit, source)
     first = last = step = 0.0
     count = 0

@@ -38,11 +38,7 @@ _MARK = 16
 
 @dataclass(frozen=True, kw_only=True)
 class _DataSet:
-    """Header of a data set 58, with the field names of pyuff.
-
-    number : among the data sets 58, from 1
-    place : among all data sets of the file, from 0
-    """
+    """Header of a data set 58, with the field names of pyuff; `number` among those, `place` among all."""
 
     number: int
     place: int
@@ -92,14 +88,7 @@ class _DataSet:
 
 
 def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
-    """Return the channels of a universal file: its data sets 58 that are responses over time.
-
-    `variable` is the number of a data set 58, from 1, or its name; None takes all over time, which must agree in length
-    and rate. The rate comes from the increment of the abscissa, the unit from the label of the ordinate, a sensitivity
-    from an identification line such as "Sensitivity: 10.2 mV/g". Raises
-    `BadData` if the file is too large, cut off or damaged, has no such data set, or data sets differ; or if numbers are
-    complex, at uneven times or not over time. Raises `MissingExtra` without pyuff.
-    """
+    """Return the channels of a universal file: its data sets 58 over time; `variable` is the number or name of one."""
     pyuff = library("pyuff", "universal files", source)
     _require_whole(path, source)
     fault, cure = "the universal file is damaged", "copy or export it again"

@@ -1,8 +1,4 @@
-"""Select the recording among the named arrays of a file, and collect what named values state about it.
-
-Named values are HDF5 attributes, TDMS properties or single numbers and texts in MATLAB files and archives. They state
-rate, unit, start or channel names.
-"""
+"""Select the recording among the named arrays of a file, and collect what named values state about it."""
 
 from __future__ import annotations
 
@@ -60,10 +56,7 @@ def _sensitivity(name: str) -> re.Match[str] | None:
 
 
 def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
-    """Return the stated sampling rate [Hz] and the name that states it, None without one.
-
-    Raises `BadData` if two statements disagree or one is not a positive number.
-    """
+    """Return the stated sampling rate [Hz] and the name that states it, None without one; raises `BadData`."""
     found: list[tuple[float, str]] = []
     for name, value, plain, unit in _named(values, _RATE_NAMES | _INTERVAL_NAMES):
         is_rate = plain in _RATE_NAMES
@@ -90,10 +83,7 @@ def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
 
 
 def stated_sensitivities(values: Values, n_channels: int) -> list[str | None] | None:
-    """Return the sensitivity of each channel as a text, None if none is stated; without a unit it is none.
-
-    The unit may stand behind the number, in the name, or in a value of its own.
-    """
+    """Return the sensitivity of each channel as a text, None if none is stated with a unit."""
     found, unit = None, ""
     for name, value in values.items():
         named = _sensitivity(name)
@@ -124,10 +114,8 @@ def stated_gains(values: Values, n_channels: int) -> list[str | None] | None:
 
 
 def full_scale_of(dtype: np.dtype[Any]) -> float | None:
-    """Return the number of full scale of signed integers of 8 or 16 bit, None for other types.
-
-    Unsigned ones have no known middle, and 24 bit of a converter may lie at either end of 32.
-    """
+    """Return the number of full scale of signed integers of 8 or 16 bit, None for other types."""
+    # Unsigned ones have no known middle, and 24 bit of a converter may lie at either end of 32.
     return 2.0 ** (8 * dtype.itemsize - 1) if dtype.kind == "i" and dtype.itemsize <= 2 else None
 
 
@@ -218,16 +206,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """An array of numbers in a file.
-
-    group : path of its group, parts divided by slashes, "" at the top
-    read : as in `Blocks`
-    about : named values attached to it
-    full_scale : number of full scale of integers, None if unknown
-    is_integer : whether it holds integers
-    fault : why its samples cannot be read, "" if they can
-    warning : which samples are missing, "" if none
-    """
+    """An array of numbers in a file; `about`: named values attached to it, `fault`: why it cannot be read."""
 
     name: str
     n_channels: int
@@ -256,10 +235,7 @@ class Variable:
 
 
 def orientation(shape: Sequence[int]) -> tuple[int | None, int] | None:
-    """Return the axes of the channels (None for one channel) and of the samples; None for more than two axes.
-
-    Axes of length 1 do not count. The longer of two axes is that of the samples, the second if both are equal.
-    """
+    """Return the axes of the channels (None for one) and of the samples, the longer; None for more than two axes."""
     axes = [axis for axis, length in enumerate(shape) if length != 1]
     if len(axes) > 2 or not shape:
         return None
@@ -279,17 +255,9 @@ def contents_of(
     group_is_one: bool = False,
     is_cut: bool = False,
 ) -> Blocks:
-    """Return the recording among the arrays of a file.
-
-    variables : all arrays of two samples or more
-    statements : path of a group ("" is the top) -> named values in it or attached to it
-    variable : name of an array or of a group (its arrays of one channel), or a pattern with * or ?; a unique name
-        needs no path; None if there is only one array besides times
-    group_is_one : whether the arrays of a group are the channels of one recording
-    is_cut : whether the file was cut off; then channels may differ in length, and the shortest counts
-
-    Raises `BadData` if there is no array, several without a choice, or the chosen ones differ in length or rate.
-    """
+    """Return the recording among the arrays of a file, by name, pattern or group if there are several."""
+    # statements : path of a group ("" is the top) -> named values; group_is_one : its arrays are the channels of one
+    # recording; is_cut : the shortest channel counts
     chosen = _chosen(variables, source, variable, group_is_one)
     first = chosen[0]
     n_samples = min(one.n_samples for one in chosen)
@@ -398,10 +366,7 @@ def _rate(
     source: str,
     warnings: list[str],
 ) -> tuple[float | None, str]:
-    """Return the rate [Hz] of an array and its origin, or None and "header"; raise `BadData` on contradictions.
-
-    `measured` keeps the rates of the arrays of times, which are read only once for all their channels.
-    """
+    """Return the rate [Hz] of an array and its origin, or None and "header"; `measured` keeps those of times."""
     found = [] if stated is None else [stated]
     for one in times:
         if one is variable or (one.group, one.n_samples) != (variable.group, variable.n_samples):

@@ -61,11 +61,9 @@ def random_words(first: int, row: Word, block: Word, high: Word, key_0: Word, ke
 
 @jit
 def to_normal(words: Array, angles: Array, scratch: Array, normal: Array) -> None:
-    """Turn words (`LANES`) and angles (`LANES`) of 32 random bits into normal (2, `LANES`); scratch is (2, `LANES`).
-
-    With u = (word + 1/2)/2^32 and an angle of up to a whole turn, sqrt(-2 ln u) (cos, sin) are two normal numbers. The
-    last bit of the angle says which half turn it is, the others where in it.
-    """
+    """Turn words and angles (`LANES`) of 32 random bits into normal numbers (2, `LANES`); scratch is as large."""
+    # u = (word + 1/2)/2^32; sqrt(-2 ln u) (cos, sin) of the angle. Its last bit is the half turn, the others the place
+    # in it.
     uniform, fraction = scratch[0], scratch[1]
     for k in range(LANES):
         uniform[k] = _real(words[k]) + _HALF_STEP

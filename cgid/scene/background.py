@@ -1,7 +1,4 @@
-"""The `[background]` section: hum lines, coloured noise of a given spectrum, a recording.
-
-Its levels apply after the sensor's bandwidth, in the unit of its quantity; `cgid.scene.noise` makes the samples.
-"""
+"""The `[background]` section: hum lines, coloured noise of a given spectrum, a recording."""
 
 from __future__ import annotations
 
@@ -117,10 +114,7 @@ def with_spectrum(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _read_spectrum(path: Path) -> dict[str, list[float]]:
-    """Return frequencies and densities of a file; of densities only the shape counts, so their unit may be any.
-
-    Raises `NoInput` if it cannot be read, `BadData` for other columns or cells; the rules of `ColouredNoise` follow.
-    """
+    """Return frequencies and densities of a file; only the shape of the densities counts, so any unit will do."""
     lines = read_cells(path, "the table of a spectrum", _MAX_SPECTRUM)
     titles = lines[0][1] if lines else []
     density = [title for title in titles if _DENSITY.fullmatch(title)]

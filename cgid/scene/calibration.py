@@ -247,11 +247,9 @@ def _point(beam: TailBeamSection, blow: CalibrationImpact) -> tuple[float, float
 
 
 class _Model:
-    """The motion of one impact that the scene predicts, for any delay of the force.
+    """The motion of one impact that the scene predicts, for any delay of the force."""
 
-    Force and response are transformed along `s = decay + i omega`, where what rings for longer than the transform does
-    not come back.
-    """
+    # Force and response are transformed along `s = decay + i omega`, so that what rings for longer does not come back.
 
     def __init__(self, scene: Scene, blow: CalibrationImpact, participation: Floats) -> None:
         self.blow, self._sensor, self._rate = blow, scene.sensor, scene.sampling.sampling_rate
@@ -289,10 +287,7 @@ class _Model:
         return np.asarray(self._sensor.limit_band(motion[None], self._rate)[0] if self._limited else motion)
 
     def correlation(self, sign: float = 0.0) -> tuple[float, float, float]:
-        """Return the whole delay at which the motion is most like the recording, the square of this, and the product.
-
-        With a sign, products of the other sign do not count.
-        """
+        """Return the delay of best correlation (of `sign` if not 0) with the recording, its square and the product."""
         motion = self._shifted(self._spectrum, 0.0)
         both = [np.fft.rfft(part, 2 * motion.size) for part in (self.samples, motion)]
         product = np.fft.irfft(both[0] * both[1].conj())[self._lags]

@@ -1,8 +1,4 @@
-"""The numbers of a scene file: their units and rules, and the distributions that they are drawn from.
-
-A number is `"3.1 GPa"` or, in the SI unit, `3.1e9`. All distributions are drawn by inversion of their distribution
-function: one uniform number gives one value, so values do not depend on how many are drawn at once.
-"""
+"""The numbers of a scene file (`"3.1 GPa"`, or `3.1e9` in the SI unit) and the distributions they are drawn from."""
 
 from __future__ import annotations
 
@@ -38,10 +34,7 @@ LIMITS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a key of a scene file is, as metadata of its type: its dimension, if it may have a unit, and its rule.
-
-    It reads a number, a list of numbers, or a distribution, all of whose values must meet the rule.
-    """
+    """Metadata of a key's type: its dimension, whether it may have a unit, and its rule for all values."""
 
     dimension: str = ""
     rule: Rule = real
@@ -366,7 +359,7 @@ class Lognormal(_Truncatable):
 
 
 class RosinRammler(_Truncatable):
-    """Rosin & Rammler (1933): the share below x is `1 - exp(-(x / characteristic)^uniformity)`.
+    """Rosin & Rammler (1933): the fraction below x is `1 - exp(-(x / characteristic)^uniformity)`.
 
     The law was found for the *mass* that passes a sieve; here it applies to the number of impacts.
     """

@@ -138,10 +138,7 @@ def at_once(scene: Scene, most: int) -> int:
 
 
 def drawn_block(scene: Scene, seed: int, block: int, n_blocks: int = 1) -> Drawn:
-    """Return the drawn numbers of one block of 256 frames, or of several from it on, as many as `at_once` allows.
-
-    Several share their settings, of which none is drawn then, and have no points on a beam.
-    """
+    """Return the drawn numbers of one block of 256 frames, or of several that share their settings (`at_once`)."""
     blocks = range(block, block + n_blocks)
     settings, sources = settings_of(scene, seed, block), scene.sources
     here = with_drawn_modes(settled(scene, settings), seed, block)
@@ -180,13 +177,9 @@ def optional_numbers(
 def quantities_of(
     sources: Sequence[Population | Tap], which: NDArray[np.intp], numbers: Mapping[str, Floats], names: Iterable[str]
 ) -> dict[str, Floats]:
-    """Convert uniform numbers to the quantities of rocks and taps; no other function does.
-
-    which is the source index, (n,). numbers holds uniform numbers by the name of the quantity, each (n,); a velocity
-    uses the number of the drop height, a yield pressure or a strength that of the restitution. The named quantities are
-    in SI units, nan where a source has none; a drop height also sets the velocity, a strength the yield pressure, and a
-    rock without a shape is a sphere.
-    """
+    """Convert uniform numbers of rocks and taps to the named quantities in SI units; nan where a source has none."""
+    # which (n,) is the index of the source. A velocity uses the number of the drop height, a yield pressure or strength
+    # that of the restitution. A drop height also sets the velocity; a rock without a shape is a sphere.
     values = {name: np.full(which.size, np.nan) for name in names}
     for index, source in enumerate(sources):
         rows = np.flatnonzero(which == index)
@@ -294,11 +287,8 @@ def points_of_impact(scene: Scene, seed: int, block: int, recording: int = 0) ->
 
 
 def specimen_of(particle: list[Floats]) -> NDArray[np.uint64]:
-    """Mix the numbers of a particle or a tap into one 64-bit number (the finaliser of splitmix64, Steele et al. 2014).
-
-    Equal particles have the same number in every population, scene and dataset. The numbers are rounded to float32
-    first, so that the last digits of a processor's functions do not count.
-    """
+    """Mix the numbers of a particle or a tap into one 64-bit number (splitmix64's finaliser, Steele et al. 2014)."""
+    # Rounded to float32 first, so that the last digits of a processor's functions do not count.
     mixed = np.zeros(particle[0].shape, np.uint64)
     for values in particle:
         bits = np.asarray(values, np.float32).view(np.uint32).astype(np.uint64)

@@ -1,9 +1,4 @@
-"""From a scene to files: a dataset of signals, or a table of features, closed forms or parameters.
-
-Shards are independent of each other. They are made by this process, by several processes, or by a cluster that shares
-the folder. Packing, hashing and writing a shard hold the GIL only briefly, so a thread makes the next signals
-meanwhile.
-"""
+"""From a scene to files: a dataset of signals, or a table of features, closed forms or parameters."""
 
 from __future__ import annotations
 
@@ -249,10 +244,7 @@ def make_shards(
     *,
     overwrite: bool = True,
 ) -> None:
-    """Make the missing shards of a run, given by their numbers, and list their sums.
-
-    Cluster workers write into the same folder under the same name; when cancelled, they finish their current shard.
-    """
+    """Make the missing shards of a run, given by their numbers, and list their sums."""
     place, digest = (run.output.parent, None) if run.is_single else (run.output, run.description.sha256)
     names = [run.output.name] if run.is_single else run.description.names
     shards = [_Shard(names[number], **run.description.part(number)) for number in missing]
@@ -308,13 +300,7 @@ def _write_one(work: _Work, shard: _Shard) -> _Written:
 
 
 def ahead(items: Iterable[_T], most: int) -> Generator[_T, None, None]:
-    """Yield items that a thread makes in advance, at most `most`; raise the error of an item in its turn.
-
-    Examples
-    --------
-    >>> list(ahead("abc", 2))
-    ['a', 'b', 'c']
-    """
+    """Yield items that a thread makes in advance, at most `most`; raise the error of an item in its turn."""
     source, context = iter(items), copy_context()  # so that counters also count in the thread
     with ThreadPoolExecutor(max_workers=1) as maker:
 
@@ -362,12 +348,7 @@ def tabulate(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Tabulated:
-    """Write a plan for features, closed forms or parameters as a table, with labels and specimens.
-
-    `output` ends in .h5, .hdf5, .parquet or .csv. Signals come in batches of a thousand, so memory stays constant.
-    Raises `CannotCreate`, `WriteFailed` (nothing is left behind), `MissingExtra` without the Parquet library, and
-    `InvalidValue` for a bad number or a plan for signals.
-    """
+    """Write a plan for features, closed forms or parameters as a table, with labels and specimens."""
     n_signals, seed = validation.whole("n_signals", n_signals, 1, MAX_SIGNALS), require_seed(seed)
     path = check_table_output(output, overwrite)
     next(iter(columns_of(asked, 1, seed)))  # raises errors of the plan or the seed before anything is written

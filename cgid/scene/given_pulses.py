@@ -1,9 +1,4 @@
-"""Signals of given pulses, from another solver or measured, as sensor and recorder of a scene would record them.
-
-The shipped test set of other physics was solved once by finite elements, for spheres of 1 m. Without gravity an impact
-scales: at the same speed, R times the radius and R times the damping time of the material give R times the duration and
-R^2 times the force.
-"""
+"""Signals of given pulses, from another solver or measured, as sensor and recorder of a scene would record them."""
 
 from __future__ import annotations
 

@@ -39,10 +39,7 @@ def tolerance_of(section: ImpactSection) -> float:
 
 
 def error_without_weight(impact: Impact, gravity: float) -> Floats:
-    """Return the bound on the relative error of weightless impacts.
-
-    It does not hold for a thin plate, which absorbs the rebound that weight acts on: there weight always counts.
-    """
+    """Return the bound on the relative error of weightless impacts, none on a thin plate."""
     speed = impact.length_scale / impact.time_scale
     return np.asarray(_ERROR * gravity * impact.length_scale / (speed * speed) / impact.restitution)
 
@@ -76,10 +73,8 @@ def weighed(section: ImpactSection, **parts: Any) -> Contacts:
 def heaviest_impact(
     section: ImpactSection, target: Target, population: Population, *, with_weight: bool = False
 ) -> Contacts:
-    """Return the impact of a population in which weight matters most: every number at its extreme.
-
-    `gamma = g L / v^2` with `L = (m v^2 / K)^(2/5)` grows with mass and falls with stiffness and speed.
-    """
+    """Return the impact of a population in which weight matters most: every number at its extreme."""
+    # `gamma = g L / v^2` with `L = (m v^2 / K)^(2/5)` grows with mass and falls with stiffness and speed.
     low, high = population.poisson_ratio.extremes
     softest = min(abs(low), abs(high)) if low * high > 0 else 0.0
     parts: dict[str, Any] = {
@@ -109,10 +104,7 @@ def problem_of_weight(section: ImpactSection, target: Target, population: Popula
 
 
 def problem_on_plate(target: Target, theory: str, population: Population, thickness: str) -> str | None:
-    """Return an error message if the target is a plate too thin for this population, else None.
-
-    thickness is the key of the plate's thickness in the scene file.
-    """
+    """Return an error message if the target is a plate too thin for this population, else None."""
     if not isinstance(target, ThinPlate):
         return None
     poisson_ratio = max(population.poisson_ratio.extremes[::-1], key=abs)

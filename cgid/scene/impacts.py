@@ -1,7 +1,4 @@
-"""Turn drawn numbers into pulses, and pulses into the recorder's response.
-
-Pulses come from impacts on a target or a vibrating beam, and from taps.
-"""
+"""Turn drawn numbers into pulses, and pulses into the recorder's response."""
 
 from __future__ import annotations
 
@@ -40,10 +37,7 @@ _MOST = 16
 
 
 def beam_modes(scene: Scene) -> Modes:
-    """Return the modes of a scene's tail beam in the band of its recorder, with its sensor; the result is cached.
-
-    Raises `InvalidValue` if there are none.
-    """
+    """Return the modes of a scene's tail beam in the band of its recorder, with its sensor; the result is cached."""
     assert scene.tail_beam is not None  # the scene has checked it
     return _beam_modes(scene.tail_beam, scene.panel, highest_frequency(scene))
 
@@ -165,10 +159,7 @@ def impact_of(asked: Plan, values: Mapping[str, Floats], rows: NDArray[np.intp])
 def impacts_by_coupling(
     asked: Plan, impact: Impact, values: Mapping[str, Floats], rows: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.intp], Impact | ModalImpact, Callable[[NDArray[np.intp]], Impact | ModalImpact]]]:
-    """Yield groups of rows by coupling to the beam: the rows, their impacts, and a function from rows to impacts.
-
-    impact holds those of all rows, which lose energy in the same way, as from `impact_of`.
-    """
+    """Yield groups of rows by coupling to the beam: the rows, their impacts, and a function from rows to impacts."""
     through_modes = _through_modes(asked, impact, values, rows)
     plain, modal = rows[~through_modes], rows[through_modes]
     if plain.size:
@@ -316,16 +307,10 @@ class Strike:
 
 @dataclass(frozen=True)
 class Blows:
-    """All pulses of one block of signals.
+    """All pulses of one block of signals; `impacts` are all drawn ones, as if a beam had no edges."""
 
-    Attributes
-    ----------
-    parameters : drawn and derived, each (n_signals,), nan where not applicable; onset is the time of onset in the
-        frame, peak and duration are those of the first hit
-    specimen : equal for pulses of equal particles or equal taps, (n_signals,)
-    strikes : impacts, taps and second hits
-    impacts : all drawn impacts, as if a beam had no edges, in groups of the same dissipation
-    """
+    # parameters : drawn and derived, (n_signals,), nan where not applicable; peak and duration are those of the first
+    # hit
 
     labels: NDArray[np.str_]
     parameters: Mapping[str, Floats]
@@ -379,10 +364,7 @@ def draws(scene: Scene, seed: int, n_blocks: int = sys.maxsize) -> Iterator[Blow
 
 
 def blows_of(asked: Plan, seed: int, block: int, n_blocks: int = 1) -> Blows:
-    """Return the pulses of one block of 256, or of several of one rig, which takes a fifth of the time.
-
-    Nothing warns of what is beyond the range of a theory (see `cgid check`).
-    """
+    """Return the pulses of one block of 256, or of several of one rig, which takes a fifth of the time."""
     drawn = drawn_block(asked.scene, seed, block, n_blocks)
     here, values = asked.for_block(drawn.scene), drawn.values
     strikes: list[Strike] = []

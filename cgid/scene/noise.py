@@ -1,7 +1,4 @@
-"""Addressed noise: each sample of each signal has its own noise, however the signal is split.
-
-White or coloured noise of the sensor, and the background of a scene: hum, coloured noise, a recording.
-"""
+"""Addressed noise: each sample of each signal has its own noise, however the signal is split."""
 
 from __future__ import annotations
 
@@ -36,22 +33,9 @@ MAX_NOISE = 6.77
 def add_noise(
     frames: NDArray[Any], level: Floats, seed: int, block: int, *, first_sample: int = 0, purpose: int = NOISE
 ) -> None:
-    """Add white Gaussian noise of standard deviation `level` (n,) to float frames (n, n_samples), in place.
-
-    The noise of a sample depends only on seed, purpose, block, row and sample number: a window of a signal, or a long
-    recording made piecewise, has the noise of the whole. It is drawn in tiles of 512 samples, always in float32, and
-    its tails end at 6.7 standard deviations. The GIL is released.
-
-    first_sample is the start of the window within its signals, block the number of the block of signals or of the
-    recording, purpose a number of `cgid.scene.draws` with its own noise. Raises `InvalidValue` if seed, block or window
-    is out of range.
-
-    >>> whole, window = np.zeros((1, 1000)), np.zeros((1, 10))
-    >>> add_noise(whole, np.ones(1), seed=1, block=0)
-    >>> add_noise(window, np.ones(1), seed=1, block=0, first_sample=700)
-    >>> bool((whole[:, 700:710] == window).all())
-    True
-    """
+    """Add white Gaussian noise of standard deviation `level` (n,) to float frames (n, n_samples), in place."""
+    # The noise of a sample depends only on seed, purpose, block, row and sample number, not on the window. It is drawn
+    # in tiles of 512 samples, in float32; its tails end at 6.7 standard deviations. The GIL is released.
     seed = require_seed(seed)
     if purpose == NOISE:
         count("noise_samples", frames.size)
@@ -92,10 +76,8 @@ class Coloured:
         return self._rows(self.density(length, n_samples), seed, block, 0, BLOCK)[:, :n_samples]
 
     def density(self, length: int, n_samples: int) -> Floats:
-        """Return the power density at the lines of rows of a length, (length // 2 + 1,) [unit^2/Hz].
-
-        That of a sensor is flat below one period of n_samples, down to 0 Hz, and adds up to 1.
-        """
+        """Return the power density at the lines of rows of a length, (length // 2 + 1,) [unit^2/Hz]."""
+        # That of a sensor is flat below one period of n_samples, down to 0 Hz, and adds up to 1.
         return _density(self.of, self.quantity, self.sampling_rate, length, n_samples)
 
     def in_recording(self, seed: int, recording: int, chunk: int) -> Floats:
@@ -103,11 +85,8 @@ class Coloured:
         return _segment(self, seed, recording, chunk)[CHUNK:] + _segment(self, seed, recording, chunk + 1)[:CHUNK]
 
     def segment(self, seed: int, recording: int, number: int) -> Floats:
-        """Return one segment of a recording, (2 `CHUNK`,).
-
-        Each spans two chunks, so two overlap in every chunk. They are faded by a sine, whose squares add up to 1, which
-        keeps the power constant.
-        """
+        """Return one segment of a recording, (2 `CHUNK`,); two overlap in every chunk."""
+        # They are faded by a sine, whose squares add up to 1, which keeps the power constant.
         fade = np.sin(np.pi * (np.arange(2 * CHUNK) + 0.5) / (2 * CHUNK))
         return np.asarray(fade * self._rows(self.density(2 * CHUNK, CHUNK), seed, recording, number, 1)[0])
 
@@ -155,10 +134,7 @@ def ar_noise_of(scene: Scene) -> Coloured | None:
 
 
 def add_sensor_noise(frames: NDArray[Any], level: Floats, scene: Scene, seed: int, block: int) -> None:
-    """Add the noise of a scene's sensor, of standard deviation `level` (n,), to the frames of one block, in place.
-
-    frames are (n, n_samples), all of the frame or its first samples.
-    """
+    """Add the noise of a scene's sensor, of standard deviation `level` (n,), to frames in place."""
     colour = ar_noise_of(scene)
     if colour is None:
         add_noise(frames, level, seed, block)
@@ -231,10 +207,7 @@ def _wave(turns: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def reference_peak(scene: Scene) -> float:
-    """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations.
-
-    It sets the level of a recorded background for all signals of a scene, in the SI unit of the sensor.
-    """
+    """Return the median peak of the first hits of a scene's rocks, drawn by the weights of their populations."""
     plan = Plan(scene=scene)
     peaks = [_peaks(blows_of(plan, 0, block)) for block in range(_REFERENCE_BLOCKS)]
     slope = 0.0 if scene.stream is None else scene.stream.inclination
@@ -251,11 +224,7 @@ def _peaks(blows: Blows) -> Floats:
 
 
 def background_of(scene: Scene) -> Background | None:
-    """Return the background of a scene at its sampling rate; None if it has none.
-
-    Raises `NoInput` or `BadData` if the recording cannot be read, is constant, or has several channels and none is
-    chosen; `MissingOption` if neither the recording nor the scene gives its sampling rate.
-    """
+    """Return the background of a scene at its sampling rate; None if it has none."""
     section, sampling_rate = scene.background, scene.sampling.sampling_rate
     if section is None:
         return None
@@ -281,10 +250,7 @@ def _age(path: Path) -> int:
 def _unit_recording(
     path: Path, age: int, given_rate: float | None, channel: str | None, sampling_rate: float
 ) -> NDArray[Any]:
-    """Return a recording at another sampling rate, with mean 0 and root mean square 1.
-
-    The age of the file distinguishes its versions in the cache.
-    """
+    """Return a recording at another rate, with mean 0 and root mean square 1; `age` tells versions in the cache."""
     signals = read_recording(path, sampling_rate=given_rate, channel=channel)
     if len(signals) > 1:
         names = ", ".join(one.channel for one in signals)

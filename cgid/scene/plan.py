@@ -1,9 +1,4 @@
-"""Decide which stages run for the requested output of a scene, and why.
-
-Each stage has one function that turns the plan into a `Decision`; all code that makes frames, recordings or tables asks
-`Plan.runs(stage)`. Only what depends on drawn numbers is decided elsewhere: whether an impact has a closed form
-(`cgid.physics.curves`), feels gravity or feels the edges of a beam. The plan says whether any impact may.
-"""
+"""Decide which stages run for the requested output of a scene, and why: one function a stage."""
 
 from __future__ import annotations
 
@@ -249,10 +244,7 @@ def plan(
 
 
 def supported_by(scene: Scene, features: Iterable[str]) -> tuple[str, ...]:
-    """Return the features that every frame of a scene supports by sampling rate and length.
-
-    Raises `InvalidValue` if there are none.
-    """
+    """Return the features that every frame of a scene supports by sampling rate and length."""
     names = tuple(features)
     for rate in scene.extreme_rates:
         names = supported(names, rate, scene.sampling.samples)

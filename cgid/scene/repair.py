@@ -96,10 +96,7 @@ def _how_to_make(file: Path) -> str:
 
 
 def _scene_of(path: Path, attributes: Any, given: Scene | None) -> Scene:
-    """Return the scene of a folder: `given`, read from its own file, or the one stored in `attributes`.
-
-    Raises `BadData` if there is none, or if the stored one names a recorded background.
-    """
+    """Return the scene of a folder: `given`, read from its own file, or the one stored in `attributes`."""
     scene = given or stored_scene(attributes, str(path))
     if scene is None:
         raise BadData(f"{path}: does not say of what scene it was made; make it again by cgid generate")

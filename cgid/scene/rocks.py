@@ -145,11 +145,7 @@ def arrivals_of(stream: StreamSection) -> PoissonTimes | GivenTimes:
 
 
 def populations_of(scene: Scene, times: Floats, uniform: Floats) -> NDArray[np.intp]:
-    """Return the population index of rocks that arrive at these times [s], (n,).
-
-    uniform holds one number from 0 to 1 per rock. Labels follow the mixture at that time, populations within a label
-    their weights.
-    """
+    """Return the population of rocks that arrive at these times [s], (n,), from one uniform number a rock."""
     shares = population_shares(scene, times)
     edges = np.cumsum(shares, axis=0)
     edges /= edges[-1]
@@ -207,13 +203,9 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Rocks:
-    """Rocks before an impact, by the names of `COLUMNS`, each (n,).
+    """Rocks before an impact, by the names of `COLUMNS`, each (n,); nan where a rock has no such number."""
 
-    The restitution is the requested one, the velocity the normal one. A rock has either a restitution or a yield
-    pressure, the other is nan. Its dissipation is an index, 0 where all populations have the same. It keeps its shape
-    from one impact to the next. drop_height is nan except for a first fall from a height; impact_x and impact_y are nan
-    for a beam without points.
-    """
+    # The velocity is the normal one; a rock has a restitution or a yield pressure and keeps its shape.
 
     columns: Mapping[str, NDArray[Any]]
 
@@ -271,14 +263,10 @@ def arriving(scene: Scene, stretch: Stretch, first: int, seed: int, recording: i
 def thrown_back(
     scene: Scene, rocks: Rocks, delivered: Floats, contact_duration: Floats, audible: NDArray[Any]
 ) -> Rocks:
-    """Return the rocks still followed after an impact, before their next one.
-
-    A rock leaves with the normal speed u = e v, flies for `2 u / (g cos alpha)` and returns with the same normal speed.
-    An eccentric impact by the share r of its mass, the impulse `(1 + e) r m v`, leaves its centre
-    `u = ((1 + e) r - 1) v`; where that is not above 0 the rock topples over and is followed no further.
-    Gravity moves it down the slope by `u t + g sin(alpha) t^2 / 2` between touches. delivered is the restitution
-    including losses to the target. Rocks with inaudible impacts are dropped.
-    """
+    """Return the rocks still followed after an impact, before their next one; `delivered` is the restitution."""
+    # A rock leaves with the normal speed u = e v, flies for `2 u / (g cos alpha)` and returns with it; it moves down
+    # the slope by `u t + g sin(alpha) t^2 / 2`. An eccentric impact by the share r of its mass leaves its centre `u =
+    # ((1 + e) r - 1) v`; where that is not above 0 the rock topples over and is followed no further.
     assert scene.stream is not None
     rebounds, slope = scene.stream.rebounds, scene.stream.inclination
     assert rebounds is not None  # ensured by the plan

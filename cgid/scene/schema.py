@@ -1,8 +1,4 @@
-"""The scene file and variations of a scene.
-
-A scene is TOML: what falls, the target, and the sensor. The whole file is validated at once, and every mistake is
-reported with its path. Numbers are in SI units, or strings with a unit.
-"""
+"""The scene file, in TOML, and variations of a scene; it is validated at once, and every mistake has its path."""
 
 from __future__ import annotations
 
@@ -342,10 +338,7 @@ def load_scene(path: str | Path | Scene) -> Scene:
 
 
 def stored_scene(attributes: Mapping[str, Any], source: str) -> Scene | None:
-    """Return the scene that a dataset or recording holds among its attributes; None if it holds none.
-
-    Raises `BadData` if the scene breaks rules.
-    """
+    """Return the scene that a dataset or recording holds among its attributes; None if it holds none."""
     try:
         content = json.loads(attributes["scene"])
     except (KeyError, TypeError, ValueError, RecursionError):

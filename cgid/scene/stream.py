@@ -116,10 +116,7 @@ _FILTER_PERIODS = 64
 
 
 def add_impacts(plan: Plan, axis: TimeAxis, rocks: Rocks, recorder: Recorder | None) -> dict[str, Floats]:
-    """Add the recorded impacts of some rocks to the time axis, and return the delivered quantities `STORED`, each (n,).
-
-    Overlapping impacts add up.
-    """
+    """Add impacts of some rocks to the time axis, and return the delivered quantities `STORED`, each (n,)."""
     delivered = {name: np.empty(len(rocks)) for name in STORED}
     if not len(rocks):
         return delivered
@@ -193,10 +190,8 @@ def lead(plan: Plan) -> int:
 
 
 def hearing_limit(scene: Scene, background: Background | None) -> float:
-    """Return the peak force below which an impact is lost in noise and background and its rock is dropped [N].
-
-    It is 0 for a sensor of motion, whose signal does not follow from the force alone.
-    """
+    """Return the peak force below which an impact is lost in noise and background and its rock is dropped [N]."""
+    # It is 0 for a sensor of motion, whose signal does not follow from the force alone.
     if scene.sensor.quantity != "force":
         return 0.0
     noise = float(scene.sensor.noise_level(np.zeros(()), scene.sampling.sampling_rate))

@@ -69,9 +69,9 @@ class ArrivalsSection(Section):
 
 
 class MixtureSection(Section):
-    """The shares of labels among the arriving rocks over time; every key but `times` is a label.
+    """The fractions of labels among the arriving rocks over time; every key but `times` is a label.
 
-    Shares are linear between the times, constant before the first and after the last. Labels without a row divide the
+    Fractions are linear between the times, constant before the first and after the last. Labels without a row divide the
     rest by the weights of their populations.
     """
 

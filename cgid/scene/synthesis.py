@@ -129,21 +129,15 @@ def batch_of(scene: Scene, blows: Blows, frames: NDArray[Any], part: slice) -> B
 
 
 def make_frames(blows: Blows, seed: int, block: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return the frames of one block, or of several from it on.
-
-    They hold pulses, bandwidth, noise, background, clipping, range and bits, as planned.
-    """
+    """Return the frames of one block, or of several from it on, as planned."""
     return make_beginnings(blows, seed, block, dtype, blows.scene.sampling.samples)[0]
 
 
 def make_beginnings(
     blows: Blows, seed: int, block: int, dtype: DTypeLike, n_samples: int
 ) -> tuple[NDArray[Any], Floats]:
-    """Return the first samples of frames, (n_signals, n_samples), as of `make_frames`, and upper bounds of the rest.
-
-    The samples equal those of the whole frames to the last bit. All contacts must end within them or begin after the
-    frame. The bounds are in the unit of the signals.
-    """
+    """Return the first samples of frames, equal to those of `make_frames`, and upper bounds of the rest."""
+    # All contacts must end within them or begin after the frame.
     plan, sampling, sensor = blows.plan, blows.scene.sampling, blows.scene.sensor
     n_signals, rate = len(blows.labels), sampling.sampling_rate
     max_after = np.zeros(n_signals)
@@ -192,13 +186,8 @@ def _digitised_by(sensor: Sensor, sampling_rate: float, peak: Floats, first: int
 
 
 def columns_of(plan: Plan, n_signals: int, seed: int = 0, *, first: int = 0) -> Iterator[Rows]:
-    """Yield the columns of a plan in batches of at most 1024 signals, making only what a column needs.
-
-    A number that does not apply or cannot be measured is nan.
-
-    Features equal those of `cgid.measure.features.extract` for float32 signals of `synthesise` with the same numbers.
-    Raises `InvalidValue` if a number breaks its rule, or the plan is one for signals.
-    """
+    """Yield the columns of a plan in batches of at most 1024 signals, making only what a column needs."""
+    # Features equal those of `cgid.measure.features.extract` for float32 signals; nan where one cannot be measured.
     n_signals, first = require_count(n_signals, first)
     seed = require_seed(seed)
     require_frames(plan.scene)

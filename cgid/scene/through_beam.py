@@ -36,10 +36,7 @@ _LENGTHWISE, _CROSSWISE = (0.06, 0.97), (0.07, 0.93)
 
 
 def beam_of(scene: Scene, n_shapes: int = N_SHAPES, sensors: Iterable[tuple[float, float]] = ()) -> Beam:
-    """Return the beam of a scene as arrays, with the principal shapes of its contact forces.
-
-    `sensors` [m].
-    """
+    """Return the beam of a scene as arrays, with the principal shapes of its contact forces; `sensors` [m]."""
     if scene.tail_beam is None or scene.sensor.quantity == "force":
         raise InvalidValue(
             f"scene {scene.name}: must have a [tail_beam] and a sensor of motion to look through the beam; add them"
@@ -120,11 +117,7 @@ def why_no_beam(scene: Scene) -> str:
 def shared_beam(
     sources: Sequence[Scene | Dataset], sensors: Iterable[tuple[float, float]] = ()
 ) -> tuple[Beam | None, str]:
-    """Return the beam that scenes and datasets share, and in words where it comes from or why there is none.
-
-    A dataset has the beam of the scene that it was made of. Two scenes share a beam if its modes, the filters of the
-    sensor and the sampling rate are the same. Raises `BadData` if the scene that a dataset holds breaks rules.
-    """
+    """Return the beam that scenes and datasets share, and in words where it comes from or why there is none."""
     scenes: list[Scene] = []
     for source in sources:
         scene = source if isinstance(source, Scene) else stored_scene(source.header.attributes, str(source.path))
@@ -165,11 +158,7 @@ def contact_forces(scene: Scene) -> Floats:
 
 
 def moved(scene: Scene, point: tuple[float, float]) -> Scene:
-    """Return a scene with its sensor at another point (x, y) [m] of the beam.
-
-    Raises `InvalidValue` if its modes are measured or learned at one point, and `BadData` if the point is not on the
-    beam.
-    """
+    """Return a scene with its sensor at another point (x, y) [m] of the beam."""
     if scene.tail_beam is None or scene.tail_beam.modes is not None:
         raise InvalidValue(
             f"scene {scene.name}: must have the dimensions of a beam to move its sensor, measured modes are those of "
@@ -190,10 +179,7 @@ def moved(scene: Scene, point: tuple[float, float]) -> Scene:
 def recorded_together(
     scene: Scene, sensors: Sequence[tuple[float, float]], n_signals: int, seed: int = 0
 ) -> Iterator[Batch]:
-    """Yield the signals of a scene as several sensors of its beam record them, each with noise of its own.
-
-    `sensors` [m].
-    """
+    """Yield the signals of a scene as several sensors of its beam record them, each with noise of its own."""
     n_signals, _ = require_count(n_signals, 0)
     seed = require_seed(seed)
     require_frames(scene)

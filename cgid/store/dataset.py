@@ -22,10 +22,7 @@ __all__ = ["export"]
 
 
 def describe_dataset(output: Path, plan: ShardPlan, n_signals: int, shard_signals: int) -> Description:
-    """Return the description of a dataset: one file, or a folder with `shard_signals` in each shard.
-
-    Raises `InvalidValue` if a shard would be too large to be built in memory, or there would be too many shards.
-    """
+    """Return the description of a dataset: one file, or a folder with `shard_signals` in each shard."""
     single = is_single_file(output)
     shard_signals = n_signals if single else min(shard_signals, n_signals)
     size, n_shards = plan.size(shard_signals), -(-n_signals // shard_signals)
@@ -126,10 +123,7 @@ def write_dataset(
     batches: Iterable[Batch],
     progress: Callable[[int], object] | None = None,
 ) -> None:
-    """Write a dataset uncompressed into an empty file; used within `cgid.files.whole_file`.
-
-    Raises `OSError` if the disk is full or broken, and `BadData` if the batches hold fewer than `n_signals` signals.
-    """
+    """Write a dataset uncompressed into an empty file; used within `cgid.files.whole_file`."""
     done, plain = 0, replace(plan, compression="none")
     with hdf5_on_disk(path) as output:
         for batch in batches:

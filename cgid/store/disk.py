@@ -20,12 +20,10 @@ VERSIONS = ("v110", "v110")
 
 
 class DiskFile(io.RawIOBase):
-    """A file on disk that never reports a failed write; opens the existing empty file `path`.
+    """A file on disk that never reports a failed write; opens the existing empty file `path`."""
 
-    HDF5 cannot handle a failed write: it keeps the unwritten data in its caches, and the interpreter crashes at exit.
-    So `failure` keeps the first error of the disk, or the reason for abandoning the file. All later data are kept in
-    memory, where they can be read back, until HDF5 has closed the file.
-    """
+    # HDF5 cannot handle a failed write: it keeps the unwritten data in its caches, and the interpreter crashes at exit.
+    # So `failure` keeps the first error, and all later data stay in memory until HDF5 has closed the file.
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -105,11 +103,7 @@ class Hdf5OnDisk:
 
     @contextmanager
     def step(self) -> Iterator[h5py.File]:
-        """Yield the file for a few calls of h5py, without long work between them.
-
-        Raises `OSError` if the disk has refused data in this or an earlier step; `KeyboardInterrupt` if Ctrl-C was
-        pressed.
-        """
+        """Yield the file for a few quick calls of h5py; raises the first error of the disk, or a delayed Ctrl-C."""
         with undisturbed():
             yield self._file
         if self._disk.failure is not None:
@@ -132,23 +126,7 @@ class Hdf5OnDisk:
 
 @contextmanager
 def hdf5_on_disk(path: Path) -> Iterator[Hdf5OnDisk]:
-    """Yield a new HDF5 file in an empty file; it is whole and flushed when this context ends without an error.
-
-    Used within `cgid.files.whole_file`, which names the file in its errors. Raises `OSError` if the disk is full or
-    broken.
-
-    Examples
-    --------
-    >>> import h5py, tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "some.h5"
-    ...     path.touch()
-    ...     with hdf5_on_disk(path) as output, output.step() as file:
-    ...         file["numbers"] = [1, 2, 3]
-    ...     with h5py.File(path) as file:
-    ...         file["numbers"][:].tolist()
-    [1, 2, 3]
-    """
+    """Yield a new HDF5 file in the empty file `path`, flushed when this context ends; used within `whole_file`."""
     output = Hdf5OnDisk(path)
     try:
         yield output

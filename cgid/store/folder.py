@@ -72,11 +72,7 @@ _FIELDS: Mapping[str, Mapping[str, Callable[[Any], bool]]] = {
 
 @dataclass(frozen=True)
 class Description:
-    """Everything that the files of a folder, or a single file, depend on; made by `describe`.
-
-    content : `format`, `schema_version`, the fields of its kind, and `attributes`, the root attributes of every file
-    text : the content of its file
-    """
+    """Everything that the files of a folder, or a single file, depend on: `text` is its JSON; made by `describe`."""
 
     content: Mapping[str, Any]
     text: bytes
@@ -190,13 +186,7 @@ def require_same(
 
 
 def first_difference(there: Mapping[str, Any], required: Mapping[str, Any]) -> str | None:
-    """Return the first option in which two descriptions differ, None if they are equal.
-
-    Examples
-    --------
-    >>> first_difference({"n_signals": 9, "attributes": {"seed": 1}}, {"n_signals": 9, "attributes": {"seed": 2}})
-    'seed'
-    """
+    """Return the first option in which two descriptions differ, None if they are equal."""
     one, two = _flat(there), _flat(required)
     # Report the scene's text last: its name and its SHA-256 are shorter.
     names = sorted({**two, **one}, key=lambda name: name == "scene")
@@ -214,11 +204,7 @@ def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Folder:
-    """A folder as it says of itself.
-
-    sums : name -> SHA-256 of the files whose sum is known
-    digest : what its files must carry; None for those of earlier versions, which carry none
-    """
+    """The description of a folder, the known sums of its files, and the digest they carry (None before version 3)."""
 
     path: Path
     description: Description
@@ -232,11 +218,7 @@ class Folder:
 
 
 def read_folder(path: Path) -> Folder:
-    """Return what a folder says of itself.
-
-    Raises `BadData` if it has no sound description, or an earlier cgid left it unfinished; `NoInput` if the description
-    cannot be read.
-    """
+    """Return the description and sums of a folder; raises `BadData` or `NoInput`."""
     file = path / DESCRIPTION
     text = read_text(file)
     if text is not None:
@@ -287,11 +269,8 @@ def names_of(kind: str) -> re.Pattern[str]:
 
 
 def read_text(file: Path) -> bytes | None:
-    """Return the content of a text file in a folder, None if it does not exist.
-
-    Its limits grow with the number of files beside it: 100 MB of JSON would take gigabytes of memory. Raises `BadData`
-    for what is larger, a link, a pipe or the like; `NoInput` if it cannot be read but may be sound.
-    """
+    """Return the content of a text file in a folder, None if it does not exist; raises `BadData` or `NoInput`."""
+    # The limits grow with the number of files in the folder: 100 MB of JSON would take gigabytes of memory.
     try:
         about = file.lstat()
         n_files = sum(1 for _ in file.parent.iterdir())
@@ -315,22 +294,13 @@ def read_text(file: Path) -> bytes | None:
 
 
 def sums_text(sums: Mapping[str, str]) -> bytes:
-    r"""Return the content of `SHA256SUMS` for names and their SHA-256.
-
-    Examples
-    --------
-    >>> sums_text({"shard-00000.h5": "5e1f"})
-    b'5e1f  shard-00000.h5\n'
-    """
+    """Return the content of `SHA256SUMS` for names and their SHA-256."""
     return "".join(f"{digest}  {name}\n" for name, digest in sums.items()).encode()
 
 
 def read_sums(folder: Path, description_sha256: str | None) -> dict[str, str]:
-    """Return the sums in `SHA256SUMS`; none unless it begins with that of the description.
-
-    A damaged line is left out, and so is the last one if it is torn. Folders of recordings of earlier versions have no
-    description (None).
-    """
+    """Return the sums in `SHA256SUMS`; none unless the first is that of the description, if there is one."""
+    # A damaged or torn line is left out.
     content = read_text(folder / SUMS) or b""
     lines = [re.fullmatch(r"([0-9a-f]{64})  ([\w.-]+)", line) for line in content.decode("latin-1").split("\n")[:-1]]
     if description_sha256 is not None:

@@ -43,14 +43,7 @@ _CUT_OFF = (
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignArray:
-    """A numeric array of at least two values in an HDF5 file of another program, such as MATLAB v7.3.
-
-    name : its path, separated by slashes
-    attributes : numbers, texts, and lists of texts
-    is_integer : whether it holds integers
-    fault : why the samples cannot be read, "" if they can
-    warning : the missing parts, "" if there are none
-    """
+    """A numeric array in an HDF5 file of another program; `fault`: why it cannot be read, `warning`: gaps."""
 
     name: str
     shape: tuple[int, ...]
@@ -63,12 +56,7 @@ class ForeignArray:
 def survey(
     path: Path, source: str, wanted: Callable[[str], bool]
 ) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str]]:
-    """Return the arrays, the values beside them and the warnings of a foreign HDF5 file.
-
-    The values are those whose names satisfy `wanted`: path of a group ("" for the root) -> its attributes and the
-    single values in it. `source` is the file's name in messages. Raises `BadData` if the file is not HDF5, truncated,
-    damaged, or has more objects than a recording.
-    """
+    """Return the arrays, the `wanted` values (group -> name -> value) and the warnings of a foreign HDF5 file."""
     arrays: list[ForeignArray] = []
     values: dict[str, dict[str, Any]] = {}
     texts: list[tuple[str, str]] = []
@@ -112,11 +100,7 @@ def _add_texts(
     attributes: dict[str, dict[str, Any]],
     values: dict[str, dict[str, Any]],
 ) -> list[str]:
-    """Add texts of variable length to the attributes of arrays and to the other values; return those that are lost.
-
-    `texts` holds the path of a group or dataset ("" is the root) and the name of the attribute, "" for the dataset's
-    value. A text that is too long for a unit or name is left out.
-    """
+    """Add texts of variable length, (path, attribute or ""), to attributes and values; return the lost ones."""
     lost = []
     for place, attribute in texts:
         owner, _, name = (place, "", attribute) if attribute else place.rpartition("/")
@@ -135,11 +119,7 @@ def _add_texts(
 
 
 def foreign_columns(path: Path, needed: Sequence[str]) -> tuple[list[str], int]:
-    """Return the names of the columns in the group /columns, read to their end, and their number of rows.
-
-    There are none if the `needed` ones are not all there, or some have several axes or another length. Raises as
-    `survey`.
-    """
+    """Return the names and number of rows of the group /columns, read to its end; none without the `needed` ones."""
     source = str(path)
     with _opened(path, source) as file:
         columns = {
@@ -164,11 +144,7 @@ def foreign_columns(path: Path, needed: Sequence[str]) -> tuple[list[str], int]:
 def array_blocks(
     path: Path, source: str, array: ForeignArray, axes: tuple[int | None, int], length: int, channels: Sequence[int]
 ) -> Iterator[NDArray[Any]]:
-    """Yield the samples of these channels in order, (len(channels), at most length), float32 or float64.
-
-    `axes` are the axis of the channels, None if there is only one channel, and the axis of the samples. `source` is the
-    file's name in messages. Raises `BadData` if a checksum or a compressed chunk is wrong.
-    """
+    """Yield the samples of these channels as float32 or float64; `axes` are that of the channels and of the samples."""
     (across, along), name = axes, array.name
     lowest, n_read = (0, 1) if across is None else (min(channels), max(channels) + 1 - min(channels))
     with _opened(path, source) as file:

@@ -36,10 +36,7 @@ _UNPACKED, _WITH_PLUGIN = (_DEFLATE, 2, _CHECKSUM, 32000), {32015: "Zstandard", 
 
 
 def storage_fault(item: h5py.Dataset, file_size: int, best_ratio: float = BEST_RATIO) -> str:
-    """Return why the samples of a dataset cannot or must not be read, "" if they can.
-
-    Raises `MissingExtra` if they are compressed by Zstandard or Blosc2 and the library is not installed.
-    """
+    """Return why the samples of a dataset cannot or must not be read, "" if they can."""
     # First, because HDF5 visits all chunks to report the stored size; each chunk takes at least a byte.
     if (n_chunks := _chunks_declared(item)) > file_size:
         return f"declares {n_chunks} chunks in a file of {file_size} bytes"
@@ -151,10 +148,7 @@ def identity_of(about: os.stat_result) -> Identity:
 
 @contextmanager
 def opened(path: Path, source: str, identity: Identity | None = None) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for reading; h5py's errors on a damaged file become `BadData`.
-
-    Raises `BadData` also if the file is not in the state `identity`, because another has its name now.
-    """
+    """Yield an HDF5 file open for reading; raises `BadData` if it is damaged, or not in the state `identity`."""
     try:
         if not path.is_file():
             raise BadData(f"{source}: must be a regular file; copy it to one first")
@@ -188,10 +182,7 @@ def damage_told(
 
 
 def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = BEST_RATIO) -> h5py.Dataset:
-    """Return a dataset stored in this file and large enough for its declared size; links could read other files.
-
-    `best_ratio` is the largest allowed ratio of declared to stored bytes.
-    """
+    """Return a dataset stored in this file and large enough for its declared size; links could read other files."""
     for part in (name.split("/")[0], name):
         if not is_inside(file, part):
             raise BadData(f"{source}: {part} must be part of the file itself; it is missing or a link")

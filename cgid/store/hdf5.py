@@ -111,13 +111,7 @@ def _plugin(compression: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class ShardPlan:
-    """The data common to all shards of a dataset.
-
-    label_width : bytes of the longest label
-    parameter_units : the stored parameters and their units
-    attributes : root attributes, numbers and strings that describe how the data was made
-    compression : "none", "gzip", "zstd" or "blosc2"
-    """
+    """The data common to all shards of a dataset; `label_width` is in bytes."""
 
     n_samples: int
     dtype: str
@@ -132,10 +126,7 @@ class ShardPlan:
 
 
 def lay_out(file: h5py.File, plan: ShardPlan, first: int, n_signals: int) -> h5py.Dataset:
-    """Create the root attributes and the empty datasets of a shard in a new file of `libver` v110.
-
-    `first` is the number of the first signal. Returns the dataset of the signals.
-    """
+    """Create attributes and empty datasets of a shard in a new file; return the dataset of the signals."""
     put_attributes(file, {**plan.attributes, "first_signal": first})
     shape = (n_signals, plan.n_samples)
     chunks = (_chunk_rows(plan, n_signals), plan.n_samples)
@@ -251,12 +242,7 @@ class ShardBuilder:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingPlan:
-    """The description of a recording.
-
-    sampling_rate : [Hz]
-    unit : unit of the samples
-    attributes : root attributes, numbers and strings that describe how it was made
-    """
+    """The description of a recording; `attributes` say how it was made."""
 
     n_samples: int
     dtype: str
@@ -312,11 +298,7 @@ class RecordingWriter:
 
 @contextmanager
 def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
-    """Yield the writer of a recording, which gets its name if this context ends without an error.
-
-    Raises `InvalidValue` if it would be too large; `CannotCreate` if the folder is missing or not writable, or the name
-    has been taken meanwhile; `WriteFailed` if the disk is full or broken, which leaves an existing file untouched.
-    """
+    """Yield the writer of a recording, which gets its name if this context ends without an error."""
     path = Path(path)
     if plan.size > MAX_RECORDING:
         raise InvalidValue(

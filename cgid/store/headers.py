@@ -44,10 +44,7 @@ KINDS = frozenset(_KINDS)
 
 
 def shard_header(file: h5py.File, source: str) -> ShardHeader:
-    """Return the checked header of a shard.
-
-    Raises `BadData` if it is no cgid dataset, of another version or incomplete, or has content that is not allowed.
-    """
+    """Return the checked header of a shard; raises `BadData`."""
     attributes = _root(file, source, FORMAT)
     signals = plain_dataset(file, "signals", source)
     about = _about(signals, source, "rows", "pre_trigger")
@@ -114,10 +111,7 @@ def _root(file: h5py.File, source: str, form: str) -> dict[str, Any]:
 
 
 def _about(samples: h5py.Dataset, source: str, form: str, place: str) -> dict[str, Any]:
-    """Return length, type, sampling rate, unit and `place` ("pre_trigger" or "start") of "rows" or "a row" of samples.
-
-    Raises `BadData` unless they are plausible.
-    """
+    """Return length, type, rate, unit and `place` ("pre_trigger" or "start") of the samples; raises `BadData`."""
     name, shape, dtype = samples.name[1:], samples.shape, samples.dtype
     n_axes = 2 if form == "rows" else 1
     if samples.ndim != n_axes or dtype not in (np.float32, np.float64) or not all(shape):
@@ -152,10 +146,7 @@ def _column(
 def rows(
     path: Path, names: Sequence[str], first: int, stop: int, length: int, identity: Identity
 ) -> Generator[dict[str, NDArray[Any]], None, None]:
-    """Yield the rows [first, stop) of several datasets of equal length, at most `length` at once.
-
-    Raises `BadData` if a checksum is wrong, or the file is no longer in the state `identity`.
-    """
+    """Yield the rows [first, stop) of several datasets of equal length, at most `length` at once."""
     with opened(path, str(path), identity) as file:
         stored = {name: plain_dataset(file, name, str(path)) for name in names}
         # Without rows, yield one part of length 0 with the types of all columns.

@@ -32,10 +32,7 @@ _COMMON = ("n_samples", "dtype", "sampling_rate", "pre_trigger", "unit", "parame
 
 
 def state_of(path: Path, sha256: str | None = None, listing: str = "") -> Identity:
-    """Return the state of a file; with `sha256`, its sum in the file `listing`, only if the content has it.
-
-    Raises `BadData` if it has another sum, or is no regular file.
-    """
+    """Return the state of a file; raises `BadData` if it has another SHA-256 than `listing` says."""
     try:
         if not path.is_file():
             raise BadData(f"{path}: must be a regular file; copy it to one first")
@@ -282,14 +279,7 @@ def is_recording(path: str | Path) -> bool:
 
 
 class Recording:
-    """A recording on disk, with the truth of its impacts.
-
-    start : time of the first sample [s]; times of impacts count from the first sample
-    impact_units : the columns of the truth and their units, "" for text
-    attributes : how it was made
-
-    Raises `NoInput` if the path does not exist, `BadData` if it is no recording or damaged.
-    """
+    """A recording on disk, with the truth of its impacts, whose times count from the first sample."""
 
     n_samples: int
     dtype: str
@@ -315,11 +305,7 @@ class Recording:
         )
 
     def samples(self, first: int = 0, stop: int | None = None) -> NDArray[Any]:
-        """Return the samples in [first, stop).
-
-        Raises `InvalidValue` for a range outside the recording; `BadData` if a checksum is wrong or another file has
-        the name.
-        """
+        """Return the samples in [first, stop)."""
         stop = self._checked_stop(first, stop)
         found = np.empty(stop - first, self.dtype)
         place = 0

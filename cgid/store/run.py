@@ -39,10 +39,7 @@ _HEAD = 4096
 
 
 class Run:
-    """A run in progress; see `begun`.
-
-    missing : numbers of the files still to be made
-    """
+    """A run in progress, made by `begun`; `missing` are the numbers of the files still to be made."""
 
     def __init__(self, output: Path, description: Description, sums: dict[str, str] | None, is_made: bool = False):
         self.description, self.output, self._sums = description, output, sums
@@ -103,12 +100,7 @@ class Run:
 
 @contextmanager
 def begun(output: Path, description: Description, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
-    """Yield a run over the missing files; when this context ends without an error, the output is whole.
-
-    With `resume`, files that are whole and follow from this description are kept. Raises `CannotCreate` if the output
-    exists, another run writes there or the run to resume had other options; `BadData` if what is there is damaged;
-    `WriteFailed`, after which the run can be resumed.
-    """
+    """Yield a run over the missing files; with `resume`, whole files of the same description are kept."""
     if is_single_file(output):
         clear_half_written(output)
         yield Run(output, description, None, resume and output.exists() and _is_made(output, description, overwrite))
@@ -170,11 +162,7 @@ def is_single_file(output: str | Path) -> bool:
 
 
 def check_output(output: str | Path, kind: str, overwrite: bool = False) -> Path:
-    """Return the output as a path, links to a folder resolved, if it may be written; run before any work is done.
-
-    `kind` is the format of its files. Raises `CannotCreate` if it exists and must not be overwritten, or holds other
-    files, or the parent folder is missing.
-    """
+    """Return the output as a path, links to a folder resolved, if files of a `kind` may be written there."""
     path, ours = Path(output), names_of(kind)
     with looking_at(path):
         if not is_single_file(path) and (path.is_symlink() or path.name in ("", "..")):

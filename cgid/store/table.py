@@ -1,8 +1,4 @@
-"""Tables of labelled rows in HDF5, Parquet or CSV: written batch by batch, read whole; and plain tables of any columns.
-
-In HDF5 every column is chunked and has a checksum (fletcher32). A CSV file begins with a line that holds the attributes
-of the other formats: kind, units, and how the data was made.
-"""
+"""Tables of labelled rows in HDF5, Parquet or CSV: written batch by batch, read whole; and tables of any columns."""
 
 from __future__ import annotations
 
@@ -275,10 +271,7 @@ def _parquet_columns(
 def plain_writer(
     path: Path, suffix: str, types: Mapping[tuple[str, str], str]
 ) -> Iterator[Callable[[Sequence[Any]], object]]:
-    """Yield a function that appends a row to a table of any columns, in Parquet or HDF5.
-
-    In HDF5 texts have a fixed length, that of the longest, so the rows wait in memory for the last one.
-    """
+    """Yield a function that appends a row to a table of any columns, in Parquet or HDF5."""
     titles = {column_title(name, unit): dtype for (name, unit), dtype in types.items()}
     written = _parquet_columns(path, titles, {}) if suffix == ".parquet" else _plain_hdf5(path, types)
     rows: list[Sequence[Any]] = []

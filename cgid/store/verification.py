@@ -40,12 +40,7 @@ _TEXTS = (DESCRIPTION, SUMS, MANIFEST, JOURNAL)
 
 
 class Examined(NamedTuple):
-    """The content of a shard, a recording or a table in HDF5, which may be damaged.
-
-    kind : its format, "" if that cannot be read
-    fault : why it cannot be read, and which rows, "" if all can
-    about : root attributes, with `n_signals`, `dtype` and `compression` of a shard
-    """
+    """Format, fault ("" if all can be read) and root attributes of an HDF5 file of cgid, which may be damaged."""
 
     kind: str
     fault: str
@@ -87,12 +82,7 @@ def why_not_whole(folder: Folder, number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A problem with a file.
-
-    problem : "damaged", "missing" or "unfinished"; harmless are "leftover" (of a stopped run) and "foreign" (the file
-        does not belong to the folder)
-    what : description of the problem, in one line
-    """
+    """A problem with a file: "damaged", "missing" or "unfinished"; "leftover" and "foreign" are harmless."""
 
     file: Path
     problem: str
