@@ -49,6 +49,10 @@ def renamed_arguments(**names: str) -> Callable[[F], F]:
         def called(*arguments: Any, **keywords: Any) -> Any:
             for old in [name for name in keywords if name in names]:
                 warn_renamed(f"{function.__name__}({old}=...)", f"{names[old]}=")
+                if names[old] in keywords:
+                    raise TypeError(
+                        f"{function.__name__}() got both {names[old]} and its former name {old}; leave {old} out"
+                    )
                 keywords[names[old]] = keywords.pop(old)
             return function(*arguments, **keywords)
 

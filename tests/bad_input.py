@@ -454,9 +454,9 @@ _COMMANDS = r"""
 65 | train reference --sensor 0.5,0.45 -o new.npz | reference
 65 | train caving --sensor 0.5,0.45 -o new.npz | caving
 65 | predict slow.csv --model through.npz | at least 2000 Hz
-65 | predict good.csv --model model.npz --drop-height 1.5 | drop_height
-2 | predict good.csv --model height.npz | drop_height
-65 | predict good.csv --model height.npz --drop-height 0 | drop_height
+65 | predict good.csv --model model.npz --drop-height 1.5 | --drop-height
+2 | predict good.csv --model height.npz | --drop-height
+65 | predict good.csv --model height.npz --drop-height 0 | --drop-height
 65 | predict two.h5 --model height.npz --drop-height 1 | two.h5
 65 | predict good.csv --coverage 1 | coverage
 65 | predict good.csv --model height.npz --coverage 0.99 | at most 0.98
@@ -482,8 +482,8 @@ _COMMANDS = r"""
 65 | train m_half.csv -o new.npz | m_half.csv
 65 | train m_outside.csv --strict -o new.npz | twice.csv
 65 | train m_overlap.csv -o new.npz | twice.csv
-65 | train m_group.csv --by window --window 0 -o new.npz | window_time
-65 | train m_group.csv --by window --hop 1e-6 -o new.npz | hop_time
+65 | train m_group.csv --by window --window 0 -o new.npz | --window
+65 | train m_group.csv --by window --hop 1e-6 -o new.npz | --hop
 65 | train m_group.csv --class-weights coal:2 -o new.npz | --class-weights
 65 | train m_group.csv --by impact --features window_level -o new.npz | features
 65 | train m_group.csv reference --by window -o new.npz | --by impact
@@ -536,17 +536,17 @@ _COMMANDS = r"""
 73 | generate reference.toml -o no/new.h5 | no
 73 | generate reference.toml -o loop | loop
 73 | export two.h5 -o loop.h5 | loop.h5
-65 | generate reference.toml -o new.h5 -n 0 | n_signals
+65 | generate reference.toml -o new.h5 -n 0 | --signals
 65 | generate reference.toml -o new.h5 --seed -1 | seed
 65 | generate reference.toml -o new.h5 -n 999999 | .h5
 73 | generate reference.toml -o new -n 999999999 | GB
-65 | generate reference.toml -o new -n 9999999999999 | n_signals
+65 | generate reference.toml -o new -n 9999999999999 | --signals
 66 | ceiling none.toml | none.toml
-65 | ceiling reference -n 0 | n_signals
-65 | ceiling reference -n 99999999999999 | n_signals
+65 | ceiling reference -n 0 | --signals
+65 | ceiling reference -n 99999999999999 | --signals
 65 | ceiling peers --learner 99999999999999 | learner
 65 | ceiling strangers | strangers
-65 | ceiling randomised -n 0 | n_signals
+65 | ceiling randomised -n 0 | --signals
 65 | ceiling reference --learner 20 | learner
 65 | check beamless.toml | tail_beam
 2 | ceiling tail_beam | tail_beam
@@ -554,20 +554,20 @@ _COMMANDS = r"""
 65 | check device.toml | /dev/null
 65 | check endless.toml | coupling
 65 | train reference -n 100 --start-error '1 %' -o new.npz | reference
-65 | train tail_beam -n 100 --start-error '90 %' -o new.npz | start_error
+65 | train tail_beam -n 100 --start-error '90 %' -o new.npz | --start-error
 65 | calibrate few_blows.csv --scene reference -o new.toml | [tail_beam]
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml | few_blows.csv
 65 | calibrate clipped_blows.csv --scene tail_beam -o new.toml | clipped
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml --dimension-error '3 %' | dimension_error
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error 'ribs.height = 3 %' | ribs.depth
-65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error '20 %' | dimension_error
+65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error '20 %' | --dimension-error
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml | must explain the blows
 65 | calibrate other_beam.csv --scene taps_on_node.toml -o new.toml | sensor_point
 65 | calibrate other_beam.csv --scene fast.toml -o new.toml | sampling.sampling_rate
 65 | calibrate good.csv --scene tail_beam -o new.toml | acceleration
 65 | calibrate acceleration.csv --scene tail_beam -o new.toml | anti_alias
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --start-error near | --start-error
-65 | calibrate few_blows.csv --scene tail_beam -o new.toml --start-error '30 %' | start_error
+65 | calibrate few_blows.csv --scene tail_beam -o new.toml --start-error '30 %' | --start-error
 73 | calibrate few_blows.csv --scene tail_beam -o site.csv | site.csv
 73 | calibrate few_blows.csv --scene tail_beam -o modes.toml | modes.toml
 66 | calibrate gone.wav --scene tail_beam -o new.toml | gone.wav
@@ -585,7 +585,7 @@ _COMMANDS = r"""
 65 | tap two_taps.csv -o new.csv --band 900 100 | band
 65 | tap two_taps.csv -o new.csv --band 100 20000 | --band
 65 | tap two_taps.csv -o new.csv --band 6000 7000 | 6000
-65 | tap two_taps.csv -o new.csv --max-order 0 | max_order
+65 | tap two_taps.csv -o new.csv --max-order 0 | --max-order
 65 | tap two_taps.csv -o new.csv --contact -1 | contact
 65 | tap two_taps.csv -o new.csv --taps tap_times.csv | 7.5 s
 65 | tap two_taps.csv -o new.csv --taps tap_table.csv | tap_table.csv

@@ -150,8 +150,8 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("stream that is a file", ("monitor", "blow.npy", *_RAW), 65, ("this is an NPY file", "cgid predict")),
     ("stream of unknown numbers", ("monitor", "half.raw"), 2, ("--sample-format",)),
     ("stream of odd numbers", ("monitor", "half.raw", *_RAW[:5], "s17le"), 65, ("s16le", "'s17le'")),
-    ("stream of no channels", ("monitor", "half.raw", "--channels", "0"), 65, ("n_channels", "got 0")),
-    ("stream of too many", ("monitor", "half.raw", "--channels", "5000"), 65, ("n_channels", "at most 4096")),
+    ("stream of no channels", ("monitor", "half.raw", "--channels", "0"), 65, ("--channels", "got 0")),
+    ("stream of too many", ("monitor", "half.raw", "--channels", "5000"), 65, ("--channels", "at most 4096")),
     ("stream at another rate", ("monitor", "blow.wav", "--unit", "g", "--rate", "48000"), 65, ("25600 Hz", "--rate")),
     ("address of no port", ("monitor", "half.raw", *_RAW, "--modbus", "plc"), 65, ("--modbus", "HOST:PORT", "'plc'")),
     ("port too high", ("monitor", "half.raw", *_RAW, "--prometheus", ":70000"), 65, ("--prometheus", "1 to 65535")),
@@ -280,6 +280,6 @@ RECORDING_CASES: tuple[tuple[str, tuple[str, ...], int, tuple[str, ...]], ...] =
     ("a copy with another label", ("train", "copied.csv", *_MODEL_FREE), 65, ("must not overlap", "blow.wav")),
     ("bits in other digits", ("predict", "counts.wav", "--full-scale", "10 V at ٢٤ bit"), 65, ("full_scale must be",)),
     ("two ranges in a manifest", ("train", "ranges.csv", *_MODEL_FREE), 65, ("one full_scale", "5 V and 10 V")),
-    ("hop of nothing", ("train", "day.csv", "--hop", "1e-9", *_MODEL_FREE), 65, ("hop_time", "1e-09 s")),
+    ("hop of nothing", ("train", "day.csv", "--hop", "1e-9", *_MODEL_FREE), 65, ("--hop", "1e-09 s")),
     ("groups of a scene", ("train", "reference", "--by", "impact", *_MODEL_FREE), 65, ("--by", "no manifest")),
 )

@@ -262,6 +262,22 @@ def test_standard_input_is_a_recording() -> None:
     assert kinds == ["impact"] * 6 + ["share", "summary"]
 
 
+@pytest.mark.parametrize(
+    ("command", "flag"),
+    [
+        (("predict", "sample.csv", "--unit", "2=N"), "--unit"),
+        (("predict", "sample.csv", "--gain", "3=2"), "--gain"),
+        (("calibrate", "sample_acceleration.csv", "--scene", "caving", "-o", "x.toml", "--start-error", "9"), "--start-error"),
+    ],
+)
+def test_an_error_names_the_option_that_caused_it(
+    command: tuple[str, ...], flag: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(Path(__file__).parents[1] / "datasets")
+    assert run([*command]) == 65
+    assert flag in capsys.readouterr().err
+
+
 def test_one_bad_file_does_not_hide_the_others(bad_files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(bad_files / name) for name in ("empty.csv", "good.csv", "none.csv")]
     assert run(["predict", *files, "--json"]) == 65

@@ -69,6 +69,8 @@ def test_arguments() -> None:
     with pytest.warns(FutureWarning, match="settings"):
         found = [answer.label for answer in identify(signal, model, question=settings)]
     assert found == expected
+    with pytest.warns(FutureWarning, match="settings"), pytest.raises(TypeError, match="both"):
+        identify(signal, model, question=settings, settings=settings)
 
 
 def test_arguments_reach_the_function() -> None:

@@ -156,8 +156,9 @@ class _Stated(Generic[Part]):
 
     def at(self, index: int, contents: Blocks, source: str) -> tuple[Part | None, bool]:
         """Return the value for a channel, and whether it is for this channel alone; two must not differ."""
+        option = f"--{self.name.replace('_', '-')} CHANNEL=VALUE"
         of_channel = [
-            value for key, value in self.values if key is not None and index in contents.selected(key, source)
+            value for key, value in self.values if key is not None and index in contents.selected(key, source, option)
         ]
         values = of_channel or [value for key, value in self.values if key is None]
         for other in values[1:]:

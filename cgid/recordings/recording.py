@@ -160,16 +160,16 @@ class Blocks:
         name = self.name(index)
         return name if self.names.count(name) == 1 else _numbered(index, name)
 
-    def selected(self, channel: int | str, source: str) -> list[int]:
+    def selected(self, channel: int | str, source: str, option: str = "--channel") -> list[int]:
         """Return the indices of the selected channels: a number from 1, a name, or several as in 1+2."""
         if not (isinstance(channel, str) and "+" in channel):
-            return [self._index(channel, source)]
+            return [self._index(channel, source, option)]
         try:  # a name may contain a plus sign
-            return [self._index(channel, source)]
+            return [self._index(channel, source, option)]
         except InvalidValue:
-            return [self._index(part.strip(), source) for part in channel.split("+")]
+            return [self._index(part.strip(), source, option) for part in channel.split("+")]
 
-    def _index(self, channel: int | str, source: str) -> int:
+    def _index(self, channel: int | str, source: str, option: str) -> int:
         """Return the index of a channel from its number, its name, or both as in `label`."""
         names = [self.name(index) for index in range(self.n_channels)]
         if isinstance(channel, str) and channel and names.count(channel) == 1:
@@ -185,7 +185,7 @@ class Blocks:
                 return number - 1
         listed, more = ", ".join(labels[:20]), ", ..." if len(names) > 20 else ""
         fault = "is the name of several" if wanted and names.count(wanted) > 1 else "is none of them"
-        raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by --channel")
+        raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by {option}")
 
     def rate(self, given: float | None, source: str) -> float:
         """Return the sampling rate [Hz] of file and user, which must agree."""
