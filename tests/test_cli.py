@@ -267,7 +267,7 @@ def test_standard_input_is_a_recording() -> None:
     [
         (("predict", "sample.csv", "--unit", "2=N"), "--unit"),
         (("predict", "sample.csv", "--gain", "3=2"), "--gain"),
-        (("calibrate", "sample.csv", "--scene", "caving", "-o", "x", "--start-error", "9"), "--start-error"),
+        (("calibrate", "sample_acceleration.csv", "--scene", "caving", "-ox.toml", "--drift=9"), "--drift"),
     ],
 )
 def test_an_error_names_the_option_that_caused_it(

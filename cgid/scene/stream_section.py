@@ -71,8 +71,8 @@ class ArrivalsSection(Section):
 class MixtureSection(Section):
     """The fractions of labels among the arriving rocks over time; every key but `times` is a label.
 
-    Fractions are linear between the times, constant before the first and after the last. Labels without a row divide the
-    rest by the weights of their populations.
+    Fractions are linear between the times, constant before the first and after the last. Labels without a row divide
+    the rest by the weights of their populations.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
