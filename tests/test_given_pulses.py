@@ -136,12 +136,9 @@ def test_blocks_are_whole_and_batches_are_not(reference_scene):
     [
         ({"shares": [0, 0.2, 0.1, 1]}, "shares must be 4 or more numbers that rise from 0 to 1"),
         ({"shares": [0.1, 0.2, 0.3, 1]}, "rise from 0 to 1, got 4 numbers from 0.1 to 1"),
-        ({"shares": [0, 0.5, 1], "forces": [[0, 1, 0]]}, "got 3 numbers"),
         ({"forces": [[0, 1, 1, 0], [0, 1, 1, 0]]}, r"shape \(2, 4\) for durations of shape \(1,\)"),
         ({"forces": [[0, -1, 1, 0]]}, "forces must be 0 or more, got -1 N"),
         ({"forces": [[0, 0, 0, 0]]}, "above 0 somewhere in each pulse, got none in row 0"),
-        ({"forces": [[0, np.nan, 1, 0]]}, "forces must be finite"),
-        ({"contact_duration": [0.0]}, "contact_duration must be above 0, got 0 s"),
     ],
 )
 def test_impossible_pulses_are_refused(change, message):
@@ -170,13 +167,7 @@ def test_pulses_that_do_not_fit_a_scene_are_refused(reference_scene):
     ("name", "value", "message"),
     [
         ("raduis", 0.1, "parameter must be one of 'density', .*, got 'raduis'"),
-        ("impact_x", 0.1, "parameter must be one of .*, got 'impact_x'"),
-        ("velocity", np.inf, "velocity must be finite, got inf m/s at index 3"),
         ("velocity", 0.0, "velocity must be above 0, got 0 m/s at index 3"),
-        ("radius", -1.0, "radius must be above 0, got -1 m at index 3"),
-        ("poisson_ratio", 0.5, "poisson_ratio must lie between -1 and 0.5"),
-        ("restitution", 1.5, "restitution must lie above 0 and up to 1, got 1.5"),
-        ("drop_height", -0.1, "drop_height must be 0 or more, got -0.1 m"),
         ("onset", -np.inf, "onset must be finite, got -inf s at index 3"),
     ],
 )

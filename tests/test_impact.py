@@ -115,32 +115,11 @@ def test_loss_of_energy_measured_from_the_hysteresis_loop():
     assert loop == pytest.approx(0.5 * impact.reduced_mass * 4.0 * (1 - e**2), rel=1e-6)
 
 
-def test_table_and_reference_path_meet_at_the_edge_of_the_table():
-    e = np.array([0.05 - 1e-12, 0.05])
-    impact = paper_impact(dissipation=HuntCrossley(restitution=e))
-    times = np.linspace(0, 1.1 * float(impact.contact_duration[0]), 500)
-    force = impact.force(times)
-    assert force[0] == pytest.approx(force[1], abs=1e-9 * impact.peak_force[0])
-
-
 def test_reference_path_serves_tiny_restitutions():
     impact = paper_impact(dissipation=HuntCrossley(restitution=1e-3))
     pulse = reference_pulse(1e-3)
     assert float(impact.contact_duration / impact.time_scale) == pytest.approx(pulse.contact_time, rel=1e-9)
     assert np.isfinite(impact.force(np.linspace(-1e-4, 1e-2, 50))).all()
-
-
-def test_everything_broadcasts():
-    impact = paper_impact(
-        radius=np.array([[0.01], [0.02]]), velocity=np.array([1.0, 2.0, 3.0]), dissipation=HuntCrossley(restitution=0.5)
-    )
-    assert impact.peak_force.shape == (2, 3)
-    times = np.linspace(0, 1e-3, 7)
-    force = impact.force(times)
-    assert force.shape == (2, 3, 7)
-    single = paper_impact(radius=0.02, velocity=3.0, dissipation=HuntCrossley(restitution=0.5))
-    assert force[1, 2] == pytest.approx(single.force(times), rel=1e-12)
-    assert single.force(times[3]) == pytest.approx(force[1, 2, 3])
 
 
 def test_two_spheres_and_a_rigid_wall_after_chung_and_ooi_2011():
@@ -162,15 +141,6 @@ def test_two_spheres_and_a_rigid_wall_after_chung_and_ooi_2011():
     assert (float(wall.peak_force) / 1e3, float(wall.contact_duration) * 1e6) == pytest.approx(
         (11.3699, 731.66), rel=2e-5
     )
-
-
-def test_free_fall():
-    assert free_fall_velocity([0.5, 3.0], gravity=9.8) == pytest.approx([np.sqrt(9.8), np.sqrt(58.8)])
-
-
-def test_a_displacement_beyond_hertz_warns():
-    with pytest.warns(HertzRangeWarning, match=r"displacement / radius reaches 0\.\d+"):
-        paper_impact(velocity=100.0)
 
 
 def test_the_warning_of_hertz_comes_at_a_tenth_of_the_radius_and_points_here():
@@ -321,15 +291,6 @@ def test_frames_hold_the_force_on_their_grid(name, onset):
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
-def test_onset_is_a_time_for_each_impact_or_one_for_all(name):
-    impact = MECHANISMS[name]
-    onsets = np.array([0.0, 1e-5, 2.5e-5, -3e-5, 1e-4])
-    together = impact.force_frames(1e6, 500, onsets)
-    for k, onset in enumerate(onsets):
-        assert (together[k] == impact.force_frames(1e6, 500, onset)[k]).all()
-
-
-@pytest.mark.parametrize("name", MECHANISMS)
 def test_onsets_broadcast_against_impacts(name):
     impact = MECHANISMS[name]
     onsets = np.array([[0.0], [1e-5], [2e-5]])
@@ -416,22 +377,6 @@ def test_kernels_stop_when_interrupted(n_threads):
     assert max(rows.size for rows in done) <= 1024
 
 
-@pytest.mark.parametrize("n_impacts", [1, 5000])
-def test_integrated_impacts_run_in_short_parts(n_impacts, monkeypatch):
-    parts = []
-
-    def summaries(*arguments):
-        *_, found, rows = arguments
-        parts.append(rows)
-        found[rows] = 0.0
-
-    monkeypatch.setattr(curves, "kernel", lambda *_: summaries)
-    viscous = paper_impact(velocity=np.linspace(1, 2, n_impacts), dissipation=Viscoelastic(time_constant=1e-6))
-    _ = viscous.curves._summary
-    assert max(rows.size for rows in parts) <= 1024
-    assert (np.concatenate(parts) == np.arange(n_impacts)).all()
-
-
 @pytest.mark.parametrize("threads", [2, 5])
 def test_threads_change_no_bit(threads):
     impacts = population()
@@ -475,40 +420,13 @@ def test_add_to_frames_adds(name):
     assert np.abs(frames - (ground + 2 * pulses)).max() <= 3e-15 * np.abs(ground).max()
 
 
-def test_add_to_frames_says_what_it_cannot_take():
-    impact = MECHANISMS["table"]
-    rule = r"frames must be writeable C-contiguous float32 or float64 samples of shape \(5, '?n_samples'?\), got "
-    for frames, got in [
-        (np.zeros((4, 100)), r"float64 of shape \(4, 100\)"),
-        (np.zeros(100), r"float64 of shape \(100,\)"),
-        (np.zeros((1, 5, 100)), r"float64 of shape \(1, 5, 100\)"),
-        (np.zeros((5, 100), np.int64), r"int64 of shape \(5, 100\)"),
-        (np.zeros((5, 100), complex), r"complex128 of shape \(5, 100\)"),
-        (np.zeros((100, 5)).T, r"float64 of shape \(5, 100\)"),
-        (np.zeros((5, 200))[:, ::2], r"float64 of shape \(5, 100\)"),
-    ]:
-        with pytest.raises(InvalidValue, match=rule + got):
-            impact.add_to_frames(frames, 1e6, 0.0)
-        assert (frames == 0).all()
-    frames = np.zeros((5, 100))
-    frames.flags.writeable = False
-    with pytest.raises(InvalidValue, match="frames must be"):
-        impact.add_to_frames(frames, 1e6, 0.0)
-    for onset in (np.nan, np.inf, "now"):
-        with pytest.raises(InvalidValue, match="onset must be"):
-            impact.add_to_frames(np.zeros((5, 100)), 1e6, onset)
-
-
 @pytest.mark.parametrize(
     ("frames", "rate", "threads", "message"),
     [
         (np.zeros((5, 9), np.float16), 1e6, 1, "frames must be"),
-        (np.zeros((5, 9), np.longdouble), 1e6, 1, "frames must be"),
         (np.zeros((5, 9), ">f8"), 1e6, 1, "frames must be"),
         (np.broadcast_to(0.0, (5, 9)).copy().tolist(), 1e6, 1, "frames must be"),
         (np.zeros((5, 9)), 0.0, 1, "sampling_rate must be above 0"),
-        (np.zeros((5, 9)), -1e6, 1, "sampling_rate must be above 0"),
-        (np.zeros((5, 9)), np.nan, 1, "sampling_rate must be finite"),
         (np.zeros((5, 9)), 1e6, 0, "threads must be a whole number of 1 or more"),
     ],
 )
@@ -558,26 +476,13 @@ def test_no_impacts_and_no_times():
     ("changes", "message"),
     [
         ({"target": "rigid"}, "target must be .*Sphere or RigidWall, got 'rigid'"),
-        ({"target": STEEL}, "target must be .*got Material"),
         (
             {"dissipation": None},
             "dissipation must be a Law, got None",
         ),
-        ({"dissipation": HuntCrossley}, "dissipation must be .*got <class"),
-        ({"dissipation": 0.5}, r"dissipation must be .*got 0\.5"),
         ({"sphere": STEEL}, "sphere must be a Sphere, got Material"),
-        ({"velocity": "fast"}, "velocity must be a real number or an array of them, got 'fast'"),
-        ({"velocity": None}, "velocity must be a real number"),
-        ({"velocity": True}, "velocity must be a real number"),
-        ({"velocity": 2 + 1j}, "velocity must be a real number"),
-        ({"velocity": [1.0, 0.0]}, "velocity must be above 0, got 0 m/s at index 1"),
-        ({"velocity": np.inf}, "velocity must be finite"),
         ({"gravity": -9.81}, r"gravity must be 0 or more, got -9\.81 m/s\^2"),
-        ({"gravity": np.nan}, "gravity must be finite"),
-        ({"stiffness": None}, "stiffness must be one of"),
         ({"stiffness": "hard"}, "stiffness must be one of 'hertz', 'rigid-sphere', 'series', got 'hard'"),
-        ({"velocity": np.nan}, "velocity must be finite"),
-        ({"velocity": -1.0}, "velocity must be above 0, got -1 m/s"),
     ],
 )
 def test_wrong_things_are_named(changes, message):
@@ -590,27 +495,12 @@ def test_wrong_things_are_named(changes, message):
     [
         (lambda: Sphere(material=COAL, radius=0.1), "material must be a Material, got MaterialRange"),
         (lambda: HalfSpace(material="steel"), "material must be a Material, got 'steel'"),
-        (lambda: ThinPlate(material=COAL, thickness=0.1), "material must be a Material, got MaterialRange"),
-        (lambda: ThinPlate(material=STEEL, thickness=0), "thickness must be above 0, got 0 m"),
-        (lambda: ThinPlate(material=STEEL, thickness=[0.1, -1]), "thickness must be above 0, got -1 m at index 1"),
-        (lambda: Sphere(material=STEEL, radius=np.nan), "radius must be finite"),
-        (lambda: HuntCrossley(restitution=0.0), "restitution must lie above 0 and up to 1, got 0"),
-        (lambda: HuntCrossley(restitution=1.0000001), "restitution must lie above 0 and up to 1, got 1"),
-        (lambda: HuntCrossley(restitution=np.nan), "restitution must be finite"),
         (lambda: HuntCrossley(restitution=0.5, law="hertz"), "law must be one of 'exact', 'hunt-crossley'"),
         (lambda: Viscoelastic(), "needs one of dissipative_constant .*, time_constant .* and restitution, got none"),
         (
             lambda: Viscoelastic(dissipative_constant=1e-5, time_constant=1e-5),
             "got dissipative_constant and time_constant",
         ),
-        (lambda: Viscoelastic(dissipative_constant=0.0), "dissipative_constant must be above 0, got 0 s"),
-        (lambda: Viscoelastic(time_constant=[1e-6, -1]), "time_constant must be above 0, got -1 s at index 1"),
-        (lambda: Viscoelastic(time_constant=np.inf), "time_constant must be finite"),
-        (lambda: Material(density=1, youngs_modulus=1, poisson_ratio=-1), "poisson_ratio must lie between -1 and 0.5"),
-        (lambda: Material(density=1, youngs_modulus=0, poisson_ratio=0), "youngs_modulus must be above 0, got 0 Pa"),
-        (lambda: free_fall_velocity(-1.0), "height must be 0 or more, got -1 m"),
-        (lambda: Material(density=-1, youngs_modulus=1e9, poisson_ratio=0.3), "density must be above 0, got -1"),
-        (lambda: Material(density=1, youngs_modulus=1e9, poisson_ratio=0.5), r"1 and 0.5 \(exclusive\), got 0.5"),
         (
             lambda: paper_impact(radius=[0.01, 0.02], velocity=[1.0, 2.0, 3.0]),
             r"do not broadcast against each other: radius \(2,\)",
@@ -620,42 +510,6 @@ def test_wrong_things_are_named(changes, message):
 def test_wrong_parts_are_named(make, message):
     with pytest.raises(InvalidValue, match=message):
         make()
-
-
-def test_what_has_no_default_must_be_said():
-    with pytest.raises(InvalidValue, match="thickness must be finite, got nan m"):
-        ThinPlate(material=STEEL)
-    with pytest.raises(TypeError, match="dissipation"):
-        Impact(sphere=Sphere(material=STEEL, radius=1), target=RIGID, velocity=1, stiffness="hertz")
-    with pytest.raises(TypeError, match="stiffness"):
-        Impact(sphere=Sphere(material=STEEL, radius=1), target=RIGID, velocity=1, dissipation=Elastic())
-    with pytest.raises(TypeError, match="restitution"):
-        HuntCrossley()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"dtype": "float16"}, "dtype must be float32 or float64, got 'float16'"),
-        ({"threads": 0}, "threads must be a whole number of 1 or more, got 0"),
-    ],
-)
-def test_wrong_outputs_are_named(arguments, message):
-    with pytest.raises(InvalidValue, match=message):
-        paper_impact().force([0.0], **arguments)
-    with pytest.raises(InvalidValue, match=message):
-        paper_impact().force_frames(1e6, 10, **arguments)
-
-
-def test_wrong_frames_and_times_are_named():
-    for rate, message in ((0.0, "above 0, got 0 Hz"), (-1e6, "above 0"), (np.nan, "finite"), ("fast", "a real number")):
-        with pytest.raises(InvalidValue, match=f"sampling_rate must be {message}"):
-            paper_impact().force_frames(rate, 10)
-    with pytest.raises(InvalidValue, match="n_samples must be a whole number of 1 or more, got 0"):
-        paper_impact().force_frames(1e6, 0)
-    for times, message in ((np.nan, "finite"), ([0.0, np.inf], "finite"), ("now", "a real number"), (1j, "a real")):
-        with pytest.raises(InvalidValue, match=f"times must be {message}"):
-            paper_impact().force(times)
 
 
 def one_of(velocity=2.0, radius=0.025, density=1380.0, youngs_modulus=2.26e9, thickness=None, **changes):
@@ -680,31 +534,9 @@ def everything(impact):
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"velocity": 1e-300}, {"velocity": 1e-200}, {"velocity": 1e150}, {"velocity": 1e300},
-        {"radius": 1e-300}, {"radius": 1e-200}, {"radius": 1e-100}, {"radius": 1e100}, {"radius": 1e300},
-        {"density": 1e-300}, {"density": 1e300}, {"youngs_modulus": 1e-300}, {"youngs_modulus": 1e300},
-        {"thickness": 1e-150}, {"thickness": 1e-30},
-        {"dissipation": Viscoelastic(dissipative_constant=1e30)},
-        {"dissipation": Viscoelastic(dissipative_constant=1e300)},
-        {"dissipation": Viscoelastic(time_constant=1e300)},
-        {"gravity": 1e100}, {"gravity": 1e300},
-        {"dissipation": HuntCrossley(restitution=1e-100)},
-    ],
+    [{"velocity": 1e-300}, {"velocity": 1e300}, {"radius": 1e-200}, {"radius": 1e300}, {"density": 1e300}, {"youngs_modulus": 1e300}, {"thickness": 1e-150}, {"dissipation": Viscoelastic(dissipative_constant=1e30)}, {"dissipation": Viscoelastic(dissipative_constant=1e300)}, {"dissipation": Viscoelastic(time_constant=1e300)}, {"gravity": 1e300},],
 )  # fmt: skip
 def test_absurd_magnitudes_are_refused_for_double_precision(changes):
-    with pytest.raises(InvalidValue, match="double precision"):
-        everything(one_of(**changes))
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"thickness": 1e-300}, {"thickness": 1e-160}, {"thickness": 1e200},
-        {"dissipation": Viscoelastic(dissipative_constant=1e308)}, {"dissipation": Viscoelastic(time_constant=1.7e308)},
-    ],
-)  # fmt: skip
-def test_absurd_magnitudes_of_the_loss_are_refused_without_a_warning(changes):
     with pytest.raises(InvalidValue, match="double precision"):
         everything(one_of(**changes))
 

@@ -483,10 +483,6 @@ def test_a_restitution_that_a_heavy_sphere_jumps_over_is_refused(wanted):
         (1.0, r"restitution must lie between 1\.\d+e-05 and 1, which the impact has without this loss, got 1$"),
         (1e-6, r"restitution must lie between 1\.\d+e-05 and 1, .* got 1e-06"),
         ([0.5, 1e-6], "got 1e-06"),
-        (0.0, "restitution must lie above 0 and up to 1, got 0"),
-        (1.2, "restitution must lie above 0 and up to 1, got 1.2"),
-        (np.nan, "restitution must be finite"),
-        ("soft", "restitution must be a real number or an array of them, got 'soft'"),
     ],
 )
 def test_restitutions_that_no_constant_gives_are_named(restitution, message):

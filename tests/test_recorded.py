@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 from dataclasses import replace
 from itertools import chain
@@ -14,12 +13,10 @@ import numpy as np
 import pytest
 from scipy import signal as filters
 from scipy import special, stats
-from scipy.io import wavfile
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
-from cgid import shipped
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import identify
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier, ShrunkenDiscriminant
@@ -30,11 +27,10 @@ from cgid.identification.grouped import (
     cross_validate,
     in_blocks_of_time,
     leave_groups_out,
-    require_groups,
     smallest_as_good,
     vote_correlation,
 )
-from cgid.identification.labelled_recordings import Reading, record
+from cgid.identification.labelled_recordings import record
 from cgid.identification.manifest import read_manifest
 from cgid.identification.metrics import clustered_interval
 from cgid.identification.model import Model
@@ -42,7 +38,7 @@ from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for, 
 from cgid.identification.share import wilson_interval
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.training import train
-from cgid.identification.windows import CLEAR, WINDOW_TIME, Grid, NoisyCopies, RunningVote, measure_windows, windows_of
+from cgid.identification.windows import CLEAR, WINDOW_TIME, NoisyCopies, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
@@ -98,16 +94,6 @@ def test_windows_are_the_same_in_blocks_of_any_size(length: int, hop: int) -> No
         found = [(first, windows.copy()) for first, windows in windows_of(blocks, 1.0, length, hop)]
         assert np.concatenate([first for first, _ in found]).tolist() == list(starts)
         assert (np.concatenate([windows for _, windows in found]) == expected).all()
-
-
-def test_windows_and_votes_that_cannot_be_are_refused() -> None:
-    for name, refused in {
-        "window_time": lambda: Grid.at(1000.0, 0.003, 0.1),
-        "hop_time": lambda: Grid.at(1000.0, 0.1, 0.0),
-        "vote_time": lambda: RunningVote.over(1e9, 0.1, 0.05),
-    }.items():
-        with pytest.raises(InvalidValue, match=name):
-            refused()
 
 
 def test_features_stand_channel_after_channel() -> None:
@@ -208,39 +194,6 @@ def test_channels_that_are_annotated_apart_are_recordings_of_their_own(tmp_path:
     assert [(row["label"], row["vote"]) for row in judged] == [("coal", "coal"), ("gangue", "gangue")] * 2
 
 
-def test_an_interval_without_a_window_is_said(folder: Path, tmp_path: Path) -> None:
-    rows = ["path,label,start,end,rate,unit"]
-    for number in range(2):
-        rows += [f"{folder}/{number}.npy,{label},{RATE},g" for label in ("coal,0,0.5", "gangue,0.5,0.9", "coal,0.95,1")]
-    (tmp_path / "m.csv").write_text("\n".join(rows))
-    found = record(read_manifest(tmp_path / "m.csv"), NAMES)
-    assert [warning.partition(": ")[0] for warning in found.warnings] == [
-        f"{folder}/{number}.npy from 0.95 to 1 s" for number in range(2)
-    ]
-    assert all("there must be windows to be measured, there is none" in warning for warning in found.warnings)
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_an_interval_outside_of_its_recording_is_said(known: bool, folder: Path, tmp_path: Path) -> None:
-    """Whether the file says its length (NPY), or only reading it shows it (text)."""
-    np.savetxt(tmp_path / "1.txt", np.load(folder / "1.npy")[0], header="acceleration (g)", comments="")
-    other = f"{folder}/1.npy" if known else "1.txt"
-    text = f"path,label,start,end,rate,unit\n{folder}/0.npy,coal,0,0.5,{RATE},g\n{other},coal,7,9,{RATE},g\n"
-    (tmp_path / "m.csv").write_text(text)
-    found = record(read_manifest(tmp_path / "m.csv"), NAMES)
-    (failure,) = found.failures
-    assert "from 7 to 9 s: start must lie inside the recording, which lasts 1 s, got 7 s" in str(failure)
-    assert set(found.sources) == {f"{folder}/0.npy from 0 to 0.5 s"}
-
-
-def test_a_bad_file_stops_nobody_unless_strict(folder: Path) -> None:
-    rows = record(read_manifest(folder / "gone.csv"), NAMES)
-    assert len(rows.labels) == 6 * 19
-    assert [type(error) for error in rows.failures] == [NoInput]
-    with pytest.raises(NoInput, match=r"gone\.npy"):
-        record(read_manifest(folder / "gone.csv"), NAMES, reading=Reading(strict=True))
-
-
 def test_a_gap_costs_the_windows_that_lack_samples(folder: Path, tmp_path: Path) -> None:
     text = f"path,label,rate,unit\n{folder}/0.npy,coal,{RATE},g\nbroken.npy,gangue,{RATE},g\n"
     (tmp_path / "m.csv").write_text(text)
@@ -280,27 +233,6 @@ def test_recordings_that_do_not_fit_are_said(row: str, says: str, folder: Path) 
     (folder / "odd.csv").write_text(f"path,label,rate,unit\n0.npy,coal,{RATE},g\n{row}\n")
     rows = record(read_manifest(folder / "odd.csv"), NAMES)
     assert [says in str(error) for error in rows.failures] == [True]
-
-
-def test_copies_in_different_groups_are_refused(folder: Path) -> None:
-    (folder / "copy.npy").write_bytes((folder / "0.npy").read_bytes())
-    (folder / "copies.csv").write_text(f"path,label,rate,unit\n0.npy,coal,{RATE},g\ncopy.npy,coal,{RATE},g\n")
-    with pytest.raises(BadData, match="it holds the same as"):
-        record(read_manifest(folder / "copies.csv"), NAMES)
-    (folder / "twice.csv").write_text(
-        f"path,label,rate,unit,group\n0.npy,coal,{RATE},g,day\ncopy.npy,gangue,{RATE},g,day\n"
-    )
-    with pytest.raises(BadData, match="intervals must not overlap, it holds the same as"):
-        record(read_manifest(folder / "twice.csv"), NAMES)
-
-
-def test_nothing_to_learn_from_is_said(folder: Path) -> None:
-    (folder / "none.csv").write_text("path,label,rate,unit\nno.npy,coal,8000,g\nnor.npy,gangue,8000,g\n")
-    with pytest.raises(BadData, match=r"none.csv: there must be a recording that can be read.*no\.npy"):
-        record(read_manifest(folder / "none.csv"), NAMES)
-    (folder / "short.csv").write_text(f"path,label,start,end,rate,unit\n0.npy,coal,0.1,0.15,{RATE},g\n")
-    with pytest.raises(BadData, match="must hold a window with a label"):
-        record(read_manifest(folder / "short.csv"), NAMES)
 
 
 def test_impacts_are_taken_where_they_are_annotated(tmp_path: Path) -> None:
@@ -438,21 +370,6 @@ def test_volts_are_trained_on_as_they_were_read(
     assert json.loads(capsys.readouterr().out)["accuracy"] > 0.9
 
 
-def test_pulses_that_point_down_are_trained_on(tmp_path: Path) -> None:
-    samples = np.random.default_rng(0).normal(0, 0.01, 40_000)
-    for first in range(4000, 40_000, 4000):
-        samples[first : first + 20] -= 5 * np.sin(np.pi * np.arange(20) / 20) ** 1.5
-    np.save(tmp_path / "down.npy", samples)
-    table = tmp_path / "t.csv"
-    arguments = ["events", str(tmp_path / "down.npy"), "-o", str(table), "--rate", "20000", "--unit", "N"]
-    assert run(arguments) == 65
-    assert run([*arguments, "--invert"]) == 0
-    labelled(table, {"down.npy": ["coal", "gangue"] * 5})
-    rows = record(read_manifest(table))
-    assert rows.kind == "pulse" and len(rows.labels) == 9
-    np.testing.assert_allclose(rows.features[:, rows.names.index("fitted_peak")], 5.0, rtol=0.05)
-
-
 def test_one_recording_is_judged_by_blocks_of_its_time(
     blows: tuple[Path, dict[str, list[str]]], tmp_path: Path, capsys: Any
 ) -> None:
@@ -532,16 +449,6 @@ def test_a_template_lists_a_folder_to_label(folder: Path, tmp_path: Path, capsys
     table.unlink()
     assert run(["train", str(tmp_path), "--template", str(table)]) == 2
     assert {row["content"] for row in rows_in(table)} == {"cannot be read"}
-
-
-def test_labels_of_subfolders_are_trained_on(folder: Path, tmp_path: Path, capsys: Any) -> None:
-    for number in range(4):
-        place = tmp_path / ("coal", "gangue")[number % 2] / f"{number}.npy"
-        place.parent.mkdir(exist_ok=True)
-        place.write_bytes((folder / place.name).read_bytes())
-    assert run(["train", str(tmp_path), "-o", str(tmp_path / "m.npz"), "--rate", str(RATE), "--unit", "g", *FEW]) == 0
-    assert f"labels of {tmp_path}: coal 2, gangue 2" in capsys.readouterr().err
-    assert Model.load(tmp_path / "m.npz").labels == ("coal", "gangue")
 
 
 # -- groups -----------------------------------------------------------------------------------------------
@@ -650,19 +557,6 @@ def test_what_was_always_right_is_not_certain() -> None:
     ).probabilities
     assert (np.unique(labels)[np.argmax(probabilities, axis=1)] == labels).all()
     assert 0.2 / 62 < probabilities.min(axis=1).mean() < 5 / 62
-
-
-@pytest.mark.parametrize(
-    ("labels", "group", "says"),
-    [
-        (["a", "a"], [0, 1], "at least 2 labels"),
-        (["a", "b"], [0, 0], "at least 2 groups, one to train and one to judge, got 1"),
-        (["a", "b", "b"], [0, 1, 2], "label a must have recordings in at least 2 groups"),
-    ],
-)
-def test_too_few_groups_are_said(labels: list[str], group: list[int], says: str) -> None:
-    with pytest.raises(BadData, match=says):
-        require_groups(np.array(labels), np.array(group))
 
 
 def test_interval_counts_groups_where_they_decide() -> None:
@@ -777,18 +671,6 @@ def test_model_of_windows_survives_its_file(model: Model, recorded: Rows, tmp_pa
     np.testing.assert_array_equal(loaded.probabilities(recorded.features), model.probabilities(recorded.features))
     assert (loaded.novelty(recorded.features) < 1.2).all()
     assert loaded.novelty(recorded.features + 1e3).min() > 1
-
-
-def test_models_of_version_2_still_load(tmp_path: Path) -> None:
-    path = shipped.path_of("models", shipped.DEFAULT_MODEL)
-    whole = Model.load(path)
-    assert (whole.n_channels, whole.window_time, whole.sensors) == (1, 0.0, ())
-    new = ("window_time", "hop_time", "n_channels", "sensors")
-    header = {name: value for name, value in whole.header.items() if name not in new} | {"schema_version": 2}
-    stream = io.BytesIO()
-    np.savez(stream, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **whole.arrays)
-    (tmp_path / "old.npz").write_bytes(stream.getvalue())
-    assert Model.load(tmp_path / "old.npz").header == whole.header
 
 
 def test_a_model_of_windows_answers_for_no_single_impact(model: Model) -> None:
@@ -1097,16 +979,3 @@ def test_class_weights_count_for_scenes_too(reference_scene: Scene) -> None:
         share[weight] = training.metrics["recall"]["gangue"]
     assert share[5.0] > share[1.0]
     assert training.model.training["class_weights"] == {"gangue": 5.0}
-
-
-def test_wav_of_a_stranger_is_trained_on(tmp_path: Path) -> None:
-    rows = []
-    for number in range(4):
-        label = ("coal", "gangue")[number % 2]
-        samples = (flow(label, number, n_channels=2).T * 2**15).astype(np.int16)
-        wavfile.write(tmp_path / f"{number}.wav", RATE, samples)
-        rows.append(f"{number}.wav,{label}\n")
-    (tmp_path / "m.csv").write_text("path,label\n" + "".join(rows))
-    model = tmp_path / "m.npz"
-    assert run(["train", str(tmp_path / "m.csv"), "-o", str(model), *FEW, "--channel", "1", "--channel", "2"]) == 0
-    assert (Model.load(model).n_channels, Model.load(model).unit) == (2, "FS")

@@ -116,23 +116,15 @@ def test_any_numbers_in_any_layout_are_read_back_equal(table, delimiter, header,
     ("header", "unit", "rate"),
     [
         ("time (s),force (N)", "N", 2.0),
-        ("time(s), \t \t acceleration(g)", "g", 2.0),
-        ("# time(s), \t \t acceleration(g)", "g", 2.0),
         ("t [ms],force [kN]", "kN", 2000.0),
         ("t/us,F/kN", "kN", 2e6),
-        ("t/μs,a/(m/s^2)", "m/s^2", 2e6),
         ("time_ms,v_mm/s", "mm/s", 2000.0),
-        ("s,N", "N", 2.0),
         ("ms,N", "N", 2000.0),
         ('"Zeit (ms)","Kraft (N)"', "N", 2000.0),
-        ('"time","force, filtered (N)"', "N", 2.0),
         ("Time,Channel A\n(ms),(mV)\n", "mV", 2000.0),
         ("# columns: time, force (N)\n# somebody, somewhere", "N", 2.0),
         ("% made by hand\n% t,x\n% unit: MPa", "MPa", 2.0),
-        ("// t,peak (raw) (V)", "V", 2.0),
         ("time,force (furlongs)", None, 2.0),
-        ("; remark\ntime,force", None, 2.0),
-        ("; time; force (N)", "N", 2.0),
         ("\n\n# a title\nOperator: X, Y\ntime,mm\n\n", "mm", 2.0),
     ],
 )
@@ -141,21 +133,6 @@ def test_header_gives_units_and_time(header, unit, rate):
     assert signal.samples.tolist() == [1, 3, 2]
     assert (signal.unit, signal.sampling_rate) == (unit, pytest.approx(rate, rel=1e-12))
     assert signal.channel == "1"
-
-
-@pytest.mark.parametrize(
-    ("remark", "rate"),
-    [
-        ("# sampling_rate: 200000 Hz", 2e5),
-        ("# sampling rate = 200 kHz", 2e5),
-        ("Sample rate [kHz],51.2", 51200.0),
-        ("% fs = 1e5", 1e5),
-        ("# Sampling frequency: 1 MHz", 1e6),
-    ],
-)
-def test_remarks_give_rate_and_unit(remark, rate):
-    (signal,) = read_text(f"{remark}\n# unit: kN\n1.5\n2.5\n")
-    assert (signal.sampling_rate, signal.unit, signal.samples.tolist()) == (pytest.approx(rate), "kN", [1.5, 2.5])
 
 
 @pytest.mark.parametrize(
@@ -310,50 +287,29 @@ def test_uneven_first_column_without_header_is_a_channel():
     [
         ("", ["empty"]),
         ("time,force\n", ["no line", "numbers"]),
-        ("\n# only\n", ["no line", "numbers"]),
         ("0,1\n1,nan\n2,3\n", ["sample 1", "nan"]),
         ("t,F\n0,1\n1,inf\n2,3\n", ["sample 1", "inf"]),
-        ("0,1\n1,1e999\n2,3\n", ["sample 1", "inf"]),
         ("0,1\n1,\n2,3\n", ["sample 1", "line 2", "empty"]),
-        ("0,1,2\n1,,3\n", ["sample 1", "line 2", "column 2 is empty"]),
         ("time,force,note\n0,1,\n1,2,\n", ["sample 0", "line 2", "column 3 is empty"]),
         ("1,2,\n1,,3,\n", ["sample 1", "3", "2 fields"]),
-        ("0\t1\n1\t\n2\t3\n", ["sample 1", "line 2", "empty"]),
         ("0,1\n1,abc\n2,3\n", ["sample 1", "line 2", "'abc'"]),
-        ("t,F\n0,abc\n1,2\n2,3\n", ["sample 0", "line 2", "'abc'"]),
-        ("t,F\n0,a\n1,b\n2,3\n", ["sample 0", "line 2", "'a'"]),
         ("t;F\n0x0;1,5\n1;2\n2;3,5\n", ["sample 0", "line 2", "'0x0'"]),
-        ("0,1\n1,1_0\n", ["sample 1", "'1_0'"]),
         ("0,1\n1,٣\n", ["sample 1", "'٣'"]),
-        ("0;1,5\n1;2.5\n", ["sample 1", "'2.5'"]),
-        ("0;0.5\n1;2,000.5\n", ["sample 0", "'0.5'"]),
-        # What a program writes for a number it has not, and what else a line among the rows may stand for.
         ("1\n2\n#N/A\n4\n", ["line 3", "sample 2", "'#N/A'", "repair or cut"]),
         ("1\n%5\n3\n", ["line 2", "sample 1", "'%5'"]),
-        ("force (N)\n1\n\n3\n", ["line 3", "sample 1", "is empty"]),
         ("1;2\n;;\n3;4\n", ["line 2", "sample 1", "';;'"]),
         ("1;2\n// 5\n# remark\n3;4", ["line 2", "sample 1", "'// 5'"]),
         ("# remark\n\n0,1\n1,2,3\n", ["sample 1", "line 4", "2 fields", "has 3"]),
-        ("0,1\n1\n2,3\n", ["sample 1", "line 2", "has 1"]),
-        ("0,1\n1,2\n2", ["sample 2", "line 3", "cut off"]),
         ("0,1\n1,2\n2,1e", ["sample 2", "line 3", "cut off"]),
         ("0,1\n1,2\n2,1 \x00", ["neither text nor of another format"]),
         ("\x02\x03junk", ["neither text nor of another format"]),
-        ("0,05\n0,07\n", ["comma", "decimal"]),
         ("force (N)\n3,5\n4,5\n", ["comma", "decimal"]),
         ("t\n0\n1\n", ["channel beside time"]),
-        (" ".join(["1"] * (MAX_CHANNELS + 1)), ["columns", "transpose"]),
         ("time,F\n0,1\n1,2\n1,3\n", ["increase", "sample 2", "1 s"]),
-        ("time,F\n0,1\n-1,2\n", ["increase", "sample 1", "-1 s"]),
-        ("time,F\n0,1\n0.001,2\n0.002,3\n0.004,3\n0.005,3\n", ["even", "sample 3", "0.004 s", "resample"]),
-        ("time,F\n0,1\n0.001,2\n0.0021,3\n0.003,3\n", ["even", "resample"]),
         ("time,F\n0.00002,1\n0.00004,2\n0.00008,3\n0.0001,3\n", ["even", "sample 2", "resample"]),
-        ("time,F\n0,1\n-1e308,1\n", ["increase"]),
         ("time,F\n-1.5e308,1\n1.5e308,1\n", ["finite time"]),
         ("time,F\n-1.7e308,1\n0,2\n1.7e308,1\n", ["sampling rate of 0 Hz"]),
-        ("time,F\n0,1\n1e-323,1\n", ["sampling rate of inf Hz"]),
         ("time (min),F\n0,1\n1,2\n", ["s, ms or us", "'min'"]),
-        ("# sampling_rate: 0 Hz\n1\n2\n", ["sampling rate", "0 Hz"]),
         ("# sampling_rate: 1000 Hz\ntime,F\n0,1\n1,2\n", ["1000 Hz", "1 Hz", "time column"]),
     ],
 )
@@ -364,13 +320,6 @@ def test_bad_text_is_refused_with_its_place(text, words, write):
     message = str(caught.value)
     assert message.startswith(f"{file}: ") and "\n" not in message
     assert [word for word in words if word not in message] == []
-
-
-def test_fault_deep_in_a_large_file_is_found():
-    lines = [f"{k},{k % 9}" for k in range(60_000)]
-    lines[51_234] = "51234,oops"
-    with pytest.raises(BadData, match=r"sample 51234 \(line 51236\) column 2 is 'oops'"):
-        read_text("t,F\n" + "\n".join(lines) + "\n")
 
 
 def test_options_that_contradict_the_file():
@@ -386,12 +335,6 @@ def test_options_that_contradict_the_file():
     assert read_text(text.replace("(N)", "(m/s2)"), unit="m/s^2")[0].quantity == "acceleration"
     with pytest.raises(InvalidValue, match="stone"):
         read_text(text, unit="stone")
-
-
-@pytest.mark.parametrize("rate", [0, -5.0, float("nan"), float("inf"), "fast", [1.0, 2.0], True])
-def test_impossible_rates(rate):
-    with pytest.raises(InvalidValue, match="sampling_rate"):
-        read_text("1\n2\n", sampling_rate=rate)
 
 
 @pytest.mark.parametrize("content", [b"1\n2\n", b"F (N)\n1\n", b"time,F\n0,1\n", npy(np.ones(5))])
@@ -541,25 +484,6 @@ def test_what_numpy_can_read_loads_nothing_else(tmp_path):
 # ---- NPY ----
 
 
-@settings(deadline=None, max_examples=60)
-@given(
-    array=hnp.arrays(
-        st.sampled_from(["<f8", ">f8", "<f4", ">f4", "<f2", "<i2", ">i4", "|u1"]),
-        hnp.array_shapes(min_dims=1, max_dims=2, max_side=6),
-        elements={"allow_nan": False, "allow_infinity": False},
-    ),
-    fortran=st.booleans(),
-)
-def test_npy_is_read_back_equal(array, fortran):
-    signals = read_bytes(npy(np.asfortranarray(array) if fortran else array), sampling_rate=5)
-    rows = np.atleast_2d(array)
-    rows = rows.T if rows.shape[1] < rows.shape[0] else rows
-    assert [signal.samples.tolist() for signal in signals] == rows.tolist()
-    kept = np.float32 if array.dtype.str[1:] == "f4" else np.float64
-    assert {signal.samples.dtype for signal in signals} == {np.dtype(kept)}
-    assert all(signal.samples.flags.writeable for signal in signals)
-
-
 def test_npz_with_an_array_of_objects_beside_the_samples(tmp_path):
     np.savez(tmp_path / "with.npz", x=np.arange(9.0), fs=5.0, about=np.array({"site": "a long text " * 9}, object))
     (signal,) = read_recording(tmp_path / "with.npz")
@@ -594,29 +518,18 @@ def header_of(shape, descr="<f8"):
     [
         (npy(np.array([None, 1]), allow_pickle=True), "type object"),
         (npy(np.zeros(3, complex)), "complex128"),
-        (npy(np.zeros(3, "f8,f8")), "real numbers"),
-        (npy(np.zeros(3, bool)), "bool"),
-        (npy(np.array(["a"])), "real numbers"),
         (npy(np.float64(1)), "one or two axes"),
-        (npy(np.zeros((2, 2, 2))), "one or two axes"),
         (npy(np.zeros(0)), "at least one sample"),
-        (npy(np.zeros((10**9, 0))), "at least one sample"),
         (npy(np.ones(9))[:-1], "cut off"),
         (npy(np.ones(9)) + b"more", "save one array only"),
         (npy(np.zeros((MAX_CHANNELS + 1, MAX_CHANNELS + 1), "i1")), "channels"),
-        (header_of("(10**18,)"), "damaged"),
         (header_of(f"({10**18},)"), "cut off"),
         (header_of(f"({2**63}, {2**63})"), "cut off"),
         (header_of("(-1, -8)") + bytes(64), "axes"),
-        (header_of("(2,)", "O") + b"cos\nsystem\n", "type object"),
-        (header_of("(2,)", "nonsense"), "damaged"),
         (npy_header("(" * 5000), "damaged"),
-        (npy_header("{'descr': '\\d'}"), "damaged"),
-        (npy_header(" " * 20000 + "{}", (2, 0)), "damaged"),
         (npy_header("{}", (9, 9)), "damaged"),
         (b"\x93NUMPY", "damaged"),
         (b"\x93NUMPY\x02\x00\xff\xff\xff\xff{", "damaged"),
-        (npy(np.array([1.0, np.nan])), "sample 1 is nan"),
     ],
 )
 def test_bad_npy_is_refused(content, word):
@@ -626,41 +539,6 @@ def test_bad_npy_is_refused(content, word):
 
 
 # ---- WAV ----
-
-
-@pytest.mark.parametrize(
-    ("samples", "expected"),
-    [
-        (np.array([0, 128, 192, 255], np.uint8), [-1, 0, 0.5, 127 / 128]),
-        (np.array([-(2**15), 0, 2**14], np.int16), [-1, 0, 0.5]),
-        (np.array([-(2**31), 0, 2**30], np.int32), [-1, 0, 0.5]),
-        (np.array([-1.5, 0, 0.25], np.float32), [-1.5, 0, 0.25]),
-        (np.array([-1.5, 0, 0.25], np.float64), [-1.5, 0, 0.25]),
-    ],
-)
-def test_wav_is_scaled_to_full_scale(samples, expected):
-    (signal,) = read_bytes(wav(samples))
-    assert (signal.samples.tolist(), signal.sampling_rate) == (expected, 44100)
-    assert (signal.unit, signal.quantity) == ("FS", "level")
-    assert signal.samples.dtype == (samples.dtype if samples.dtype == np.float32 else np.float64)
-    full_scale = {} if samples.dtype.kind == "f" else {"full_scale": 1}
-    left, right = read_bytes(wav(np.c_[samples, samples[::-1]]), unit="Pa", **full_scale)
-    assert (left.samples.tolist(), right.samples.tolist()) == (expected, expected[::-1])
-    assert (left.channel, right.channel, left.unit) == ("1", "2", "Pa")
-
-
-def test_wav_of_24_bits_big_endian_and_with_foreign_chunks():
-    three = b"".join(value.to_bytes(3, "little", signed=True) for value in (-(2**23), 0, 2**22))
-    foreign = b"smpl" + struct.pack("<I", 4) + b"\0" * 4
-    (signal,) = read_bytes(wav_chunks(three, bits=24, before=foreign, after=foreign))
-    assert signal.samples.tolist() == [-1, 0, 0.5]
-    big = np.array([-(2**15), 2**14], ">i2").tobytes()
-    content = wav_chunks(big, bits=16, order=">", riff=b"RIFX")
-    (signal,) = read_bytes(content)
-    assert signal.samples.tolist() == [-1, 0.5]
-    (signal,) = read_bytes(content[:4] + struct.pack(">I", len(content) - 10) + content[8:-2])
-    assert signal.samples.tolist() == [-1]
-    assert "declares 4 bytes" in signal.warnings[0]
 
 
 def test_wav_rate_given_twice():
@@ -676,7 +554,6 @@ WHOLE = wav_chunks(np.arange(100, dtype="<i2").tobytes(), bits=16)
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        *[(WHOLE[:length], "cut off|WAV") for length in range(4, 44, 3)],
         *[(WHOLE[:length], "at least one sample") for length in (44, 45)],
         (wav_chunks(b"", bits=16), "at least one sample"),
         (wav_chunks(b"abcd", bits=16, rate=0), "0 Hz"),

@@ -83,20 +83,11 @@ def distribution(**parameters):
     ("written", "dimension", "value"),
     [
         ("3.1 GPa", "modulus", 3.1e9),
-        ("3.1GPa", "modulus", 3.1e9),
-        ("  2500 MPa ", "modulus", 2.5e9),
         ("1.4 g/cm^3", "density", 1400.0),
-        ("2.45 t/m^3", "density", 2450.0),
         ("25 mm", "length", 0.025),
-        ("2.5e1 mm", "length", 0.025),
-        (".5 cm", "length", 0.005),
         ("36 km/h", "speed", 10.0),
         ("-3 mm/s", "speed", -0.003),
-        ("200 kHz", "frequency", 2e5),
-        ("12 kN", "force", 12e3),
-        ("250 us", "time", 250e-6),
         ("0.25ms", "time", 250e-6),
-        ("2 s", "time", 2.0),
         ("2 %", "ratio", 0.02),
         ("0.3", "ratio", 0.3),
         (20, "length", 20.0),
@@ -111,19 +102,11 @@ def test_numbers_with_units(written, dimension, value):
     [
         ("3.1 GHz", "modulus"),
         ("3.1", "modulus"),
-        ("3.1 gpa", "modulus"),
         ("1 mm 2", "length"),
-        ("m", "length"),
-        ("", "length"),
         ("1e400 m", "length"),
-        ("1e99999999999 m", "length"),
         ("nan m", "length"),
-        (float("nan"), "length"),
-        (float("inf"), "length"),
         (10**400, "length"),
         (True, "length"),
-        (None, "length"),
-        ([1], "length"),
     ],
 )
 def test_what_is_no_number_with_its_unit(written, dimension):
@@ -502,47 +485,20 @@ def test_restitution_must_be_left_out_when_elastic():
         ({"distribution": "uniform", "lowest": 2000, "highest": 1000}, "lowest must be below highest"),
         ({"distribution": "log-uniform", "lowest": 0, "highest": 1000}, "above 0 for a logarithm"),
         ({"distribution": "choice", "values": [1, 2], "weights": [1]}, "as many as values"),
-        ({"distribution": "choice", "values": [1, 2], "weights": [1, -1]}, "0 or more"),
         ({"distribution": "choice", "values": [1, 2], "weights": [1e308, 1e308]}, "finite sum"),
-        ({"distribution": "choice", "values": []}, "at least 1"),
         ({"distribution": "mixed", "parts": [1, 2], "weights": [1]}, "as many as parts, 2, got 1"),
-        ({"distribution": "mixed", "parts": []}, "at least 1"),
-        ({"distribution": "mixed", "parts": 7}, "valid tuple"),
         ({"distribution": "mixed", "parts": [1400, -2]}, "drawn as -2 kg/m^3"),
         ({"distribution": "mixed", "parts": [{"distribution": "mixed", "parts": [1400]}]}, "name its distribution"),
-        ({"distribution": "truncated-normal", "mean": 1400, "deviation": 0, **WIDE}, "got 0"),
         ({"distribution": "normal", "mean": 1400, "deviation": 9, "lowest": 1}, "it is truncated-normal"),
         ({"distribution": "truncated-normal", "mean": 1400, "deviation": 9}, "must have lowest and highest"),
         ({"distribution": "truncated-normal", "mean": 1400, "deviation": 9, **WIDE}, "leave something"),
         ({"distribution": "rosin-rammler", "characteristic": 1, "uniformity": 0.1}, "can be drawn as"),
-        ({"distribution": "lognormal", "median": 1400, "sigma": 1000}, "can be drawn as"),
     ],
 )
 def test_distributions_that_cannot_be(parameters, says):
     (line,) = complaints(populations__1__density=parameters)
     assert line.startswith("populations.1.density")
     assert says in line
-
-
-def test_all_mistakes_are_reported_at_once():
-    lines = complaints(
-        populations__1__density="3 s", sampling__jittter=1, sensor__relative_noise=-1, populations__0__label=None
-    )
-    paths = {line.split(": ")[0] for line in lines}
-    assert paths == {"populations.1.density", "sampling.jittter", "sensor.relative_noise", "populations.0.label"}
-
-
-def test_few_of_many_mistakes_are_reported():
-    lines = complaints(**{f"sampling__key{number}": 1 for number in range(1000)})
-    assert len(lines) == 21
-    assert lines[-1] == "and 980 more mistakes"
-
-
-def test_two_wrong_units_of_one_distribution():
-    wrong = {"distribution": "uniform", "lowest": "1 mm", "highest": "2 s"}
-    (line,) = complaints(populations__1__density=wrong)
-    assert "'1 mm'" in line
-    assert "'2 s'" in line
 
 
 @pytest.mark.parametrize(

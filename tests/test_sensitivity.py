@@ -143,17 +143,9 @@ def test_parameters_of_an_impact_are_its_own():
     ("call", "says"),
     [
         (lambda: local_sensitivity(impact_of(target=Sphere(material=STEEL, radius=1.0))), "half space or a rigid wall"),
-        (lambda: local_sensitivity(impact_of(dissipation=Viscoelastic(time_constant=1e-6))), "Viscoelastic"),
         (lambda: local_sensitivity(impact_of(gravity=9.81)), "gravity must be 0"),
         (lambda: range_influence(impact_of(), {"colour": [1, 2]}), "'colour'"),
-        (
-            lambda: range_influence(impact_of(target=RIGID), {"target_youngs_modulus": [1e9]}),
-            "parameter must be one of",
-        ),
-        (lambda: range_influence(impact_of(), {"poisson_ratio": [0.2, 0.5]}), "poisson_ratio must lie"),
         (lambda: response_grid(impact_of(), {"radius": 0.02}), r"radius must be a row of values, got shape \(\)"),
-        (lambda: response_grid(impact_of(), {"radius": []}), r"got shape \(0,\)"),
-        (lambda: response_grid(impact_of(), {}), "at least one of radius"),
         (lambda: response_grid(impact_of({**HELD, "radius": np.ones(3)}), {"density": [1e3]}), r"shape \(3,\)"),
     ],
 )

@@ -14,12 +14,11 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, ThinPlate, ThinPlateWarning
 from cgid.physics.materials import Material
-from cgid.scene import generate, load_scene, parse_scene, synthesise, varied
+from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.distributions import Constant, Uniform
 from cgid.scene.draws import BLOCK, PARAMETER_UNITS
 from cgid.scene.impacts import draw
 from cgid.shipped import SCENES, scene_path
-from cgid.store import Dataset
 from tests import few
 from tests.plan_scenes import toml
 
@@ -136,14 +135,6 @@ def test_a_tap_changes_no_impact(sensor):
     np.testing.assert_allclose(mixed.signals[rock] / peak, alone.signals[rock] / peak, atol=1e-14)
 
 
-def test_a_specimen_is_a_shape_with_its_peak_and_duration():
-    fixed = {"peak_force": "2 kN", "contact_duration": "1 ms"}
-    same = batch_of(scene_of(taps=[{**tap(shape), **fixed} for shape in SHAPES]))
-    assert np.unique(same.specimen).size == 4
-    assert all(np.unique(same.specimen[same.labels == shape]).size == 1 for shape in SHAPES)
-    assert np.unique(batch_of(scene_of(taps=TAPS)).specimen).size == BLOCK
-
-
 @pytest.mark.parametrize(("samples", "duration"), [(40, "1 ms"), (64, "1 us"), (64, "5 us")])
 def test_taps_beyond_the_frame_and_between_its_samples(samples, duration):
     sampling = {"sampling_rate": RATE, "samples": samples, "pre_trigger": 16}
@@ -251,37 +242,10 @@ def test_a_relative_range_is_that_of_each_peak(dtype):
     np.testing.assert_allclose(wide.signals, analogue.signals, atol=1e-6 * full.max())
 
 
-def test_a_signal_without_a_peak_has_a_range():
-    frames = np.zeros((2, 9), np.float32)
-    sensor = scene_of([{}], sensor={"relative_range": 2, "bits": 12}).sensor
-    sensor.digitise(frames, RATE, np.zeros(2))
-    assert not frames.any()
-
-
 # ---- randomised rigs -------------------------------------------------------------------------------------------------
 
 LOG_RATE = {"distribution": "log-uniform", "lowest": "25 kHz", "highest": "1 MHz"}
 LOG_NOISE = {"distribution": "log-uniform", "lowest": 0.003, "highest": 0.3}
-
-
-def test_a_block_is_the_scene_fixed_at_what_it_drew():
-    randomise = {"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE, "bandwidth": uniform("5 kHz", "400 kHz")}
-    scene = scene_of([{}], [TAPS[0]], randomise=randomise)
-    unlimited = 0
-    for block, batch in enumerate(synthesise(scene, 12 * BLOCK, 3)):
-        noise, bandwidth = (batch.parameters[name] for name in ("relative_noise", "bandwidth"))
-        assert np.unique(noise).size == np.unique(bandwidth).size == 1
-        assert batch.source == scene.sha256
-        edge = None if np.isnan(bandwidth[0]) else float(bandwidth[0])
-        unlimited += edge is None
-        assert edge is None or edge <= 0.45 * batch.sampling_rate
-        fixed = varied(scene, sampling_rate=batch.sampling_rate, relative_noise=float(noise[0]), bandwidth=edge)
-        assert fixed.randomise is None
-        (alone,) = synthesise(fixed, BLOCK, 3, first=block * BLOCK)
-        assert alone.sampling_rate == batch.sampling_rate
-        np.testing.assert_array_equal(alone.signals, batch.signals)
-        np.testing.assert_array_equal(batch.parameters["onset"] * batch.sampling_rate // 1, 32)
-    assert 0 < unlimited < 12
 
 
 MIXED = {
@@ -345,42 +309,12 @@ def test_settings_of_a_block_are_drawn_independently():
         assert abs(stats.spearmanr(one, other).statistic) < 4.5 / np.sqrt(400)
 
 
-def test_rigs_follow_their_distributions():
-    scene = scene_of(
-        taps=TAPS[:1],
-        sampling={"sampling_rate": RATE, "samples": 64, "pre_trigger": 16},
-        randomise={"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE},
-    )
-    draws = [draw(scene, 8, block) for block in range(400)]
-    rates = [d.scene.sampling.sampling_rate for d in draws]
-    noises = [d.parameters["relative_noise"][0] for d in draws]
-    assert stats.kstest(rates, stats.loguniform(25e3, 1e6).cdf).pvalue > 1e-3
-    assert stats.kstest(noises, stats.loguniform(0.003, 0.3).cdf).pvalue > 1e-3
-    assert abs(stats.spearmanr(rates, noises).statistic) < 4.5 / np.sqrt(400)
-
-
 def test_the_draws_of_the_rest_do_not_depend_on_randomisation():
     plain, randomised = scene_of([{}], TAPS), scene_of([{}], TAPS, randomise={"sampling_rate": LOG_RATE})
     one, other = batch_of(plain), batch_of(randomised)
     assert one.sampling_rate != other.sampling_rate
     for name in PARAMETER_UNITS.keys() - {"onset"}:
         np.testing.assert_array_equal(one.parameters[name], other.parameters[name])
-
-
-def test_a_dataset_has_one_sampling_rate_but_many_noises(tmp_path):
-    randomise = {"relative_noise": LOG_NOISE, "bandwidth": uniform("10 kHz", "50 kHz")}
-    scene = scene_of([{"second_hit": SECOND}], [tap("square", clipped_at=0.5)], randomise=randomise)
-    generate(scene, tmp_path / "data.h5", 700, 7)
-    stored = list(Dataset(tmp_path / "data.h5").batches(BLOCK))
-    for batch, made in zip(stored, synthesise(scene, 700, 7), strict=True):
-        np.testing.assert_array_equal(batch.signals, made.signals)
-        assert set(batch.parameters) == {*PARAMETER_UNITS, *EXTRAS, "relative_noise", "bandwidth"}
-        for name, values in made.parameters.items():
-            np.testing.assert_array_equal(batch.parameters[name], values)
-    rates = scene_of([{}], randomise={"sampling_rate": uniform("50 kHz", "90 kHz")})
-    with pytest.raises(InvalidValue, match=r"randomise\.sampling_rate must be left out .* 50000 to 90000 Hz; train"):
-        generate(rates, tmp_path / "rates.h5", 10)
-    assert not (tmp_path / "rates.h5").exists()
 
 
 # ---- addresses -------------------------------------------------------------------------------------------------------
@@ -415,17 +349,6 @@ def test_a_signal_is_the_same_wherever_the_run_is_cut(everything, first, count):
     expected = _joined(whole)
     for name, values in _joined(list(synthesise(scene, count, 3, first=first))).items():
         np.testing.assert_array_equal(values, expected[name][first : first + count])
-
-
-def test_blocks_and_seeds_differ(everything):
-    scene, whole = everything
-    found = _joined(whole)
-    assert np.unique(found["rate"]).size == 4
-    other = next(synthesise(scene, BLOCK, 4))
-    for name in EXTRAS:
-        values = found[name][np.isfinite(found[name])]
-        assert np.unique(values).size == values.size
-        assert not np.isin(other.parameters[name], values).any()
 
 
 # ---- thin plates -----------------------------------------------------------------------------------------------------
@@ -551,25 +474,14 @@ def test_what_replaces_another_setting_ends_its_draws():
     assert varied(fixed, relative_range=2).sensor.range is None
 
 
-def test_what_is_given_is_no_longer_randomised():
-    scene = load_scene(scene_path("randomised"))
-    assert varied(scene, sampling_rate=1e5).randomise.sampling_rate is None
-    assert varied(scene, sampling_rate=1e5, relative_noise=0).randomise is None
-    assert varied(scene, radius="30 mm").randomise == scene.randomise
-
-
 @pytest.mark.parametrize(
     ("changes", "error", "says"),
     [
         ({"colour": "red"}, InvalidValue, "colour must be a setting of scene reference"),
-        ({"label": "coal"}, InvalidValue, "label must be a setting"),
-        ({"peak_force": "1 kN"}, InvalidValue, "peak_force must be a setting"),
         ({"radius": "-1 mm"}, BadData, r"variation of reference: populations\.0\.radius"),
-        ({"sampling_rate": "1 N"}, BadData, r"sampling\.sampling_rate"),
         ({"restitution": None}, BadData, r"populations\.0\.restitution: is missing"),
         ({"keep_frame": True}, InvalidValue, "keep_frame must come with sampling_rate .* got nothing"),
         ({"keep_frame": True, "sampling_rate": 1e5, "samples": 9}, InvalidValue, "got samples, sampling_rate"),
-        ({"keep_frame": True, "sampling_rate": "1 N"}, BadData, r"sampling\.sampling_rate"),
     ],
     ids=lambda value: str(value) if isinstance(value, dict) else "",
 )

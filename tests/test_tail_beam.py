@@ -317,12 +317,8 @@ def test_a_table_of_measured_modes_in_any_order_of_columns(tmp_path):
     [
         ("", "a line a mode, got 1"),
         ("100,.01,200,1\n", "line 2: shape_sensor must be a number, got ''"),
-        ("100,.01,200,1,x\n", "line 2: shape_sensor must be a number, got 'x'"),
         ("100,.01,200,1,1\n90,.01,200,1,1\n", "line 3: frequency must ascend .* got 90 Hz after 100 Hz"),
-        ("100,0,200,1,1\n", "line 2: damping_ratio must .*got 0"),
         ("100,.01,200,1,1\n120,1,200,1,1\n", "line 3: damping_ratio must"),
-        ("100,.01,-2,1,1\n", "line 2: modal_mass must be above 0, got -2 kg"),
-        ("100,.01,200,nan,1\n", "line 2: shape_impact must be finite"),
         ("inf,.01,200,1,1\n", "line 2: frequency must be finite"),
     ],
 )
@@ -371,9 +367,6 @@ def test_bad_measured_modes(changes, message):
     ("changes", "message"),
     [
         ({"damping_ratio": 0.0}, "damping_ratio must .*got 0"),
-        ({"damping_ratio": -0.01}, "damping_ratio must .*got -0.01"),
-        ({"damping_ratio": 1.0}, "damping_ratio must"),
-        ({"damping_ratio": [0.01, 0.02]}, "damping_ratio must be one number"),
         ({"length": 0.0}, "length must be above 0"),
         ({"edges": "glued"}, "edges must be one of 'simply-supported'"),
         ({"material": Material(density=[1.0, 2.0], youngs_modulus=1e9, poisson_ratio=0.3)}, "density of the beam"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from scipy.io import wavfile
 
 from benchmarks.bit_flips import Flip, everything_in, is_same, small_scene, some, subjects
 from cgid.cli.main import run
@@ -26,7 +24,6 @@ from cgid.scene.recordings import generate_recordings
 from cgid.scene.repair import repair
 from cgid.store import Dataset, read_table
 from cgid.store.dataset import export
-from cgid.store.gates import opened
 from cgid.store.verification import verify
 from tests.test_stream import content
 
@@ -140,23 +137,6 @@ def test_a_flipped_bit_of_a_table(tmp_path: Path, name: str) -> None:
 # ---- what is found ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("folder", "dataset"),
-        ("packed", "dataset"),
-        ("one.h5", "dataset"),
-        ("recordings", "recording"),
-        ("recording.h5", "recording"),
-        ("table.h5", "table"),
-        ("table.csv", "table"),
-    ],
-)
-def test_what_is_whole(made: Path, name: str, kind: str) -> None:
-    found = verify(made / name)
-    assert (found.kind, found.findings, found.damage) == (kind, (), ())
-
-
 def test_damaged_rows_are_those_of_the_chunk(copies: Path) -> None:
     for file, row, says in (("one.h5", 100, "signals 64 to 127"), ("one.h5", 130, "signals 64 to 127, 128 to 191")):
         flip(copies / file, place_of(copies / file, "signals", row))
@@ -222,20 +202,6 @@ def test_what_one_may_not_read_is_not_called_damaged_and_stays(
     assert contents(folder) == before
 
 
-def test_hdf5_one_may_not_read_is_not_called_damaged(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_: Any, **__: Any) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(h5py, "File", refused)
-    with pytest.raises(NoInput), opened(made / "one.h5", "one.h5"):
-        pass
-
-
-def test_nothing_there(tmp_path: Path) -> None:
-    with pytest.raises(NoInput):
-        verify(tmp_path / "nothing")
-
-
 # ---- what is made again ----------------------------------------------------------------------------------------------
 
 
@@ -264,14 +230,6 @@ def test_of_a_file_by_itself_the_command_is_given(copies: Path, name: str, datas
     again: Any = make[0](make[1], options["-o"], int(options["-n"]), int(options["--seed"]), overwrite=True)  # type: ignore[operator]
     assert words[0] == make[1].name and words[-1] == "--overwrite"
     assert again.read_bytes() == whole
-
-
-def test_lost_recordings_are_made_again(made: Path, copies: Path) -> None:
-    folder = copies / "recordings"
-    (folder / "recording-00001.h5").unlink()
-    flip(folder / "recording-00002.h5", 0)
-    assert mended(folder)
-    assert contents(folder) == contents(made / "recordings")
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "gone"])
@@ -304,16 +262,6 @@ def test_sums_that_are_wrong_make_nothing_again(made: Path, copies: Path, change
     assert mended(folder)
     assert contents(folder) == contents(made / "folder")
     assert {file: file.stat().st_mtime_ns for file in folder.glob("*.h5")} == times
-
-
-def test_a_damaged_sum_of_a_whole_shard_is_corrected(made: Path, copies: Path) -> None:
-    folder = copies / "folder"
-    sums = (folder / "SHA256SUMS").read_text().splitlines(keepends=True)
-    sums[2] = ("0" if sums[2][0] != "0" else "1") + sums[2][1:]
-    (folder / "SHA256SUMS").write_text("".join(sums))
-    assert problems(folder) == {"shard-00001.h5": "damaged"}
-    assert mended(folder)
-    assert contents(folder) == contents(made / "folder")
 
 
 @pytest.mark.parametrize("version", ["1", "2"])
@@ -397,14 +345,6 @@ def test_damaged_sums_are_found_and_written_again(made: Path, copies: Path, name
         assert contents(copies / name) == contents(made / name)
 
 
-def test_the_last_recording_that_is_missing_is_found_by_the_sums(made: Path, copies: Path) -> None:
-    folder = copies / "recordings"
-    (folder / "recording-00002.h5").unlink()
-    assert problems(folder) == {"recording-00002.h5": "missing"}
-    assert mended(folder)
-    assert contents(folder) == contents(made / "recordings")
-
-
 def test_a_recording_with_sound_checksums_and_another_sum_is_found(copies: Path) -> None:
     folder = copies / "recordings"
     changed(folder / "recording-00001.h5", "samples", 5)
@@ -422,12 +362,6 @@ def test_recordings_of_an_earlier_version_have_sums_and_no_description(copies: P
     (folder / "recording-00001.h5").unlink()
     assert problems(folder) == {"recording-00000.h5": "damaged", "recording-00001.h5": "missing"}
     assert not mended(folder)
-
-
-def test_leftovers_go(copies: Path) -> None:
-    left = copies / "folder" / f".shard-00001.h5.{'a' * 12}.part"
-    left.write_bytes(b"half")
-    assert mended(copies / "folder") and not left.exists()
 
 
 def test_a_recorded_background_is_read_from_beside_the_scene_that_is_given(tmp_path: Path) -> None:
@@ -452,14 +386,6 @@ def test_a_recorded_background_is_read_from_beside_the_scene_that_is_given(tmp_p
     assert contents(path) == before
 
 
-def test_a_file_that_does_not_say_how_it_was_made(copies: Path) -> None:
-    flip(copies / "one.h5", 0)
-    before = contents(copies / "one.h5")
-    with pytest.raises(BadData, match="--overwrite"):
-        repair(verify(copies / "one.h5"))
-    assert contents(copies / "one.h5") == before
-
-
 # ---- export ----------------------------------------------------------------------------------------------------------
 
 
@@ -474,15 +400,6 @@ def test_an_export_is_the_same_dataset(made: Path, tmp_path: Path, name: str) ->
     with h5py.File(path) as file:
         assert file["signals"].fletcher32 and file["signals"].compression is None
         np.testing.assert_array_equal(file["labels"].asstr()[:], everything_in(made / name)["labels"])
-
-
-@pytest.mark.skipif(shutil.which("h5dump") is None, reason="h5dump is not on the PATH")
-def test_h5dump_reads_an_export(made: Path, tmp_path: Path) -> None:
-    path = export(made / "folder", tmp_path / "all.h5")
-    command = ["h5dump", "-d", "/signals", "-s", "333,0", "-c", "1,4", "-w", "1", "-m", "%.9g", str(path)]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    numbers = re.findall(r"\(333,[0-3]\): ([^,\s]+)", shown)
-    np.testing.assert_array_equal(np.array(numbers, "f4"), everything_in(made / "folder")["signals"][333, :4])
 
 
 def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Path) -> None:
@@ -506,14 +423,6 @@ def test_an_exchanged_shard_is_neither_exported_nor_trained_on(copies: Path, tmp
         export(folder, tmp_path / "all.h5")
 
 
-def test_an_export_is_no_other_than_its_data(copies: Path) -> None:
-    for data, output in (("one.h5", "one.h5"), ("folder", "folder/shard-00000.h5")):
-        with pytest.raises(CannotCreate):
-            export(copies / data, copies / output, overwrite=True)
-    with pytest.raises(CannotCreate, match="--overwrite"):
-        export(copies / "folder", copies / "one.h5")
-
-
 # ---- the commands ----------------------------------------------------------------------------------------------------
 
 
@@ -535,19 +444,6 @@ def test_verify_tells_and_repairs(made: Path, copies: Path, capsys: pytest.Captu
     assert capsys.readouterr().out == f"{folder}: dataset of 4 files, whole\n"
 
 
-def test_an_unfinished_folder_is_not_repaired(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No reason is given beside the cure, no colon without one, and none twice."""
-    generate("reference", tmp_path / "folder", 128, shard_signals=64)
-    (tmp_path / "folder" / "shard-00001.h5").unlink()
-    sums = (tmp_path / "folder" / "SHA256SUMS").read_text().splitlines(keepends=True)
-    (tmp_path / "folder" / "SHA256SUMS").write_text("".join(sums[:-1]))
-    assert run(["verify", str(tmp_path / "folder"), "--repair"]) == 65
-    assert not any(line.rstrip().endswith(":") for line in capsys.readouterr().out.splitlines())
-    (tmp_path / "folder" / "description.json").unlink()
-    assert run(["verify", str(tmp_path / "folder"), "--repair"]) == 65
-    assert capsys.readouterr().out.count("--resume") == 1
-
-
 def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = Path(__file__).parents[1] / "models" / "default.npz"
     damaged = tmp_path / "damaged.npz"
@@ -556,27 +452,6 @@ def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == f"{model}: model of 1 file, whole"
     assert f"{damaged}: damaged" in out and err.count("cgid: error") == 1
-
-
-def test_a_recording_without_checksums_is_read_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Neither rate nor unit need to be known for that."""
-    nptdms = pytest.importorskip("nptdms")
-    samples = np.sin(np.arange(5000.0))
-    good = {name: tmp_path / name for name in ("a.csv", "a.wav", "a.tdms", "a.npz", "a.h5")}
-    np.savetxt(good["a.csv"], samples)
-    wavfile.write(good["a.wav"], 48_000, np.stack([samples, samples], 1).astype(np.float32))
-    with nptdms.TdmsWriter(good["a.tdms"]) as writer:
-        channel = nptdms.ChannelObject("g", "force", samples, {"wf_increment": 1e-5, "unit_string": "N"})
-        writer.write_segment([channel, nptdms.ChannelObject("g", "note", np.array([]), {})])
-    np.savez(good["a.npz"], force=samples)
-    with h5py.File(good["a.h5"], "w") as file:
-        file["force"] = samples
-    assert run(["verify", *map(str, good.values())]) == 0
-    out, err = capsys.readouterr()
-    assert err.splitlines() == [f"cgid: reading {good['a.h5']}"]  # what may end this process is named first
-    assert out.count("no checksum, readable") == 5
-    assert f"{good['a.wav']}: recording of 1 file, no checksum, readable: WAV of 2 channels, 5000 samples each" in out
-    assert f"{good['a.tdms']}: remark: channel g/note holds no samples and is left out" in out
 
 
 def test_a_folder_of_recordings_of_another_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -593,26 +468,6 @@ def test_a_folder_of_recordings_of_another_program(tmp_path: Path, capsys: pytes
     assert run(["verify", str(tmp_path), "--json"]) == 65
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["whole"] for row in rows] == [False, True]
-
-
-def test_what_is_broken_in_a_recording_without_checksums(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    samples = np.sin(np.arange(5000.0)).astype(np.float32)
-    (cut, gap, many) = (tmp_path / name for name in ("cut.wav", "gap.csv", "many.npz"))
-    wavfile.write(cut, 48_000, samples)
-    cut.write_bytes(cut.read_bytes()[:-8000])
-    gap.write_text("1.0\n2.0\nnan\n1.0\n")
-    np.savez(many, first=samples, second=samples)
-    assert run(["verify", str(cut), str(gap), str(many)]) == 65
-    out, err = capsys.readouterr()
-    assert f"{cut}: recording of 1 file, no checksum, damaged: WAV of 1 channel, 3000 samples" in out
-    assert f"{gap}: recording of 1 file, no checksum, unreadable" in out
-    looks_cut, not_finite, which = err.splitlines()
-    assert "cut.wav: must be whole" in looks_cut and "cut off" in looks_cut
-    assert "sample 2 is nan" in not_finite
-    assert "--variable NAME" in which
-    assert run(["verify", str(many), "--variable", "second", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["kind"], found["whole"], found["findings"]) == ("recording", True, [])
 
 
 @pytest.mark.parametrize("name", ["model.npz", "folder", "file.h5", "table.csv"])
