@@ -12,10 +12,10 @@ import pytest
 
 from cgid import shipped
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, NoInput
+from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import identify, identify_frames, suited
 from cgid.identification.card import write_card
-from cgid.identification.detection import VIBRATION_DEAD_TIME, find_impacts
+from cgid.identification.detection import find_impacts
 from cgid.identification.model import Model
 from cgid.identification.rows import (
     DEFAULT_FEATURES,
@@ -181,16 +181,6 @@ def ringing(frequency=400.0, damping=0.02, amplitude=100.0, n_samples=25_600) ->
     return damped_sinusoid(frequency, damping, n_samples=n_samples, before=0, amplitude=amplitude)
 
 
-@pytest.mark.parametrize("offset", [0.0, -500.0, 30.0])
-@pytest.mark.parametrize("sign", [1, -1])
-def test_each_blow_is_found_once_whichever_way_it_swings(offset: float, sign: int) -> None:
-    truth = [2000, 9000, 15_000]
-    signal = recording(truth, [ringing(), ringing(120.0, 0.01), ringing(3000.0, 0.03)])
-    turned = replace(signal, samples=sign * signal.samples + offset)
-    # A sine of 120 Hz passes 5 % of the largest sample after four.
-    assert np.abs(np.subtract(found(turned), truth)).max() <= 6
-
-
 def test_ringing_is_one_event_and_a_blow_into_it_is_another() -> None:
     slow = ringing(60.0, 0.005)  # rings for half a second
     assert len(found(recording([2000], [slow]))) == 1
@@ -200,15 +190,6 @@ def test_ringing_is_one_event_and_a_blow_into_it_is_another() -> None:
         times = found(recording(truth, [slow, ringing(500.0, 0.02, amplitude)]))
         assert len(times) == len(expected)
         assert np.abs(np.subtract(times, expected)).max() <= 4
-
-
-@pytest.mark.parametrize(("share", "expected"), [(0.8, 1), (1.3, 2)])
-def test_dead_time_joins_what_is_closer(share: float, expected: int) -> None:
-    second = 2000 + int(share * VIBRATION_DEAD_TIME * RATE)
-    blows = [ringing(2000.0, 0.05), ringing(2000.0, 0.05)]
-    assert len(found(recording([2000, second], blows))) == expected
-    assert len(found(recording([2000, 2000 + 640], blows), dead_time=0.02)) == 2
-    assert len(found(recording([2000, second], blows), dead_time=0.1)) == 1
 
 
 def test_frames_end_where_the_next_blow_begins_and_are_long_enough_for_every_band() -> None:
@@ -310,24 +291,6 @@ def test_mass_makes_a_force_of_it_and_asks_the_model_of_force(
     assert impactor["probabilities"] == pytest.approx(force["probabilities"], rel=1e-9)
     assert run(["predict", files["force"], "--model", str(default_model)]) == 65
     assert "acceleration" in capsys.readouterr().err
-
-
-def test_a_missing_model_of_acceleration_is_told(
-    files: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ship = shipped.path_of
-
-    def without(kind, name):
-        if name == shipped.ACCELERATION_MODEL:
-            raise NoInput(f"{kind}/{name}: must come with cgid and is missing: install it again")
-        return ship(kind, name)
-
-    monkeypatch.setattr(shipped, "path_of", without)
-    assert run(["predict", files["acceleration"], files["force"]]) == 66
-    out, err = capsys.readouterr()
-    assert "default-acceleration.npz" in err
-    assert "--mass KG" in err
-    assert files["force"] in out  # the other file has its answer
 
 
 def test_features_of_a_recording_are_those_of_its_quantity(

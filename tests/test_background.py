@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, signal
 from scipy.io import wavfile
 
-from cgid.errors import BadData, CgidError, NoInput
+from cgid.errors import BadData, NoInput
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.draws import BLOCK
 from cgid.scene.noise import background_of, reference_peak
@@ -245,44 +245,6 @@ def test_the_same_address_gives_the_same_numbers():
     np.testing.assert_allclose(
         whole - without, np.concatenate([in_frames(ALL, 256, block, 3) for block in range(3)])[:700], atol=0.01
     )
-
-
-@pytest.mark.parametrize(
-    ("asked", "path", "says"),
-    [
-        ({}, "background", "at least one"),
-        ({"hiss": 1}, "background.hiss", "unknown key"),
-        ({"hum": [{"frequency": "12.8 kHz", "amplitude": 1}]}, "background.hum.0.frequency", "below half the sampling"),
-        ({"hum": [{"frequency": 50, "amplitude": 0}]}, "background.hum.0.amplitude", "above 0"),
-        ({"hum": [{"frequency": 50, "amplitude": -1}]}, "background.hum.0.amplitude", "above 0"),
-        ({"hum": [{"frequency": 50, "amplitude": "1 g"}]}, "background.hum.0.amplitude", "force"),
-        ({"hum": [{"frequency": 50, "amplitude": True}]}, "background.hum.0.amplitude", "number or a string"),
-        ({"hum": [{"frequency": 50}]}, "background.hum.0", "either amplitude or relative_amplitude"),
-        ({"hum": [{"frequency": 50, "amplitude": 1, "relative_amplitude": 1}]}, "background.hum.0", "not both"),
-        ({"coloured": {"frequencies": [10, 5], "density": [1, 1]}}, "background.coloured", "ascend"),
-        ({"coloured": {"frequencies": [5, 10], "density": [1]}}, "background.coloured", "as many numbers"),
-        ({"coloured": {"frequencies": [5, 10], "density": [1, 0]}}, "background.coloured.density", "above 0"),
-        (
-            {"coloured": {"frequencies": [5, 10], "density": [1, "2 N"]}},
-            "background.coloured.density",
-            "noise density",
-        ),
-        (
-            {"coloured": {"frequencies": [5, 13e3], "density": [1, 1]}},
-            "background.coloured.frequencies",
-            "cut the table",
-        ),
-        ({"recorded": {"path": "pump.wav"}}, "background.recorded.signal_to_noise", "missing"),
-        ({"recorded": {"path": "pump.wav", "signal_to_noise": "20 N"}}, "background.recorded.signal_to_noise", "dB"),
-        ({"recorded": {"path": "", "signal_to_noise": 20}}, "background.recorded.path", "at least 1"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_one_mistake_is_one_line_with_its_path(asked, path, says):
-    with pytest.raises(CgidError) as caught:
-        frames(asked)
-    (line,) = str(caught.value).splitlines()
-    assert line.startswith(f"scene: {path}: ") and says in line
 
 
 def test_a_stream_has_no_peak_that_its_hum_is_relative_to():

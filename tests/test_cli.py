@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import errno
 import io
 import json
@@ -228,40 +227,6 @@ def test_generate_options(made: Path) -> None:
         np.testing.assert_array_equal(np.concatenate(shards), single["signals"][:])
 
 
-def test_features_are_a_table_in_the_unit_of_the_file(capsys: pytest.CaptureFixture[str]) -> None:
-    sample = str(ROOT / "datasets" / "sample.csv")
-    assert run(["features", sample, "--features", "peak_force,width_10"]) == 0
-    out, err = capsys.readouterr()
-    rows = list(csv.reader(io.StringIO(out)))
-    assert rows[0] == ["source", "channel", "time_s", "peak_force_N", "width_10_s", "problem"]
-    assert len(rows) == 1 + 6
-    assert err == f"{sample}: 200000 Hz, 6 impacts, baseline removed\n"
-    assert run(["features", sample, "--json", "--keep-baseline"]) == 0
-    row = json.loads(capsys.readouterr().out.splitlines()[0])
-    assert row["version"] == 2
-    assert row["units"]["impulse"] == "N s"
-    assert row["features"]["peak_force"] == pytest.approx(8399, rel=0.02)
-
-
-def test_features_of_a_dataset_are_one_row_a_signal(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["features", str(made / "new.h5"), "--features", "peak_force,contact_duration", "--json"]
-    assert run(arguments) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    with h5py.File(made / "new.h5") as file:
-        exact = file["parameters/peak_force"][:]
-    assert [row["features"]["peak_force"] for row in rows] == pytest.approx(exact, rel=0.06)
-    assert run([*arguments, "--index", "3"]) == 0
-    assert json.loads(capsys.readouterr().out)["features"] == pytest.approx(rows[3]["features"])
-
-
-def test_standard_input_is_a_recording() -> None:
-    sample = (ROOT / "datasets" / "sample.csv").read_bytes()
-    done = subprocess.run([sys.executable, "-m", "cgid", "predict", "-", "--json"], input=sample, capture_output=True)
-    assert done.returncode == 0
-    kinds = [json.loads(line)["kind"] for line in done.stdout.splitlines()]
-    assert kinds == ["impact"] * 6 + ["share", "summary"]
-
-
 @pytest.mark.parametrize(
     ("command", "flag"),
     [
@@ -345,17 +310,6 @@ def test_closed_streams_are_no_crash(command: str, code: int, n_lines: int, says
     done = subprocess.run(["bash", "-c", f"{sys.executable} -m cgid {command}"], capture_output=True, text=True)
     assert done.returncode == code, done.stderr
     assert says in done.stderr and done.stderr.count("\n") == n_lines
-
-
-def test_full_output_is_an_error_and_not_a_crash() -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this machine has no /dev/full")
-    done = subprocess.run(
-        ["bash", "-c", f"{sys.executable} -m cgid predict --sample > /dev/full"], capture_output=True, text=True
-    )
-    assert done.returncode == 74
-    assert done.stderr.startswith("cgid: error: output: writing failed")
-    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.long

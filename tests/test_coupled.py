@@ -14,7 +14,6 @@ from cgid.physics import (
     ModalImpact,
     Sphere,
     ThinPlate,
-    Viscoelastic,
     coupled,
 )
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
@@ -396,7 +395,19 @@ def test_it_warns_beyond_hertz():
 # ---- bad input --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("changed", "message"), [({"damping_ratio": [0.01, -0.1]}, "damping_ratio must .*got -0.1 at index 1"), ({"frequency": [900.0, 100.0]}, "frequency must ascend, got 100 Hz after 900 Hz at index 1"), ({"frequency": 100.0}, "frequency must be a list"), ({"damping_ratio": [0.1, 0.2, 0.3]}, "one number for each of the 2 frequencies"), ({"compliance": np.ones((3, 2)), "velocity": np.ones(2)}, "do not broadcast"), ({"residual_compliance": 1e-9, "frequency": [], "compliance": []}, "needs a mode above which it lies"), ({"target": ThinPlate(material=STEEL, thickness=0.01)}, "target must be a HalfSpace"), ({"gravity": 1e6}, "its weight holds it"),])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"damping_ratio": [0.01, -0.1]}, "damping_ratio must .*got -0.1 at index 1"),
+        ({"frequency": [900.0, 100.0]}, "frequency must ascend, got 100 Hz after 900 Hz at index 1"),
+        ({"frequency": 100.0}, "frequency must be a list"),
+        ({"damping_ratio": [0.1, 0.2, 0.3]}, "one number for each of the 2 frequencies"),
+        ({"compliance": np.ones((3, 2)), "velocity": np.ones(2)}, "do not broadcast"),
+        ({"residual_compliance": 1e-9, "frequency": [], "compliance": []}, "needs a mode above which it lies"),
+        ({"target": ThinPlate(material=STEEL, thickness=0.01)}, "target must be a HalfSpace"),
+        ({"gravity": 1e6}, "its weight holds it"),
+    ],
+)
 def test_what_cannot_be_is_refused(changed, message):
     given = {"frequency": [100.0, 900.0], "damping_ratio": 0.01, "compliance": [0.1, 0.2], **changed}
     with pytest.raises(InvalidValue, match=message):

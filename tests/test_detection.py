@@ -2,8 +2,6 @@
 
 import math
 import os
-import pickle
-import tomllib
 import tracemalloc
 from dataclasses import replace
 from threading import Thread
@@ -20,8 +18,6 @@ from cgid.identification.vibration_onsets import onset_in
 from cgid.measure.features import extract_array
 from cgid.recordings import read_recording
 from cgid.recordings.live import live_stream
-from cgid.scene import parse_scene, synthesise
-from cgid.shipped import scene_path
 from cgid.signals import Signal
 from tests.impact_truth import Stream, caving, score
 from tests.test_features import REAL_SHOCK
@@ -156,19 +152,6 @@ def test_onset_is_where_the_likelihood_of_two_noises_is_highest():
 # -- the same answer whatever the blocks ----------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    st.sampled_from(["vibration", "pulse"]),
-    st.lists(st.integers(0, 29_999), max_size=12),
-    st.lists(st.integers(0, 30_000), max_size=8),
-    st.integers(1, 30_000),
-)
-def test_any_blocks_give_the_same(kind, places, cuts, n_samples):
-    samples = np.round(blows(sorted(places), 30_000, amplitude=30.0), 1)[:n_samples]
-    expected = all_of(detected(samples, kind))
-    assert all_of(detected(samples, kind, cuts=sorted(min(cut, n_samples) for cut in cuts))) == expected
-
-
 def test_a_block_may_be_used_again_by_who_fed_it():
     samples, block = blows([9000], 20_000), np.empty((1, 100))
     detector, events = ImpactDetector(RATE, kind="vibration"), []
@@ -220,21 +203,6 @@ def test_whole_blocks_and_live_are_the_same_to_the_bit(kind):
         for block in Inbox(live, RATE):
             events += detector.feed(block)
         assert all_of(events + detector.finish()) == expected
-
-
-@pytest.mark.parametrize("kind", ["vibration", "pulse"])
-def test_length_of_the_recording_changes_no_impact(kind):
-    # Whatever is held in memory at once somewhere, the next sample is no border.
-    samples = 1e-3 * np.random.default_rng(1).normal(size=4_195_000).astype(np.float32)
-    for place, height in ((100_000, 1.0), (2_000_000, 100.0), (2_100_000, 3.0), (2_101_500, 0.5), (4_000_000, 1.0)):
-        own = height * (np.hanning(40) if kind == "pulse" else ringing(amplitude=1.0))
-        samples[place : place + own.size] += own
-    found = [
-        [(event.onset, event.end) for event in find_impacts(Signal(samples=part, sampling_rate=RATE), kind=kind)]
-        for part in (samples[:4_194_000], samples)
-    ]
-    assert len(found[0]) == 5
-    assert found[0] == found[1]
 
 
 # -- gaps and loud samples -------------------------------------------------------------------------------------
@@ -314,17 +282,6 @@ def test_any_gaps_in_any_blocks_give_the_same(kind, gaps, cuts, joint):
         assert all_of(replace(event, channel=0) for event in events if event.channel == 1) == alone
 
 
-@pytest.mark.parametrize("kind", ["vibration", "pulse"])
-def test_memory_does_not_grow_with_the_number_of_gaps(kind):
-    samples = np.random.default_rng(0).normal(size=(1, 4096))
-    samples[0, ::64] = np.nan
-    detector, sizes = ImpactDetector(RATE, kind=kind, gaps=True), []
-    for _ in range(200):
-        detector.feed(samples)
-        sizes.append(len(pickle.dumps(detector)))
-    assert max(sizes[100:]) < 1.2 * max(sizes[:100])
-
-
 def test_missing_samples_are_an_error_unless_they_are_expected():
     samples = np.zeros((1, 30_000))
     samples[0, 17_000] = np.nan
@@ -362,28 +319,6 @@ def test_600_half_sines_over_two_decades(spacing, noise, found):
         k = np.arange(math.ceil(time * rate), int((time + duration) * rate))
         samples[k] += height * np.sin(np.pi * (k / rate - time) / duration)
     assert outcome(detected(samples, "pulse", rate), truth, rate) == (found, 0)
-
-
-@pytest.mark.parametrize(("spacing", "least"), [(0.01024, 600), (0.03, 600)])
-def test_600_blows_of_the_reference_population(reference_frames, spacing, least):
-    # Peaks from 0.6 to 225 kN. At 10 ms, a blow below a fiftieth of the one before it may be its echo.
-    rate, step = 200e3, round(spacing * 200e3)
-    lowest = reference_frames.max(axis=1).min()
-    samples = 0.02 * lowest * np.random.default_rng(0).normal(size=600 * step)
-    for number, frame in enumerate(reference_frames):
-        samples[number * step : number * step + frame.size] += frame
-    found, false = outcome(detected(samples, "pulse", rate), (np.arange(600) * step + 200) / rate, rate)
-    assert found >= least
-    assert false == 0
-
-
-@pytest.fixture(scope="module")
-def reference_frames():
-    content = tomllib.loads(scene_path("reference").read_text())
-    del content["sensor"]["relative_noise"]
-    frames = np.concatenate([batch.signals for batch in synthesise(parse_scene(content), 600, seed=1)])
-    assert np.ptp(np.log10(frames.max(axis=1))) > 2
-    return frames.astype(np.float64)
 
 
 @pytest.mark.parametrize(("frequency", "decay"), [(250.0, 0.1), (400.0, 0.05), (1500.0, 0.02), (8000.0, 0.01)])
@@ -571,24 +506,6 @@ def test_a_level_that_stays_is_one_pulse():
     assert (event.onset, event.end, event.samples.size, event.problem) == (40_000, 45_000, 500 + 6000, "")
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    st.sampled_from(["vibration", "pulse"]),
-    st.sampled_from([1e-3, 1.0, 3000.0, RATE, 1e6]),
-    st.integers(0, 3000),
-    st.sampled_from([1e-150, 1.0, 1e38, 1e149]),
-    st.integers(0, 2**32 - 1),
-)
-def test_any_samples_are_framed(kind, sampling_rate, n_samples, size, seed):
-    random = np.random.default_rng(seed)
-    samples = size * random.standard_cauchy(n_samples).clip(-9, 9)
-    detector = ImpactDetector(sampling_rate, kind=kind)
-    for event in detector.feed(samples) + detector.finish():
-        assert event.samples.shape == (detector.n_samples,)
-        assert np.isfinite(event.samples).all()
-        assert 0 <= event.onset < event.end <= n_samples
-
-
 def test_what_is_no_block_is_refused():
     detector = ImpactDetector(RATE, 2, kind="vibration")
     for block in (np.zeros(5), np.zeros((3, 5)), np.zeros((2, 5), complex), [["a"], ["b"]]):
@@ -601,20 +518,6 @@ def test_what_is_no_block_is_refused():
     with pytest.raises(InvalidValue, match="the recording is over"):
         detector.feed(np.zeros((2, 5)))
     assert detector.finish() == []
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"kind": "window"}, "kind must be one of"),
-        ({"kind": "pulse", "n_channels": 0}, "n_channels must be a whole number of 1 or more"),
-        ({"kind": "pulse", "dead_time": -1.0}, "dead_time"),
-        ({"kind": "pulse", "sampling_rate": 0.0}, "sampling_rate"),
-    ],
-)
-def test_what_is_no_option_is_refused(options, says):
-    with pytest.raises(InvalidValue, match=says):
-        ImpactDetector(**{"sampling_rate": RATE, **options})
 
 
 @pytest.mark.parametrize("number", range(4))

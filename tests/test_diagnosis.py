@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -191,18 +190,6 @@ def test_coverage_that_no_label_reaches(beam: np.ndarray) -> None:
     assert "the prediction set at coverage 0.99 holds both" in hint.reason
 
 
-def test_only_the_channels_that_need_it_are_named() -> None:
-    force = stream(LABELS, 0.05)
-    hints = Hints(PULSES, RATE, "two.csv")
-    for step in identify_blocks(
-        [np.stack([force, np.minimum(force, 2000)])], RATE, PULSES, ("a", "b"), PredictionSettings()
-    ):
-        hints.add(step.answers)
-    hint = hints.hint()
-    assert hint is not None
-    assert (hint.channels, hint.cause, hint.n_unknown, hint.n_answers) == (("b",), "clipped", 16, 16)
-
-
 def test_causes_add_up_to_the_distance() -> None:
     """The foremost input is the one without which the squared distance falls most, by finite differences."""
     frames = ringing_batch(40, noise=1e-3).signals
@@ -350,45 +337,6 @@ def printed(path: Path, options: list[str], capsys: pytest.CaptureFixture[str]) 
     return lines[next(k for k, line in enumerate(lines) if line.startswith("cgid: hint: ")) :]
 
 
-def hint_line(path: Path, options: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    """Return the hint in JSON."""
-    assert run(["predict", str(path), *options, "--json"]) == 0
-    return json.loads(capsys.readouterr().out.splitlines()[-1])
-
-
-def test_predict_closes_with_numbered_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, name = tmp_path / "other beam.csv", shlex.quote(str(tmp_path / "other beam.csv"))
-    header = f"# sampling_rate: {BEAM_RATE:g} Hz\nacceleration"
-    np.savetxt(path, of_another_beam(24), fmt="%.6g", header=header, comments="")
-    said = shlex.join(["--unit", "m/s^2"])
-    first, *steps = printed(path, shlex.split(said), capsys)
-    assert first.startswith(f"cgid: hint: {path}: 24 of 24 impacts unknown: they are clear, but unlike those of the ")
-    calibration = (
-        f"cgid calibrate {name} {said} --scene tail_beam -o site.toml",
-        "cgid train site.toml -o site.npz",
-        f"cgid predict {name} {said} --model site.npz",
-    )
-    labels = (
-        f"cgid events {name} {said} -o events.csv",
-        "fill in the label column of events.csv",
-        "cgid train events.csv -o mine.npz",
-        f"cgid predict {name} {said} --model mine.npz",
-    )
-    numbered = [[f"  {number}. {step}" for number, step in enumerate(way, 1)] for way in (calibration, labels)]
-    assert steps == [*numbered[0], "  or:", *numbered[1]]
-    line = hint_line(path, shlex.split(said), capsys)
-    assert (line["kind"], line["cause"]) == ("hint", "shape")
-    assert (line["commands"], line["instead"]) == (list(calibration), list(labels))
-    # Numbers as a user writes them, and none of the former model's options.
-    steps = printed(path, ["--unit", "m/s^2", "--rate", "25600", "--evidence", "0.9"], capsys)
-    assert steps[-1].endswith(f"--rate 25600 {said} --model mine.npz")
-    # Too few to calibrate by, or to train on.
-    np.savetxt(path, of_another_beam(12), fmt="%.6g", header=header, comments="")
-    assert len(printed(path, shlex.split(said), capsys)) == 1
-    assert run(["predict", "--sample", "--json"]) == 0
-    assert '"kind": "hint"' not in capsys.readouterr().out
-
-
 def test_a_unit_that_a_sensitivity_converts_is_not_corrected_by_another(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -396,18 +344,6 @@ def test_a_unit_that_a_sensitivity_converts_is_not_corrected_by_another(
     chain = ["--rate", f"{BEAM_RATE:g}", "--unit", "V", "--sensitivity", "1 V/N"]
     first, *steps = printed(tmp_path / "volts.npy", chain, capsys)
     assert "--sensitivity" in first and "--unit 'm/s^2'" not in "".join(steps)
-
-
-def test_the_next_commands_do_not_ask_for_a_file_that_is_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("site-modes.csv", "events.csv", "mine.npz", "mine_2.npz"):
-        Path(name).touch()
-    np.save("other.npy", of_another_beam(24))
-    line = hint_line(Path("other.npy"), ["--rate", "25600", "--unit", "m/s^2"], capsys)
-    assert line["commands"][1] == "cgid train site_2.toml -o site_2.npz"
-    assert line["instead"][2] == "cgid train events_2.csv -o mine_3.npz"
 
 
 def test_a_scene_of_another_rate_is_not_asked_for() -> None:
@@ -546,15 +482,6 @@ def test_a_live_stream_has_its_hint_once(tmp_path: Path, capsys: pytest.CaptureF
     assert "clipped at the limit of the recorder" in told[0]
 
 
-def test_a_labelled_dataset_trains_itself() -> None:
-    batch = ringing_batch(10, noise=1e-3)
-    hints = Hints(BEAM, BEAM_RATE, "mine.h5", labelled=True)
-    hints.add(identify_frames(10 * batch.signals, BEAM_RATE, BEAM, pre_trigger=200))
-    hint = hints.hint()
-    assert hint is not None
-    assert hint.commands == ("cgid train mine.h5 -o mine.npz", "cgid predict mine.h5 --model mine.npz")
-
-
 # -- the level ----------------------------------------------------------------------------------------
 
 
@@ -621,38 +548,9 @@ def test_a_hint_and_a_warning_of_the_level_are_never_both_given() -> None:
         assert (hints.hint() is None) == (hints.level_warning() is not None)
 
 
-def test_a_live_stream_is_looked_at_less_and_less_often() -> None:
-    hints, looks = Hints(BEAM, BEAM_RATE, "x"), []
-    for number, answer in enumerate(own_answers("default-acceleration", 9.81), start=1):
-        hints.add([answer])
-        if hints.level_warning(live=True) is not None:
-            looks.append(number)
-    assert looks == [10, 30, 90]
-
-
 def test_a_vibration_far_from_the_scale_of_the_beam_is_told_by_its_amplitude() -> None:
     hints = Hints(BEAM, BEAM_RATE, "x")
     hints.add(one for one in own_answers("default-acceleration", 1e5))
     hint = hints.hint()
     assert hint is not None and hint.cause == "amplitude"
     assert hints.level_warning() is None
-
-
-def test_commands_tell_a_wrong_scale_once(
-    beam: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    given = ["--rate", "25600", "--unit", "m/s^2", "--json"]
-    raw = ["--channels", "1", "--sample-format", "f32le"]
-    for factor in (1.0, 9.81):
-        np.save("x.npy", factor * beam[: 12 * 25_600])
-        (factor * beam[: 12 * 25_600]).astype("<f4").tofile("x.f32")
-        commands = (["predict", "x.npy", "--report", "x.html", "--overwrite"], ["monitor", "x.f32", *raw])
-        for command in commands:
-            assert run([*command, *given]) == 0
-            out, err = capsys.readouterr()
-            lines = [json.loads(line) for line in out.splitlines()]
-            messages = [line["message"] for line in lines if line["kind"] == "warning"]
-            assert len(messages) == (factor != 1)
-            assert all("9.81" in message and message in err for message in messages)
-        assert ("9.81" in Path("x.html").read_text()) == (factor != 1)

@@ -289,14 +289,6 @@ def test_chunks_that_were_never_written_are_warned_of(hdf5, libver, maxshape, pa
     assert (found[0, 2000:] == 0.25).all() and "x: 1 of 3 chunks were never written" in recording.warnings[0]
 
 
-def test_checksums_of_hdf5_find_what_changed(hdf5):
-    path = hdf5(lambda file: file.create_dataset("x", data=SAMPLES, chunks=(3, 500), fletcher32=True))
-    content = bytearray(path.read_bytes())
-    content[content.index(SAMPLES[:, 1000:1500].tobytes()) + 77] ^= 4
-    path.write_bytes(content)
-    assert "x cannot be read from sample 700 on" in refused(path, sampling_rate=1.0)
-
-
 def test_a_damaged_index_of_chunks_is_refused_before_it_crashes_hdf5(hdf5):
     def fill(file):
         stored = file.create_dataset("x", data=SAMPLES, chunks=(1, 500), compression="gzip", fletcher32=True)
@@ -387,18 +379,6 @@ def test_mat_as_matlab_stores_it_narrow_and_of_either_byte_order(mat, order, pac
     assert np.array_equal(found, values) and recording.sampling_rate == 1000.0
     if order == "<":
         assert np.array_equal(loadmat(path)["x"], values)
-
-
-def test_several_arrays_in_mat_are_listed_and_picked(tmp_path):
-    path = tmp_path / "exported.mat"
-    savemat(
-        path, {f"Data1_AI_{k}": SAMPLES[k - 1] for k in (1, 2, 3)} | {"Sample_rate": 100.0, "short": SAMPLES[0, :9]}
-    )
-    assert "--variable NAME" in refused(path) and "pattern" in refused(path)
-    recording, found = read(path, variable="Data1_AI_*")
-    assert np.array_equal(found, SAMPLES) and names(recording) == ["Data1_AI_1", "Data1_AI_2", "Data1_AI_3"]
-    assert recording.sampling_rate == 100.0
-    assert "one length" in refused(path, variable="*")
 
 
 def test_hostile_sizes_of_mat_are_refused(mat):
@@ -532,26 +512,6 @@ def test_tdms_channels_without_samples_or_numbers_are_left_out_with_a_warning(tm
     assert "there is none" in refused(path)
 
 
-def test_tdms_cut_anywhere_keeps_what_is_whole_with_a_warning(tmp_path):
-    path = write_tdms(tmp_path / "cut.tdms", whole(SAMPLES[:, :400], parts=4))
-    content = path.read_bytes()
-    found_lengths = set()
-    for place in [*range(1, 600, 13), *range(600, len(content), 101), len(content) - 1]:
-        path.write_bytes(content[:place])
-        try:
-            recording, found = read(path)
-        except CgidError as error:
-            assert "\n" not in str(error)
-            continue
-        length = found.shape[1]
-        assert length < 400 or not recording.warnings
-        assert np.array_equal(found, SAMPLES[: len(found), :length])
-        # Cut right between two segments, the file is whole.
-        assert "cut off" in " ".join(recording.warnings) or length % 100 == 0
-        found_lengths.add(length)
-    assert {100, 200, 300} <= found_lengths and len(found_lengths) > 5
-
-
 def test_tdms_never_closed_by_labview_and_a_false_index_beside_it(tmp_path):
     path = write_tdms(tmp_path / "open.tdms", whole(parts=1))
     content = bytearray(path.read_bytes())
@@ -665,18 +625,6 @@ def test_uff_that_is_no_recording_is_refused(tmp_path):
     assert read(path, sampling_rate=1.0)[1].tolist() == [[-1, 58, 3]]
 
 
-def test_damaged_lines_of_uff_are_refused(tmp_path):
-    path = write_uff(tmp_path / "text.uff", SAMPLES[:1], binary=0)
-    content = path.read_bytes()
-    lines = content.split(b"\n")
-    lines[113] = lines[113].replace(b"e", b"x")
-    path.write_bytes(b"\n".join(lines))
-    assert "could not convert string to float" in refused(path)
-    lines = content.split(b"\n")
-    path.write_bytes(b"\n".join(lines[:113] + lines[114:]))
-    assert "must hold 3001 numbers of its type, 2997 are there" in refused(path)
-
-
 def test_uff_too_large_to_be_read_whole_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("cgid.recordings.uff.MAX_FILE_SIZE", 1000)
     assert "export fewer data sets" in refused(write_uff(tmp_path / "x.uff", SAMPLES))
@@ -773,16 +721,6 @@ def test_columns_of_parquet_that_are_no_channels(parquet):
     assert "there is no variable" in refused(parquet({"x": SAMPLES[0]}), InvalidValue, variable="x")
     recording, found = read(parquet({"x": SAMPLES[0], "__index_level_0__": np.arange(N)}, {"fs": "10"}))
     assert np.array_equal(found, SAMPLES[:1]) and "__index_level_0__ is an index" in recording.warnings[0]
-
-
-def test_damage_to_parquet_is_found_by_its_checksums(parquet):
-    path = parquet({"x": SAMPLES[0]}, {"fs": "10"}, compression="none", use_dictionary=False)
-    content = path.read_bytes()
-    start = content.index(SAMPLES[0, :100].tobytes())
-    changed = bytearray(content)
-    changed[start + 400] ^= 1
-    path.write_bytes(changed)
-    assert "damaged" in refused(path)
 
 
 # ---- all ----

@@ -26,7 +26,6 @@ from cgid.physics import (
     Viscoelastic,
     _kernels,
     curves,
-    free_fall_velocity,
 )
 from cgid.physics.closed_forms import damping_number, peak_displacement, peak_force
 from cgid.physics.curves import in_threads
@@ -534,8 +533,20 @@ def everything(impact):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"velocity": 1e-300}, {"velocity": 1e300}, {"radius": 1e-200}, {"radius": 1e300}, {"density": 1e300}, {"youngs_modulus": 1e300}, {"thickness": 1e-150}, {"dissipation": Viscoelastic(dissipative_constant=1e30)}, {"dissipation": Viscoelastic(dissipative_constant=1e300)}, {"dissipation": Viscoelastic(time_constant=1e300)}, {"gravity": 1e300},],
-)  # fmt: skip
+    [
+        {"velocity": 1e-300},
+        {"velocity": 1e300},
+        {"radius": 1e-200},
+        {"radius": 1e300},
+        {"density": 1e300},
+        {"youngs_modulus": 1e300},
+        {"thickness": 1e-150},
+        {"dissipation": Viscoelastic(dissipative_constant=1e30)},
+        {"dissipation": Viscoelastic(dissipative_constant=1e300)},
+        {"dissipation": Viscoelastic(time_constant=1e300)},
+        {"gravity": 1e300},
+    ],
+)
 def test_absurd_magnitudes_are_refused_for_double_precision(changes):
     with pytest.raises(InvalidValue, match="double precision"):
         everything(one_of(**changes))

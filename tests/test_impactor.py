@@ -20,7 +20,7 @@ from cgid.impactor.columns import match_times
 from cgid.impactor.population import beam_behind, fit_through_beam
 from cgid.impactor.posterior import LEVELS, QUANTITIES
 from cgid.impactor.recognition import forces, of_material, through_beam
-from cgid.physics import RIGID, HalfSpace, HuntCrossley, Impact, Sphere, ThinPlate
+from cgid.physics import RIGID, HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import STEEL, Material
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import blows_of

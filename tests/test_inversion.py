@@ -35,7 +35,7 @@ from cgid.measure.vibration import VibrationBatch
 from cgid.physics.response import Response
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
-from cgid.scene.through_beam import beam_of, has_beam, shared_beam
+from cgid.scene.through_beam import beam_of, has_beam
 from cgid.signals import Batch
 from cgid.store import Dataset
 from cgid.units import column_title
@@ -615,17 +615,6 @@ def test_a_model_keeps_its_beam_to_the_last_bit(model: Model, tmp_path: Path) ->
     assert known > 20
 
 
-def test_frames_of_nothing_are_unknown(model: Model) -> None:
-    """Zeros, a constant, noise alone, a step that never ends: no warning, no traceback."""
-    frames = np.zeros((5, 2048))
-    frames[1] = 3.0
-    frames[2] = np.random.default_rng(0).normal(size=2048)
-    frames[3, 128:] = 100.0
-    frames[4, 128:] = 1e100
-    answers = identify_frames(frames, 25_600, model, pre_trigger=128)
-    assert [answer.label for answer in answers] == ["unknown"] * 5
-
-
 def test_beams_without_filters_and_of_slow_recorders() -> None:
     """Without filters all frequencies tell; at a rate too low for a table of forces a scene has no beam."""
     bare = re.sub(r"(?m)^(mounting|anti_alias) = .*$", "", TEXT)
@@ -661,16 +650,6 @@ def test_a_dataset_trains_as_its_scene_does(tmp_path: Path, capsys: pytest.Captu
     assert models[0].features == models[1].features == BEAM_FEATURES
     np.testing.assert_array_equal(models[0].beam.beam.shapes, models[1].beam.beam.shapes)
     assert told[0]["log_loss"] == pytest.approx(told[1]["log_loss"], rel=1e-6)
-
-
-def test_which_beam_scenes_share() -> None:
-    scene = load_scene("tail_beam")
-    thicker = parse_scene(tomllib.loads(TEXT.replace('"30 mm"', '"40 mm"')) | {"name": "thicker"})
-    assert shared_beam([scene, varied(scene, name="noisier", noise_density="20 mg/sqrt(Hz)")])[0] is not None
-    slower = varied(scene, name="slower", keep_frame=True, sampling_rate="24 kHz")
-    for other in (thicker, slower, load_scene("reference")):
-        beam, why = shared_beam([scene, other])
-        assert beam is None and other.name in why
 
 
 def test_features_of_a_dataset_are_those_through_its_beam(tmp_path: Path) -> None:

@@ -217,31 +217,6 @@ def test_windows_are_monitored(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert {row["label"] for row in windows} == {"gangue"}
 
 
-@pytest.mark.parametrize(
-    ("content", "arguments", "code", "says"),
-    [
-        (b"", [], 65, "it is empty"),
-        (b"\0" * 4000, ["--channels", "1", "--sample-format", "f32le"], 2, "--rate HZ"),
-        (b"\0" * 4000, ["--rate", "1e5", "--sample-format", "f32le"], 2, "--channels N"),
-        (b"\0" * 4000, ["--rate", "1e5", "--channels", "1"], 2, "--sample-format"),
-        (b"\0" * 4000, [*RAW[:5], "f31le"], 65, "f31le"),
-        (b"\0" * 4000, RAW[:6], 2, "--unit"),
-        (b"\0" * 4000, [*RAW[:5], "s16le"], 65, "--full-scale"),
-        (b"\xff" * 4000, RAW, 65, "samples must be finite"),
-        (b"RIFF" + b"\0" * 40, [], 65, "WAV"),
-        (b"\0" * 4000, [*RAW, "--full-scale", "0"], 65, "full_scale must be above 0"),
-        (b"\0" * 4000, [*RAW, "--window", "-1"], 65, "--window must be above 0"),
-    ],
-)
-def test_streams_that_cannot_be_followed(content, arguments, code, says, tmp_path, capsys) -> None:
-    (tmp_path / "s").write_bytes(content)
-    assert run(["monitor", str(tmp_path / "s"), *arguments]) == code
-    err = capsys.readouterr().err
-    assert says in err
-    assert len([line for line in err.splitlines() if line.startswith("cgid: error: ")]) == 1
-    assert "Traceback" not in err
-
-
 def test_silence_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "s").write_bytes(np.zeros(200_000, "<f4").tobytes())
     assert run(["monitor", str(tmp_path / "s"), *RAW, "--json", "--window", "0.5"]) == 0

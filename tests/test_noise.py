@@ -12,13 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal, stats
 
-from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
 from cgid.scene.draws import BLOCK, NOISE, TAPS, settings_of
 from cgid.scene.noise import MAX_SAMPLES, Coloured, add_noise
-from cgid.scene.plan import plan
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import CHUNK
 from cgid.scene.stream import record
@@ -226,23 +223,6 @@ def test_spectrum_is_flat(many):
 # ---- bad input -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"seed": -1}, "seed"),
-        ({"seed": 2**63}, "seed"),
-        ({"block": -1}, "block must lie between 0 and 2^56 - 1, got -1"),
-        ({"block": 2**56}, "block must lie"),
-        ({"first_sample": -1}, "got -1 to 8"),
-        ({"first_sample": MAX_SAMPLES - 9}, f"must lie between 0 and {MAX_SAMPLES - 1}"),
-    ],
-)
-def test_out_of_range(options, says):
-    with pytest.raises(InvalidValue) as caught:
-        noise(10, **options)
-    assert says in str(caught.value)
-
-
 # ---- the colour of a sensor's noise ----------------------------------------------------------------------------------
 
 RATE, SAMPLES = 200e3, 2048
@@ -390,58 +370,6 @@ def test_a_spectrum_from_a_file_is_the_same_scene(tmp_path):
     assert noise_frames(from_file, 2).std() > 0
 
 
-@pytest.mark.parametrize(
-    ("sensor", "path", "says"),
-    [
-        ({"noise_exponent": math.nan}, "sensor.noise_exponent", "finite number"),
-        ({"noise_exponent": 1, "absolute_noise": 0}, "sensor.noise_exponent", "come with relative_noise or absolute"),
-        ({"noise_exponent": 1, "noise_density": 1}, "sensor.noise_density", "give the standard deviation"),
-        ({"noise_exponent": 1, "noise_spectrum": SPECTRUM}, "sensor.noise_spectrum", "left out with noise_exponent"),
-        (
-            {"noise_spectrum": {"frequencies": [50, 9e3], "density": [1, 1]}},
-            "sensor.noise_spectrum.frequencies",
-            "from one period of the signals, 97.6562 Hz, to half the sampling rate, 100000 Hz, got 50 to 9000 Hz; ",
-        ),
-        (
-            {"noise_spectrum": {"frequencies": [200, 1e5], "density": [1, 1]}},
-            "sensor.noise_spectrum.frequencies",
-            "got 200 to 100000 Hz; measure the rest, or add rows",
-        ),
-        (
-            {"noise_spectrum": {"frequencies": [50, 40, 1e5], "density": [1, 1, 1]}},
-            "sensor.noise_spectrum",
-            "frequencies must ascend, got 40 Hz after 50 Hz",
-        ),
-        (
-            {"noise_spectrum": {"frequencies": [50, 1e5], "density": [1, 0]}},
-            "sensor.noise_spectrum.density",
-            "above 0, within 1e-100 and 1e+15 N, got 0",
-        ),
-        (
-            {"noise_spectrum": {"frequencies": [50, 1e5], "density": [1, math.nan]}},
-            "sensor.noise_spectrum.density",
-            "finite",
-        ),
-        (
-            {"noise_spectrum": {"frequencies": [50, math.nan], "density": [1, 1]}},
-            "sensor.noise_spectrum.frequencies.1",
-            "finite",
-        ),
-        (
-            {"noise_spectrum": {"frequencies": [50, 1e5], "density": ["1 g/sqrt(Hz)", 1]}},
-            "sensor.noise_spectrum.density",
-            "force noise density",
-        ),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_a_colour_that_is_none_is_one_line_with_its_path(sensor, path, says):
-    with pytest.raises(BadData) as caught:
-        noise_scene(**sensor)
-    (line,) = str(caught.value).splitlines()
-    assert line.startswith(f"scene: {path}: ") and says in line
-
-
 def test_white_noise_needs_no_transform(monkeypatch):
     parts = [{"distribution": "uniform", "lowest": 0.5, "highest": 1}, 0]
     sensor = {"absolute_noise": 0.0, "relative_noise": 0.01}
@@ -459,19 +387,3 @@ def test_white_noise_needs_no_transform(monkeypatch):
     noise_frames(drawn, 1, first=white * BLOCK)
     with pytest.raises(AssertionError, match="is transformed"):
         noise_frames(drawn, 1, first=coloured * BLOCK)
-
-
-def test_the_plan_says_the_colour(tmp_path, capsys):
-    found = plan(noise_scene(noise_exponent=1.2)).decisions["noise"]
-    assert found.why == "1/f^1.2, flat below 97.66 Hz; whole frames"
-    found = plan(noise_scene(noise_spectrum=SPECTRUM), "features", features=["peak_force"])
-    assert found.decisions["noise"].why == "of the spectrum given, flat below 97.66 Hz; whole frames"
-    assert found.decisions["rest of the frames"].why == "coloured noise is made of whole frames"
-    (tmp_path / "pink.toml").write_text(
-        'name = "pink"\n[impact]\nstiffness = "hertz"\ndissipation = "elastic"\ntarget = "rigid"\n'
-        '[sampling]\nsampling_rate = "200 kHz"\nsamples = 2048\npre_trigger = 16\n'
-        "[sensor]\nrelative_noise = 0.1\nnoise_exponent = 1\n"
-        '[[taps]]\nlabel = "tap"\nshape = "square"\npeak_force = 1\ncontact_duration = "1 ms"\n'
-    )
-    assert run(["check", str(tmp_path / "pink.toml")]) == 0
-    assert "\nnoise: 1/f^1, flat below 97.66 Hz; whole frames\n" in capsys.readouterr().out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 from collections.abc import Callable
@@ -146,34 +145,6 @@ def test_bad_predictions_end_with_one_line(
     line = failed(66 if content is None else 65, "enter", "x", path, "-d", truth_folder, "--results", results)
     assert all(text in line for text in says), line
     assert not results.exists()
-
-
-def test_bad_settings_end_with_one_line(truth_folder: Path, tmp_path: Path, failed: Callable[..., str]) -> None:
-    other = "entry,set,metric,value,low,high,n,truth\na,reference,accuracy,1,1,1,2,000000000000\n"
-    files = {"good.csv": frames_text(), "other.csv": other, "odd.csv": "a,b\n", "page.md": "no place for a table\n"}
-    for name, text in (files | {"worded.csv": other.replace("accuracy,1,", "accuracy,good,")}).items():
-        (tmp_path / name).write_text(text)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "file").touch()
-    for code, says, line in (
-        (65, "must be predicted once, reference is also", "enter me good.csv good.csv -d TRUTH --results new.csv"),
-        (65, "NAME must be 1 to 60 letters", "enter a|b good.csv -d TRUTH --results new.csv"),
-        (65, "results must be of one truth, got 000000000000", "enter me good.csv -d TRUTH --results other.csv"),
-        (65, "results must have the columns entry,set", "enter me good.csv -d TRUTH --results odd.csv"),
-        (66, "cannot be read", "enter me good.csv -d ."),
-        (65, "must have the lines <!-- table -->", "table --results other.csv --page page.md"),
-        (65, "results must be numbers (could not convert", "table --results worded.csv"),
-        (66, "cannot be read", "table --results none.csv"),
-        (73, "must be new or empty", "make -o full"),
-        (65, "smaller seeds can be guessed, got 7", "make -o new --private 7"),
-        (65, "--most: must be 1 or more, got 0", "make -o new --most 0"),
-        (66, "cannot be read", "answer constant -d . -o ."),
-        (73, "must be an existing folder", "answer constant -d . -o none"),
-    ):
-        with contextlib.chdir(tmp_path):
-            assert says in failed(code, *line.replace("TRUTH", str(truth_folder)).split()), line
-    assert (tmp_path / "page.md").read_text() == "no place for a table\n"
-    assert not (tmp_path / "new").exists() and not (tmp_path / "new.csv").exists()
 
 
 def test_a_changed_truth_is_refused(truth_folder: Path, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import signal as scipy_signal
 
-from cgid.errors import BadData, InvalidValue
 from cgid.measure.overview import SPECTROGRAM_COLUMNS, WAVEFORM_COLUMNS, Overview, OverviewStream, segment_length
 
 RATE = 25600.0
@@ -133,18 +132,6 @@ def test_the_largest_samples_have_a_spectrum() -> None:
     large, small = overview_of(samples * scale), overview_of(samples)
     np.testing.assert_allclose(large.spectrum, small.spectrum * scale**2, rtol=1e-9)
     np.testing.assert_allclose(large.deviation, small.deviation * scale, rtol=1e-9)
-
-
-def test_what_cannot_be_drawn() -> None:
-    stream = OverviewStream(RATE, 2)
-    with pytest.raises(BadData, match="at least one sample"):
-        stream.overview()
-    with pytest.raises(InvalidValue, match=r"shape \(2, n_samples\), got shape \(3, 5\)"):
-        stream.feed(np.zeros((3, 5)))
-    with pytest.raises(BadData, match=r"within \+-1e\+140"):
-        stream.feed(np.array([[0.0], [-1e200]]))
-    with pytest.raises(InvalidValue, match="sampling_rate"):
-        OverviewStream(0.0)
 
 
 def test_a_missing_sample_counts_as_the_mean() -> None:

@@ -6,7 +6,6 @@ import json
 import os
 import random
 import re
-import resource
 import shutil
 import socket
 import struct
@@ -24,8 +23,8 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import BadData, CannotCreate, InvalidValue, MissingExtra, NoInput
-from cgid.plant import PlantOutputs, command, modbus, mqtt, web
+from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
+from cgid.plant import PlantOutputs, command, mqtt
 from cgid.plant.modbus import HEAD, WIDTH
 from cgid.plant.output import MAX_CLIENTS, Output
 from cgid.plant.state import BIN_TIME, Waveform
@@ -402,46 +401,6 @@ def test_silent_clients_leave_room(two_servers, said, capfd) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-def test_slow_request_ends(outputs, monkeypatch) -> None:
-    for module in (modbus, web):
-        monkeypatch.setattr(module, "TIMEOUT", 0.5)
-    ports = free_port(), free_port()
-    outputs(modbus=f"127.0.0.1:{ports[0]}", live=f"127.0.0.1:{ports[1]}")
-    for port in ports:
-        with socket.create_connection(("127.0.0.1", port), timeout=0.05) as client:
-
-            def is_closed(client: socket.socket = client) -> bool:
-                try:
-                    client.send(b"\0")  # a byte each time, which never makes a request
-                    return client.recv(1) == b""
-                except TimeoutError:
-                    return False
-                except OSError:
-                    return True
-
-            wait_for(is_closed, 5.0)
-
-
-def test_command_runs_without_a_descriptor_left(outputs, said, tmp_path) -> None:
-    own = outputs(on_shut=f"touch {tmp_path / 'x'}")
-    wait_for(lambda: own.plant.outputs[0].reserved)
-    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
-    taken: list[int] = []
-    try:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (200, limits[1]))
-        with pytest.raises(OSError, match="Too many open files"):
-            while True:
-                taken.append(os.open(os.devnull, os.O_RDONLY))
-        own(turn("shut", 1.0))
-        wait_for(lambda: own.plant.outputs[0].passed or said)
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
-        for descriptor in taken:
-            os.close(descriptor)
-    assert said == []
-    assert (tmp_path / "x").exists()
-
-
 # -- HTTP -------------------------------------------------------------------------------------------------
 
 
@@ -535,32 +494,6 @@ def test_page_loads_nothing_from_elsewhere() -> None:
     assert not re.search(r"https?:|//[a-z]|@import|url\(|innerHTML|\bsrc=", page())
 
 
-def test_page_says_what_the_data_say(outputs, tmp_path) -> None:
-    """The script of the page runs without a browser: its functions on the data of a page in a file."""
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed, which runs the script of the page")
-    own = outputs(channels=("</script><b>",), live=str(tmp_path / "p.html"))
-    own(impact(1, channel="</script><b>"))
-    own(share(2.0, 0.25, channel="</script><b>"))
-    own.__exit__(None, None, None)
-    text = (tmp_path / "p.html").read_text()
-    assert text.count("</script>") == 1  # a name does not end the script
-    script = text.split("<script>")[1].split("// The page.")[0]
-    script += "const one = EMBEDDED.supports[0];"
-    script += "console.log(JSON.stringify([one.name, stateText(one), shareText(one), countText(one),"
-    script += "alarmText(EMBEDDED), alarmText({age: 7, ended: false}), scale(0, 10, 100, 0)(2)]))"
-    done = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout) == [
-        "</script><b>",
-        "GO ON",
-        "gangue 25 % (15 % to 35 %)",
-        "20 in the window, 3 more unknown · since the start: coal 1",
-        "monitor has ended",
-        "no data for 7 s",
-        80,
-    ]
-
-
 def test_file_of_the_page_replaces_none_but_its_own(outputs, tmp_path) -> None:
     (tmp_path / "mine.html").write_text("my diary")
     with pytest.raises(CannotCreate, match="no live page"):
@@ -637,22 +570,6 @@ def test_port_in_use_is_said_before_anything_starts(option, tmp_path, capsys) ->
     assert line.startswith(f"cgid: error: --{option} {address}: the address must be free")
 
 
-def test_missing_library_names_the_extra(monkeypatch) -> None:
-    for name in ("paho.mqtt.client", "prometheus_client"):
-        monkeypatch.setitem(sys.modules, name, None)
-    for option, value in (("mqtt", "mqtt://127.0.0.1/t"), ("prometheus", ":9400")):
-        with pytest.raises(MissingExtra, match=rf"--{option} needs .* pip install 'cgid\[plant\]'"):
-            PlantOutputs(**{option: value}, warn=print)
-
-
-def test_two_servers_on_one_port_are_refused() -> None:
-    port = free_port()
-    with pytest.raises(CannotCreate, match=f"--modbus 127.0.0.1:{port}: the address must be free"):
-        PlantOutputs(live=f":{port}", modbus=f":{port}", warn=print)
-    with socket.socket() as again:  # and nothing is left open
-        again.bind(("127.0.0.1", port))
-
-
 def test_command_needs_a_model_that_decides() -> None:
     own = PlantOutputs(on_open=f'"{sys.executable}" -V', warn=print)
     with pytest.raises(InvalidValue, match="--on-open needs a model that tells gangue from coal"):
@@ -702,15 +619,6 @@ def test_clock_adds_the_time_of_the_wall(raw, capsys) -> None:
     assert timed == without
     assert times == sorted(times)
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00", times[0])
-
-
-def test_nothing_of_the_outlets_is_loaded_unless_asked(raw) -> None:
-    program = "import sys; from cgid.cli.main import run; run(sys.argv[1:]); "
-    program += "print([n for n in sys.modules if n.startswith(('cgid.plant', 'paho', 'http.server', 'asyncio'))])"
-    done = subprocess.run(
-        [sys.executable, "-c", program, "monitor", str(raw), *RAW], capture_output=True, text=True, cwd=ROOT
-    )
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 @pytest.mark.long

@@ -115,15 +115,6 @@ def test_a_part_has_the_time_of_the_whole(samples: np.ndarray) -> None:
     assert panel(figure, "frequency").collections[0].get_coordinates()[0, :, 0].min() > 7.0
 
 
-def test_short_recordings_are_in_milliseconds() -> None:
-    times = np.arange(2000) / 2e5
-    pulse = 9e3 * np.sin(np.pi * np.clip((times - 3e-3) / 5e-4, 0, 1)) ** 1.5
-    figure = figure_of(pulse[None], Channel(name="1", unit="N"), rate=2e5)
-    (line,) = panel(figure, "force").lines
-    assert line.get_xdata()[np.argmax(line.get_ydata())] == pytest.approx(3.25)
-    assert panel(figure, "frequency").get_xlabel() == "time [ms]"
-
-
 @pytest.mark.parametrize(
     ("samples", "says"),
     [
@@ -311,35 +302,6 @@ def test_plot_draws_eight_channels_and_says_so(tmp_path: Path, monkeypatch: pyte
     assert run([*arguments, "--overwrite", "--channel", "9", "--channel", "10", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["channels"] == ["9", "10"] and "warning" not in err
-
-
-@pytest.mark.parametrize(
-    ("more", "code", "says"),
-    [
-        (["-o", "a.jpg"], 73, "must end in .png or .svg or .pdf, got '.jpg'"),
-        (["-o", "blows.wav"], 73, "must end in"),
-        (["-o", "old.png"], 73, "exists already"),
-        (["-o", "no/a.png"], 73, "the folder no must exist"),
-        ([], 2, "'-o'"),
-        (["-o", "a.png", "--from", "9"], 65, "--from must lie within the recording of 1.5625 s, got 9 s"),
-        (["-o", "a.png", "--from", "1", "--to", "0.5"], 65, "--to must lie after --from (1 s), got 0.5 s"),
-        (["-o", "a.png", "--from", "-1"], 65, "--from must be 0 or more, got -1 s"),
-        (["-o", "a.png", "--from", "nan"], 65, "--from must be finite"),
-        (["-o", "a.png", "--index", "1"], 65, "--index picks a signal of a dataset"),
-        (["-o", "a.png", "--channel", "3"], 65, "channel '3' is none of them"),
-        (["-o", "a.png", "--dead-time", "-1"], 65, "--dead-time must lie between"),
-    ],
-)
-def test_plot_refuses(
-    wav: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, more: list[str], code: int, says: str
-) -> None:
-    monkeypatch.chdir(wav.parent)
-    Path("old.png").write_bytes(b"old")
-    assert run(["plot", "blows.wav", *more]) == code
-    out, err = capsys.readouterr()
-    assert says in err and len(err.splitlines()) == 1 and out == ""
-    assert {path.name for path in Path().iterdir()} == {"blows.wav", "old.png"}
-    assert Path("old.png").read_bytes() == b"old"
 
 
 def test_silence_is_drawn_without_impacts(tmp_path: Path, capsys: Any) -> None:

@@ -13,13 +13,13 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
 from cgid.identification.prediction import load_model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import CavingWatch, Share, Switch
-from cgid.identification.stream import identify_blocks, identify_recording, independence, model_blocks
+from cgid.identification.stream import identify_blocks, identify_recording, independence
 from cgid.identification.windows import RunningVote, measure_windows
 from cgid.recordings import open_recording, read_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
@@ -103,28 +103,6 @@ def test_units_and_signs_become_the_models(tmp_path: Path, default_model: Model)
         answers.append([a.probabilities["coal"] for a in identify_recording(recording, default_model, **how)])
     for other in answers[1:]:
         assert other == pytest.approx(answers[0], rel=1e-6)
-
-
-def test_wrong_quantity_is_said_before_anything_is_read(tmp_path: Path, default_model: Model) -> None:
-    np.save(tmp_path / "v.npy", np.zeros(100))
-    recording = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="J")
-    with pytest.raises(BadData, match=r"v.npy: the quantity must be the model's, force \[N\], got energy \[J\]"):
-        model_blocks(recording, default_model, [0], PredictionSettings())
-    volts = open_recording(tmp_path / "v.npy", sampling_rate=RATE, unit="V")
-    with pytest.raises(MissingOption, match=r"v.npy: the samples are a voltage \[V\], .* --sensitivity '10.2 mV/g'"):
-        model_blocks(volts, default_model, [0], PredictionSettings())
-
-
-def test_silent_channels_are_named_and_do_not_hide_the_others(default_model: Model) -> None:
-    force = stream(LABELS[:3], 0.02)
-    rng = np.random.default_rng(0)
-    samples = np.stack([force, rng.normal(0, 25, force.size), np.full(force.size, 3.0)])
-    for blocks in ([samples], np.array_split(samples, 7, axis=1)):
-        steps = list(identify_blocks(blocks, RATE, default_model, ("1", "2", "3"), PredictionSettings(), "x"))
-        assert {answer.channel for step in steps for answer in step.answers} == {"1"}
-        silent = [message for step in steps for message in step.silent]
-        assert [message.split(":")[0] for message in silent] == ["x channel 2", "x channel 3"]
-        assert all("no impact" in message for message in silent)
 
 
 @pytest.mark.long
@@ -511,13 +489,3 @@ def test_info_of_a_long_recording_is_that_of_a_short_one(
         assert long[channel].pop("mean") == pytest.approx(samples[row].mean(dtype=float), rel=1e-6)
         assert long[channel] == short[channel]
         assert long[channel]["impacts"] == 16
-
-
-def test_info_tells_archives_of_arrays_from_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.savez(tmp_path / "a.npz", samples=stream(["coal"], 0.02), fs=RATE)
-    assert run(["info", str(tmp_path / "a.npz"), "--unit", "N", "--json"]) == 0
-    (row,) = lines_of(capsys)
-    assert (row["kind"], row["channel 1"]["impacts"]) == ("recording", 1)
-    (tmp_path / "m.npz").write_bytes(window_model().to_bytes())
-    assert run(["info", str(tmp_path / "m.npz"), "--json"]) == 0
-    assert lines_of(capsys)[0]["kind"] == "model"

@@ -2,18 +2,16 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tracemalloc
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput, WriteFailed
+from cgid.errors import BadData, CannotCreate, InvalidValue, WriteFailed
 from cgid.measure.features import extract_array
 from cgid.recordings import is_dataset, read_recording
 from cgid.scene import parse_scene
@@ -139,16 +137,6 @@ def test_it_is_read_as_a_recording(made):
         Dataset(path)
 
 
-def test_another_that_has_got_its_name_is_not_taken_for_it(made, tmp_path):
-    path = Path(shutil.copy(made / "one.h5", tmp_path))
-    before = Recording(path)
-    other = Path(shutil.copy(made / "three" / "recording-00001.h5", tmp_path))
-    other.replace(path)
-    for read in (before.samples, before.impacts, lambda: list(before.blocks(1000))):
-        with pytest.raises(BadData, match="has been replaced by another while it was read; read it again"):
-            read()
-
-
 def test_commands_understand_it(made, capfd):
     path = str(made / "one.h5")
     assert run(["info", path, "--json"]) == 0
@@ -232,47 +220,6 @@ def test_a_recording_must_have_all_its_samples_and_no_more(tmp_path, count):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.long
-def test_a_full_disk_is_told(tmp_path):
-    program = (
-        "import resource, signal, sys, numpy as np\n"
-        "from cgid.errors import WriteFailed\n"
-        "from tests.test_recording_store import plan_of, writing, impacts_of\n"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 17, 1 << 17))\n"
-        "try:\n"
-        "    with writing(sys.argv[1], plan_of(1 << 20)) as writer:\n"
-        "        for _ in range(16):\n"
-        "            writer.add(np.ones(1 << 16, np.float32))\n"
-        "        writer.add_impacts(impacts_of(), {})\n"
-        "except WriteFailed as error:\n"
-        "    print(error)\n"
-    )
-    root = Path(__file__).parents[1]
-    out = subprocess.run(
-        [sys.executable, "-c", program, tmp_path / "full.h5"], cwd=root, capture_output=True, text=True, check=False
-    )
-    assert "writing failed" in out.stdout and "nothing was left behind" in out.stdout, out.stderr
-    assert not list(tmp_path.iterdir())
-
-
-def test_outputs_that_cannot_be_made(tmp_path, monkeypatch):
-    with pytest.raises(CannotCreate, match="must exist"):
-        generate_recordings(SCENE, tmp_path / "no" / "x.h5")
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.doc").write_text("x")
-    with pytest.raises(CannotCreate, match=r"thesis\.doc"):
-        generate_recordings(SCENE, tmp_path / "mine", 2, overwrite=True)
-    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
-    with pytest.raises(CannotCreate, match="room"):
-        generate_recordings(SCENE, tmp_path / "x.h5")
-    with (
-        pytest.raises(InvalidValue, match=r"at most 2 GiB.*make several"),
-        writing(tmp_path / "x.h5", plan_of(1 << 30)),
-    ):
-        pass
-
-
 def test_overwriting_takes_the_old_recordings_away(made, tmp_path):
     folder = tmp_path / "some"
     generate_recordings(SCENE, folder, 2, seed=1)
@@ -296,18 +243,6 @@ def test_memory_does_not_grow_with_the_length(tmp_path):
 
 
 # ---- damage ----------------------------------------------------------------------------------------------------------
-
-
-def test_no_recording_there(tmp_path, made):
-    with pytest.raises(NoInput, match="no such file"):
-        Recording(tmp_path / "x.h5")
-    (tmp_path / "text.h5").write_text("text")
-    assert not is_recording(tmp_path / "text.h5")
-    with pytest.raises(BadData, match="readable HDF5"):
-        Recording(tmp_path / "text.h5")
-    for first, stop in ((-1, 5), (5, 4), (0, 128_001)):
-        with pytest.raises(InvalidValue, match="between 0 and 128000"):
-            Recording(made / "one.h5").samples(first, stop)
 
 
 def test_every_flipped_byte_of_the_samples_is_found(made, tmp_path):

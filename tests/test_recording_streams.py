@@ -554,7 +554,8 @@ def test_arrays_by_blocks_are_the_arrays(tmp_path_factory, shape, dtype, fortran
     recording = open_recording(path, sampling_rate=1)
     rows = np.atleast_2d(array)
     rows = rows.T if rows.shape[1] < rows.shape[0] else rows
-    assert np.array_equal(whole(recording, length), rows)
+    found = whole(recording, length)
+    assert np.array_equal(found, rows) and found.dtype == (np.float32 if dtype == ">f4" else np.float64)
     if len(rows) > 1:
         assert np.array_equal(whole(open_recording(path, sampling_rate=1, channel=[3, 2]), length), rows[[2, 1]])
 

@@ -22,7 +22,6 @@ from cgid import report as page
 from cgid import shipped
 from cgid.errors import CannotCreate
 from cgid.identification.answers import Answer
-from cgid.identification.diagnosis import Hint
 from cgid.identification.model import Model
 from cgid.identification.share import Share, ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
@@ -323,23 +322,6 @@ def test_the_table_sorts_and_chooses(report: Report, tmp_path: Path) -> None:
 
 
 # -- next steps, and a phone ------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_next_steps_stand_first(report: Report) -> None:
-    hint = Hint(
-        cause="features",
-        reason="9 of 10 impacts unknown: another <beam>",
-        advice="train on them",
-        commands=("cgid events 'a b.csv' -o events.csv", "fill in its label column"),
-        channels=("2",),
-    )
-    page = report_page([replace(report, hint=hint)])
-    box = page[page.index('<div class="hint">') : page.index('<ul class="tiles">')]
-    assert "another &lt;beam&gt; (channel 2)." in box
-    assert "<li><code>cgid events &#x27;a b.csv&#x27; -o events.csv</code></li><li>fill in its label column</li>" in box
-    assert page.index('<div class="hint">') < page.index('<div class="warnings">')
-    assert '<div class="hint">' not in report_page([report])
 
 
 def test_a_phone_never_scrolls_the_page_sideways(report: Report, tmp_path: Path) -> None:

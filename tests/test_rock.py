@@ -8,15 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import gamma
 
-from cgid.ceiling import ceiling
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData
 from cgid.physics import (
     RIGID,
     Elastic,
     HalfSpace,
     HuntCrossley,
     Impact,
-    ModalImpact,
     Sphere,
     ThinPlate,
     Thornton,
@@ -30,7 +28,6 @@ from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene.draws import LUMP
 from cgid.scene.impacts import draw
 from cgid.scene.plan import plan
-from cgid.scene.schema import varied
 from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
 from tests.plan_scenes import STEEL as STEEL_TARGET
@@ -81,17 +78,6 @@ def test_a_lump_hits_like_the_sphere_of_its_contact_and_mass(name, target, gravi
     assert np.abs(one.force(times) - other.force(times)).max() < 3e-8 * other.peak_force
     for quantity in ("restitution", "contact_duration", "impulse", "dissipated_energy", "end_displacement"):
         assert getattr(one, quantity) == pytest.approx(getattr(other, quantity), rel=1e-8, abs=1e-10)
-
-
-def test_a_lump_on_modes_hits_like_the_sphere_of_its_contact_and_mass():
-    modes = {"frequency": [120.0, 800.0], "damping_ratio": 0.01, "compliance": [0.4, 0.2]}
-    settings = {"target": HalfSpace(material=STEEL), "velocity": 2.0, "stiffness": "hertz"}
-    one, other = (
-        ModalImpact(sphere=sphere, dissipation=LAWS["hunt-crossley"], **settings, **modes)
-        for sphere in (lump(), same_sphere(lump()))
-    )
-    assert one.restitution == pytest.approx(other.restitution, rel=1e-10)
-    assert one.peak_force == pytest.approx(other.peak_force, rel=1e-10)
 
 
 @pytest.mark.parametrize("offset", [0.2, 0.8, 1.5])
@@ -305,14 +291,6 @@ def test_a_strength_is_a_yield_pressure_1_6_times_as_high():
 CRUSHED = {"restitution": None, "strength": "20 MPa"}
 
 
-def test_viscoelastic_rocks_need_solid_ground():
-    for more in ({"gravity": 9.81}, {"target": {**STEEL_TARGET, "thickness": "20 mm"}}, {"law": "flores"}):
-        with pytest.raises(BadData, match="must be left out when dissipation is kuwabara-kono"):
-            scene_of({"dissipation": "kuwabara-kono", **more})
-    with pytest.raises(InvalidValue, match="kuwabara-kono pulses are another family"):
-        ceiling(varied(load_scene("reference"), dissipation="kuwabara-kono"), 100)
-
-
 def test_the_shipped_rocks_are_those_of_reference_by_other_laws_and_shapes():
     rock, reference = load_scene("rock"), load_scene("reference")
     drawn, plain = draw_all(rock), draw_all(reference)
@@ -335,9 +313,3 @@ def draw_all(scene, n_blocks=16):
     parts = [draw(scene, 5, block) for block in range(n_blocks)]
     values = {name: np.concatenate([part.parameters[name] for part in parts]) for name in parts[0].parameters}
     return values | {"label": np.concatenate([part.labels for part in parts])}
-
-
-def test_a_shape_is_a_setting_of_a_variation():
-    scene = varied(scene_of(), curvature=0.2)
-    assert scene.populations[0].curvature is not None and scene.sha256 != scene_of().sha256
-    assert varied(scene, curvature=None).sha256 == scene_of().sha256

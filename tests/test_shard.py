@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.store import write_ready
 from cgid.errors import BadData, MissingExtra
 from cgid.signals import Batch
 from cgid.store._packing import deflated, fletcher32
@@ -135,16 +134,6 @@ def filters_of(file):
 def test_the_checksum_comes_last(compression, codes):
     with h5py.File(io.BytesIO(build((), compression=compression))) as file:
         assert [code for code, *_ in filters_of(file)] == codes
-
-
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_the_benchmark_compares_like_with_like(tmp_path, compression):
-    # The long form: python benchmarks/store.py
-    write_ready(tmp_path / "ready.h5", batch(0, N).signals, compression)
-    with h5py.File(tmp_path / "ready.h5") as theirs, h5py.File(io.BytesIO(build((), compression=compression))) as ours:
-        assert filters_of(theirs) == filters_of(ours)
-        assert theirs["signals"].chunks == ours["signals"].chunks
-        np.testing.assert_array_equal(theirs["signals"][:], ours["signals"][:])
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData
 from cgid.identification.confusion import Confusion, StreamAnswers
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import (
@@ -162,21 +162,6 @@ def test_nothing_told_is_nothing_known(probabilities) -> None:
     found = share_of(probabilities)
     assert np.isnan(found.share)
     assert (found.low, found.high, found.n_impacts, found.n_unknown) == (0.0, 1.0, 0, len(probabilities))
-
-
-@pytest.mark.parametrize(
-    ("length", "settings", "says"),
-    [
-        (0.0, {}, "window must be above 0, got 0 s"),
-        (1.0, {"weight": 0.0}, "weight must lie above 0 and up to 1, got 0"),
-        (1.0, {"weight": 1.5}, "weight must lie above 0 and up to 1, got 1.5"),
-    ],
-)
-def test_settings_that_make_no_window(length, settings, says) -> None:
-    with pytest.raises(InvalidValue, match=says):
-        ShareWindow(length, **settings)
-    with pytest.raises(InvalidValue, match="trained_share must lie between 0 and 1"):
-        NoConfusion(trained_share=1.0)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from cgid.scene import stream as synthesis
 from cgid.scene.draws import BLOCK, generator
 from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.plan import plan
-from cgid.scene.recordings import most_impacts, require_capacity
+from cgid.scene.recordings import most_impacts
 from cgid.scene.rocks import PoissonTimes, arrivals_of, population_shares
 from cgid.scene.schema import samples_of
 from cgid.scene.stream import record
@@ -486,48 +486,6 @@ def test_the_text_of_a_scene_is_the_scene_again():
     assert scene.stream.inclination == pytest.approx(np.pi / 9)
 
 
-@pytest.mark.parametrize(
-    ("changes", "path", "says"),
-    [
-        ({"arrivals": {"rate": 0}}, "stream.arrivals.rate", "0.001 Hz or more"),
-        ({"arrivals": {"rate": "8 m"}}, "stream.arrivals.rate", "frequency"),
-        ({"arrivals": {}}, "stream.arrivals", "either rate or times"),
-        ({"arrivals": {"rate": 8, "times": [1]}}, "stream.arrivals", "either rate or times"),
-        ({"arrivals": {"times": [2, 1]}}, "stream.arrivals", "must not descend"),
-        ({"arrivals": {"times": [1, 20]}}, "stream", "before the end of the recording at 20 s, got 20 s"),
-        ({"arrivals": {"times": []}}, "stream.arrivals.times", "at least 1"),
-        ({"arrivals": {"rate": {"times": [0, 5], "values": [1]}}}, "stream.arrivals.rate", "as many as times"),
-        ({"arrivals": {"rate": {"times": [5, 5], "values": [1, 2]}}}, "stream.arrivals.rate", "must ascend"),
-        ({"duration": "3 days"}, "stream.duration", "time"),
-        ({"mixture": {"times": [0, 1], "shale": [0, 1]}}, "stream.mixture.shale", "one of coal, gangue"),
-        ({"mixture": {"times": [1, 0], "gangue": [0, 1]}}, "stream.mixture", "must ascend"),
-        ({"mixture": {"times": [0, 1], "gangue": [0]}}, "stream.mixture", "gangue must have as many shares"),
-        ({"mixture": {"times": [0], "gangue": [0.7], "coal": [0.5]}}, "stream.mixture", "1 or less, got 1.2"),
-        ({"mixture": {"times": [0], "gangue": [0.2], "coal": [0.5]}}, "stream.mixture", "add up to 1, got 0.7"),
-        ({"mixture": {"times": [0]}}, "stream.mixture", "at least one label"),
-        ({"sensor": {"bandwidth": 1.0}}, "sensor.bandwidth", "1/512 of the sampling rate"),
-        ({"bounces": 3}, "stream.bounces", "unknown key"),
-        ({"sensor": {"relative_noise": 0.01}}, "sensor.relative_noise", "absolute_noise"),
-        (
-            {"sensor": {"mounting": {"frequency": "5 kHz"}, "bandwidth": "2 kHz"}},
-            "sensor.bandwidth",
-            "give anti_alias",
-        ),
-        (
-            {"populations": [population("coal", clipped_at=0.5)]},
-            "populations.0.clipped_at",
-            "left out of a stream",
-        ),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_one_mistake_is_one_line_with_its_path(changes, path, says):
-    with pytest.raises(BadData) as caught:
-        scene_of(**changes)
-    (line,) = str(caught.value).splitlines()
-    assert line.startswith(f"scene: {path}: ") and says in line
-
-
 def test_frames_and_streams_are_not_mixed():
     made = content()
     made["sampling"] |= {"samples": 128, "pre_trigger": 16}
@@ -543,24 +501,6 @@ def test_frames_and_streams_are_not_mixed():
     with pytest.raises(InvalidValue, match="must have a section stream"):
         made["sampling"]["pre_trigger"] = 16
         record(parse_scene(made))
-
-
-def test_what_does_not_fit_is_refused_with_what_it_needs():
-    long = scene_of(duration="10 h")
-    with pytest.raises(
-        InvalidValue, match=r"3\.43 GiB; make 2 recordings \(-n 2\) with a duration of 1\.8e\+04 s each"
-    ):
-        require_capacity(long, "float32")
-    require_capacity(varied_duration(long, 18_000), "float32")
-    busy = scene_of(duration="60 s", arrivals={"rate": "1 MHz"}, rebounds={"most": 9})
-    with pytest.raises(InvalidValue, match=r"6e\+08, which need 280 GiB; make 286 recordings"):
-        require_capacity(busy, "float32")
-
-
-def varied_duration(scene, seconds):
-    made = json.loads(scene.text)
-    made["stream"]["duration"] = seconds
-    return parse_scene(made)
 
 
 def test_no_recording_passes_the_number_of_impacts_it_was_said_to_have():

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
-import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import h5py
@@ -32,10 +33,20 @@ FLAGS = ["overlapping", "clipped", "cut_off"]
 
 
 def printed(*arguments: str, code: int = 0, content: bytes = b"") -> tuple[pandas.DataFrame, str]:
-    """Return what a process prints: stdout as pandas reads it, and stderr."""
-    done = subprocess.run([sys.executable, "-m", "cgid", *arguments], input=content, capture_output=True, cwd=ROOT)
-    assert done.returncode == code, done.stderr
-    return pandas.read_csv(io.BytesIO(done.stdout)), done.stderr.decode()
+    """Return what a command prints: stdout as pandas reads it, and stderr."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        io.TextIOWrapper(tempfile.TemporaryFile()) as stdin,
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        stdin.buffer.write(content)
+        stdin.buffer.seek(0)
+        patch.setattr(sys, "stdin", stdin)
+        assert run([*arguments]) == code, err.getvalue()
+    out.seek(0)
+    return pandas.read_csv(out), err.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -120,15 +131,12 @@ def test_a_recording_without_impacts_is_an_empty_table(tmp_path: Path) -> None:
     assert table.empty and "peak_force_N" in table and "no impact" in err
 
 
-def test_features_print_a_table(tmp_path: Path, dataset: Path) -> None:
+def test_features_print_a_table(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, err = printed("features", SAMPLE, SAMPLE, "--features", "peak_force,width_10")
     assert list(table.columns) == ["source", "channel", "time_s", "peak_force_N", "width_10_s", "problem"]
-    done = subprocess.run(
-        [sys.executable, "-m", "cgid", "features", SAMPLE, "--features", "peak_force,width_10", "--json"],
-        capture_output=True,
-        cwd=ROOT,
-    )
-    rows = [json.loads(line)["features"] for line in done.stdout.splitlines()]
+    capsys.readouterr()
+    assert run(["features", SAMPLE, "--features", "peak_force,width_10", "--json"]) == 0
+    rows = [json.loads(line)["features"] for line in capsys.readouterr().out.splitlines()]
     for name, column in (("peak_force", "peak_force_N"), ("width_10", "width_10_s")):
         np.testing.assert_allclose(table[column], [row[name] for row in rows] * 2, rtol=1e-7)
     assert err == f"{SAMPLE}: 200000 Hz, 6 impacts, baseline removed\n" * 2
@@ -157,12 +165,12 @@ def test_channels_of_two_quantities_share_a_table_and_files_do_as_far_as_they_ca
     assert len(table) == 6 and "its features must be among those of the file before" in err
 
 
-def test_the_list_of_features_is_a_table() -> None:
+def test_the_list_of_features_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     table, err = printed("features", "--list")
     assert list(table.columns) == ["name", "unit", "definition", "source", "kind"]
     assert set(table["kind"]) == {"pulse", "vibration", "window"} and not err
-    command = [sys.executable, "-m", "cgid", "features", "--list", "--json"]
-    lines = subprocess.run(command, capture_output=True, cwd=ROOT).stdout.splitlines()
+    assert run(["features", "--list", "--json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
     assert [json.loads(line)["definition"] for line in lines] == table["definition"].tolist()
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import math
-import os
 from pathlib import Path
 
 import mpmath
@@ -11,8 +10,8 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from threadpoolctl import threadpool_limits
 
-from cgid.errors import BadData, InvalidValue, NoInput
-from cgid.measure.modes import COLUMNS, Modes, read_modes
+from cgid.errors import BadData, InvalidValue
+from cgid.measure.modes import read_modes
 from cgid.physics import Elastic, Impact, Sphere, ThinPlate
 from cgid.physics import plates as ritz
 from cgid.physics.materials import STEEL, YANG2018_SPHERES, Material
@@ -327,40 +326,6 @@ def test_bad_tables_name_the_line(tmp_path, rows, message):
     file.write_text(f"{TABLE}\n{rows}")
     with pytest.raises(BadData, match=message):
         read_modes(file)
-
-
-def test_tables_that_are_none(tmp_path):
-    with pytest.raises(NoInput, match="cannot be read"):
-        read_modes(tmp_path / "none.csv")
-    file = tmp_path / "tap.csv"
-    file.write_text(TABLE.replace(",modal_mass [kg]", ",modal_mass [g]") + "\n1,1,1,1,1\n")
-    with pytest.raises(BadData, match=r"column 'modal_mass \[kg\]' must be there once, got only"):
-        read_modes(file)
-    file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(BadData, match="UTF-8"):
-        read_modes(file)
-    file.write_text("root:x:0:0\nand more\n")  # what a scene names may be anybody's file
-    with pytest.raises(BadData, match="got none of the columns") as caught:
-        read_modes(file)
-    assert "root:x" not in str(caught.value)
-    os.truncate(file, 9 << 20)
-    with pytest.raises(BadData, match="must be at most 8 MiB, it has 9 MiB"):
-        read_modes(file)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"frequency": [2.0, 1.0]}, "frequency must ascend"),
-        ({"damping_ratio": [0.1, 1.0]}, "damping_ratio .* at index 1"),
-        ({"modal_mass": [1.0, 0.0]}, "modal_mass must be above 0, got 0 kg at index 1"),
-        ({"shape_sensor": [1.0]}, "equally long"),
-    ],
-)
-def test_bad_measured_modes(changes, message):
-    given = {name: [0.5, 0.6] for name in COLUMNS}
-    with pytest.raises(InvalidValue, match=message):
-        Modes.of({**given, **changes})
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData
 from cgid.measure.modes import LEARNED_COLUMNS, read_modes
 from cgid.scene import load_scene
 from cgid.scene.impacts import beam_modes
@@ -182,28 +182,6 @@ def test_command_with_a_scene_and_one_tap(tmp_path, capsys, monkeypatch):
     text = scene_path("tail_beam").read_text().replace("[tail_beam]\n", '[tail_beam]\nlearned = "learned.csv"\n')
     (tmp_path / "site.toml").write_text(text)
     assert beam_modes(load_scene(tmp_path / "site.toml")).frequency.size == 188
-
-
-def test_what_is_no_tap_test():
-    rng = np.random.default_rng(0)
-    with pytest.raises(BadData, match="must hold one, no impact"):
-        tap_test(rng.normal(size=(1, 40_000)), RATE)
-    with pytest.raises(BadData, match="all 20000 samples are 0"):
-        tap_test(np.zeros((1, 20_000)), RATE)
-    response, force, times = taps(3, gap=0.5, seed=1)
-    with pytest.raises(BadData, match="hammer channel must hold a tap"):
-        tap_test(response[None], RATE, hammer=np.zeros(response.size))
-    with pytest.raises(BadData, match="1 too near the end of the recording"):
-        tap_test(response[None, : round((times[0] + 0.02) * RATE)], RATE)
-    with pytest.raises(BadData, match="1 cut off by the start of the recording; record again"):
-        half = round((times[2] + 0.6e-3) * RATE)
-        tap_test(response[None, half:], RATE, hammer=force[half:])
-    with pytest.raises(BadData, match=r"within 0\.1 s of 9 s"):
-        tap_test(response[None], RATE, hammer=force, times=[9.0])
-    with pytest.raises(InvalidValue, match="two ascending frequencies"):
-        tap_test(response[None], RATE, band=(500.0, 100.0))
-    with pytest.raises(BadData, match="band must lie between"):
-        tap_test(response[None], RATE, band=(0.1, 1000.0))
 
 
 def test_tables_of_taps(tmp_path):

@@ -11,9 +11,9 @@ from hypothesis.extra.numpy import arrays
 from scipy import integrate, signal
 
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
+from cgid.measure.features import FEATURES, choose, extract_array, kind_of, supported
 from cgid.measure.spectra import MEL_BANDS, THIRD_OCTAVES, EnergySpectrum, third_octave
-from cgid.measure.vibration import EARLY_TIME, WINDOW_TIME, VibrationBatch
+from cgid.measure.vibration import EARLY_TIME, WINDOW_TIME
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
 ALL = choose(None, "vibration")
@@ -386,16 +386,6 @@ def test_pulse_and_vibration_can_be_asked_together():
     assert kind_of(["peak_force"]) == "pulse"
 
 
-def test_what_a_quantity_is_measured_by():
-    swinging = ("acceleration", "velocity", "displacement", "pressure", "level")
-    assert {kind_for(quantity) for quantity in swinging} == {"vibration"}
-    assert {kind_for(quantity) for quantity in ("force", "voltage", "strain", None)} == {"pulse"}
-    assert {FEATURES[name].kind for name in choose(None)} == {"pulse"}
-    assert {FEATURES[name].kind for name in ALL} == {"vibration"}
-    assert kind_of(["peak_force"]) == "pulse" and kind_of(["peak_force", "decay_time"]) == "vibration"
-    assert kind_of(["window_level", "decay_time"]) == "window"
-
-
 def test_input_is_not_changed(rung):
     copy = rung.copy()
     extract_array(rung, RATE, NAMES, pre_trigger=PRE_TRIGGER)
@@ -412,37 +402,10 @@ def count_transforms(monkeypatch):
     return calls
 
 
-def test_one_transform_serves_all_bands(monkeypatch, rung):
-    calls = count_transforms(monkeypatch)
-    delays = [name for name in SPECTRAL if name.startswith("mel_delay")]
-    early = [name for name in SPECTRAL if name.startswith("early")]
-    whole = [name for name in SPECTRAL if "early" not in name and name not in delays]
-    for transforms, names in enumerate((whole, early, delays), start=1):
-        extract_array(rung, RATE, names, pre_trigger=PRE_TRIGGER)
-        assert len(calls) == transforms
-
-
 def test_no_transform_is_made_for_features_in_time(monkeypatch, rung):
     calls = count_transforms(monkeypatch)
     extract_array(rung, RATE, TEMPORAL, pre_trigger=PRE_TRIGGER)
     assert not calls
-
-
-@pytest.mark.parametrize(
-    ("names", "unneeded"),
-    [
-        (["peak_amplitude"], ["event", "spectrum", "_growth", "_strong"]),
-        (["decay_time"], ["spectrum", "_growth", "_strong", "_early"]),
-        (["level_500_hz", "level_total"], ["_growth", "_strong", "_early", "clean_spectrum", "_lead"]),
-        (["early_level_1000_2000_hz"], ["spectrum", "_growth", "_strong"]),
-    ],
-)
-def test_nothing_is_measured_that_was_not_asked(monkeypatch, names, unneeded, rung):
-    made = []
-    for quantity in unneeded:
-        monkeypatch.setattr(VibrationBatch, quantity, property(lambda self, quantity=quantity: made.append(quantity)))
-    extract_array(rung, RATE, names, pre_trigger=PRE_TRIGGER)
-    assert made == []
 
 
 # -- what cannot be measured ----------------------------------------------------------------------------------
@@ -472,19 +435,6 @@ def test_a_frame_that_ends_in_the_vibration():
     samples = damped_sinusoid(300, 0.01, before=N_SAMPLES - 100)
     with pytest.raises(BadData, match=r"cut off by its end after 3\.\d+ ms: record a longer frame"):
         extract_array(samples, RATE, ["peak_amplitude"], pre_trigger=N_SAMPLES - 100)
-
-
-def test_band_above_half_the_sampling_rate_and_the_cure_works():
-    rate = 20000.0
-    samples = damped_sinusoid(900, 0.02, rate)
-    with pytest.raises(
-        InvalidValue, match=r"feature level_10000_hz needs a sampling_rate of .* got 20000 Hz"
-    ) as caught:
-        extract_array(samples, rate, ["peak_amplitude", "level_10000_hz"])
-    needed = float(re.search(r"sampling_rate of (\d+) Hz", str(caught.value))[1])
-    assert np.isfinite(extract_array(samples, needed, ["level_10000_hz"])).all()
-    assert "level_10000_hz" not in supported(ALL, rate, N_SAMPLES)
-    assert "level_10000_hz" in supported(ALL, needed, N_SAMPLES)
 
 
 def test_band_narrower_than_a_frame_can_tell_and_the_cure_works():

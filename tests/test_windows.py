@@ -10,8 +10,8 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from cgid.errors import BadData, InvalidValue
-from cgid.measure.features import FEATURES, choose, extract_array, supported
+from cgid.errors import BadData
+from cgid.measure.features import choose, extract_array, supported
 from cgid.measure.spectra import EVEN_BANDS, MEL_BANDS, EnergySpectrum, TriangularBands, frequency_of, mel, third_octave
 from cgid.measure.windows import CORRELATION_LAGS, FRAME_TIME, WINDOW_THIRD_OCTAVES, WindowBatch
 from cgid.recordings import read_recording
@@ -222,33 +222,6 @@ def test_a_row_is_the_same_whatever_else_is_in_the_batch(rustle):
     np.testing.assert_array_equal(extract_array(rustle[::-1], RATE, NAMES)[::-1], whole)
 
 
-@pytest.mark.parametrize(
-    ("names", "unneeded"),
-    [
-        (["window_level", "window_kurtosis", "window_crest_factor"], ["_frames", "envelope", "_fine_spectrum"]),
-        (["window_level_1000_hz", "window_relative_level_500_hz"], ["_frames", "envelope"]),
-        (["window_mel_1000_hz"], ["even", "envelope", "_fine_spectrum", "spectrum"]),
-        (["window_blow_rate"], ["_frames", "_fine_spectrum"]),
-    ],
-)
-def test_nothing_is_measured_that_was_not_asked(monkeypatch, rustle, names, unneeded):
-    made = []
-    for quantity in unneeded:
-        assert hasattr(WindowBatch, quantity)
-        monkeypatch.setattr(WindowBatch, quantity, property(lambda self, quantity=quantity: made.append(quantity)))
-    extract_array(rustle[:2], RATE, names)
-    assert not made
-
-
-def test_every_feature_says_what_it_is():
-    for name in ALL:
-        feature = FEATURES[name]
-        assert feature.kind == "window" and feature.name == name
-        assert feature.unit in ("1", "Hz", "U", "log10(U^2)")
-        assert feature.definition and feature.source
-        assert feature.unit == "1" or "relative" not in name
-
-
 # -- bad input ------------------------------------------------------------------------------------------------
 
 
@@ -267,15 +240,6 @@ def test_good_windows_are_measured_beside_bad_ones(rustle):
     np.testing.assert_array_equal(found[good], extract_array(rustle, RATE, NAMES)[good])
     with pytest.raises(BadData, match=r"signal 0: a window must hold a signal.*\(\d+ of signals 0 to"):
         extract_array(spoilt, RATE, NAMES)
-
-
-def test_what_rate_and_length_do_not_allow_is_said():
-    with pytest.raises(InvalidValue, match=r"window_mel_8476_hz needs a sampling_rate of \d+ Hz or more, got 16000 Hz"):
-        extract_array(np.ones(1600), 16_000.0, ["window_mel_8476_hz"])
-    with pytest.raises(InvalidValue, match=r"window_level needs frames of 882 samples or more at 44100 Hz"):
-        extract_array(np.ones(500), RATE, ["window_level"])
-    assert "window_level_63_hz" not in NAMES
-    assert "window_level_63_hz" in supported(ALL, RATE, 3 * N_SAMPLES)
 
 
 @pytest.mark.parametrize("shape", ["click", "half silence", "square", "ramp", "clipped", "quantised", "tiny", "huge"])
