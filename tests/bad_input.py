@@ -280,6 +280,24 @@ caving | amplitude = "0.05 g" | relative_amplitude = 0.1 | hum.1.relative_amplit
 caving | amplitude = "0.05 g" | amplitude = "0.05 g", relative_amplitude = 0.1 | background.hum.1
 caving | range = "500 g" | relative_range = 2 | sensor.relative_range
 caving | bits = 24 | bits = 24\nrelative_noise = 0.1 | sensor.relative_noise
+caving | rate = "8 Hz" | rate = { times = [0, 5], values = [1] } | stream.arrivals.rate
+caving | rate = "8 Hz" | rate = { times = [5, 5], values = [1, 2] } | stream.arrivals.rate
+caving | rate = "8 Hz" | rate = { times = [0, 5], values = [0, 0] } | stream.arrivals.rate
+caving | rate = "8 Hz" | times = [2, 1] | stream.arrivals
+caving | rate = "8 Hz" |  | stream.arrivals
+caving | gangue = [ | coal = [0.99, 0.99, 0.99, 0.99], gangue = [ | stream.mixture
+caving | gangue = [ | coal = [0.01, 0.01, 0.01, 0.01], gangue = [ | stream.mixture
+caving | times = ["0 s", "20 s" | times = ["0 s", "0 s" | stream.mixture
+caving | anti_alias = { frequency = "10 kHz", order = 8 } | bandwidth = "2 kHz" | sensor.bandwidth
+caving | label = "coal" | label = "coal"\nclipped_at = 0.5 | populations.0.clipped_at
+reference | relative_noise = 0.01 | relative_noise = 0.01\nnoise_exponent = nan | sensor.noise_exponent
+reference | 0.01 | 0.01\nnoise_exponent = 1\nnoise_spectrum = {frequencies=[50, 1e5], density=[1, 1]} | noise_spectrum
+reference | 0.01 | 0.01\nnoise_spectrum = {frequencies=[50, 1e5], density=["1 g/sqrt(Hz)", 1]} | noise_spectrum.density
+reference | [sensor] | [background]\n[sensor] | background
+reference | [sensor] | [[background.hum]]\nfrequency = 50\n[sensor] | background.hum.0
+reference | [sensor] | [background]\ncoloured = {frequencies=[10, 5], density=[1, 1]}\n[sensor] | background.coloured
+reference | [sensor] | [background]\ncoloured = {frequencies=[5, 10], density=[1]}\n[sensor] | background.coloured
+reference | [sensor] | [background]\nrecorded = { path = "pump.wav" }\n[sensor] | background.recorded.signal_to_noise
 """
 _SPECTRUM_HEAD = "frequency [Hz],density [V/sqrt(Hz)]\n"
 #: Tables of a spectrum, and the word in the error.

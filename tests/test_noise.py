@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal, stats
 
+from cgid.errors import InvalidValue
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
 from cgid.scene.draws import BLOCK, NOISE, TAPS, settings_of
@@ -387,3 +388,9 @@ def test_white_noise_needs_no_transform(monkeypatch):
     noise_frames(drawn, 1, first=white * BLOCK)
     with pytest.raises(AssertionError, match="is transformed"):
         noise_frames(drawn, 1, first=coloured * BLOCK)
+
+
+@pytest.mark.parametrize("options", [{"block": -1}, {"block": 2**56}, {"first_sample": -1}])
+def test_addresses_out_of_range_are_refused(options):
+    with pytest.raises(InvalidValue):
+        noise(10, **options)

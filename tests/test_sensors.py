@@ -28,6 +28,7 @@ from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, moved, recorded_together
 from cgid.signals import Batch, Signal
+from tests.hostile_models import beam_arrays
 from tests.test_inversion import basis, eight_modes
 
 SEED, N = 2024, 60
@@ -311,3 +312,12 @@ def test_a_recording_of_sensors_together() -> None:
     one = Signal(samples=recording[0], sampling_rate=25600.0, unit="m/s^2")
     with pytest.raises(BadData, match="channels must be 2, one for each sensor"):
         identify(one, model)
+
+
+def test_sensors_of_a_file_that_do_not_fit_its_beam_are_refused() -> None:
+    arrays = beam_arrays(sensors=np.ones((2, 3)))
+    found = Beam.from_arrays(arrays)
+    assert found is not None and found.n_sensors == 2
+    for wrong in (np.ones((2, 4)), np.ones(3), np.zeros((2, 3)), np.full((2, 3), 1e9), np.ones((17, 3))):
+        with pytest.raises(BadData):
+            Beam.from_arrays(arrays | {"beam.sensors": wrong})

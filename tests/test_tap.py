@@ -197,3 +197,12 @@ def test_a_stream_of_impacts_is_refused_as_taps_before_modes_are_sought(monkeypa
     response, _, _ = taps(12, gap=0.04, seed=5)
     with pytest.raises(BadData, match="apart"):
         tap_test(response[None], RATE, source="stream.csv")
+
+
+def test_a_hammer_without_a_tap_and_a_tap_that_is_cut_off_are_refused():
+    response, force, times = taps(3, gap=0.5, seed=1)
+    with pytest.raises(BadData):
+        tap_test(response[None], RATE, hammer=np.zeros(response.size))
+    half = round((times[2] + 0.6e-3) * RATE)
+    with pytest.raises(BadData):
+        tap_test(response[None, half:], RATE, hammer=force[half:])
