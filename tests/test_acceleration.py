@@ -14,7 +14,6 @@ from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import identify, identify_frames, suited
-from cgid.identification.card import write_card
 from cgid.identification.detection import find_impacts
 from cgid.identification.model import Model
 from cgid.identification.rows import (
@@ -29,7 +28,6 @@ from cgid.identification.training import Training, train
 from cgid.measure.features import FEATURES
 from cgid.signals import Batch, Signal
 from cgid.units import STANDARD_GRAVITY
-from models.beside_force import force_table
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
 
 
@@ -94,13 +92,6 @@ def test_a_model_asks_for_no_band_that_its_rate_has_not() -> None:
         measure([slow], ["level_10000_hz"])
 
 
-def test_no_batch_is_lost_and_none_is_an_error() -> None:
-    batches = [ringing_batch(30, seed) for seed in (1, 2, 3)]
-    assert len(measure(iter(batches)).labels) == 90
-    with pytest.raises(BadData, match="there are none"):
-        measure([])
-
-
 def test_levels_get_no_second_logarithm() -> None:
     names = ("peak_amplitude", "level_500_hz", "relative_level_500_hz", "crest_factor", "decay_time")
     assert linear_columns(names) == (1, 2)
@@ -112,25 +103,6 @@ def test_logistic_learns_from_the_levels(training: Training, fresh: Batch) -> No
     answers = identify_frames(fresh.signals, RATE, training.model, pre_trigger=PRE_TRIGGER)
     assert accuracy(answers, fresh.labels) > 0.85
     assert [answer.time for answer in answers] == [PRE_TRIGGER / RATE] * len(fresh)
-
-
-@pytest.mark.long
-def test_network_learns_from_the_levels(fresh: Batch) -> None:
-    network = train([ringing_batch(500, seed=1)], family="network")
-    assert accuracy(identify_frames(fresh.signals, RATE, network.model, pre_trigger=PRE_TRIGGER), fresh.labels) > 0.85
-
-
-def test_the_file_keeps_all_and_the_card_tells_it(training: Training, model_file: Path) -> None:
-    loaded = Model.load(model_file)
-    assert loaded.features == training.model.features
-    assert loaded.to_bytes() == model_file.read_bytes()
-    card = write_card(loaded, "m.npz")
-    assert "acceleration [m/s^2], vibrations of both signs, trained at 25.6 kHz" in card
-    assert "on another beam" in card
-    row = {"name": "force", "n": 9, "accuracy": 0.6, "force_accuracy": 0.9, "difference": 0.3, "standard_error": 0.01}
-    card = write_card(loaded, "m.npz", further=[("Force", force_table(row))])
-    assert "\n".join(["## Force", "", *force_table(row), "", "## Limits"]) in card
-    assert "costs 0.3000 ± 0.0100" in card
 
 
 def test_g_is_converted(training: Training, fresh: Batch) -> None:
@@ -152,13 +124,6 @@ def test_what_cannot_be_measured_is_answered_with_unknown(training: Training, fr
     assert answers[2].probabilities
     with pytest.raises(InvalidValue, match="needs a sampling_rate"):
         identify_frames(frames, RATE / 2, training.model, pre_trigger=PRE_TRIGGER)
-
-
-def test_a_stranger_is_outside_of_the_training(training: Training) -> None:
-    hum = damped_sinusoid(100, 1e-4, amplitude=1e4)
-    (answer,) = identify_frames(hum[None], RATE, training.model, pre_trigger=PRE_TRIGGER)
-    assert answer.label == "unknown"
-    assert answer.novelty > 1
 
 
 # -- impacts in a recording -----------------------------------------------------------------------------------
@@ -217,17 +182,6 @@ def test_a_found_event_is_answered_as_its_frame(training: Training, fresh: Batch
     for (answer,), framed in zip(answers, expected, strict=True):
         assert answer.time == pytest.approx(3000 / RATE, abs=0.3e-3)
         assert answer.probabilities["coal"] == pytest.approx(framed.probabilities["coal"], abs=0.1)
-
-
-def test_noise_alone_and_blows_at_the_ends() -> None:
-    with pytest.raises(BadData, match=r"no impact: .*3.2 times that of the noise"):
-        find_impacts(recording([], []), kind="vibration")
-    late = recording([25_600 - 60], [ringing()])
-    (event,) = find_impacts(late, kind="vibration")
-    assert "cut off by its end after 2." in event.problem
-    assert len(found(recording([5000, 25_600 - 60], [ringing(), ringing()]))) == 2
-    with pytest.raises(InvalidValue, match="kind must be one of"):
-        find_impacts(late, kind="ringing")  # type: ignore[arg-type]
 
 
 def test_a_recording_that_begins_in_a_vibration_says_so(training: Training) -> None:
@@ -291,21 +245,6 @@ def test_mass_makes_a_force_of_it_and_asks_the_model_of_force(
     assert impactor["probabilities"] == pytest.approx(force["probabilities"], rel=1e-9)
     assert run(["predict", files["force"], "--model", str(default_model)]) == 65
     assert "acceleration" in capsys.readouterr().err
-
-
-def test_features_of_a_recording_are_those_of_its_quantity(
-    files: dict[str, str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["features", files["acceleration"], files["force"], "--json"]) == 0
-    vibration, pulse = (json.loads(line) for line in capsys.readouterr().out.splitlines())
-    assert {FEATURES[name].kind for name in vibration["features"]} == {"vibration"}
-    assert vibration["units"]["level_500_hz"] == "log10((m/s^2)^2 s)"
-    assert "peak_force" in pulse["features"]
-    assert "level_500_hz" not in pulse["features"]
-    assert run(["features", files["acceleration"], "--features", "level_500_hz,decay_time", "--json"]) == 0
-    (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    for name, value in row["features"].items():
-        assert value == vibration["features"][name]
 
 
 def test_dataset_of_acceleration(

@@ -472,16 +472,6 @@ def test_every_command_of_a_hint_works(
     assert any(commands)
 
 
-def test_a_live_stream_has_its_hint_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "stream.raw"
-    np.minimum(stream(["coal", "gangue"] * 15, 0.05), 2000).astype("<f4").tofile(path)
-    arguments = ["--rate", f"{RATE:g}", "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
-    assert run(["monitor", str(path), *arguments]) == 0
-    told = [line for line in capsys.readouterr().err.splitlines() if "hint" in line]
-    assert len(told) == 1
-    assert "clipped at the limit of the recorder" in told[0]
-
-
 # -- the level ----------------------------------------------------------------------------------------
 
 

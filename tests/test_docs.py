@@ -310,22 +310,6 @@ def test_packages_say_what_is_public(monkeypatch: pytest.MonkeyPatch) -> None:
             assert hasattr(module, one) or importlib.util.find_spec(f"{name}.{one}"), f"{name}.{one}"
 
 
-def test_every_key_of_a_scene_is_described(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numpydoc")
-    pytest.importorskip("sphinx")
-    monkeypatch.syspath_prepend(str(DOCS / "_extensions"))
-    generated = importlib.import_module("generated")
-    sections = [model for _, model in generated.scene_sections()] + generated.distributions()
-    assert len(sections) > 25
-    missing = [
-        f"{model.__name__}.{name}"
-        for model in sections
-        for name in model.model_fields
-        if name != "distribution" and not model.model_fields[name].description
-    ]
-    assert not missing, "keys without a description below them"
-
-
 @pytest.mark.long
 def test_pages_are_built_without_warnings_and_without_the_network(tmp_path: Path) -> None:
     """The build also runs the gallery, and ends at the first example that fails."""

@@ -254,15 +254,6 @@ def mixed_batch(n_signals=300):
     return np.array(rows) + random.normal(0, 5, (n_signals, 400))
 
 
-@pytest.mark.long
-def test_a_row_does_not_depend_on_its_neighbours():
-    batch = mixed_batch()
-    together = extract_array(batch, 1e5)
-    alone = np.concatenate([extract_array(row, 1e5) for row in batch])
-    scale = np.maximum(np.abs(alone).max(axis=0), 1e-300)  # nothing is overloaded
-    assert np.abs(together - alone).max(axis=0) / scale == pytest.approx(np.zeros(len(FEATURES)), abs=1e-12)
-
-
 def test_order_of_rows_is_kept():
     batch = mixed_batch(20)
     assert extract_array(batch[::-1], 1e5)[::-1] == pytest.approx(extract_array(batch, 1e5), rel=1e-12)

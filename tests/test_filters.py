@@ -149,15 +149,6 @@ def test_taper_lies_between_0_and_1(taper):
         fft_filter(noise(64), 1000.0, high=100, taper=taper)
 
 
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_samples_are_finite(kind, value):
-    samples = noise(64).astype(kind)
-    samples[7] = value
-    with pytest.raises(InvalidValue, match="samples must be finite"):
-        fft_filter(samples, 1000.0, high=100)
-
-
 @pytest.mark.parametrize("samples", [np.float32(1.0), 1.0, [1.0], np.zeros((3, 0))])
 def test_a_row_has_two_samples(samples):
     with pytest.raises(InvalidValue, match="at least 2 samples"):
@@ -211,15 +202,6 @@ def test_taper_rings_as_high_beside_the_pulse_and_dies_out_sooner(restitution, o
     one_duration_before = np.abs(taper[: TOUCH - 500]).max() / np.abs(brick[: TOUCH - 500]).max()
     assert 0.85 < beside < 1
     assert one_duration_before < 1 / 3
-
-
-@pytest.mark.parametrize("restitution", [1.0, 0.9, 0.7, 0.5, 0.4, 0.35, 0.3])
-def test_20_khz_costs_a_pulse_above_200_us_at_most_1_3_percent(restitution):
-    costs = [
-        1 - fft_filter(clean_pulse(restitution, duration), RATE, high=20e3).max()
-        for duration in np.geomspace(200e-6, 1.5e-3, 12)
-    ]
-    assert max(costs) <= 0.013
 
 
 def test_20_khz_costs_a_short_pulse_much_more():

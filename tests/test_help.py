@@ -29,15 +29,6 @@ VERBS = """
 SLOW = ("ceiling", "calibrate", "tap")
 
 
-def test_bare_cgid_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None:
-    """As click itself does since 8.2: on stderr, as a usage error."""
-    assert run([]) == 2
-    bare = capsys.readouterr()
-    assert run(["--help"]) == 0
-    assert (bare.out, bare.err) == ("", capsys.readouterr().out)
-    assert "cgid predict --sample" in bare.err
-
-
 def test_mistyped_names_are_suggested(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["predcit", "--sample"]) == 2
     assert "Did you mean 'predict'?" in capsys.readouterr().err

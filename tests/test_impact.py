@@ -344,21 +344,6 @@ def test_a_grid_that_fits_the_contact_leaves_no_trace_of_rounding(name):
         assert frame[parts + 2 :] == pytest.approx(0, abs=left)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", MECHANISMS)
-def test_single_precision_rounds_the_double_one(name):
-    impact = MECHANISMS[name]
-    times = np.linspace(-1e-5, 4e-4, 900)
-    for few_or_many in (times[:100], times):
-        double, single = impact.force(few_or_many), impact.force(few_or_many, dtype="float32")
-        assert (double.dtype, single.dtype) == (np.float64, np.float32)
-        assert (single == double.astype(np.float32)).all()
-        assert impact.displacement(few_or_many, dtype="float32").dtype == np.float32
-    frames = impact.force_frames(1e6, 400, 3.3e-6, dtype="float32")
-    assert frames.dtype == np.float32
-    assert (frames == impact.force_frames(1e6, 400, 3.3e-6).astype(np.float32)).all()
-
-
 @pytest.mark.parametrize("n_threads", [1, 3])
 def test_kernels_stop_when_interrupted(n_threads):
     done, first = [], threading.Lock()
@@ -435,23 +420,6 @@ def test_add_to_frames_checks_what_force_frames_checks(frames, rate, threads, me
 
 
 # ---- shapes -----------------------------------------------------------------------------------------------------
-
-
-def test_times_broadcast_against_impacts():
-    impact = paper_impact(velocity=np.array([1.0, 2.0, 3.0]), dissipation=HuntCrossley(restitution=0.5))
-    rows = np.linspace(0, 4e-4, 3)[:, None] * np.linspace(0, 1, 8)
-    assert impact.force(rows).shape == (3, 8)
-    assert impact.force(rows[:, None, :]).shape == (3, 3, 8)
-    assert impact.force(2e-4).shape == (3,)
-    each = impact.force(rows[:, None, :])
-    for i in range(3):
-        assert (each[i] == impact.force(rows[i])).all()
-    alone = paper_impact(dissipation=HuntCrossley(restitution=0.5))
-    assert alone.force(2e-4).shape == ()
-    assert alone.force(rows).shape == (3, 8)
-    assert (alone.force(rows)[1] == alone.force(rows[1])).all()
-    with pytest.raises(InvalidValue, match=r"do not broadcast against each other: impacts \(3,\), times \(2,\)"):
-        impact.force(np.zeros((2, 8)))
 
 
 def test_no_impacts_and_no_times():

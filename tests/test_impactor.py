@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 import cgid
-from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.estimation import estimate
@@ -270,17 +269,6 @@ def test_bad_input_is_named(ask, says):
     assert says in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_taps_alone_are_no_population():
-    content = {
-        "name": "taps",
-        "sampling": {"sampling_rate": 1e5, "samples": 64, "pre_trigger": 8},
-        "impact": {"target": "rigid", "stiffness": "hertz", "dissipation": "elastic"},
-        "taps": [{"label": "tap", "shape": "half-sine", "peak_force": "1 kN", "contact_duration": "1 ms"}],
-    }
-    with pytest.raises(InvalidValue, match="it has taps alone"):
-        population_of(parse_scene(content))
-
-
 # -- through a beam -----------------------------------------------------------------------------------
 
 
@@ -440,22 +428,6 @@ def test_predict_says_what_struck(capsys):
     assert first["impactor"]["mass_kg"] == pytest.approx(rows["mass_kg"][0], rel=1e-3)
     assert run(["predict", "--sample"]) == 0
     assert "mass_kg" not in capsys.readouterr().out
-
-
-def test_predict_says_where_nothing_is_known(tmp_path, capsys):
-    """A population that excludes what was measured, and a picture that has too few impacts then."""
-    text = (shipped.path_of("datasets", "reference.toml")).read_text()
-    (tmp_path / "giants.toml").write_text(text.replace('"10 mm", highest = "80 mm"', '"1 m", highest = "2 m"'))
-    picture = tmp_path / "m.png"
-    asked = ["predict", "--sample", "--impactor", str(tmp_path / "giants.toml")]
-    assert run([*asked, "--masses", str(picture)]) == 65
-    out, err = capsys.readouterr()
-    rows = pd.read_csv(io.StringIO(out))
-    assert rows["mass_kg"].isna().all() and rows["label"].isin(["coal", "gangue"]).all()
-    assert rows["impactor_problem"].str.contains("it would be of another size or speed").all()
-    assert "at least 5 impacts with an interval, got 0" in err and not picture.exists()
-    assert run(["predict", "--sample", "--impactor", "reference", "--masses", str(picture)]) == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_matched_takes_each_found_impact_once():

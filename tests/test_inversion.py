@@ -13,14 +13,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import signal
 from scipy.optimize import least_squares
 
-from cgid import ImpactFeatures, family
+from cgid import family
 from cgid.cli.main import run
-from cgid.errors import InvalidValue
 from cgid.identification.answers import identify_frames
 from cgid.identification.contact import BeamStream, Contact, ThroughBeam
 from cgid.identification.inversion import ForceEstimate, Inversion, Observations, Start
@@ -29,7 +27,6 @@ from cgid.identification.rows import BEAM_FEATURES
 from cgid.identification.training import train
 from cgid.measure.ar_noise import ORDER, ARNoise, ar_noise_of
 from cgid.measure.beam import FINE, TOUCH, Beam, filtered, gain, points_of, respond, respond_on_average
-from cgid.measure.features import FEATURES
 from cgid.measure.modes import LEARNED_COLUMNS, lagrange, nodes
 from cgid.measure.vibration import VibrationBatch
 from cgid.physics.response import Response
@@ -37,8 +34,6 @@ from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.impacts import beam_modes
 from cgid.scene.through_beam import beam_of, has_beam
 from cgid.signals import Batch
-from cgid.store import Dataset
-from cgid.units import column_title
 from tests import few
 from tests.hostile_models import beam_arrays
 from tests.test_response import impacts
@@ -650,23 +645,6 @@ def test_a_dataset_trains_as_its_scene_does(tmp_path: Path, capsys: pytest.Captu
     assert models[0].features == models[1].features == BEAM_FEATURES
     np.testing.assert_array_equal(models[0].beam.beam.shapes, models[1].beam.beam.shapes)
     assert told[0]["log_loss"] == pytest.approx(told[1]["log_loss"], rel=1e-6)
-
-
-def test_features_of_a_dataset_are_those_through_its_beam(tmp_path: Path) -> None:
-    assert run(["generate", "tail_beam", "-o", str(tmp_path / "d.h5"), "-n", "20"]) == 0
-    assert run(["features", str(tmp_path / "d.h5"), "-o", str(tmp_path / "f.csv")]) == 0
-    dataset = Dataset(tmp_path / "d.h5")
-    (batch,) = dataset.batches()
-    measuring = ImpactFeatures(scene=dataset, pre_trigger=batch.pre_trigger).fit(batch.signals)
-    expected = measuring.transform(batch.signals)
-    table = pd.read_csv(tmp_path / "f.csv")
-    columns = [column_title(name, FEATURES[name].unit) for name in BEAM_FEATURES]
-    known = table["problem"].isna().to_numpy()
-    assert known.sum() > 10
-    np.testing.assert_allclose(table[columns][known], expected[known], rtol=1e-6)
-    assert np.median(np.abs(np.log(expected[known, 0] / batch.parameters["peak_force"][known]))) < 0.1
-    with pytest.raises(InvalidValue, match="reference"):
-        ImpactFeatures(scene="reference").fit(batch.signals)
 
 
 # -- what a stream settles -----------------------------------------------------------------------------------------

@@ -186,22 +186,6 @@ def test_randomised_sampling_rates_stand_beside_the_signals() -> None:
     assert len(np.unique(parameters["sampling_rate"])) == 4
 
 
-def test_a_slow_reader_holds_few_parts() -> None:
-    """Of a stream without end, two parts a process are made ahead, and those running."""
-    asked = []
-
-    def parts() -> Any:
-        for number in itertools.count():
-            asked.append(number)
-            yield number
-
-    with executor(2) as crew:
-        made = crew.each_in_step(pow, 2, parts())
-        assert [next(made) for _ in range(3)] == [1, 2, 4]
-        made.close()
-    assert len(asked) == 7
-
-
 def test_a_killed_worker_is_named(tmp_path: Path) -> None:
     with executor(2) as crew, pytest.raises(ClusterFailed, match="a worker process was ended from outside"):
         list(crew.each_in_step(fatal, f"{tmp_path}|1", range(4)))
@@ -224,16 +208,6 @@ def test_a_killed_worker_is_named(tmp_path: Path) -> None:
 def test_bad_streams_are_refused_at_once(settings: dict[str, Any], says: str) -> None:
     with pytest.raises(CgidError, match=says):
         cgid.stream(**{"scene": "reference", **settings})
-
-
-def test_numpy_integers_are_integers(reference_scene: Scene) -> None:
-    small = {"seed": np.int8(3), "n_signals": np.int8(120), "first": np.int8(100), "batch_size": np.int8(100)}
-    large = {name: int(number) for name, number in small.items()}
-    whole = list(cgid.stream(reference_scene, **large))
-    assert same(list(cgid.stream(reference_scene, **small)), whole)
-    made = synthesise(reference_scene, small["n_signals"], small["seed"], first=small["first"])
-    np.testing.assert_array_equal(np.concatenate([batch.signals for batch in made]), joined(whole)[0])
-    assert next(iter(cgid.stream(reference_scene, first=2**62)))[0].shape == (64, 2048)
 
 
 def test_a_loader_of_pytorch_takes_shards(monkeypatch: pytest.MonkeyPatch) -> None:

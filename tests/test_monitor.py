@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.main import run
-from cgid.cli.monitor import DelayReport, Inbox, UnbufferedInput
+from cgid.cli.monitor import Inbox, UnbufferedInput
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 LABELS = ["coal"] * 14 + ["gangue"] * 14
@@ -275,29 +274,6 @@ def test_inbox_that_is_full_makes_the_stream_wait() -> None:
     for part in iterator:
         total += part.shape[1]
     assert total == 8 * block.shape[1]
-
-
-class Clock:
-    """A stream whose delay is set by hand."""
-
-    is_held_up = False
-
-    def __init__(self) -> None:
-        self.behind = 0.0
-
-
-def test_delay_is_said_when_it_grows_and_when_it_is_over(capsys: pytest.CaptureFixture[str]) -> None:
-    inbox, delay = Clock(), DelayReport("s", AnswerLines(True))
-    for behind in (0.2, 0.9, 1.5, 1.8, 2.9, 3.1, 2.0, 0.8, 0.3, 0.2):
-        inbox.behind = behind
-        delay.see(inbox)
-    inbox.behind, inbox.is_held_up = 0.9, True
-    delay.see(inbox)
-    delay.see(inbox)
-    out, err = capsys.readouterr()
-    said = [row["behind_s"] for row in rows_of(out, "delay")]
-    assert said == [1.5, 3.1, 0.3, 0.9]
-    assert err.count("cgid: warning: s: ") == 4
 
 
 def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not(monkeypatch: pytest.MonkeyPatch) -> None:

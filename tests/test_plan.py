@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import InvalidValue, MissingExtra
+from cgid.errors import BadData, InvalidValue, MissingExtra
 from cgid.measure.features import FEATURES, extract_array, extract_truncated
 from cgid.measure.pulses import PulseBatch
 from cgid.measure.vibration import VibrationBatch
@@ -477,3 +477,12 @@ def test_the_undamped_closed_form_is_hertz() -> None:
     depth = (1.25 * impact.reduced_mass * p["velocity"] ** 2 / stiffness) ** 0.4
     np.testing.assert_allclose(p["peak_force"], stiffness * depth**1.5, rtol=1e-12)
     np.testing.assert_allclose(p["contact_duration"], 2.943275184 * depth / p["velocity"], rtol=1e-8)
+
+
+def test_a_table_that_is_cut_off_behind_a_row_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    tabulate(plan(scene_of(), "closed-form"), path, 600)
+    content = path.read_bytes()
+    path.write_bytes(content[: content.index(b"\n", len(content) // 2) + 1])
+    with pytest.raises(BadData):
+        read_table(path)

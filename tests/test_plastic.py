@@ -267,34 +267,6 @@ def test_frames_that_begin_or_end_within_contact():
     assert np.abs(shifted - whole[80:180]).max() < 1e-13 * impact.peak_force
 
 
-@pytest.mark.parametrize(
-    "law",
-    [Thornton(yield_pressure=np.geomspace(1e6, 1e9, 700)), WaltonBraun(restitution=np.linspace(0.05, 1, 700))],
-    ids=lambda law: type(law).__name__,
-)
-def test_compiled_and_interpreted_pulses_have_the_same_bits(law):
-    many, times = coal(law), np.linspace(0, 4e-4, 40)
-    frames, forces, depths = many.force_frames(1e5, 64, 1e-5), many.force(times), many.displacement(times)
-    assert np.array_equal(many.force_frames(1e5, 64, 1e-5, threads=2), frames)
-    name = "yield_pressure" if isinstance(law, Thornton) else "restitution"
-    for row in (0, 350, 699):
-        one = coal(type(law)(**{name: getattr(law, name)[row]}))
-        assert one.restitution == many.restitution[row]
-        assert np.array_equal(one.force_frames(1e5, 64, 1e-5), frames[row])
-        assert np.array_equal(one.force(times), forces[row])
-        assert np.array_equal(one.displacement(times), depths[row])
-
-
-def test_impacts_broadcast_with_times_and_onsets():
-    impact = coal(Thornton(yield_pressure=[[4e7], [8e7]]), velocity=[1.0, 2.0, 3.0])
-    assert impact.restitution.shape == (2, 3)
-    frames = impact.force_frames(2e5, 128, np.array([1e-4, 1e-4, 2e-4]))
-    alone = coal(Thornton(yield_pressure=8e7), velocity=3.0)
-    assert np.array_equal(frames[1, 2], alone.force_frames(2e5, 128, 2e-4))
-    spread = alone.force_frames(2e5, 128, np.array([1e-4, 2e-4]))
-    assert np.array_equal(spread[1], frames[1, 2])
-
-
 def test_a_crushed_sphere_can_pass_the_range_of_hertz_where_an_elastic_one_does_not():
     with pytest.warns(HertzRangeWarning, match="displacement / radius"):
         coal(Thornton(yield_pressure=1e5), velocity=2.0)
@@ -361,15 +333,6 @@ def test_a_rock_that_rebounds_in_a_stream_crushes_less_each_time():
         assert np.ptp(truth["yield_pressure"][rows]) == 0
         assert (np.diff(truth["restitution"][rows]) > 0).all()
         assert truth["velocity"][rows[1:]] == pytest.approx((truth["restitution"] * truth["velocity"])[rows[:-1]])
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_a_filter_in_the_sensor_keeps_the_impulse(name):
-    sensor = {"anti_alias": {"frequency": "20 kHz", "order": 4}}
-    scene = varied(SCENES[name], anti_alias=sensor["anti_alias"])
-    (batch,) = synthesise(scene, 100, dtype="float64")
-    impulse = first_impacts(scene, batch.parameters).impulse
-    assert batch.signals.sum(axis=1) / 200e3 == pytest.approx(impulse, rel=1e-3)
 
 
 def test_a_hunt_crossley_scene_becomes_one_of_crushing_rocks():

@@ -79,55 +79,10 @@ def test_the_panels_show_what_is_there(samples: np.ndarray) -> None:
     assert low <= np.quantile(10 * np.log10(density[:, 1:]), 0.01) and high >= 10 * np.log10(density.max())
 
 
-def test_marks_stand_in_the_row_of_their_label(samples: np.ndarray) -> None:
-    marks = [
-        Mark(time=0.1, end=0.15, label="gangue", channel="1"),
-        Mark(time=0.5, end=0.5, label="coal", channel="1"),
-        Mark(time=0.7, end=0.72, label="unknown", channel="2"),
-        Mark(time=1.0, end=1.1, label="coal"),
-    ]
-    figure = figure_of(samples, marks=marks)
-    strips = figure.axes[0], figure.axes[4]
-    names = [[text.get_text() for text in strip.get_yticklabels()] for strip in strips]
-    assert names == [["coal (2)", "gangue (1)", "unknown (0)"], ["coal (1)", "gangue (0)", "unknown (1)"]]
-    (first, second) = (bars(strip) for strip in strips)
-    np.testing.assert_allclose(first, [(0.1, 0.15, 1), (0.5, 0.5 + 3e-3 * 30_000 / RATE, 0), (1.0, 1.1, 0)], atol=1e-9)
-    np.testing.assert_allclose(second, [(0.7, 0.72, 2), (1.0, 1.1, 0)], atol=1e-9)
-    colours = [collection.get_facecolor()[0] for collection in strips[0].collections if len(collection.get_paths())]
-    assert len({tuple(colour) for colour in colours}) == 2
-
-
-def test_few_marks_are_drawn_through_the_waveform(samples: np.ndarray) -> None:
-    def begins(marks: list[Mark]) -> list[float]:
-        waveform = panel(figure_of(samples[:1], marks=marks), "acceleration")
-        return [line.vertices[0, 0] for lines in waveform.collections[1:][1::2] for line in lines.get_paths()]
-
-    few = [Mark(time=0.1 * k, end=0.1 * k + 0.05, label="impact") for k in range(1, 10)]
-    assert begins(few) == pytest.approx([mark.time for mark in few])
-    assert begins([Mark(time=0.005 * k, end=0.005 * k, label="impact") for k in range(200)]) == []
-    # Windows that overlap would colour it all.
-    assert begins([Mark(time=0.05 * k, end=0.05 * k + 0.1, label="window") for k in range(20)]) == []
-
-
 def test_a_part_has_the_time_of_the_whole(samples: np.ndarray) -> None:
     figure = figure_of(samples[:1, :2560], begin=7.0, marks=[Mark(time=7.02, end=7.03, label="impact")])
     assert figure.axes[0].get_xlim() == (7.0, 7.1) and bars(figure.axes[0])[0][:2] == (7.02, 7.03)
     assert panel(figure, "frequency").collections[0].get_coordinates()[0, :, 0].min() > 7.0
-
-
-@pytest.mark.parametrize(
-    ("samples", "says"),
-    [
-        (np.full((1, 3000), 3.0), "no spectrum: all samples are equal"),
-        (np.array([[1.0, 2.0, 5.0]]), "no spectrum: 3 samples are too few"),
-        (np.zeros((1, 1)), "no spectrum: 1 samples are too few"),
-        (np.array([[1e139, -1e139] * 100]), ""),
-    ],
-)
-def test_where_there_is_no_spectrum_it_says_why(samples: np.ndarray, says: str) -> None:
-    figure = figure_of(samples)
-    assert not says or says in {text.get_text() for axes in figure.axes for text in axes.texts}
-    assert picture(figure, ".png", dpi=40).startswith(MAGIC[".png"])
 
 
 @pytest.mark.long

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -103,25 +102,6 @@ def test_units_and_signs_become_the_models(tmp_path: Path, default_model: Model)
         answers.append([a.probabilities["coal"] for a in identify_recording(recording, default_model, **how)])
     for other in answers[1:]:
         assert other == pytest.approx(answers[0], rel=1e-6)
-
-
-@pytest.mark.long
-def test_memory_does_not_grow_with_the_recording(default_model: Model) -> None:
-    piece = stream(LABELS[6:10], 0.05)[np.newaxis]
-
-    def peak(n_pieces: int) -> tuple[int, int]:
-        """Return the memory that answers took [bytes], and how many there were."""
-        tracemalloc.start()
-        steps = identify_blocks([piece] * n_pieces, RATE, default_model, ("1",), PredictionSettings(batch=8))
-        count = sum(len(step.answers) for step in steps)
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return most, count
-
-    peak(3)  # what is loaded and computed but once
-    (short, few), (long, many) = peak(6), peak(36)
-    assert (few, many) == (24, 144)
-    assert long < 1.1 * short
 
 
 # -- windows ----------------------------------------------------------------------------------------------
@@ -433,20 +413,6 @@ def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.Capture
     assert "must last a window of 0.1 s" in capsys.readouterr().err
 
 
-def test_models_without_gangue_have_no_share(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    model = window_model(hop_time=0.1)
-    object.__setattr__(model, "labels", ("nut", "screw"))
-    (tmp_path / "m.npz").write_bytes(model.to_bytes())
-    wavfile.write(tmp_path / "n.wav", 8000, noises(12).T.astype(np.float32))
-    arguments = ["predict", str(tmp_path / "n.wav"), "--model", str(tmp_path / "m.npz"), "--json"]
-    assert run(arguments) == 0
-    assert {row["kind"] for row in lines_of(capsys)} == {"window", "summary"}
-    assert run([*arguments, "--dilution-cost", "2"]) == 65
-    assert "gangue label must be one of 'nut', 'screw'" in capsys.readouterr().err
-    assert run([*arguments, "--gangue", "screw"]) == 0
-    assert "share" in {row["kind"] for row in lines_of(capsys)}
-
-
 def test_report_is_a_page_of_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     page, short = tmp_path / "page.html", tmp_path / "short.npy"
@@ -467,25 +433,3 @@ def test_report_is_a_page_of_all_files(tmp_path: Path, capsys: pytest.CaptureFix
     assert text.count("<tr>") == 2 + 1 + 6  # a head each, and the impacts
     assert "short.npy" in text
     assert "sample.csv" in text
-
-
-# -- what a recording is ----------------------------------------------------------------------------------
-
-
-def test_info_of_a_long_recording_is_that_of_a_short_one(
-    two_channels: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    found = []
-    for most in (1 << 24, 0):
-        monkeypatch.setattr("cgid.cli.info.MAX_SAMPLES", most)
-        assert run(["info", str(two_channels), "--rate", str(RATE), "--unit", "N", "--json"]) == 0
-        (row,) = lines_of(capsys)
-        found.append(row)
-    short, long = found
-    assert (short["format"], short["warnings"]) == ("NPY", "none")
-    samples = np.load(two_channels)
-    for row, channel in enumerate(("channel 1", "channel 2")):
-        assert short[channel].pop("median") == pytest.approx(np.median(samples[row]))
-        assert long[channel].pop("mean") == pytest.approx(samples[row].mean(dtype=float), rel=1e-6)
-        assert long[channel] == short[channel]
-        assert long[channel]["impacts"] == 16

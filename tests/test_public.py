@@ -14,7 +14,7 @@ import pytest
 
 from cgid import public
 from cgid.cli.main import run
-from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
+from cgid.errors import BadData, CannotCreate, NoInput
 
 CONTENT = {"data/6mm/a b.txt": b"first " * 400, "data/10mm/c.txt": b"second " * 300}
 
@@ -154,15 +154,6 @@ def test_a_folder_that_is_a_file(one, server, tmp_path):
     (tmp_path / one).write_text("")
     with pytest.raises(CannotCreate):
         public.fetch(one, tmp_path, mirror=server[0])
-
-
-@pytest.mark.parametrize(
-    ("name", "mirror", "says"),
-    [("steel-bals", None, "did you mean 'steel-balls'"), ("shock", "file:///etc", "must be an address that begins")],
-)
-def test_bad_names_are_told(name, mirror, says, tmp_path):
-    with pytest.raises(InvalidValue, match=re.escape(says)):
-        public.fetch(name, tmp_path, mirror=mirror)
 
 
 def test_the_list_is_whole(capsys):

@@ -96,14 +96,6 @@ def test_windows_are_the_same_in_blocks_of_any_size(length: int, hop: int) -> No
         assert (np.concatenate([windows for _, windows in found]) == expected).all()
 
 
-def test_features_stand_channel_after_channel() -> None:
-    windows = np.random.default_rng(1).normal(size=(5, 2, 800))
-    measured = measure_windows(windows, RATE, NAMES)
-    for channel in range(2):
-        alone = extract_array(windows[:, channel], RATE, NAMES)
-        np.testing.assert_array_equal(measured[:, channel * len(NAMES) : (channel + 1) * len(NAMES)], alone)
-
-
 @pytest.mark.parametrize("correlation", [0.0, 0.4])
 def test_windows_that_are_unknown_do_not_vote_and_correlated_ones_count_as_fewer(correlation: float) -> None:
     probabilities = np.random.default_rng(3).dirichlet(np.ones(3), 40)
@@ -341,18 +333,6 @@ def test_impacts_are_found_labelled_and_trained_on(
     assert [line.split(",")[1:] for line in capsys.readouterr().out.splitlines()] == [
         line.split(",")[1:] for line in empty.splitlines()
     ]
-
-
-def test_one_recording_is_judged_by_blocks_of_its_time(
-    blows: tuple[Path, dict[str, list[str]]], tmp_path: Path, capsys: Any
-) -> None:
-    folder, label_of = blows
-    table = folder / "alone_found.csv"
-    assert run(["events", str(folder / "0.npy"), "-o", str(table), *READ, "--overwrite"]) == 0
-    labelled(table, label_of)
-    assert run(["train", str(table), "-o", str(tmp_path / "m.npz")]) == 0
-    assert "all rows are from one recording: 8 blocks of its time judge each other" in capsys.readouterr().err
-    assert Model.load(tmp_path / "m.npz").training["recorded"]["n_groups"] == 8
 
 
 @pytest.mark.parametrize("by", ["window", "impact"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import BadData, CannotCreate, InvalidValue, WriteFailed
+from cgid.errors import BadData, CannotCreate, InvalidValue
 from cgid.measure.features import extract_array
 from cgid.recordings import is_dataset, read_recording
 from cgid.scene import parse_scene
@@ -200,15 +200,6 @@ def test_the_command_makes_recordings(tmp_path, capfd):
 # ---- whole or not at all ---------------------------------------------------------------------------------------------
 
 
-def test_an_interrupted_recording_leaves_nothing(tmp_path):
-    (tmp_path / "old.h5").write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), writing(tmp_path / "old.h5", plan_of()) as writer:
-        writer.add(np.zeros(50_000, np.float32))
-        raise KeyboardInterrupt
-    assert [path.name for path in tmp_path.iterdir()] == ["old.h5"]
-    assert (tmp_path / "old.h5").read_bytes() == b"old"
-
-
 @pytest.mark.parametrize("count", [99_999, 100_001])
 def test_a_recording_must_have_all_its_samples_and_no_more(tmp_path, count):
     with (
@@ -270,17 +261,10 @@ def test_every_flipped_byte_of_the_samples_is_found(made, tmp_path):
     ("change", "says"),
     [
         (lambda file: file.attrs.__setitem__("schema_version", 9), "schema_version 9 is newer.*upgrade"),
-        (lambda file: file.attrs.__setitem__("format", np.bytes_(b"other")), "must be a cgid recording"),
         (lambda file: file["samples"].attrs.__setitem__("sampling_rate", -1.0), "sampling_rate"),
-        (lambda file: file["samples"].attrs.__setitem__("unit", np.bytes_(b"bananas")), "unit"),
         (lambda file: file.__delitem__("impacts"), "impacts must be a group"),
         (lambda file: file["impacts"].__delitem__("time"), "column time"),
         (lambda file: file.attrs.__setitem__("n_impacts", 3), "one value an impact"),
-        (lambda file: file.__delitem__("samples"), "samples must be part"),
-        (
-            lambda file: (file.__delitem__("samples"), file.__setitem__("samples", h5py.ExternalLink("/etc/x", "/y"))),
-            "samples must be part",
-        ),
         (lambda file: (file.__delitem__("samples"), file.create_dataset("samples", data=np.zeros((3, 3)))), "row of"),
     ],
 )
@@ -291,19 +275,6 @@ def test_headers_that_are_not_believed(made, tmp_path, change, says):
         change(file)
     with pytest.raises(BadData, match=says):
         Recording(path)
-
-
-def test_a_failing_fsync_leaves_the_old_file(made, tmp_path, monkeypatch):
-    path = tmp_path / "x.h5"
-    path.write_bytes(b"old")
-
-    def broken(_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", broken)
-    with pytest.raises(WriteFailed, match="No space left"):
-        generate_recordings(SCENE, path, overwrite=True)
-    assert path.read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1
 
 
 def test_the_picture_shows_a_recording(made):

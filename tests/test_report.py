@@ -20,14 +20,12 @@ import pytest
 
 from cgid import report as page
 from cgid import shipped
-from cgid.errors import CannotCreate
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.share import Share, ShareWindow, ShutDecision
+from cgid.identification.share import ShareWindow, ShutDecision
 from cgid.measure.overview import OverviewStream
-from cgid.plots.recording import Mark
 from cgid.recordings import open_recording
-from cgid.report import Report, model_facts, recording_facts, report_page, write_report
+from cgid.report import Report, model_facts, recording_facts, report_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: A name that would do harm wherever it is not escaped.
@@ -176,45 +174,6 @@ def test_text_of_strangers_is_only_text(report: Report) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_columns_are_there_when_something_is_in_them(report: Report) -> None:
-    plain = replace(report, answers=[answer(0.1, "coal", 0.9, prediction_set=("coal", "gangue"))], shares=(), turns=())
-    seen = Page(report_page([plain]))
-    assert "|".join(seen.heads) == "number|time [s]|label|p(coal)|p(gangue)|cannot be ruled out|novelty|range|note"
-    assert seen.rows[1][5] == "coal, gangue"
-    assert len(seen.references) == 1
-    assert Page(report_page([replace(report, answers=[])])).rows == [[]]
-
-
-def test_marks_are_those_of_the_channels_that_are_drawn(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[tuple[float, float, str | None]] = []
-
-    def drawn(*_: object, marks: list[Mark], **__: object) -> None:
-        seen[:] = [(mark.time, mark.end, mark.channel) for mark in marks]
-
-    monkeypatch.setattr(page, "overview_figure", drawn)
-    monkeypatch.setattr(page, "picture", lambda *_, **__: b"")
-    channels = ("2", "1", "3", "1+2", "1+2+3", "2+3")
-    answers = [answer(float(k), "coal", 0.9, channel=name) for k, name in enumerate(channels)]
-    report_page([replace(report, answers=[replace(answers[0], end=0.5), *answers[1:]], shares=())])
-    # Channel 3 is not drawn; a window of it and of those that are is one of them all.
-    assert seen == [(0.0, 0.5, "2"), (1.0, 1.0, "1"), (3.0, 3.0, None), (4.0, 4.0, None)]
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_share_is_drawn_where_it_goes_on(report: Report) -> None:
-    def seen(*shares: Share) -> tuple[int, list[str]]:
-        page = Page(report_page([replace(report, shares=shares, turns=())]))
-        return len(page.references), [text.strip() for text in page.texts if "gangue at the end" in text]
-
-    first, second = report.shares[:2]
-    unknown = replace(first, share=float("nan"), low=0.0, high=1.0, n_impacts=0)
-    assert seen(first) == (1, [f"gangue at the end ({first.low:.0%} to {first.high:.0%})"])
-    assert seen(first, second)[0] == 3
-    assert seen(first, unknown) == (1, ["gangue at the end (not known)"])
-    assert seen(first, replace(unknown, channel="2"))[1][1] == "gangue at the end (not known, channel 2)"
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_many_recordings_are_one_page(report: Report) -> None:
     four = [replace(report, source=f"folder/{name}.wav") for name in "abcd"]
     text = report_page(four)
@@ -227,20 +186,6 @@ def test_long_tables_say_that_they_end(report: Report, monkeypatch: pytest.Monke
     monkeypatch.setattr(page, "MAX_ROWS", 7)
     text = report_page([report])
     assert "The first 7 of 30" in text and len(Page(text).rows) == 8
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_report_has_a_name_of_its_own(report: Report, tmp_path: Path) -> None:
-    write_report(tmp_path / "a.html", [report])
-    assert (tmp_path / "a.html").read_text(encoding="utf-8") == report_page([report])
-    with pytest.raises(CannotCreate, match="exists already"):
-        write_report(tmp_path / "a.html", [report])
-    write_report(tmp_path / "a.html", [report], title="new", overwrite=True)
-    assert "<title>new</title>" in (tmp_path / "a.html").read_text(encoding="utf-8")
-    with pytest.raises(CannotCreate, match=r"must end in \.html or \.htm, got '\.pdf'"):
-        write_report(tmp_path / "a.pdf", [report])
-    with pytest.raises(CannotCreate, match=r"folder .* must exist"):
-        write_report(tmp_path / "no" / "a.html", [report])
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """Runs that are killed, interrupted, resumed, begun twice: what is whole stays whole, and all ends as it should."""
 
-import json
 import multiprocessing
 import os
 import subprocess
@@ -167,15 +166,6 @@ def test_other_options_are_refused(path, name, value, first):
     assert files(path) == before
 
 
-def test_another_scene_is_refused(path):
-    stopped(dataset, path)
-    with pytest.raises(CannotCreate, match="n_samples"):
-        generate(scene_of(64), path, resume=True, **OPTIONS)
-    other = parse_scene({**json.loads(SCENE.text), "sensor": {"relative_noise": 0.02}})
-    with pytest.raises(CannotCreate, match="scene"):
-        generate(other, path, resume=True, **OPTIONS)
-
-
 @pytest.mark.parametrize("damage", ["flip", "cut", "missing"])
 def test_finished_shards_that_are_damaged_are_made_again(whole, path, damage):
     stopped(dataset, path, after=2)
@@ -334,16 +324,6 @@ def test_a_pipe_in_place_of_a_description(path):
     os.mkfifo(path / "description.json")
     with pytest.raises(BadData, match="pipe"):
         dataset(path, resume=True)
-
-
-def test_one_recording(tmp_path):
-    path = tmp_path / "data.h5"
-    recordings(path, n_recordings=1, resume=True)
-    before = files(tmp_path)
-    recordings(path, n_recordings=1, resume=True)
-    with pytest.raises(CannotCreate, match="seed"):
-        recordings(path, n_recordings=1, resume=True, seed=4)
-    assert files(tmp_path) == before
 
 
 # ---- two at once -----------------------------------------------------------------------------------------------------

@@ -461,26 +461,6 @@ def test_distributions_that_cannot_be(parameters, says):
     assert says in line
 
 
-@pytest.mark.parametrize(
-    ("written", "says"),
-    [
-        (b"[impact", "valid TOML"),
-        (b"name = '\xff'", "UTF-8"),
-        (b"seed = " + b"9" * 6000, "valid TOML"),
-        (b"deep = " + b"[" * 100_000, "valid TOML"),
-        (b"", "name: is missing"),
-        (b"#" * ((8 << 20) + 1), "8388609|8 MiB"),
-    ],
-    ids=["broken", "not UTF-8", "endless integer", "endless nesting", "empty", "large"],
-)
-def test_files_that_are_no_scene(tmp_path, written, says):
-    file = tmp_path / "scene.toml"
-    file.write_bytes(written)
-    with pytest.raises(BadData, match=says) as caught:
-        load_scene(file)
-    assert str(caught.value).startswith(str(file))
-
-
 @pytest.mark.parametrize(("path", "says"), [("none.toml", "no such scene"), (".", "cannot be read")])
 def test_missing_file(tmp_path, path, says):
     with pytest.raises(NoInput, match=says):

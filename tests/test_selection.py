@@ -18,7 +18,6 @@ from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
 from cgid.identification.training import train
 from cgid.scene import Scene, synthesise
-from models.domain_shift import domain_shift_table
 from models.selection import FAMILIES, MARGIN, Family, preferred, select, selection_section, selection_table
 from tests import few
 
@@ -139,13 +138,3 @@ def test_a_later_one_wins_only_by_the_margin(accuracies: list[float], best: int)
 def test_impossible_numbers_of_folds_are_refused(n_folds: int, measured: Rows) -> None:
     with pytest.raises(InvalidValue, match="n_folds must lie between 2 and"):
         select(measured, n_folds=n_folds)
-
-
-def test_domain_shift_is_a_section_of_the_card(reference_scene: Scene) -> None:
-    model = train(synthesise(reference_scene, 300), features=FEATURES).model
-    assert "## Domain shift" not in write_card(model, "m.npz")
-    shift = [{"name": "strangers", "accuracy": 0.61, "calibration_error": 0.03, "n": 1000, "flagged_share": 0.25}]
-    assert domain_shift_table(shift)[-1] == "| strangers | 1000 | 0.6100 | 0.0300 | 25.00% |"
-    assert domain_shift_table(shift)[-1] in write_card(
-        model, "m.npz", further=[("Domain shift", domain_shift_table(shift))]
-    )

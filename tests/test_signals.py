@@ -1,7 +1,5 @@
 """Signals: units, conversions, force from acceleration, and what is refused."""
 
-from dataclasses import FrozenInstanceError
-
 import numpy as np
 import pytest
 
@@ -20,36 +18,22 @@ def one(samples=(1.0, -2.0, 3.0), **fields):
     [
         ("N", "N", 1.0),
         ("kN", "N", 1000.0),
-        ("MN", "N", 1e6),
         ("mN", "N", 1e-3),
-        ("lbf", "N", 0.45359237 * 9.80665),  # the pound's mass times standard gravity
+        ("lbf", "N", 0.45359237 * 9.80665),
         ("m/s2", "m/s^2", 1.0),
-        ("m/s²", "m/s^2", 1.0),
-        ("m/s**2", "m/s^2", 1.0),
-        ("mm/s^2", "m/s^2", 1e-3),
         ("g", "m/s^2", 9.80665),
-        ("mg", "m/s^2", 9.80665e-3),
         ("mm/s", "m/s", 1e-3),
-        ("cm/s", "m/s", 1e-2),
-        ("mm", "m", 1e-3),
         ("um", "m", 1e-6),
         ("µm", "m", 1e-6),
-        ("kPa", "Pa", 1e3),
         ("MPa", "Pa", 1e6),
-        ("mV", "V", 1e-3),
         ("µV", "V", 1e-6),
         ("µm/m", "m/m", 1e-6),
-        ("FS", "FS", 1.0),
     ],
 )
 def test_units_convert_to_si(unit, si, factor):
     converted = one(unit=unit).in_si()
     assert converted.unit == si
     assert converted.samples == pytest.approx(factor * np.array([1.0, -2.0, 3.0]), rel=1e-14)
-
-
-def test_one_g_is_standard_gravity_exactly():
-    assert one([1.0], unit="g").in_si().samples[0] == 9.80665
 
 
 def test_the_si_unit_comes_first_and_has_factor_one():
@@ -73,21 +57,9 @@ def test_unknown_unit_is_refused_with_the_known_ones(unit):
         one(unit=unit)
 
 
-def test_without_a_unit_nothing_is_converted():
-    signal = one()
-    assert signal.quantity is None
-    assert signal.in_si() is signal
-
-
 def test_conversion_keeps_everything_else():
     signal = one(unit="kN", source="a.csv", channel="2", pre_trigger=1).in_si()
     assert (signal.source, signal.channel, signal.pre_trigger, signal.sampling_rate) == ("a.csv", "2", 1, 1e5)
-
-
-def test_conversion_leaves_the_original_alone():
-    signal = one(unit="kN")
-    signal.in_si()
-    assert signal.samples.tolist() == [1.0, -2.0, 3.0]
 
 
 # -- force ----------------------------------------------------------------------------------------------------
@@ -154,43 +126,8 @@ def test_the_first_sample_that_is_not_finite_is_named(value):
         one([0.0, value, 1.0, value], source="a.csv", channel="3")
 
 
-@pytest.mark.parametrize("rate", [0.0, -1e5, np.nan, np.inf, "fast", None])
-def test_sampling_rate_is_a_number_above_zero(rate):
-    with pytest.raises(InvalidValue, match="sampling_rate"):
-        one(sampling_rate=rate)
-
-
 def test_duration_counts_every_sample():
     assert one(np.zeros(250)).duration == 2.5e-3
-
-
-def test_name_tells_the_channel_where_there_are_several():
-    assert (one(source="a").name, one(source="a", channel="left").name) == ("a", "a channel left")
-
-
-@pytest.mark.parametrize(("field", "value"), [("samples", np.zeros(2)), ("sampling_rate", 1.0), ("unit", "N")])
-def test_signal_is_frozen(field, value):
-    with pytest.raises(FrozenInstanceError):
-        setattr(one(), field, value)
-
-
-def test_fields_are_named():
-    with pytest.raises(TypeError):
-        Signal(np.zeros(3), 1e5)
-
-
-def test_batch_has_the_length_of_its_signals_and_is_frozen():
-    batch = Batch(
-        signals=np.zeros((4, 10)),
-        labels=np.array(["coal"] * 4),
-        sampling_rate=1e5,
-        unit="N",
-        pre_trigger=2,
-        specimen=np.arange(4, dtype=np.uint64),
-    )
-    assert len(batch) == 4
-    with pytest.raises(FrozenInstanceError):
-        batch.unit = "kN"
 
 
 STRANGE_LABELS = ["unknown", "", " coal", "-", "<script>", "a|b", "`x`", "a,b", "a=b", "a/b", "co\u202eal", "x" * 101]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cgid import shipped
-from cgid.errors import InvalidValue
 from cgid.identification.confusion import MIN_SCATTER
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
@@ -24,7 +23,6 @@ from cgid.site.calibration import uncertain
 from cgid.site.streams import (
     StreamRows,
     finished,
-    is_streamable,
     rows_of_streams,
     train_on_streams,
     variations,
@@ -120,16 +118,6 @@ def test_a_model_is_finished(short, shipped_model: Model) -> None:
     assert again.confusion.rates.tolist() == model.confusion.rates.tolist()
     assert sum(told["answers_a_rock"].values()) == pytest.approx(model.confusion.rates.sum())
     assert told["overdispersion"] >= 1 and told["scatter"] >= MIN_SCATTER
-
-
-def test_scenes_that_make_no_streams(caving: Scene) -> None:
-    with pytest.raises(InvalidValue, match=r"scene tail_beam: must have a \[stream\] and rocks of two labels"):
-        variations(load_scene(shipped.scene_path("tail_beam")), 2, 0)
-    content = json.loads(caving.text)
-    del content["tail_beam"], content["background"]
-    content["sensor"] = {"quantity": "force", "absolute_noise": "1 N"}
-    assert is_streamable(caving)
-    assert not is_streamable(parse_scene(content))
 
 
 @pytest.mark.long

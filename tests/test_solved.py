@@ -2,9 +2,7 @@
 
 import importlib.util
 import io
-import sys
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,59 +126,6 @@ def module_of(path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def of_first(solved, n):
-    columns = {name: values[:n].copy() for name, values in solved.columns.items()}
-    return replace(solved, pulses=solved.pulses.taken(slice(0, n)), labels=solved.labels[:n], columns=columns)
-
-
-def with_other_rock(solved, name):
-    columns = dict(solved.columns) | {name: solved.columns[name].copy()}
-    columns[name][2] *= 1.001
-    return replace(solved, columns=columns)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda few: few, "must hold no more than the 3 --impacts, holds 4; take it away"),
-        (
-            lambda few: replace(of_first(few, 2), made=few.made | {"elements": 14}),
-            "is of another elements; take it away",
-        ),
-        (
-            lambda few: with_other_rock(of_first(few, 3), "density"),
-            "that the scene draws today, row 2 is another; take",
-        ),
-        (lambda few: with_other_rock(of_first(few, 3), "restitution_asked"), "row 2 is another; take it away"),
-    ],
-)
-def test_the_maker_leaves_other_files_alone(solved, tmp_path, monkeypatch, capsys, change, message):
-    maker = module_of(PATH.with_name("make_finite_element.py"))
-    path = tmp_path / "there.npz"
-    path.write_bytes(change(of_first(solved, 4)).to_bytes())
-    before = path.read_bytes()
-    monkeypatch.setattr(sys, "argv", ["make_finite_element.py", "--impacts", "3", "--output", str(path)])
-    with pytest.raises(SystemExit) as stopped:
-        maker.main()
-    assert stopped.value.code == 65
-    told = capsys.readouterr().err
-    assert message in told
-    assert told.count("\n") == 1
-    assert path.read_bytes() == before
-
-
-def test_the_maker_goes_on_where_the_file_ends(solved, tmp_path, monkeypatch):
-    maker = module_of(PATH.with_name("make_finite_element.py"))
-    rows, asked = maker.kept(PATH, maker.drawn_impacts(len(solved))), []
-    path = tmp_path / "there.npz"
-    path.write_bytes(of_first(solved, 2).to_bytes())
-    monkeypatch.setattr(sys, "argv", ["make_finite_element.py", "--impacts", "3", "--output", str(path)])
-    monkeypatch.setattr(maker, "solved", lambda rocks, jobs: asked.extend(rocks) or iter(rows[2:3]))
-    maker.main()
-    assert asked == maker.drawn_impacts(3)[2:]
-    require_alike(SolvedImpacts.load(path), of_first(solved, 3))
 
 
 def test_no_shipped_model_was_trained_with_the_seed(solved):

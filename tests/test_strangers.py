@@ -18,7 +18,7 @@ from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.distributions import Constant, Uniform
 from cgid.scene.draws import BLOCK, PARAMETER_UNITS
 from cgid.scene.impacts import draw
-from cgid.shipped import SCENES, scene_path
+from cgid.shipped import scene_path
 from tests import few
 from tests.plan_scenes import toml
 
@@ -488,34 +488,3 @@ def test_what_replaces_another_setting_ends_its_draws():
 def test_variations_that_cannot_be(changes, error, says):
     with pytest.raises(error, match=says):
         varied(load_scene(scene_path("reference")), **changes)
-
-
-# ---- the shipped scenes ----------------------------------------------------------------------------------------------
-
-LABELS = {
-    "strangers": (
-        "clipped coal",
-        "clipped gangue",
-        "double coal",
-        "double gangue",
-        "half-sine tap",
-        "rubber ball",
-        "square tap",
-        "steel ball",
-    ),
-    "lookalikes": ("concrete lump", "ice lump", "wooden ball"),
-    "randomised": ("coal", "gangue"),
-}
-
-
-@pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")  # rubber
-@pytest.mark.parametrize("name", LABELS)
-def test_shipped_strangers_are_sound_and_fit_their_frames(name):
-    scene = load_scene(scene_path(name))
-    assert name in SCENES
-    assert (scene.name, scene.labels) == (name, LABELS[name])
-    for block in range(40):
-        drawn = draw(scene, 0, block)
-        p = drawn.parameters
-        end = p["onset"] + np.nan_to_num(p.get("second_hit_delay", 0.0)) + p["contact_duration"]
-        assert (end * drawn.scene.sampling.sampling_rate).max() < scene.sampling.samples - 100

@@ -1,16 +1,14 @@
 """Streams: when rocks come and what they are, how they bounce, and what a recording holds of it."""
 
-import json
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from cgid.errors import BadData, InvalidValue
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import Material
-from cgid.scene import parse_scene, rocks, synthesise, varied
+from cgid.scene import parse_scene, rocks, varied
 from cgid.scene import stream as synthesis
 from cgid.scene.draws import BLOCK, generator
 from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
@@ -438,15 +436,6 @@ def test_a_longer_recording_begins_with_the_shorter_one():
         np.testing.assert_array_equal(little[name], much[name][: little[name].size])
 
 
-def test_recordings_and_seeds_differ_and_repeat():
-    scene = scene_of(sensor={"absolute_noise": "5 N"})
-    first, again = record(scene, 1, 0), record(scene, 1, 0)
-    np.testing.assert_array_equal(first[0].samples, again[0].samples)
-    for other in (record(scene, 1, 1), record(scene, 2, 0)):
-        assert not np.intersect1d(first[1]["specimen"], other[1]["specimen"]).size
-        assert np.corrcoef(first[0].samples[:5000], other[0].samples[:5000])[0, 1] < 0.1
-
-
 def test_numbers_of_frames_are_what_they_were():
     # The number of the recording came later, in a word of the counter that was 0.
     key, counter = np.array([7, 2], np.uint64), np.array([0, 0, 0, 5], np.uint64)
@@ -473,34 +462,6 @@ def test_memory_holds_a_stretch_only():
 
 
 # ---- scenes ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_text_of_a_scene_is_the_scene_again():
-    scene = scene_of(
-        mixture={"times": ["0 s", "1 min"], "gangue": ["5 %", 0.9]},
-        rebounds={},
-        inclination="20 deg",
-        background={"hum": [{"frequency": "50 Hz", "amplitude": "2 kN"}]},
-    )
-    assert parse_scene(json.loads(scene.text)) == scene
-    assert scene.stream.inclination == pytest.approx(np.pi / 9)
-
-
-def test_frames_and_streams_are_not_mixed():
-    made = content()
-    made["sampling"] |= {"samples": 128, "pre_trigger": 16}
-    with pytest.raises(BadData, match=r"sampling\.samples: must be left out of a stream"):
-        parse_scene(made)
-    del made["stream"]
-    parse_scene(made)
-    del made["sampling"]["pre_trigger"]
-    with pytest.raises(BadData, match=r"sampling\.pre_trigger: is missing"):
-        parse_scene(made)
-    with pytest.raises(InvalidValue, match="make recordings of it"):
-        next(synthesise(scene_of(), 1))
-    with pytest.raises(InvalidValue, match="must have a section stream"):
-        made["sampling"]["pre_trigger"] = 16
-        record(parse_scene(made))
 
 
 def test_no_recording_passes_the_number_of_impacts_it_was_said_to_have():

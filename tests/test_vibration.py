@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import integrate, signal
 
 from cgid.errors import BadData, InvalidValue
-from cgid.measure.features import FEATURES, choose, extract_array, kind_of, supported
+from cgid.measure.features import FEATURES, choose, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS, THIRD_OCTAVES, EnergySpectrum, third_octave
 from cgid.measure.vibration import EARLY_TIME, WINDOW_TIME
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
@@ -375,15 +375,6 @@ def test_a_row_is_the_same_to_the_last_bit_whatever_else_is_in_the_batch(pre_tri
     )
     assert np.array_equal(together, alone)
     assert np.array_equal(together, few)
-
-
-def test_pulse_and_vibration_can_be_asked_together():
-    samples = np.maximum(damped_sinusoid(200, 0.3), 0)
-    names = ["peak_amplitude", "peak_force"]
-    found = measure(samples, names)
-    assert found["peak_amplitude"] == found["peak_force"] == samples.max()
-    assert kind_of(names) == "vibration"
-    assert kind_of(["peak_force"]) == "pulse"
 
 
 def test_input_is_not_changed(rung):
