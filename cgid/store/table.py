@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,13 +28,11 @@ from cgid.store.description import (
 )
 from cgid.units import column_title
 
-#: Rows written and read at once: whole chunks of HDF5, a row group of Parquet.
+#: Rows written and read at once, at least.
 _ROWS = 16384
 TABLE_SUFFIXES = (".h5", ".hdf5", ".parquet", ".csv")
 #: Part of the header of every table in any format.
 _SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
-#: Footers of Parquet tables are shorter [bytes].
-_MAX_FOOTER_SIZE = 1 << 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,25 +130,26 @@ class TableWriter:
     def __init__(self, write: Callable[[Rows], object]) -> None:
         self._write = write
         self._waiting: list[Rows] = []
-        self._n_waiting = 0
 
     def add(self, rows: Rows) -> None:
         """Append rows, which must have all columns of the header."""
         count("stored_rows", len(rows))
         self._waiting.append(rows)
-        self._n_waiting += len(rows)
-        if self._n_waiting >= _ROWS:
-            joined = _joined(self._waiting)
-            full = self._n_waiting - self._n_waiting % _ROWS
-            for first in range(0, full, _ROWS):
-                self._write(_part(joined, slice(first, first + _ROWS)))
-            self._waiting, self._n_waiting = [_part(joined, slice(full, None))], self._n_waiting - full
+        if sum(map(len, self._waiting)) >= _ROWS:
+            self.finish()
 
     def finish(self) -> None:
-        """Write the remaining rows."""
-        if self._n_waiting:
-            self._write(_joined(self._waiting))
-        self._waiting, self._n_waiting = [], 0
+        """Write the waiting rows."""
+        if self._waiting:
+            columns = {
+                name: np.concatenate([rows.columns[name] for rows in self._waiting])
+                for name in self._waiting[0].columns
+            }
+            labels, specimen = (
+                np.concatenate([getattr(rows, name) for rows in self._waiting]) for name in ("labels", "specimen")
+            )
+            self._write(Rows(labels=labels, specimen=specimen, columns=columns))
+        self._waiting = []
 
 
 @contextlib.contextmanager
@@ -317,19 +314,6 @@ def _plain_hdf5(path: Path, types: Mapping[tuple[str, str], str]) -> Iterator[Ca
         append(joined)
 
 
-def _joined(parts: list[Rows]) -> Rows:
-    return Rows(
-        labels=np.concatenate([part.labels for part in parts]),
-        specimen=np.concatenate([part.specimen for part in parts]),
-        columns={name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns},
-    )
-
-
-def _part(rows: Rows, which: slice) -> Rows:
-    columns = {name: column[which] for name, column in rows.columns.items()}
-    return Rows(labels=rows.labels[which], specimen=rows.specimen[which], columns=columns)
-
-
 def parquet_library() -> tuple[Any, Any]:
     """Return pyarrow and its Parquet module; raises `MissingExtra`."""
     arrow, parquet = (
@@ -395,12 +379,13 @@ def is_table(path: str | Path) -> bool:
     suffix = Path(path).suffix.lower()
     try:
         if suffix == ".parquet":
-            return _is_own_parquet(path)
+            _, parquet = parquet_library()
+            return _SAYS_SO in (parquet.read_schema(path).metadata or {}).get(b"cgid", b"")
         if suffix == ".csv":
             with Path(path).open("rb") as stream:
                 return _SAYS_SO in stream.read(200)
         return hdf5_format(Path(path)) == TABLE_FORMAT
-    except DAMAGE:
+    except (*DAMAGE, MissingExtra):
         return False
 
 
@@ -419,17 +404,6 @@ def _read_hdf5(path: str | Path) -> Table:
     joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
     columns = {name: joined[f"columns/{name}"] for name in header.units}
     return _checked(path, header, text_of(joined["labels"]), joined["specimen"], columns)
-
-
-def _is_own_parquet(path: str | Path) -> bool:
-    """Return whether the footer of a Parquet file has our format; works without the library."""
-    with Path(path).open("rb") as stream:
-        end = stream.seek(-8, os.SEEK_END)
-        size, magic = struct.unpack("<I4s", stream.read(8))
-        if magic != b"PAR1":
-            return False
-        stream.seek(max(end - min(size, _MAX_FOOTER_SIZE), 0))
-        return _SAYS_SO in stream.read(_MAX_FOOTER_SIZE)
 
 
 def _read_csv(path: str | Path) -> Table:
