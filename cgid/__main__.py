@@ -1,5 +1,7 @@
 """`python -m cgid` is the command line."""
 
+import sys
+
 from cgid.cli import main
 
-main()
+sys.exit(main())

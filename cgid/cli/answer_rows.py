@@ -116,8 +116,8 @@ class AnswerLines:
         if not self.as_json:
             row |= {"source": source, "time_s": answer.time, "end_s": answer.end}
             row |= {f"p_{label}": probability for label, probability in probabilities.items()}
-            estimates = answer.impactor or {}
-            row |= {column.title: estimates.get(column.name) for column in impactor_columns()}
+            if answer.impactor is not None:
+                row |= {column.title: answer.impactor.get(column.name) for column in impactor_columns()}
             self._table.add(row | {"prediction_set": "+".join(labels or ())})
 
     def share(self, source: str, name: str, share: Share) -> None:
@@ -249,7 +249,7 @@ class RecordingRows:
         always: bool = False,
         hints: Hints | None = None,
     ) -> None:
-        from cgid.identification.share import CavingWatch, Switch
+        from cgid.identification.share import CavingWatch, Switch, separates
         from cgid.identification.stream import answering_channels, independence
 
         self.source, self.lines, self._model = source, lines, model
@@ -270,7 +270,7 @@ class RecordingRows:
         self._pending_shares: list[Share | Switch] = []
         self._watch: CavingWatch | None = None
         self.threshold: float | None = None
-        if settings.asks_for_shares or settings.separates_gangue(model):
+        if settings.asks_for_shares or separates(settings.shares.gangue, model):
             self._watch = CavingWatch(model, self.channels, settings, independence(model, settings))
             self.threshold = self._watch.threshold
 
@@ -360,7 +360,7 @@ class RecordingRows:
         for one in self._pending_shares:
             if isinstance(one, self._turn):
                 self.turns += [one] * self._keep
-                self.lines.turn(self.source, self.name(one.share.channel), one, self._settings.cost_of_dilution)
+                self.lines.turn(self.source, self.name(one.share.channel), one, self._settings.shares.dilution_cost)
                 continue
             self.shares += [one] * self._keep
             if one.n_impacts or self._always or (one.n_unknown and self.lines.as_json):

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import SCENE, laws_option
+from cgid.cli.options import SCENE, json_option, laws_option, seed_option
 from cgid.cli.output import print_json, say, warn
 
 #: Blocks of 256 impacts in the preview.
@@ -17,9 +17,9 @@ _BLOCKS = 16
 @click.command(cls=Command, short_help="Validate a scene and say what it would make.", example="cgid check reference")
 @click.argument("scene", type=SCENE, required=False)
 @click.option("--list", "as_list", is_flag=True, help="Print the names of the scenes that come with cgid.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Choose the random numbers of the preview.")
+@seed_option
 @laws_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 def check(scene: str | None, as_list: bool, seed: int, as_json: bool) -> None:
     """Validate SCENE (a .toml file or the name of a shipped one), and preview 4096 of its impacts."""
     from cgid import shipped

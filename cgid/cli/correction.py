@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cgid.cli.options import dead_time_in_seconds
-from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
+from cgid.cli.options import Reading
+from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from cgid.identification.manifest import Manifest
@@ -20,15 +20,16 @@ def correct_model(
     manifest: Manifest,
     base: str,
     path: Path,
-    options: dict[str, Any],
+    reading: Reading,
     *,
+    strict: bool,
     plots: bool,
     as_json: bool,
 ) -> int:
     """Write a model corrected by labelled impacts, and say how good it is on their site."""
     from cgid.identification.card import correction_section, write_model
     from cgid.identification.correction import advice, correct, require_correctable, require_known
-    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.labelled_recordings import record
     from cgid.identification.model import Model
     from cgid.identification.rows import Slicing
     from cgid.identification.training import Training
@@ -36,13 +37,12 @@ def correct_model(
 
     model = Model.load(model_path(base))
     require_correctable(model)
-    given = {name: options[name] for name in ("sampling_rate", "unit", "strict", "format")}
-    reading = Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"])
-    slicing = Slicing(by="impact", dead_time=dead_time_in_seconds(options["dead_time"]))
+    how = reading.of_manifest(strict=strict)
+    slicing = Slicing(by="impact", dead_time=reading.dead_time)
     if (manifest.n_intervals or 0) > _LOOK:
-        require_known(model, record(manifest.sample(_LOOK), slicing=slicing, reading=reading, model=model))
+        require_known(model, record(manifest.sample(_LOOK), slicing=slicing, reading=how, model=model))
     with progress_bar(manifest.n_intervals, "impacts", "measuring") as progress:
-        rows = record(manifest, slicing=slicing, reading=reading, model=model, progress=progress)
+        rows = record(manifest, slicing=slicing, reading=how, model=model, progress=progress)
     for warning in rows.warnings:
         warn(warning)
     correction = correct(model, rows)

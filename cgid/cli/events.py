@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Reading, reading_options
-from cgid.cli.output import each_file, say, warn
+from cgid.cli.options import PATH, Reading, overwrite_option, reading_options, strict_option
+from cgid.cli.output import FileErrors, say, warn
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.terminal import counted
 
@@ -31,8 +31,8 @@ _BEFORE = 2e-3
 )
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE...")
 @click.option("-o", "--output", type=PATH, required=True, help="Write this table, ending in .csv, or to stdout for -.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing table, with the labels in it.")
-@click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
+@overwrite_option
+@strict_option
 @reading_options
 def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, reading: Reading) -> int:
     """Find the impacts in FILEs, or in the recordings of a folder, and write one row for each.
@@ -51,19 +51,22 @@ def events(files: tuple[str, ...], output: str, overwrite: bool, strict: bool, r
     # A recording named twice, such as by its folder, too, has its impacts once.
     once = {os.path.realpath(file): file for file in reversed(every)}
     _require_trainable(list(reversed(once.values())), reading)
-    code = each_file(reversed(once.values()), lambda file: rows.extend(_rows(file, folder, reading)), strict=strict)
+    errors = FileErrors(strict=strict)
+    for file in errors.each(reversed(once.values())):
+        with errors:
+            rows += _rows(file, folder, reading)
     if not rows:
-        return code
+        return errors.code
     text = manifest_text(rows)
     if path is None:
         for line in text.removesuffix("\n").split("\n"):
             say(line)
-        return code
+        return errors.code
     # A byte order mark makes a spreadsheet read other letters right.
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
     train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
     say(f"wrote {path}: {counted(len(rows), 'impact')}; fill in the column label, then {train}", err=True)
-    return code
+    return errors.code
 
 
 def _require_trainable(files: Sequence[str], reading: Reading) -> None:

@@ -9,7 +9,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, printing_options, reading_options
-from cgid.cli.output import each_file, print_json, say, warn
+from cgid.cli.output import FileErrors, print_json, say, warn
 from cgid.cli.table import Column, TableOutput, numbers, output_options, times
 from cgid.errors import BadData
 from cgid.signals import Signal
@@ -60,17 +60,18 @@ def features(
     table = TableOutput(output, overwrite=overwrite, as_json=as_json)
     rows = _Rows(table, as_json, not keep_baseline, selected, datasets=any(map(is_dataset, files)))
 
-    def treat(path: str) -> None:
-        if reading.wants_whole_dataset(path):
-            rows.dataset(path, reading.invert)
-        else:
-            rows.signals(path, reading)
-
+    errors = FileErrors(strict=strict, one_output=True)
     with table:
         if as_list:
             rows.of_features()
             return 0
-        return each_file(files, treat, strict=strict, one_output=True)
+        for path in errors.each(files):
+            with errors:
+                if reading.wants_whole_dataset(path):
+                    rows.dataset(path, reading.invert)
+                else:
+                    rows.signals(path, reading)
+    return errors.code
 
 
 def _warn(problems: list[str], source: str, what: str) -> None:

@@ -9,7 +9,17 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, given_flags, laws_option, require_one_executor, worker_options
+from cgid.cli.options import (
+    PATH,
+    SCENE,
+    given_flags,
+    json_option,
+    laws_option,
+    overwrite_option,
+    require_one_executor,
+    seed_option,
+    worker_options,
+)
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.terminal import counted
 
@@ -42,13 +52,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     type=int,
     help="Make this many signals, by default 10000; of a stream, recordings, by default 1.",
 )
-@click.option(
-    "--seed",
-    type=int,
-    default=0,
-    show_default=True,
-    help="Choose the random numbers; the same seed gives the same signals.",
-)
+@seed_option
 @worker_options
 @laws_option
 @click.option(
@@ -72,11 +76,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
     show_default=True,
     help="Compress the signals; every program reads gzip, zstd and blosc2 need the extra compression.",
 )
-@click.option(
-    "--overwrite",
-    is_flag=True,
-    help="Replace an existing dataset; a folder is none until all of its shards are replaced.",
-)
+@overwrite_option
 @click.option("--resume", is_flag=True, help="Go on with an unfinished run, to the bytes it would have made.")
 @click.option("--features-only", is_flag=True, help="Write a table of features instead of signals.")
 @click.option("--features", help="Tabulate only these features, separated by commas; by default those of a model.")
@@ -86,7 +86,7 @@ _OF_DATASETS = (*_OF_RECORDINGS, "shard_signals", "compression", "jobs", "schedu
 )
 @click.option("--parameters-only", is_flag=True, help="Write a table of the drawn parameters.")
 @click.option("--explain", is_flag=True, help="Print the plan: what would run, what would not, and why.")
-@click.option("--json", "as_json", is_flag=True, help="Print the plan as one JSON object.")
+@json_option
 @click.pass_context
 def generate(context: click.Context, /, scene: str, **options: Any) -> None:
     """Make a dataset of signals from SCENE: a .toml file, or the name of a shipped one such as reference.

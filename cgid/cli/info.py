@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, chain_options, format_option, warn_of_volts
+from cgid.cli.options import CHAIN, PATH, Reading, json_option, reading_options_for, warn_of_volts
 from cgid.cli.output import print_json, say, warn
 from cgid.cli.table import written_table
 
@@ -24,15 +24,9 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
     cls=Command, short_help="Say what is in a dataset, a model or a recording.", example="cgid info datasets/sample.csv"
 )
 @click.argument("file", type=PATH)
-@click.option(
-    "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if a recording does not state it."
-)
-@click.option("--unit", help="Set the unit of the samples if a recording does not state it.")
-@click.option("--variable", help="Choose an array, table or group if a recording holds several.")
-@format_option
-@chain_options
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def info(file: str, as_json: bool, chain: dict[str, Any], **reading: Any) -> None:
+@reading_options_for("sampling_rate", "unit", "variable", "format", *CHAIN)
+@json_option
+def info(file: str, as_json: bool, reading: Reading) -> None:
     """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
     from cgid.store import is_table
@@ -46,7 +40,7 @@ def info(file: str, as_json: bool, chain: dict[str, Any], **reading: Any) -> Non
     elif (rows := written_table(file)) is not None:
         content = {"kind": rows.kind, "file": file, "rows": rows.n_rows, "columns": rows.columns}
     else:
-        content = _recording(file, as_json, **reading, **chain)
+        content = _recording(file, as_json, variable=reading.variable, **reading.common)
     if as_json:
         print_json(content)
     else:

@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 from cgid.cli.answer_rows import AnswerLines, RecordingRows
 from cgid.cli.help import Command
 from cgid.cli.options import (
+    CHAIN,
     PATH,
     Models,
+    Reading,
     answering_options,
-    chain_options,
-    dead_time_option,
     given_options,
+    json_option,
     plant_options,
+    reading_options_for,
     settings_of,
     warn_of_model,
 )
@@ -157,11 +159,9 @@ _BEHIND = 1.0
     "--sample-format", help="Say how raw numbers are written: u8, s16le, s24le, s32le, f32le, ..., or with be."
 )
 @click.option("--unit", help="Set the unit of the numbers: of floats as they are, of integers scaled to -1 to 1.")
-@chain_options
-@click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards.")
+@reading_options_for("invert", "milliseconds", *CHAIN)
 @answering_options
-@dead_time_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+@json_option
 @click.option("--clock", is_flag=True, help="Give each JSON object the time when it was printed, as wall_time (UTC).")
 @plant_options
 def monitor(
@@ -170,7 +170,7 @@ def monitor(
     n_channels: int | None,
     sample_format: str | None,
     unit: str | None,
-    chain: dict[str, Any],
+    reading: Reading,
     as_json: bool,
     clock: bool,
     outputs: dict[str, str],
@@ -191,8 +191,8 @@ def monitor(
     from cgid.recordings.live import live_stream
 
     step = (SHARE_TIME if options["share_time"] is None else options["share_time"]) / _STEPS
-    models, settings = settings_of(**options, batch=1, share_step=step)
-    stated = Chain.of(**chain)
+    models, settings = settings_of(reading, **options, batch=1, share_step=step)
+    stated = Chain.of(**reading.chain)
     if clock and not as_json:
         raise click.UsageError("--clock is for lines of JSON; give --json, too")
     with _plant_outputs(outputs) as listener, _opened(stream) as file:
@@ -225,15 +225,15 @@ def _follow(
 ) -> None:
     """Print the answers for a stream until it ends or is interrupted."""
     from cgid.cli.hints import Hints
-    from cgid.identification.stream import factor_of, identify_blocks
+    from cgid.identification.stream import factors_for, identify_blocks
     from cgid.recordings.chain import scaled
     from cgid.recordings.gaps import Gaps
 
     def warned(text: str) -> None:
         lines.warning(live.source, f"{live.source}: {text}")
 
-    model, sign = models.of(live.channels[0].quantity), -1.0 if settings.invert else 1.0
-    factors = [sign * factor_of(model, c.unit, live.source, c.name, mass=settings.mass) for c in live.channels]
+    model = models.of(live.channels[0].quantity)
+    factors = factors_for(model, live.channels, settings, live.source)
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     gaps = Gaps(

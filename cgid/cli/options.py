@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
-from cgid.cli.output import warn
+from cgid.cli.output import say_error, warn
 from cgid.errors import CgidError, InvalidValue, NoInput
 from cgid.shipped import MODELS, SCENES
 from cgid.signals import Signal
 
 if TYPE_CHECKING:
+    from cgid.identification.labelled_recordings import Reading as ManifestReading
     from cgid.identification.model import Model
     from cgid.identification.prediction_settings import PredictionSettings
     from cgid.recordings import RecordingFile
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 #: Longest dead time [ms]; no struck body rings for longer.
 MAX_DEAD_TIME = 1e4
-#: Parts of a measuring chain, and parameters of its options.
-_CHAIN = ("sensitivity", "gain", "full_scale")
 
 
 class PathName(click.types.StringParamType):
@@ -53,42 +52,6 @@ class PathName(click.types.StringParamType):
 PATH, SCENE, MODEL = PathName(), PathName(SCENES), PathName(MODELS)
 
 
-def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
-    """Return a decorator that adds options to a command."""
-
-    def add(command: F) -> F:
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return add
-
-
-def _bundle(
-    name: str, parts: Iterable[str], make: Callable[[dict[str, Any]], Any], *options: Callable[[Any], Any]
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator that adds options, of whose values (`parts`) the command receives what is made, as `name`."""
-
-    def add(command: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(command)
-        def bundled(**values: Any) -> Any:
-            return command(**{name: make({part: values.pop(part) for part in parts})}, **values)
-
-        return _options(*options)(bundled)
-
-    return add
-
-
-#: Options for worker processes and clusters; `require_one_executor` refuses both at once.
-worker_options = _options(
-    click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
-    click.option(
-        "--scheduler",
-        help="Let the workers of a dask cluster do the work: its address, such as tcp://192.168.0.7:8786.",
-    ),
-)
-
-
 def given_flags(context: click.Context) -> dict[str, str]:
     """Return the options on the command line: parameter -> flag."""
     options = {option.name or "": max(option.opts, key=len) for option in context.command.params}
@@ -110,47 +73,6 @@ def require_one_executor(context: click.Context) -> None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster; give one of them", context)
 
 
-#: Options for the measuring chain; the command receives them as `chain`, arguments of `open_recording`.
-chain_options = _bundle(
-    "chain",
-    _CHAIN,
-    lambda given: {name: value or None for name, value in given.items()},
-    click.option(
-        "--sensitivity",
-        multiple=True,
-        metavar="[NAME=]VALUE",
-        help="Give the sensitivity of a sensor whose samples are in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
-        "for one channel as 2=VALUE.",
-    ),
-    click.option(
-        "--gain",
-        multiple=True,
-        metavar="[NAME=]VALUE",
-        help="Divide out this gain: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
-    ),
-    click.option(
-        "--full-scale",
-        multiple=True,
-        metavar="[NAME=]VALUE",
-        help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
-    ),
-)
-#: Plant outputs; the command receives those that were given as `outputs`, arguments of `PlantOutputs`.
-plant_options = _bundle(
-    "outputs",
-    ("mqtt", "modbus", "prometheus", "live", "on_shut", "on_open"),
-    lambda given: {name: value for name, value in given.items() if value is not None},
-    click.option("--mqtt", metavar="URL", help="Publish each line below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."),
-    click.option("--modbus", metavar="HOST:PORT", help="Serve state, share and counts as Modbus TCP registers."),
-    click.option("--prometheus", metavar="[HOST]:PORT", help="Serve metrics at /metrics."),
-    click.option(
-        "--live", metavar="[HOST]:PORT|FILE", help="Show waveform, share and decision on a page, or in FILE.html."
-    ),
-    click.option("--on-shut", metavar="COMMAND", help="Run this command at each SHUT; it gets the line on stdin."),
-    click.option("--on-open", metavar="COMMAND", help="Run this command at each OPEN."),
-)
-
-
 def warn_of_volts(recording: RecordingFile) -> None:
     """Say how volts and coulombs become what the sensor measured, where it is not known."""
     from cgid.errors import MissingOption
@@ -164,33 +86,46 @@ def warn_of_volts(recording: RecordingFile) -> None:
             warn(error)
 
 
-def dead_time_in_seconds(milliseconds: float | None) -> float | None:
-    """Return the dead time [s]; refuse one outside of the valid range."""
-    if milliseconds is None:
-        return None
-    if not 0 <= milliseconds <= MAX_DEAD_TIME:
-        raise InvalidValue(f"--dead-time must lie between 0 and {MAX_DEAD_TIME:g} ms, got {milliseconds:g} ms")
-    return milliseconds * 1e-3
-
-
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """How to read an input: the values of `reading_options`."""
+    """How to read an input: the values of `reading_options`, as far as a command has them."""
 
-    sampling_rate: float | None
-    unit: str | None
-    channel: tuple[str, ...]
-    variable: str | None
-    format: str | None
-    index: int | None
-    invert: bool
-    milliseconds: float | None
-    chain: dict[str, tuple[str, ...] | None]
+    sampling_rate: float | None = None
+    unit: str | None = None
+    channel: tuple[str, ...] = ()
+    variable: str | None = None
+    format: str | None = None
+    index: int | None = None
+    invert: bool = False
+    milliseconds: float | None = None
+    sensitivity: tuple[str, ...] = ()
+    gain: tuple[str, ...] = ()
+    full_scale: tuple[str, ...] = ()
+
+    @property
+    def chain(self) -> dict[str, tuple[str, ...] | None]:
+        """The measuring chain, as `open_recording` takes it."""
+        return {name: getattr(self, name) or None for name in CHAIN}
+
+    @property
+    def common(self) -> dict[str, Any]:
+        """What holds for any file, as `open_recording` and the reading of manifests take it."""
+        return {"sampling_rate": self.sampling_rate, "unit": self.unit, "format": self.format, **self.chain}
 
     @property
     def dead_time(self) -> float | None:
         """Dead time [s]; raises `InvalidValue` outside of the valid range."""
-        return dead_time_in_seconds(self.milliseconds)
+        if self.milliseconds is None:
+            return None
+        if not 0 <= self.milliseconds <= MAX_DEAD_TIME:
+            raise InvalidValue(f"--dead-time must lie between 0 and {MAX_DEAD_TIME:g} ms, got {self.milliseconds:g} ms")
+        return self.milliseconds * 1e-3
+
+    def of_manifest(self, *, strict: bool) -> ManifestReading:
+        """Return how to read the recordings of a manifest that do not say it themselves."""
+        from cgid.identification.labelled_recordings import Reading as ManifestReading
+
+        return ManifestReading(channels=self.channel or None, strict=strict, failed=say_error, **self.common)
 
     def wants_whole_dataset(self, path: str, mass: float | None = None) -> bool:
         """Return whether this is a dataset without a chosen signal, which takes no options for reading a recording."""
@@ -213,15 +148,7 @@ class Reading:
 
         if self.index is not None:
             raise InvalidValue(f"{path}: --index picks a signal of a dataset (HDF5), this is a recording; leave it out")
-        return open_recording(
-            path,
-            sampling_rate=self.sampling_rate,
-            unit=self.unit,
-            channel=self.channel or None,
-            variable=self.variable,
-            format=self.format,
-            **self.chain,
-        )
+        return open_recording(path, channel=self.channel or None, variable=self.variable, **self.common)
 
     def signals(self, path: str) -> list[Signal]:
         """Return the signals of a recording, or the chosen signal of a dataset."""
@@ -236,12 +163,7 @@ class Reading:
         return [signal.inverted() for signal in signals] if self.invert else signals
 
 
-dead_time_option = click.option(
-    "--dead-time",
-    "milliseconds",
-    type=float,
-    help="Set how long a blow rings [ms], by default 2 for pulses and 5 for vibrations.",
-)
+# -- options, each described once, and groups of them -----------------------------------------------------
 
 
 def _add_laws(_context: click.Context, _option: click.Parameter, modules: tuple[str, ...]) -> None:
@@ -252,6 +174,54 @@ def _add_laws(_context: click.Context, _option: click.Parameter, modules: tuple[
             add_laws(module)
 
 
+def _options(*options: Callable[[Any], Any]) -> Callable[[F], F]:
+    """Return a decorator that adds options to a command."""
+
+    def add(command: F) -> F:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+def _bundle(
+    name: str, make: Callable[..., Any], options: Mapping[str, Callable[[Any], Any]]
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds options, of whose values the command receives what is made, as `name`."""
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def bundled(**values: Any) -> Any:
+            return command(**{name: make(**{part: values.pop(part) for part in options})}, **values)
+
+        return _options(*options.values())(bundled)
+
+    return add
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, one object per line.")
+strict_option = click.option("--strict", is_flag=True, help="Stop at the first file that fails.")
+overwrite_option = click.option(
+    "--overwrite", is_flag=True, help="Replace an existing file or folder, with all that is in it."
+)
+seed_option = click.option(
+    "--seed",
+    type=int,
+    default=0,
+    show_default=True,
+    help="Choose the random numbers; the same seed gives the same signals and splits.",
+)
+#: Options of commands that print the contents of recordings.
+printing_options = _options(json_option, strict_option)
+#: Options for worker processes and clusters; `require_one_executor` refuses both at once.
+worker_options = _options(
+    click.option("--jobs", type=int, default=1, show_default=True, help="Use this many worker processes."),
+    click.option(
+        "--scheduler",
+        help="Let the workers of a dask cluster do the work: its address, such as tcp://192.168.0.7:8786.",
+    ),
+)
 laws_option = click.option(
     "--laws",
     metavar="MODULE",
@@ -261,44 +231,86 @@ laws_option = click.option(
     callback=_add_laws,
     help="Add the contact laws of a module of your own, by its name or the path of its file.",
 )
-format_option = click.option(
-    "--format",
-    metavar="NAME",
-    help="Read recordings as this format, such as WAV, text, or the reader of another package; by default the content "
-    "shows it.",
-)
-#: Options for reading a recording; the command receives them as `reading`.
-reading_options = _bundle(
-    "reading",
-    [field.name for field in fields(Reading)],
-    lambda given: Reading(**given),
-    click.option(
+#: Options for reading a recording: field of `Reading` -> option.
+_READING: dict[str, Callable[[Any], Any]] = {
+    "sampling_rate": click.option(
         "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] if the file does not state it."
     ),
-    click.option(
+    "unit": click.option(
         "--unit",
         help="Set the unit of the samples (N, g, m/s^2, V, ...) if the file does not state it; for single channels "
         "1=N,2=m/s^2.",
     ),
-    click.option(
+    "channel": click.option(
         "--channel",
         multiple=True,
         help="Read only this channel: its name, or its number from 1; for several give 1+2, or the option again.",
     ),
-    click.option("--variable", help="Choose an array, table or group if the file holds several."),
-    format_option,
-    click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
-    click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
-    dead_time_option,
-    chain_options,
-)
-#: Options of commands that print the contents of recordings.
-printing_options = _options(
-    click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line."),
-    click.option("--strict", is_flag=True, help="Stop at the first file that fails."),
-)
+    "variable": click.option("--variable", help="Choose an array, table or group if the file holds several."),
+    "format": click.option(
+        "--format",
+        metavar="NAME",
+        help="Read recordings as this format, such as WAV, text, or the reader of another package; by default the "
+        "content shows it.",
+    ),
+    "index": click.option("--index", type=int, help="Read only this signal of a dataset, counted from 0."),
+    "invert": click.option("--invert", is_flag=True, help="Turn the signal upside down; impacts must point upwards."),
+    "milliseconds": click.option(
+        "--dead-time",
+        "milliseconds",
+        type=float,
+        help="Set how long a blow rings [ms], by default 2 for pulses and 5 for vibrations.",
+    ),
+    "sensitivity": click.option(
+        "--sensitivity",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Give the sensitivity of a sensor whose samples are in volts: '10.2 mV/g', '2.3 mV/N', '3.1 pC/g'; "
+        "for one channel as 2=VALUE.",
+    ),
+    "gain": click.option(
+        "--gain",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Divide out this gain: 10, x10, '20 dB', or '1 mV/pC' of a charge amplifier.",
+    ),
+    "full_scale": click.option(
+        "--full-scale",
+        multiple=True,
+        metavar="[NAME=]VALUE",
+        help="Say what full scale is in a sound file or in integers: '10 V', '50 g', '10 V at 24 bit'.",
+    ),
+}
 
 
+def reading_options_for(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds the options for some fields of a `Reading`, which the command receives."""
+    return _bundle("reading", Reading, {name: _READING[name] for name in names})
+
+
+reading_options = reading_options_for(*_READING)
+CHAIN = ("sensitivity", "gain", "full_scale")
+#: Plant outputs; the command receives those that were given as `outputs`, arguments of `PlantOutputs`.
+plant_options = _bundle(
+    "outputs",
+    lambda **given: {name: value for name, value in given.items() if value is not None},
+    {
+        "mqtt": click.option(
+            "--mqtt", metavar="URL", help="Publish each line below mqtt://HOST[:PORT]/TOPIC (mqtts: TLS)."
+        ),
+        "modbus": click.option(
+            "--modbus", metavar="HOST:PORT", help="Serve state, share and counts as Modbus TCP registers."
+        ),
+        "prometheus": click.option("--prometheus", metavar="[HOST]:PORT", help="Serve metrics at /metrics."),
+        "live": click.option(
+            "--live", metavar="[HOST]:PORT|FILE", help="Show waveform, share and decision on a page, or in FILE.html."
+        ),
+        "on_shut": click.option(
+            "--on-shut", metavar="COMMAND", help="Run this command at each SHUT; it gets the line on stdin."
+        ),
+        "on_open": click.option("--on-open", metavar="COMMAND", help="Run this command at each OPEN."),
+    },
+)
 #: Options that choose the model and its settings, as `settings_of` takes them.
 answering_options = _options(
     click.option(
@@ -368,22 +380,14 @@ answering_options = _options(
 
 
 def settings_of(
-    *, model_path: str | None, costs: tuple[str, ...], milliseconds: float | None, **given: Any
+    reading: Reading, *, model_path: str | None, costs: tuple[str, ...], **given: Any
 ) -> tuple[Models, PredictionSettings]:
     """Return the models and the settings; `given` are the other fields of the settings."""
-    from cgid import validation
-    from cgid.identification.prediction_settings import PredictionSettings, require_evidence
+    from cgid.identification.prediction_settings import PredictionSettings
 
-    dead_time, by_label = dead_time_in_seconds(milliseconds), dict(_cost(text) for text in costs)
-    flags = {"vote_time": ("--vote", "s"), "share_time": ("--window", "s"), "dilution_cost": ("--dilution-cost", "")}
-    flags |= {"hold": ("--hold", "s"), "give_up": ("--give-up", "s")}
-    for name, (flag, unit) in flags.items():
-        rule = validation.not_negative if flag in ("--vote", "--hold") else validation.positive
-        if given[name] is not None:
-            given[name] = float(rule(flag, given[name], unit))
-    if given["evidence"] is not None:
-        require_evidence("--evidence", given["evidence"])
-    settings = PredictionSettings(costs=by_label, dead_time=dead_time, **given)
+    settings = PredictionSettings(
+        costs=dict(_cost(text) for text in costs), dead_time=reading.dead_time, invert=reading.invert, **given
+    )
     return Models(model_path, settings), settings
 
 
@@ -403,7 +407,6 @@ _OUTPUT = ("as_json", "strict", "report", "output", "overwrite", "sample")
 def given_options() -> tuple[list[str], list[str]]:
     """Return the options of the current command line: those for reading a recording, and those for answering."""
     context = click.get_current_context()
-    reading = {*_CHAIN, *(field.name for field in fields(Reading))}
     found: tuple[list[str], list[str]] = ([], [])
     given = given_flags(context)
     for option in context.command.params:
@@ -413,7 +416,7 @@ def given_options() -> tuple[list[str], list[str]]:
         values = context.params[name]
         for value in values if option.multiple else [values]:
             text = f"{value:.12g}" if isinstance(value, float) else f"{value}"
-            found[name not in reading].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
+            found[name not in _READING].extend([option.opts[0]] if option.is_flag else [option.opts[0], text])
     return found
 
 

@@ -10,8 +10,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from types import FrameType
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from types import FrameType, TracebackType
 from typing import Any, TextIO
 
 import click
@@ -70,24 +71,31 @@ def warn(warning: object) -> None:
     say(f"cgid: warning: {warning}", err=True)
 
 
-def each_file(
-    files: Iterable[str], treat: Callable[[str], None], *, strict: bool = False, one_output: bool = False
-) -> int:
-    """Treat every file, go on after an error unless `strict`, and return the exit code of the first failed one."""
-    # With one output for all files, an error of writing it ends the work: it would lack rows. Among several files, the
-    # name of one that may end or hang this process comes first on stderr.
-    code, files = 0, list(files)
-    for file in files:
-        if len(files) > 1 and file.lower().endswith(_TRUSTED_BY_LIBRARIES):
-            say(f"cgid: reading {file}", err=True)
-        try:
-            treat(file)
-        except CgidError as error:
-            if strict or (one_output and isinstance(error, CannotCreate | WriteFailed)):
-                raise
-            say_error(error)
-            code = code or error.exit_code
-    return code
+@dataclass
+class FileErrors(AbstractContextManager[None]):
+    """Report the error of one file and go on with the next; `code` is the exit code of the first that failed."""
+
+    # If `strict`, or with one output for all files an error of writing it, an error ends the work: it would lack rows.
+    strict: bool = False
+    one_output: bool = False
+    code: int = 0
+
+    def each(self, files: Iterable[str]) -> Iterator[str]:
+        """Yield the files; among several, the name of one that may end or hang this process comes first on stderr."""
+        files = list(files)
+        for file in files:
+            if len(files) > 1 and file.lower().endswith(_TRUSTED_BY_LIBRARIES):
+                say(f"cgid: reading {file}", err=True)
+            yield file
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> bool:
+        if not isinstance(error, CgidError) or self.strict:
+            return False
+        if self.one_output and isinstance(error, CannotCreate | WriteFailed):
+            return False
+        say_error(error)
+        self.code = self.code or error.exit_code
+        return True
 
 
 def say_error(error: CgidError) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, Reading, reading_options, warn_of_volts
+from cgid.cli.options import PATH, Reading, json_option, overwrite_option, reading_options, warn_of_volts
 from cgid.cli.output import print_json, say, warn
 from cgid.terminal import counted
 
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 )
 @click.option("--from", "begin", type=float, default=0.0, metavar="SECONDS", help="Draw what comes after this.")
 @click.option("--to", "end", type=float, metavar="SECONDS", help="Draw what comes before this.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
-@click.option("--json", "as_json", is_flag=True, help="Say what was drawn as one JSON object.")
+@overwrite_option
+@json_option
 @reading_options
 def plot(
     file: str,

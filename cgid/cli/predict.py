@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ from cgid.cli.options import (
     settings_of,
     warn_of_model,
 )
-from cgid.cli.output import each_file, progress_bar, say
+from cgid.cli.output import FileErrors, progress_bar, say
 from cgid.cli.table import TableOutput, output_options
 from cgid.errors import CgidError
 from cgid.terminal import counted
@@ -31,8 +32,7 @@ if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
     from cgid.identification.prediction_settings import PredictionSettings
-    from cgid.impactor import ImpactorColumns
-    from cgid.measure.overview import OverviewStream
+    from cgid.measure.overview import Overview
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
     from cgid.report import Report
@@ -40,49 +40,23 @@ if TYPE_CHECKING:
     from cgid.validation import Floats
 
 
-def impactor_columns_for(scene: str | None, *, keep: bool) -> ImpactorColumns | None:
-    """Return what estimates the impactor, one of the rocks of a scene; None without one."""
-    if scene is None:
-        return None
-    from cgid.impactor import ImpactorColumns
-    from cgid.scene import load_scene
-
-    return ImpactorColumns(load_scene(scene), keep=keep)
-
-
-class _Passing:
-    """Count the samples of a recording as its blocks pass, and draw its first channels."""
-
-    def __init__(self, recording: RecordingFile, numbers: list[int], draw: bool) -> None:
-        self.n_samples = 0
-        self.channels: list[Channel] = []
-        self.stream: OverviewStream | None = None
-        if draw:
-            from cgid.measure.overview import OverviewStream
-            from cgid.plots.recording import MAX_CHANNELS
-
-            self.channels = [recording.channels[number] for number in numbers[:MAX_CHANNELS]]
-            self.stream = OverviewStream(recording.sampling_rate, len(self.channels))
-
-    def see(self, block: Any) -> None:
-        """Take a block, (n_channels, n_samples)."""
-        self.n_samples += block.shape[1]
-        if self.stream is not None:
-            self.stream.feed(block[: len(self.channels)])
-
-
-def _report(recording: RecordingFile, passing: _Passing, model: Model, model_name: str, rows: RecordingRows) -> Report:
+def _report(
+    recording: RecordingFile,
+    channels: list[Channel],
+    overview: Overview,
+    model: Model,
+    model_name: str,
+    rows: RecordingRows,
+) -> Report:
     """Return what a page shows of a recording: its pictures, and the answers that were printed."""
     from cgid.report import Report, model_facts, recording_facts
 
-    assert passing.stream is not None
-    overview = passing.stream.overview()
     return Report(
         source=recording.source,
-        recording=recording_facts(recording, overview, passing.channels),
+        recording=recording_facts(recording, overview, channels),
         model=model_facts(model, model_name),
         overview=overview,
-        channels=passing.channels,
+        channels=channels,
         answers=rows.answers,
         shares=rows.shares,
         turns=rows.turns,
@@ -127,30 +101,42 @@ class _Prediction:
     def _channels(self, recording: RecordingFile, model: Model, numbers: list[int]) -> None:
         """Print the answers for the channels of a recording that use this model."""
         from cgid.cli.hints import Hints
-        from cgid.identification.stream import identify_blocks, model_blocks
+        from cgid.identification.stream import factors_for, identify_blocks
+        from cgid.recordings.chain import scaled
 
         settings, source, rate = self.settings, recording.source, recording.sampling_rate
-        names = [recording.channels[number].name for number in numbers]
-        keep = self.reports is not None
-        passing = _Passing(recording, numbers, keep)
+        channels = [recording.channels[number] for number in numbers]
+        names = [channel.name for channel in channels]
+        factors = factors_for(model, channels, settings, source)
         gaps = recording.gaps(numbers, settings.give_up, joint=model.together > 1)
-        blocks = model_blocks(recording, model, numbers, settings, gaps=gaps, seen=passing.see)
-        steps = identify_blocks(blocks, rate, model, names, settings, source)
+        blocks: Iterable[Any] = recording.blocks(gaps=True)
+        if len(channels) < len(recording.channels):
+            blocks = (block[numbers] for block in blocks)
+        blocks, pictures = gaps.marked(blocks), None
+        if self.reports is not None:
+            from cgid.measure.overview import OverviewStream
+            from cgid.plots.recording import MAX_CHANNELS
+
+            channels = channels[:MAX_CHANNELS]
+            pictures = OverviewStream(rate, len(channels))
+            blocks = pictures.watching(blocks)
+        steps = identify_blocks(scaled(blocks, factors), rate, model, names, settings, source)
         # The next command cannot read what came through a pipe.
         file = "RECORDING" if source == "stdin" else source
         hints = Hints(model, rate, file, *given_options(), channels=[channel.name for channel in recording.channels])
-        rows = RecordingRows(source, model, names, settings, self.lines, keep=keep, hints=hints)
+        rows = RecordingRows(source, model, names, settings, self.lines, keep=pictures is not None, hints=hints)
         warn_of_model(source, rows.name(rows.channels[0]), rate, model, settings)
         with progress_bar(recording.n_samples, "samples", "predicting") as progress:
             seen = 0
             for step in steps:
                 rows.feed(step)
-                progress(passing.n_samples - seen)
-                seen = passing.n_samples
-        rows.finish(passing.n_samples / rate, recording.start_time)
+                progress(gaps.n_seen - seen)
+                seen = gaps.n_seen
+        rows.finish(gaps.n_seen / rate, recording.start_time)
         gaps.require(source)
-        if self.reports is not None:
-            self.reports.append(_report(recording, passing, model, self.models.name(model), rows))
+        if self.reports is not None and pictures is not None:
+            name = self.models.name(model)
+            self.reports.append(_report(recording, channels, pictures.overview(), model, name, rows))
 
     def dataset(self, path: str) -> None:
         """Print the answer for every signal of a dataset, and how many are right."""
@@ -330,10 +316,13 @@ def predict(
         from cgid.plots.figure import FORMATS, new_picture
 
         picture = new_picture(masses, endings=FORMATS, overwrite=overwrite)
-    impactors = impactor_columns_for(impactor, keep=picture is not None)
-    models, settings = settings_of(
-        **options, impactors=impactors, invert=reading.invert, milliseconds=reading.milliseconds
-    )
+    impactors = None
+    if impactor is not None:
+        from cgid.impactor import ImpactorColumns
+        from cgid.scene import load_scene
+
+        impactors = ImpactorColumns(load_scene(impactor), keep=picture is not None)
+    models, settings = settings_of(reading, **options, impactors=impactors)
     if sample:
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
         files = (*files, str(shipped.path_of("datasets", name)))
@@ -346,17 +335,17 @@ def predict(
     lines = AnswerLines(as_json, table, datasets=any(map(is_dataset, files)))
     prediction = _Prediction(models=models, settings=settings, lines=lines, reports=None if report is None else [])
 
-    def treat(path: str) -> None:
-        if reading.wants_whole_dataset(path, settings.mass):
-            prediction.dataset(path)
-        elif reading.index is not None:
-            (signal,) = reading.signals(path)
-            prediction.dataset_signal(path, reading.index, signal)
-        else:
-            prediction.recording(reading.recording(path))
-
+    errors = FileErrors(strict=strict, one_output=True)
     with table:
-        code = each_file(files, treat, strict=strict, one_output=True)
+        for path in errors.each(files):
+            with errors:
+                if reading.wants_whole_dataset(path, settings.mass):
+                    prediction.dataset(path)
+                elif reading.index is not None:
+                    (signal,) = reading.signals(path)
+                    prediction.dataset_signal(path, reading.index, signal)
+                else:
+                    prediction.recording(reading.recording(path))
     if report is not None and prediction.reports:
         from cgid.report import write_report
 
@@ -369,4 +358,4 @@ def predict(
         content = sizes_picture(impactors.sizes(), ", ".join(files), picture.suffix.lower())
         write_whole(picture, content, overwrite=overwrite)
         say(f"wrote {picture}", err=True)
-    return code
+    return errors.code

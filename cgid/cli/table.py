@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from cgid.cli.options import PATH
+from cgid.cli.options import PATH, overwrite_option
 from cgid.cli.output import finite, say
 from cgid.errors import BadData
 from cgid.terminal import counted
@@ -68,8 +68,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options for the file that holds the table."""
     ends = ", ".join(ENDINGS[:-1])
     description = f"Write the table to this file ({ends}) instead of stdout (-)."
-    command = click.option("--overwrite", is_flag=True, help="Replace an existing file.")(command)
-    return click.option("-o", "--output", type=PATH, metavar="FILE", help=description)(command)
+    return click.option("-o", "--output", type=PATH, metavar="FILE", help=description)(overwrite_option(command))
 
 
 class TableOutput:
@@ -77,6 +76,7 @@ class TableOutput:
 
     def __init__(self, output: str | None = None, *, overwrite: bool = False, as_json: bool = False) -> None:
         self.columns: tuple[Column, ...] = ()
+        self._titles: list[str] = []
         self._path = None if output in (None, "-") else Path(str(output))
         self._overwrite, self._files = overwrite, ExitStack()
         self._write: Callable[[list[Any]], object] | None = None
@@ -94,14 +94,16 @@ class TableOutput:
     def begin(self, columns: Iterable[Column]) -> list[Column]:
         """Set the columns if none are set yet; return those of these that the table lacks."""
         new_columns = tuple(columns)
-        self.columns = self.columns or new_columns
+        if not self.columns:
+            self.columns = new_columns
+            self._titles = [column.title for column in new_columns]
         return [column for column in new_columns if column not in self.columns]
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Write a row, given by the titles of its columns; what it lacks stays empty."""
         if self._write is None:
             self._write = self._opened()
-        self._write([_plain(row.get(column.title)) for column in self.columns])
+        self._write([_plain(row.get(title)) for title in self._titles])
 
     def __enter__(self) -> TableOutput:
         return self
@@ -117,10 +119,14 @@ class TableOutput:
 
     def _opened(self) -> Callable[[list[Any]], object]:
         """Write the head of the table, and return what writes a row."""
-        titles = [column.title for column in self.columns]
+        titles, columns = self._titles, self.columns
+
+        def line(row: list[Any]) -> str:
+            return _line([column.cell(value) for column, value in zip(columns, row, strict=True)])
+
         if self._path is None:
-            _print_row(titles)
-            return lambda row: _print_row(self._texts(row))
+            _print_line(_line(titles))
+            return lambda row: _print_line(line(row))
         from cgid.files import clear_half_written, whole_file
 
         clear_half_written(self._path)
@@ -129,16 +135,13 @@ class TableOutput:
         if suffix not in (".csv", ".jsonl"):
             from cgid.store.table import plain_writer
 
-            types = {(column.name, column.unit): column.dtype for column in self.columns}
+            types = {(column.name, column.unit): column.dtype for column in columns}
             return self._files.enter_context(plain_writer(file, suffix, types))
         stream = self._files.enter_context(file.open("w", encoding="utf-8", newline=""))
         if suffix == ".jsonl":
             return lambda row: stream.write(json.dumps(finite(dict(zip(titles, row, strict=True)))) + "\n")
         stream.write(_line(titles) + "\n")
-        return lambda row: stream.write(_line(self._texts(row)) + "\n")
-
-    def _texts(self, row: list[Any]) -> list[str]:
-        return [column.cell(value) for column, value in zip(self.columns, row, strict=True)]
+        return lambda row: stream.write(line(row) + "\n")
 
 
 class WrittenTable(NamedTuple):
@@ -221,9 +224,9 @@ def _damaged(file: Path, fault: str) -> BadData:
     return BadData(f"{file}: the table must be as it was written, {fault}; write it again")
 
 
-def _print_row(texts: list[str]) -> None:
+def _print_line(line: str) -> None:
     """Print one row of CSV; a quoted line break stays one, all else that controls a terminal is escaped."""
-    for part in _line(texts).split("\n"):
+    for part in line.split("\n"):
         say(part)
 
 

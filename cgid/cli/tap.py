@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, Reading, reading_options, share_of
+from cgid.cli.options import PATH, SCENE, Reading, json_option, overwrite_option, reading_options, share_of
 from cgid.cli.output import print_json, progress_bar, say, warn
 from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     help="Say how far the scene's natural frequencies may be off (one standard deviation).",
 )
 @click.option("--plot", "picture", type=PATH, help="Draw the poles of all orders of the model as PNG.")
-@click.option("--overwrite", is_flag=True, help="Replace existing files.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@overwrite_option
+@json_option
 @reading_options
 def tap(
     recording: str,

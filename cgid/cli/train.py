@@ -13,15 +13,19 @@ import click
 from cgid import validation
 from cgid.cli.help import Command
 from cgid.cli.options import (
+    CHAIN,
     PATH,
     SCENE,
-    chain_options,
-    dead_time_in_seconds,
-    format_option,
+    Reading,
     given_flags,
+    json_option,
+    overwrite_option,
+    reading_options_for,
     refuse,
     require_one_executor,
+    seed_option,
     share_of,
+    strict_option,
     worker_options,
 )
 from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
@@ -122,27 +126,9 @@ _OF_TRAINING = (
     "--hop", "hop_time", type=float, help="Set the time from one window to the next [s], by default half a window."
 )
 @click.option("--level-free", is_flag=True, help="Use only features in which the gain of a sensor cancels.")
-@click.option(
-    "--rate", "sampling_rate", type=float, help="Set the sampling rate [Hz] of recordings that do not state it."
-)
-@click.option("--unit", help="Set the unit of the samples (N, g, ...) of recordings that do not state it.")
-@click.option(
-    "--channel",
-    "channels",
-    multiple=True,
-    help="Read only this channel of the recordings; for windows of several together give 1+2.",
-)
-@format_option
-@chain_options
-@click.option("--dead-time", type=float, help="Set how long a blow rings [ms], with --by impact.")
-@click.option("--strict", is_flag=True, help="Stop at the first recording that cannot be read.")
-@click.option(
-    "--seed",
-    type=int,
-    default=0,
-    show_default=True,
-    help="Choose the random numbers of the split, and of the signals of a scene.",
-)
+@reading_options_for("sampling_rate", "unit", "channel", "format", "milliseconds", *CHAIN)
+@strict_option
+@seed_option
 @worker_options
 @click.option(
     "--shuffle-labels",
@@ -150,8 +136,8 @@ _OF_TRAINING = (
     help="Check the method: with shuffled labels, the accuracy must be that of guessing.",
 )
 @click.option("--plots", is_flag=True, help="Draw confusion, reliability and ROC pictures, too (extra plot).")
-@click.option("--overwrite", is_flag=True, help="Replace an existing model.")
-@click.option("--json", "as_json", is_flag=True, help="Print the metrics as one JSON object.")
+@overwrite_option
+@json_option
 @click.pass_context
 def train(
     context: click.Context,
@@ -162,6 +148,7 @@ def train(
     plots: bool,
     overwrite: bool,
     as_json: bool,
+    reading: Reading,
     **options: Any,
 ) -> int:
     """Train a model on DATA: labelled recordings, datasets made by cgid generate, or scenes.
@@ -190,7 +177,7 @@ def train(
     from cgid.workers import workers
 
     if template is not None:
-        return _write_template(data, Path(template), options, overwrite=overwrite)
+        return _write_template(data, Path(template), reading, overwrite=overwrite)
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
@@ -200,7 +187,9 @@ def train(
         refuse(context, _OF_TRAINING, "--from corrects a model and trains none")
         if len(data) != 1 or not _recorded(data[0]):
             raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
-        return correct_model(_manifest(data[0]), base, path, options, plots=plots, as_json=as_json)
+        return correct_model(
+            _manifest(data[0]), base, path, reading, strict=options["strict"], plots=plots, as_json=as_json
+        )
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
@@ -219,7 +208,7 @@ def train(
     manifest = _manifest(recorded[0]) if recorded else None
     with workers(options.pop("jobs"), options.pop("scheduler")) as options["workers"]:
         if manifest is not None:
-            training, failures = _from_recordings(manifest, others, options)
+            training, failures = _from_recordings(manifest, others, reading, options)
         else:
             training, failures = _from_signals(others, options)
     written = write_model(training, path, plots=plots, overwrite=overwrite)
@@ -267,10 +256,10 @@ def _requested_windows(context: click.Context, others: list[str], features: Any)
     given = given_flags(context)
     if "window_time" in given or "hop_time" in given:
         return "window"
-    return "impact" if "dead_time" in given or others else None
+    return "impact" if "milliseconds" in given or others else None
 
 
-def _write_template(data: tuple[str, ...], path: Path, options: dict[str, Any], *, overwrite: bool) -> int:
+def _write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
     """Write a manifest with a row for each recording, its label empty unless its folder says it."""
     from cgid.files import check_new, write_whole
     from cgid.identification.manifest import manifest_text, path_from, recordings_in, row_of
@@ -280,9 +269,9 @@ def _write_template(data: tuple[str, ...], path: Path, options: dict[str, Any], 
     for item in data:
         folder = Path(item) if Path(item).is_dir() else Path(item).parent
         for file in recordings_in(folder) if Path(item).is_dir() else [Path(item)]:
-            content, failed = _content(file, options)
+            content, failed = _content(file, reading)
             code = code or failed
-            given = {"rate": options["sampling_rate"], "unit": options["unit"], "content": content}
+            given = {"rate": reading.sampling_rate, "unit": reading.unit, "content": content}
             rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
     text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
     write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
@@ -293,14 +282,12 @@ def _write_template(data: tuple[str, ...], path: Path, options: dict[str, Any], 
     return code
 
 
-def _content(file: Path, options: dict[str, Any]) -> tuple[str, int]:
+def _content(file: Path, reading: Reading) -> tuple[str, int]:
     """Return what is read of a recording, or why it cannot be, and an exit code."""
     from cgid.recordings import open_recording
 
     try:
-        recording = open_recording(
-            file, **{name: options[name] for name in ("sampling_rate", "unit", "format")}, **options["chain"]
-        )
+        recording = open_recording(file, **reading.common)
     except CgidError as error:
         say_error(error)
         return "cannot be read", error.exit_code
@@ -343,10 +330,12 @@ def _from_signals(data: list[str], options: dict[str, Any]) -> tuple[Any, list[A
     return training, []
 
 
-def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, Any]) -> tuple[Any, list[Any]]:
+def _from_recordings(
+    manifest: Manifest, others: list[str], reading: Reading, options: dict[str, Any]
+) -> tuple[Any, list[Any]]:
     """Return the training on recordings, and the errors of unreadable ones."""
     from cgid.identification.grouped import MAX_FOLDS
-    from cgid.identification.labelled_recordings import Reading, record
+    from cgid.identification.labelled_recordings import record
     from cgid.identification.rows import Slicing
     from cgid.identification.training import train as train_model
 
@@ -355,15 +344,14 @@ def _from_recordings(manifest: Manifest, others: list[str], options: dict[str, A
         by=options["by"],
         window_time=window,
         hop_time=window / 2 if hop is None else hop,
-        dead_time=dead_time_in_seconds(options["dead_time"]),
+        dead_time=reading.dead_time,
     )
-    given = {name: options[name] for name in ("sampling_rate", "unit", "strict", "format")}
     with progress_bar(manifest.n_intervals, "rows", "measuring") as progress:
         rows = record(
             manifest,
             options["features"],
             slicing=slicing,
-            reading=Reading(channels=options["channels"] or None, failed=say_error, **given, **options["chain"]),
+            reading=reading.of_manifest(strict=options["strict"]),
             level_free=options["level_free"],
             augment=True,
             progress=progress,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cgid.cli.help import Command
-from cgid.cli.options import PATH, SCENE, format_option
-from cgid.cli.output import each_file, print_json, progress_bar, say
+from cgid.cli.options import PATH, SCENE, Reading, json_option, reading_options_for
+from cgid.cli.output import FileErrors, print_json, progress_bar, say
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
@@ -26,10 +26,9 @@ _NO_SUM = "no checksum, "
 @click.argument("data", type=PATH, nargs=-1, required=True, metavar="DATA...")
 @click.option("--repair", is_flag=True, help="Make again what is damaged, and remove what stopped runs have left.")
 @click.option("--scene", type=SCENE, help="Give the scene file of a dataset, if that names a recorded background.")
-@click.option("--variable", help="Choose an array, table or group if a recording holds several.")
-@format_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for each DATA.")
-def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool, **reading: str | None) -> int:
+@reading_options_for("variable", "format")
+@json_option
+def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool, reading: Reading) -> int:
     """Say what is damaged in DATA: datasets (folders or files), recordings, tables, models; the exit code is 65 then.
 
     The files of a folder are compared with its SHA256SUMS, single files with their own checksums. A recording of
@@ -48,19 +47,18 @@ def verify(data: tuple[str, ...], repair: bool, scene: str | None, as_json: bool
 
         given = load_scene(scene)
 
-    def treat(path: str) -> None:
-        if not _is_file(path):
-            _verify_data(path, repair, given, as_json)
-        elif is_model(path):
-            _verify_model(path, as_json)
-        elif _is_foreign(path) and _verify_rows(path, as_json):
-            pass
-        elif _is_foreign(path):
-            _verify_foreign(path, reading, as_json)
-        else:
-            _verify_data(path, repair, given, as_json)
-
-    return each_file([file for path in data for file in _recordings_of(path) or [path]], treat)
+    errors = FileErrors()
+    for path in errors.each(file for one in data for file in _recordings_of(one) or [one]):
+        with errors:
+            if not _is_file(path):
+                _verify_data(path, repair, given, as_json)
+            elif is_model(path):
+                _verify_model(path, as_json)
+            elif not _is_foreign(path):
+                _verify_data(path, repair, given, as_json)
+            elif not _verify_rows(path, as_json):
+                _verify_foreign(path, reading, as_json)
+    return errors.code
 
 
 def _recordings_of(path: str) -> list[str]:
@@ -131,7 +129,7 @@ def _is_foreign(path: str) -> bool:
     return not is_single_file(file) or is_hdf5(file)
 
 
-def _verify_foreign(path: str, reading: dict[str, Any], as_json: bool) -> None:
+def _verify_foreign(path: str, reading: Reading, as_json: bool) -> None:
     """Report a recording without checksums that can be read to its end, or raise what is broken."""
     from cgid.errors import BadData
 
@@ -151,15 +149,15 @@ def _verify_foreign(path: str, reading: dict[str, Any], as_json: bool) -> None:
         raise BadData(f"{path}: must be whole, {damage[0]}; copy or export it again, this is no file of cgid")
 
 
-def _read(path: str, reading: dict[str, Any]) -> tuple[RecordingFile, int]:
+def _read(path: str, reading: Reading) -> tuple[RecordingFile, int]:
     """Read a recording to its end, whether or not its rate is known; return it and its samples per channel."""
     from cgid.errors import MissingOption
     from cgid.recordings import open_recording
 
     try:
-        recording = open_recording(path, **reading)
+        recording = open_recording(path, variable=reading.variable, **reading.common)
     except MissingOption:
-        recording = open_recording(path, sampling_rate=1.0, **reading)
+        recording = open_recording(path, variable=reading.variable, **reading.common | {"sampling_rate": 1.0})
     n_samples = 0
     with progress_bar(recording.n_samples, "samples", "reading") as progress:
         for block in recording.blocks():

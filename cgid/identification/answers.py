@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cgid import validation
 from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
@@ -16,12 +17,12 @@ from cgid.identification.diagnosis import Cause, causes_of, with_frames
 from cgid.identification.events import Event, frames_alike
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings, known_columns
-from cgid.measure.features import extract_array, problems_of
+from cgid.measure.features import as_rows, measured, require_measurable
 from cgid.measure.filters import Equalisation
-from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME
+from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, frames_of
 from cgid.recordings.chain import require_measured
 from cgid.signals import Signal
-from cgid.units import ELECTRICAL, UNITS
+from cgid.units import ELECTRICAL, UNITS, quantity_of
 from cgid.validation import UNKNOWN, Floats
 
 if TYPE_CHECKING:
@@ -125,33 +126,45 @@ def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     BadData
         The signal has another quantity than the model.
     """
-    if signal.unit is None:
+    factor = factor_to(model, signal.unit, signal.name, mass)
+    if signal.unit == model.unit:
+        return signal
+    return replace(signal, samples=signal.samples * factor, unit=model.unit)
+
+
+def factor_to(model: Model, unit: str | None, name: str, mass: float | None = None) -> float:
+    """Return the factor from samples in a unit to those that a model takes; raises as `suited`, with a name."""
+    if unit is None:
         raise MissingOption(
-            f"{signal.name}: the unit must be known, neither header nor option says it; give --unit, such as "
+            f"{name}: the unit must be known, neither header nor option says it; give --unit, such as "
             f"{_unit_options(model)}, and for integers --full-scale, too, such as --full-scale '500 g'"
         )
+    quantity, factor = quantity_of(unit), 1.0
     if model.quantity not in ELECTRICAL:
-        require_measured(signal.unit, signal.name)
+        require_measured(unit, name)
     if mass is not None:
-        signal = signal.as_force(mass)
-    if signal.quantity != model.quantity:
+        factor = validation.number("mass", mass, "kg", validation.positive)
+        if quantity != "acceleration":
+            raise InvalidValue(
+                f"{name}: mass turns an acceleration into a force, this is {quantity}; leave the mass out"
+            )
+        factor, unit, quantity = factor * UNITS[quantity][unit], "N", "force"
+    if quantity != model.quantity:
         hint = f"give a recording of {model.quantity}"
-        if (signal.quantity, model.quantity) == ("acceleration", "force"):
+        if (quantity, model.quantity) == ("acceleration", "force"):
             hint = "give --mass KG if the accelerated body is the impactor (force = mass x acceleration)"
-        elif signal.quantity == "level":
+        elif quantity == "level":
             example = "500 g" if model.quantity == "acceleration" else "2 kN"
             hint = (
                 f"say what full scale is, as in --full-scale '{example}', or with --full-scale '10 V' "
                 f"and the --sensitivity of the sensor; floats may be in a unit as they are: {_unit_options(model)}"
             )
         raise BadData(
-            f"{signal.name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {signal.quantity} "
-            f"[{signal.unit}]; {hint}"
+            f"{name}: the quantity must be the model's, {model.quantity} [{model.unit}], got {quantity} [{unit}]; "
+            f"{hint}"
         )
-    if signal.unit == model.unit:
-        return signal
-    factor = UNITS[model.quantity][model.unit]
-    return replace(signal, samples=signal.in_si().samples / factor, unit=model.unit)
+    units = UNITS[quantity]
+    return factor if unit == model.unit else factor * units[unit] / units[model.unit]
 
 
 def _unit_options(model: Model) -> str:
@@ -202,6 +215,8 @@ def identify(signal: Signal, model: Model, settings: PredictionSettings | None =
             f"{signal.name}: model must be one of impacts, this one answers for windows; give a whole recording"
         )
     events = find_impacts(signal, kind=model.kind, dead_time=settings.dead_time)
+    if (shortest := min(len(event.samples) for event in events)) >= MINIMUM_FRAME:
+        require_measurable(model.measured, signal.sampling_rate, shortest, None, model.beam)
     return identify_events(events, model, settings, channels=(signal.channel,))
 
 
@@ -220,26 +235,27 @@ def identify_events(
             "the order of its training; give a whole recording of them, or take a model of one sensor"
         )
     sensors = settings.sensors_for(model, channels)
-    # After a gap, a channel counts as another one.
-    stretches = [event.since * len(channels) + event.channel for event in events]
+    known = known_columns(model.known, 1, settings.drop_height)
     answers: dict[int, Answer] = {}
     for sensor in dict.fromkeys(sensors):
         of_sensor = [number for number, event in enumerate(events) if sensors[event.channel] == sensor]
-        for numbers, frames in frames_alike([events[number] for number in of_sensor]):
-            event = events[of_sensor[numbers[0]]]
-            part = identify_frames(
+        for some, frames in frames_alike([events[number] for number in of_sensor]):
+            numbers = [of_sensor[number] for number in some]
+            event = events[numbers[0]]
+            part = _identified(
                 frames,
                 event.sampling_rate,
                 model,
                 settings,
+                known.repeat(len(frames), axis=0),
                 pre_trigger=event.pre_trigger,
-                drop_height=settings.drop_height,
                 detection_limit=event.detection_limit,
                 equalisation=None if sensor is None else model.equalisation(sensor)[0],
                 beam=beam,
-                channel=np.array([stretches[of_sensor[number]] for number in numbers]),
+                # After a gap, a channel counts as another one.
+                channel=np.array([events[k].since * len(channels) + events[k].channel for k in numbers]),
             )
-            answers |= zip((of_sensor[number] for number in numbers), part, strict=True)
+            answers |= zip(numbers, part, strict=True)
     return [_placed(answers[number], event, channels) for number, event in enumerate(events)]
 
 
@@ -266,8 +282,6 @@ def identify_frames(
     drop_height: ArrayLike | None = None,
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
-    beam: BeamStream | None = None,
-    channel: NDArray[np.intp] | None = None,
 ) -> list[Answer]:
     """Return one answer for each frame of a single impact.
 
@@ -287,10 +301,6 @@ def identify_frames(
         Least height of a pulse over the standard deviation of the noise.
     equalisation : Equalisation, optional
         Corrects the sensor's response.
-    beam : BeamStream, optional
-        The model's beam, with what earlier impacts of the stream have shown.
-    channel : ndarray of int, (n_signals,), optional
-        The channel that each frame is from.
 
     Returns
     -------
@@ -302,32 +312,54 @@ def identify_frames(
     BadData, MissingOption, InvalidValue
         As in `identify`, except that a frame without an impact gets an answer with a problem.
     """
-    known = known_columns(model.known, len(frames), drop_height)
+    known, shape = known_columns(model.known, len(frames), drop_height), np.shape(frames)
+    if shape[-1] >= MINIMUM_FRAME:
+        require_measurable(model.measured, sampling_rate, shape[-1], equalisation, model.beam)
+        rows = as_rows(frames, 1 if model.beam is None else model.beam.n_sensors, model.measured)
+        frames = frames_of(rows, pre_trigger).reshape(shape)
+    return _identified(
+        frames,
+        sampling_rate,
+        model,
+        settings or PredictionSettings(),
+        known,
+        pre_trigger=pre_trigger,
+        detection_limit=detection_limit,
+        equalisation=equalisation,
+    )
+
+
+def _identified(
+    frames: NDArray[np.floating],
+    sampling_rate: float,
+    model: Model,
+    settings: PredictionSettings,
+    known: Floats,
+    *,
+    pre_trigger: int | None,
+    detection_limit: float,
+    equalisation: Equalisation | None,
+    beam: BeamStream | None = None,
+    channel: NDArray[np.intp] | None = None,
+) -> list[Answer]:
+    """Return one answer for each frame; `known` are the inputs of the model beside the features."""
     if frames.shape[-1] < MINIMUM_FRAME:
         short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         return [unmeasured(short)] * len(frames)
-    measured = extract_array(
-        frames,
+    values, problems = measured(
+        frames.reshape(-1, frames.shape[-1]),
         sampling_rate,
         model.measured,
         pre_trigger=pre_trigger,
-        invalid="nan",
         detection_limit=detection_limit,
         equalisation=equalisation,
         beam=beam or model.beam,
         channel=channel,
     )
-    sound = np.asarray(np.isfinite(measured).all(axis=1))
+    sound = np.asarray(np.isfinite(values).all(axis=1))
     time = 0.0 if pre_trigger is None else pre_trigger / sampling_rate
-    features, guards = np.split(measured[sound], [len(model.features)], axis=1)
-    answers = answers_from(
-        np.hstack([features, known[sound]]), guards, model, settings or PredictionSettings(), sampling_rate
-    )
-    problems = {}
-    if not sound.all():
-        problems = problems_of(
-            frames, sampling_rate, model.measured, pre_trigger=pre_trigger, detection_limit=detection_limit
-        )
+    features, guards = np.split(values[sound], [len(model.features)], axis=1)
+    answers = answers_from(np.hstack([features, known[sound]]), guards, model, settings, sampling_rate)
     identified = [
         replace(next(answers), time=time)
         if sound[row]
@@ -335,7 +367,7 @@ def identify_frames(
         for row in range(len(frames))
     ]
     identified = with_frames(identified, frames, sampling_rate, model, pre_trigger)
-    if settings is None or settings.impactors is None:
+    if settings.impactors is None:
         return identified
     estimates = settings.impactors(frames, sampling_rate, model, pre_trigger, detection_limit)
     return [replace(answer, impactor=estimate) for answer, estimate in zip(identified, estimates, strict=True)]

@@ -17,7 +17,7 @@ from cgid.identification.answers import Answer
 from cgid.identification.diagnosis import Diagnosis, scale_warning
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
-from cgid.identification.stream import factor_of, identify_blocks
+from cgid.identification.stream import factors_for, identify_blocks
 from cgid.recordings import read_recording
 from cgid.recordings.chain import Chain, Statement, scaled
 from cgid.recordings.gaps import Gaps
@@ -154,9 +154,8 @@ def predict(
     first = signals[0]
     loaded = model if isinstance(model, Model) else load_model(_default(first, applied) if model is None else model)
     applied.check(loaded)
-    sign = -1.0 if applied.invert else 1.0
-    factors = [sign * factor_of(loaded, s.unit, s.source, s.channel, mass=applied.mass) for s in signals]
     channels = [Channel(name=signal.channel, unit=signal.unit) for signal in signals]
+    factors = factors_for(loaded, channels, applied, first.source)
 
     def warned(text: str) -> None:
         warnings.warn(f"{first.source}: {text}", stacklevel=3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from cgid.errors import InvalidValue, MissingOption
 from cgid.identification.model import Model
 from cgid.identification.windows import VOTE_TIME
 from cgid.signals import KNOWN
-from cgid.validation import UNKNOWN, Floats, shown
+from cgid.validation import UNKNOWN, Floats, Rule, shown
 
 __all__ = ["PredictionSettings"]
 
@@ -25,8 +25,28 @@ BATCH = 256
 SHARE_TIME = 10.0
 #: Shortest window of a share [s]: a shorter one holds too few impacts, and an hour would have millions of shares.
 MIN_SHARE_TIME = 0.05
-#: Default probability of being right before SHUT or OPEN is said.
-EVIDENCE = 0.95
+#: The rules of settings that are numbers, where they are not None.
+RULES = {
+    "coverage": Rule(),
+    "vote_time": Rule(0, unit="s"),
+    "share_time": Rule(MIN_SHARE_TIME, unit="s"),
+    "share_step": Rule(0, without="lowest", unit="s"),
+    "dilution_cost": Rule(0, without="lowest"),
+    "evidence": Rule(0.5, 1, without="highest"),
+    "hold": Rule(0, unit="s"),
+    "give_up": Rule(0, without="lowest", unit="s"),
+}
+
+
+class ShareSettings(NamedTuple):
+    """How the gangue fraction is followed, as `PredictionSettings` says; times in seconds."""
+
+    window: float
+    step: float
+    gangue: tuple[str, ...]
+    dilution_cost: float
+    evidence: float
+    hold: float
 
 
 class ExtraColumns(Protocol):
@@ -85,7 +105,7 @@ class PredictionSettings:
     dilution_cost : float, optional
         Cost of one drawn gangue rock, in lost coal rocks; None: 1.
     evidence : float, optional
-        Probability of being right before SHUT or OPEN is said, from .5 to below 1; None: `EVIDENCE`.
+        Probability of being right before SHUT or OPEN is said, from .5 to below 1; None: .95.
     hold : float, optional [s]
         Least time between SHUT and OPEN; None: a window.
     give_up : float, optional [s]
@@ -114,30 +134,18 @@ class PredictionSettings:
     impactors: ExtraColumns | None = None
 
     def __post_init__(self) -> None:
-        self._require_types()
-        if self.costs and self.coverage is not None:
-            raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
-        if self.class_conditional and self.coverage is None:
-            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
-        if self.vote_time is not None:
-            validation.not_negative("vote_time", self.vote_time, "s")
-        if not validation.positive("window", self.share_length, "s") >= MIN_SHARE_TIME:
-            raise InvalidValue(f"window must be at least {MIN_SHARE_TIME:g} s, got {self.share_length:g} s")
-        validation.positive("step", self.step, "s")
-        validation.positive("dilution_cost", self.cost_of_dilution)
-        require_evidence("evidence", self.least_evidence)
-        validation.not_negative("hold", self.least_hold, "s")
-        if self.give_up is not None:
-            validation.positive("give_up", self.give_up, "s")
-
-    def _require_types(self) -> None:
         validation.instance("costs", self.costs, Mapping)
         for name in ("class_conditional", "invert"):
             validation.instance(name, getattr(self, name), bool, np.bool_)
         if not (isinstance(self.sensors, tuple | list) and all(isinstance(one, str) for one in self.sensors)):
             raise InvalidValue(f"sensors must be a tuple of names, as in ('left', 'right'), got {shown(self.sensors)}")
-        if self.coverage is not None:
-            validation.number("coverage", self.coverage)
+        for name, rule in RULES.items():
+            if (value := getattr(self, name)) is not None:
+                validation.number(name, value, rule=rule)
+        if self.costs and self.coverage is not None:
+            raise InvalidValue("costs and coverage must not be given together, each decides by itself; leave one out")
+        if self.class_conditional and self.coverage is None:
+            raise InvalidValue("class_conditional must come with a coverage; give --coverage, such as --coverage 0.9")
 
     # -- decision -------------------------------------------------------------------------------------
 
@@ -199,62 +207,23 @@ class PredictionSettings:
     # -- gangue fraction ---------------------------------------------------------------------------------
 
     @property
-    def share_length(self) -> float:
-        """Window of a share [s]."""
-        return SHARE_TIME if self.share_time is None else self.share_time
-
-    @property
-    def step(self) -> float:
-        """Time from one share to the next [s]."""
-        return self.share_length / 2 if self.share_step is None else self.share_step
-
-    @property
-    def gangue_labels(self) -> tuple[str, ...]:
-        """Labels that count as gangue."""
-        return self.gangue or ("gangue",)
-
-    @property
-    def cost_of_dilution(self) -> float:
-        """Cost of one drawn gangue rock, in lost coal rocks."""
-        return 1.0 if self.dilution_cost is None else self.dilution_cost
-
-    @property
-    def least_evidence(self) -> float:
-        """Probability of being right before SHUT or OPEN is said."""
-        return EVIDENCE if self.evidence is None else self.evidence
-
-    @property
-    def least_hold(self) -> float:
-        """Least time between SHUT and OPEN [s]."""
-        return self.share_length if self.hold is None else self.hold
+    def shares(self) -> ShareSettings:
+        """How the gangue fraction is followed, with the defaults."""
+        window = SHARE_TIME if self.share_time is None else self.share_time
+        return ShareSettings(
+            window=window,
+            step=window / 2 if self.share_step is None else self.share_step,
+            gangue=self.gangue or ("gangue",),
+            dilution_cost=1.0 if self.dilution_cost is None else self.dilution_cost,
+            evidence=0.95 if self.evidence is None else self.evidence,
+            hold=window if self.hold is None else self.hold,
+        )
 
     @property
     def asks_for_shares(self) -> bool:
         """Whether an option asks for shares, so that even a single impact has them."""
         decides = (self.share_time, self.dilution_cost, self.evidence, self.hold)
         return bool(self.gangue) or any(one is not None for one in decides)
-
-    def separates_gangue(self, model: Model) -> bool:
-        """Return whether a model separates gangue from other labels."""
-        return 0 < len(set(self.gangue_labels) & set(model.labels)) < len(model.labels)
-
-    def require_gangue(self, model: Model) -> None:
-        """Raise `InvalidValue` unless the model has all gangue labels, and others."""
-        for label in self.gangue_labels:
-            validation.choice("gangue label", label, model.labels)
-        if not self.separates_gangue(model):
-            raise InvalidValue(
-                "gangue labels must leave another one, got all of the model's: "
-                f"{', '.join(self.gangue_labels)}; leave one out"
-            )
-
-
-def require_evidence(name: str, value: float) -> float:
-    """Return a probability of being right; raise `InvalidValue` unless it lies from .5 to below 1."""
-    evidence = validation.number(name, value)
-    if not 0.5 <= evidence < 1:
-        raise InvalidValue(f"{name} must lie between 0.5 and 1 (exclusive), got {evidence:g}; such as 0.95")
-    return evidence
 
 
 def known_columns(known: tuple[str, ...], n_impacts: int, drop_height: ArrayLike | None) -> Floats:

@@ -29,7 +29,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from cgid.errors import InvalidValue
 from cgid.identification.answers import Answer
 from cgid.identification.confusion import SUREST, Confusion, logit
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import EVIDENCE, PredictionSettings, require_evidence
+from cgid.identification.prediction_settings import RULES, PredictionSettings
 from cgid.validation import Floats
 
 __all__ = ["CavingWatch", "Share", "ShareWindow", "wilson_interval"]
@@ -295,10 +295,10 @@ class ShutDecision:
     0.25
     """
 
-    def __init__(self, dilution_cost: float = 1.0, evidence: float = EVIDENCE, hold: float = 0.0) -> None:
-        self.dilution_cost = validation.number("dilution_cost", dilution_cost, "", validation.positive)
-        self.evidence = require_evidence("evidence", evidence)
-        self.hold = validation.number("hold", hold, "s", validation.not_negative)
+    def __init__(self, dilution_cost: float = 1.0, evidence: float = 0.95, hold: float = 0.0) -> None:
+        given = {"dilution_cost": dilution_cost, "evidence": evidence, "hold": hold}
+        rule = {name: validation.number(name, value, rule=RULES[name]) for name, value in given.items()}
+        self.dilution_cost, self.evidence, self.hold = rule.values()
         self.threshold = 1.0 / (1.0 + self.dilution_cost)
         self._shut, self._since = False, -np.inf
 
@@ -313,6 +313,11 @@ class ShutDecision:
             return None
         self._shut, self._since = not self._shut, share.time
         return Switch(time=share.time, shut=self._shut, cost=self.cost(share), evidence=evidence, share=share)
+
+
+def separates(gangue: Collection[str], model: Model) -> bool:
+    """Return whether a model separates these labels from others."""
+    return 0 < len(set(gangue) & set(model.labels)) < len(model.labels)
 
 
 class CavingWatch:
@@ -332,15 +337,23 @@ class CavingWatch:
     def __init__(
         self, model: Model, channels: Sequence[str], settings: PredictionSettings, weight: float = 1.0
     ) -> None:
-        settings.require_gangue(model)
-        self._gangue, self._step = settings.gangue_labels, settings.step
-        rule = settings.cost_of_dilution, settings.least_evidence, settings.least_hold
-        self._rules = {name: ShutDecision(*rule) for name in channels}
+        shares = settings.shares
+        for label in shares.gangue:
+            validation.choice("gangue label", label, model.labels)
+        if not separates(shares.gangue, model):
+            raise InvalidValue(
+                "gangue labels must leave another one, got all of the model's: "
+                f"{', '.join(shares.gangue)}; leave one out"
+            )
+        self._gangue, self._step = shares.gangue, shares.step
+        self._rules = {name: ShutDecision(shares.dilution_cost, shares.evidence, shares.hold) for name in channels}
         #: Share above which going on costs more than shutting.
-        self.threshold = ShutDecision(*rule).threshold
-        window_settings: dict[str, Any] = {"answers": answers_of(model, self._gangue), "weight": weight}
-        window_settings["threshold"] = self.threshold
-        self._windows = {name: ShareWindow(settings.share_length, channel=name, **window_settings) for name in channels}
+        self.threshold = 1 / (1 + shares.dilution_cost)
+        answers = answers_of(model, shares.gangue)
+        self._windows = {
+            name: ShareWindow(shares.window, answers=answers, weight=weight, channel=name, threshold=self.threshold)
+            for name in channels
+        }
         self._waiting: deque[Answer] = deque()
         self._steps = 0
         # Channels whose last window was empty and has been returned.

@@ -6,8 +6,10 @@ Memory holds the state of the detector and one batch of impacts, however long th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,23 +17,22 @@ from numpy.typing import NDArray
 
 from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import Answer, answers_from, identify_events, suited, unmeasured
+from cgid.identification.answers import Answer, answers_from, factor_to, identify_events, unmeasured
 from cgid.identification.detection import ImpactDetector
 from cgid.identification.events import Event
 from cgid.identification.model import Model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.reference import MeanSpectrum, drift
 from cgid.identification.windows import RunningVote, measure_windows, whole_windows, windows_of
-from cgid.measure.features import FEATURES
+from cgid.measure.features import FEATURES, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import ImpactKind
 from cgid.recordings.chain import scaled
-from cgid.recordings.gaps import Gaps
-from cgid.signals import Signal
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
     from cgid.recordings import RecordingFile
+    from cgid.recordings.recording import Channel
 
 #: Lowest sampling rate [Hz]; a lower one is in another unit, or not that of an impact recorder.
 SLOWEST = 10.0
@@ -89,44 +90,24 @@ def identify_recording(
         The unit of a channel, or the drop height that the model needs, is not given.
     """
     settings = replace(settings or PredictionSettings(), **fields)
-    rows = range(len(recording.channels))
-    gaps = recording.gaps(rows, settings.give_up, joint=model.together > 1)
-    blocks = model_blocks(recording, model, rows, settings, gaps=gaps)
-    names = [channel.name for channel in recording.channels]
-    for step in identify_blocks(blocks, recording.sampling_rate, model, names, settings, recording.source):
+    channels, source = recording.channels, recording.source
+    factors = factors_for(model, channels, settings, source)
+    gaps = recording.gaps(range(len(channels)), settings.give_up, joint=model.together > 1)
+    blocks = scaled(gaps.marked(recording.blocks(gaps=True)), factors)
+    names = [channel.name for channel in channels]
+    for step in identify_blocks(blocks, recording.sampling_rate, model, names, settings, source):
         yield from step.answers
-    gaps.require(recording.source)
+    gaps.require(source)
 
 
-def model_blocks(
-    recording: RecordingFile,
-    model: Model,
-    rows: Sequence[int],
-    settings: PredictionSettings,
-    *,
-    gaps: Gaps | None = None,
-    seen: Callable[[NDArray[Any]], object] = lambda block: None,
-) -> Iterator[NDArray[Any]]:
-    """Return the blocks of some channels in the unit of the model, with nan in gaps; `seen` gets raw blocks."""
-    selected, sign = list(rows), -1.0 if settings.invert else 1.0
-    channels = [recording.channels[row] for row in selected]
-    factors = [sign * factor_of(model, c.unit, recording.source, c.name, mass=settings.mass) for c in channels]
-    every = selected == list(range(len(recording.channels)))
-    gaps = gaps or recording.gaps(selected, settings.give_up, joint=model.together > 1)
-
-    def blocks() -> Iterator[NDArray[Any]]:
-        unchecked = recording.blocks(gaps=True)
-        for block in gaps.marked(unchecked if every else (block[selected] for block in unchecked)):
-            seen(block)
-            yield block
-
-    return scaled(blocks(), factors)
-
-
-def factor_of(model: Model, unit: str | None, source: str, channel: str = "1", *, mass: float | None = None) -> float:
-    """Return the factor from samples in a unit to the quantity and unit of the model; raises as `suited`."""
-    one = Signal(samples=np.ones(1), sampling_rate=1.0, unit=unit, source=source, channel=channel)
-    return float(suited(one, model, mass).samples[0])
+def factors_for(model: Model, channels: Sequence[Channel], settings: PredictionSettings, source: str) -> list[float]:
+    """Return the factor of each channel to the unit of the model, negative to invert; raises as `suited`."""
+    sign = -1.0 if settings.invert else 1.0
+    names = [source if channel.name == "1" else f"{source} channel {channel.name}" for channel in channels]
+    return [
+        sign * factor_to(model, channel.unit, name, settings.mass)
+        for channel, name in zip(channels, names, strict=True)
+    ]
 
 
 def identify_blocks(
@@ -146,18 +127,18 @@ def identify_blocks(
         )
     settings.require_use(model)
     how = _windows if model.kind == "window" else _impacts
-    return _named(how(blocks, sampling_rate, model, channels, settings, source), source)
+    return how(blocks, sampling_rate, model, channels, settings, source)
 
 
-def _named(steps: Iterator[Step], source: str) -> Iterator[Step]:
-    """Yield the steps; errors name the recording."""
+@contextmanager
+def _named(source: str) -> Iterator[None]:
+    """Let errors name the recording."""
     try:
-        yield from steps
+        yield
     except (BadData, InvalidValue) as error:
-        text = str(error)
-        if text.startswith(source):
+        if str(error).startswith(source):
             raise
-        raise type(error)(f"{source}: {text}") from None
+        raise type(error)(f"{source}: {error}") from None
 
 
 def _impacts(
@@ -170,42 +151,39 @@ def _impacts(
 ) -> Iterator[Step]:
     """Yield the answers for impacts: when a batch is full, or when no impact waits."""
     kind: ImpactKind = "pulse" if model.kind == "pulse" else "vibration"
-    names, joint = answering_channels(model, channels), model.together > 1
-    detector = ImpactDetector(
-        sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
-    )
+    joint, beam = model.together > 1, None if model.beam is None else model.beam.stream()
     waiting: list[Event] = []
-    everything = set(range(len(channels)))
-    silent = everything
-    warned: set[int] = set()
+    silent, warned = set(range(len(channels))), set[int]()
     quiet = _Quiet(sampling_rate, len(channels)) if kind == "vibration" else None
-    beam = None if model.beam is None else model.beam.stream()
 
     def named(row: int) -> str:
         return source if list(channels) == ["1"] else f"{source} channel {channels[row]}"
 
-    def answered(reasons: tuple[str, ...] = ()) -> Step:
-        answers = identify_events(waiting, model, settings, channels=names, beam=beam)
-        waiting.clear()
-        return Step(answers, detector.known_until / sampling_rate, reasons)
-
-    def take_events(events: list[Event]) -> None:
-        nonlocal silent
-        silent = silent - (everything if joint and events else {event.channel for event in events})
-        waiting.extend(replace(event, channel=0) if joint else event for event in events)
-
-    for block in blocks:
-        take_events(detector.feed(block))
-        loud = set() if quiet is None else quiet.loud(block) - silent - warned
-        warned |= loud
-        if loud or not waiting or len(waiting) >= settings.batch:
-            yield replace(answered(), warnings=tuple(f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud)))
-    take_events(detector.finish())
-    reasons = []
-    for row in sorted(silent):
-        reasons.append(f"{named(row)}: {detector.why_silent(row, model.unit)}")
-    turned = tuple(name for row, name in enumerate(channels) if detector.is_upside_down(row))
-    yield replace(answered(tuple(reasons)), upside_down=turned)
+    with _named(source):
+        names = answering_channels(model, channels)
+        detector = ImpactDetector(
+            sampling_rate, len(channels), kind=kind, dead_time=settings.dead_time, joint=joint, gaps=True
+        )
+        require_measurable(model.measured, sampling_rate, detector.n_samples, None, model.beam)
+        for block in chain(blocks, [None]):
+            ended = block is None
+            events = detector.finish() if block is None else detector.feed(block)
+            silent -= set(range(len(channels))) if joint and events else {event.channel for event in events}
+            waiting += (replace(event, channel=0) for event in events) if joint else events
+            loud = set() if quiet is None or block is None else quiet.loud(block) - silent - warned
+            warned |= loud
+            if not (ended or loud or not waiting or len(waiting) >= settings.batch):
+                continue
+            yield Step(
+                identify_events(waiting, model, settings, channels=names, beam=beam),
+                detector.known_until / sampling_rate,
+                silent=tuple(
+                    f"{named(row)}: {detector.why_silent(row, model.unit)}" for row in sorted(silent) if ended
+                ),
+                warnings=tuple(f"{named(row)}: {_NEVER_QUIET}" for row in sorted(loud)),
+                upside_down=tuple(one for row, one in enumerate(channels) if ended and detector.is_upside_down(row)),
+            )
+            waiting.clear()
 
 
 class _Quiet:
@@ -257,30 +235,33 @@ def _windows(
     source: str,
 ) -> Iterator[Step]:
     """Yield the answers for windows as they complete."""
-    names = answering_channels(model, channels)
-    times = settings.vote_over(model), model.window_time, model.hop_time
-    votes = [RunningVote.over(*times, model.vote_correlation) for _ in names]
-    sensors = settings.sensors_for(model, names)
-    equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
-    drifts, seen = Drifts(model, sensors, sampling_rate), False
-    for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
-        parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
-        judged = [
-            _judged(part, sampling_rate, model, settings, vote, equalisation)
-            for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
-        ]
-        for number, part in enumerate(parts):
-            drifts.see(number, part)
-        length, seen = windows.shape[2], True
-        answers = [
-            replace(answered[row], time=start / sampling_rate, end=(start + length) / sampling_rate, channel=name)
-            for row, start in enumerate(first.tolist())
-            for name, answered in zip(names, judged, strict=True)
-        ]
-        yield Step(answers, answers[-1].time)
-    if not seen:
-        yield Step([], 0.0, (f"{source}: a recording must last a window of {model.window_time:g} s, it is shorter",))
-    yield Step([], 0.0, warnings=tuple(f"{source}: {warning}" for warning in drifts.warnings()))
+    with _named(source):
+        names = answering_channels(model, channels)
+        times = settings.vote_over(model), model.window_time, model.hop_time
+        votes = [RunningVote.over(*times, model.vote_correlation) for _ in names]
+        sensors = settings.sensors_for(model, names)
+        equalisations = [None if sensor is None else model.equalisation(sensor) for sensor in sensors]
+        drifts, seen = Drifts(model, sensors, sampling_rate), False
+        for first, windows in windows_of(blocks, sampling_rate, model.window_time, model.hop_time):
+            parts = [windows] if model.n_channels > 1 else [windows[:, [row]] for row in range(len(names))]
+            judged = [
+                _judged(part, sampling_rate, model, settings, vote, equalisation)
+                for part, vote, equalisation in zip(parts, votes, equalisations, strict=True)
+            ]
+            for number, part in enumerate(parts):
+                drifts.see(number, part)
+            length, seen = windows.shape[2], True
+            answers = [
+                replace(answered[row], time=start / sampling_rate, end=(start + length) / sampling_rate, channel=name)
+                for row, start in enumerate(first.tolist())
+                for name, answered in zip(names, judged, strict=True)
+            ]
+            yield Step(answers, answers[-1].time)
+        if not seen:
+            yield Step(
+                [], 0.0, (f"{source}: a recording must last a window of {model.window_time:g} s, it is shorter",)
+            )
+        yield Step([], 0.0, warnings=tuple(f"{source}: {warning}" for warning in drifts.warnings()))
 
 
 def _judged(

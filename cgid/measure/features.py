@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -140,15 +139,6 @@ def _lack(feature: Feature, sampling_rate: float, n_samples: int) -> str:
     return ""
 
 
-def _require_beam(names: Iterable[str], beam: Beam | None) -> None:
-    through = next((name for name in names if FEATURES[name].beam), None)
-    if through is not None and beam is None:
-        raise InvalidValue(
-            f"feature {through} must have a beam to look through, got none: train on a scene with a [tail_beam] (cgid "
-            "train tail_beam -o MODEL) and use that model, or leave the feature out"
-        )
-
-
 # -- values -------------------------------------------------------------------------------------------
 
 
@@ -218,62 +208,90 @@ def extract_array(
     detection_limit: float = DETECTION_LIMIT,
     equalisation: Equalisation | None = None,
     beam: Beam | None = None,
-    channel: NDArray[np.intp] | None = None,
 ) -> Floats:
     """Return features as a plain array (n_signals, n_features), without pandas; otherwise as `extract`."""
     # `equalisation` corrects the sensor's response first; it does not apply to pulses. With several sensors on `beam`,
-    # samples are (n_signals, n_sensors, n_samples), and only features through the beam exist. A `beam` that learns from
-    # the channels of a recording gets the `channel` of each signal.
+    # samples are (n_signals, n_sensors, n_samples), and only features through the beam exist.
     names = choose(features)
     each = 1 if beam is None else beam.n_sensors
-    frames, rate = frames_of(_as_rows(samples, each, names), pre_trigger), require_rate(sampling_rate)
+    frames, rate = frames_of(as_rows(samples, each, names), pre_trigger), require_rate(sampling_rate)
     validation.choice("invalid", invalid, ("raise", "nan"))
     detection_limit = validation.number("detection_limit", detection_limit, rule=validation.not_negative)
-    require_supported(names, rate, frames.shape[1])
-    if equalisation is not None and kind_of(names) == "pulse":
-        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
-    _require_beam(names, beam)
-    out = np.full((len(frames) // each, len(names)), np.nan)
-    most = _WINDOWED_SAMPLES if kind_of(names) == "window" else BLOCK_SAMPLES
-    n_rows = max(min(most // frames.shape[1], _ROWS), 1)
-    make = partial(
-        _batches,
-        sampling_rate=rate,
-        names=names,
+    require_measurable(names, rate, frames.shape[1], equalisation, beam)
+    values, problems = measured(
+        frames,
+        rate,
+        names,
         pre_trigger=pre_trigger,
         remove_baseline=remove_baseline,
         detection_limit=detection_limit,
+        equalisation=equalisation,
         beam=beam,
     )
-    for first in range(0, len(out), n_rows):
-        part = frames[first * each : (first + n_rows) * each]
-        if equalisation is not None:
-            part = equalisation.apply(part, rate)
-        problems, usable, batches = _usable(part, names, make, each)
-        vibrations = batches.get("vibration")
-        if channel is not None and isinstance(vibrations, VibrationBatch):
-            vibrations.channel = channel[first + usable]
-        if problems and invalid == "raise":
-            _raise_first(problems, first, len(part) // each, len(out))
-        out[first + usable] = _measured(batches, names, usable.size)
-    return out
+    if problems and invalid == "raise":
+        row, n = min(problems), len(values)
+        where = f"signal {row}: " if n > 1 else ""
+        more = f" ({len(problems)} of {n} signals cannot be measured)" if len(problems) > 1 else ""
+        raise BadData(f"{where}{problems[row]}{more}")
+    return values
 
 
-def problems_of(
+def require_measurable(
+    names: Iterable[str], sampling_rate: float, n_samples: int, equalisation: Equalisation | None, beam: Beam | None
+) -> None:
+    """Raise `InvalidValue` unless features can be measured at a rate [Hz] on frames, equalised and through a beam."""
+    names = tuple(names)
+    require_supported(names, sampling_rate, n_samples)
+    if equalisation is not None and kind_of(names) == "pulse":
+        raise InvalidValue("equalisation must be of vibrations or windows, got features of pulses: leave it out")
+    through = next((name for name in names if FEATURES[name].beam), None)
+    if through is not None and beam is None:
+        raise InvalidValue(
+            f"feature {through} must have a beam to look through, got none: train on a scene with a [tail_beam] (cgid "
+            "train tail_beam -o MODEL) and use that model, or leave the feature out"
+        )
+
+
+def measured(
     frames: NDArray[np.floating],
     sampling_rate: float,
-    names: Iterable[str],
+    names: tuple[str, ...],
     *,
     pre_trigger: int | None = None,
+    remove_baseline: bool = True,
     detection_limit: float = DETECTION_LIMIT,
-) -> dict[int, str]:
-    """Map each row of frames that cannot be measured at any sensor to the broken rule, its value and the remedy."""
-    names, each = tuple(names), 1 if frames.ndim == 2 else frames.shape[1]
-    rows = frames.reshape(-1, frames.shape[-1])
-    return _of_all(_problems(_batches(rows, sampling_rate, names, pre_trigger, True, detection_limit), names), each)
+    equalisation: Equalisation | None = None,
+    beam: Beam | None = None,
+    channel: NDArray[np.intp] | None = None,
+) -> tuple[Floats, dict[int, str]]:
+    """Return the features of checked frames, nan where a signal cannot be measured, and signal -> why not."""
+    # The frames of the sensors of a signal follow each other; it has a problem where none of them can be measured. A
+    # `beam` that learns from the channels of a recording gets the `channel` of each signal.
+    each = 1 if beam is None else beam.n_sensors
+    features = [FEATURES[name] for name in names]
+    values = np.full((len(frames) // each, len(names)), np.nan)
+    problems: dict[int, str] = {}
+    most = _WINDOWED_SAMPLES if any(feature.kind == "window" for feature in features) else BLOCK_SAMPLES
+    n_rows = max(min(most // frames.shape[1], _ROWS), 1)
+    how = (sampling_rate, features, pre_trigger, remove_baseline, detection_limit, beam)
+    for first in range(0, len(values), n_rows):
+        part = frames[first * each : (first + n_rows) * each]
+        if equalisation is not None:
+            part = equalisation.apply(part, sampling_rate)
+        batches = _batches(part, *how)
+        faulty = _of_all(_problems(batches, features), each)
+        sound = np.delete(np.arange(len(part) // each), np.fromiter(faulty, np.intp))
+        if faulty:
+            problems |= {first + row: problem for row, problem in faulty.items()}
+            batches = _batches(part[(sound[:, None] * each + np.arange(each)).ravel()], *how)
+        vibrations = batches.get("vibration")
+        if channel is not None and isinstance(vibrations, VibrationBatch):
+            vibrations.channel = channel[first + sound]
+        values[first + sound] = _values(batches, features, sound.size)
+    return values, problems
 
 
-def _as_rows(samples: ArrayLike, each: int, names: tuple[str, ...]) -> ArrayLike:
+def as_rows(samples: ArrayLike, each: int, names: tuple[str, ...]) -> ArrayLike:
     """Return samples as rows, those of the `each` sensors of a signal after each other."""
     if each == 1:
         return samples
@@ -302,44 +320,28 @@ def _of_all(problems: dict[int, str], each: int) -> dict[int, str]:
     }
 
 
-def _usable(
-    frames: NDArray[np.floating],
-    names: tuple[str, ...],
-    make: Callable[[NDArray[np.floating]], Batches],
-    each: int,
-) -> tuple[dict[int, str], NDArray[np.intp], Batches]:
-    """Return the problems by signal, the signals without a problem, and the batches of these."""
-    batches = make(frames)
-    problems = _of_all(_problems(batches, names), each)
-    sound = np.delete(np.arange(len(frames) // each), np.fromiter(problems, np.intp))
-    rows = (sound[:, None] * each + np.arange(each)).ravel()
-    return problems, sound, make(frames[rows]) if problems else batches
-
-
-def _measured(batches: Batches, names: tuple[str, ...], n_signals: int) -> Floats:
+def _values(batches: Batches, features: Sequence[Feature], n_signals: int) -> Floats:
     """Return the features of measurable signals, (n_signals, n_features)."""
-    count("features", n_signals * len(names))
+    count("features", n_signals * len(features))
     if not n_signals:
-        return np.empty((0, len(names)))
-    features = [FEATURES[name] for name in names]
+        return np.empty((0, len(features)))
     return np.stack([feature.measure(batches[feature.kind]) for feature in features], axis=1)
 
 
 def _batches(
     frames: NDArray[np.floating],
     sampling_rate: float,
-    names: Iterable[str],
+    features: Sequence[Feature],
     pre_trigger: int | None,
     remove_baseline: bool,
     detection_limit: float,
-    beam: Beam | None = None,
+    beam: Beam | None,
 ) -> Batches:
-    names = tuple(names)
-    if all(FEATURES[name].beam for name in names):
+    if all(feature.beam for feature in features):
         detection_limit = max(detection_limit - BEAM_LEAD, 0.0)
     how = (frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
     batches: dict[Kind, PulseBatch | VibrationBatch | WindowBatch] = {}
-    for kind in {FEATURES[name].kind for name in names}:
+    for kind in {feature.kind for feature in features}:
         if kind == "window":  # has no touch
             batches[kind] = WindowBatch(frames, sampling_rate, remove_baseline)
         else:
@@ -349,24 +351,16 @@ def _batches(
     return batches
 
 
-def _problems(batches: Batches, names: Iterable[str]) -> dict[int, str]:
+def _problems(batches: Batches, features: Sequence[Feature]) -> dict[int, str]:
     """Return the problems by row; a fit demands less of a pulse than quantities read off the samples."""
     problems: dict[int, str] = {}
-    fitted = {FEATURES[name].fitted for name in names if FEATURES[name].kind == "pulse"}
+    fitted = {feature.fitted for feature in features if feature.kind == "pulse"}
     for batch in batches.values():
         if isinstance(batch, PulseBatch) and True in fitted:
             problems |= batch.fit_problems()
         if not isinstance(batch, PulseBatch) or False in fitted:
             problems |= batch.problems()
     return problems
-
-
-def _raise_first(problems: dict[int, str], first_row: int, n_rows: int, n_signals: int) -> None:
-    """Raise `BadData` for the first row with a problem; row 0 of the block is signal `first_row`."""
-    row, last_row = min(problems), first_row + n_rows - 1
-    where = f"signal {first_row + row}: " if n_signals > 1 else ""
-    more = f" ({len(problems)} of signals {first_row} to {last_row} cannot be measured)" if len(problems) > 1 else ""
-    raise BadData(f"{where}{problems[row]}{more}")
 
 
 # -- truncated frames ---------------------------------------------------------------------------------
@@ -395,10 +389,11 @@ def extract_truncated(
     # the end. These equal those of the complete frame to the last bit.
     table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)
     pulses = PulseBatch(samples, sampling_rate, pre_trigger)
-    sound = np.setdiff1d(np.arange(len(samples)), list(_problems({"pulse": pulses}, names)))
+    features = [FEATURES[name] for name in names]
+    sound = np.setdiff1d(np.arange(len(samples)), list(_problems({"pulse": pulses}, features)))
     if sound.size < len(samples):
         pulses = PulseBatch(samples[sound], sampling_rate, pre_trigger)
-    table[sound] = _measured({"pulse": pulses}, names, sound.size)
+    table[sound] = _values({"pulse": pulses}, features, sound.size)
     if sound.size:
         certain[sound] = _certain(pulses, names, highest_after[sound])
     return table, certain

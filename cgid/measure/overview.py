@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,6 +85,12 @@ class OverviewStream:
             raise InvalidValue(f"block must be of shape ({self._n_channels}, n_samples), got shape {block.shape}")
         for start in range(0, block.shape[1], _SAMPLES_AT_ONCE):
             self._take(block[:, start : start + _SAMPLES_AT_ONCE].astype(np.float64))
+
+    def watching(self, blocks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+        """Yield blocks unchanged, and take their first channels, as many as the overview has."""
+        for block in blocks:
+            self.feed(block[: self._n_channels])
+            yield block
 
     def overview(self) -> Overview:
         """Return the overview of the samples so far; more may follow. Raise `BadData` without samples."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -430,17 +430,17 @@ def _name(contents: Blocks, index: int, source: str) -> str:
     return source if label == "1" else f"{source} channel {label}"
 
 
-def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterator[NDArray[Any]]:
-    """Yield blocks (n_channels, n_samples) with channels multiplied by their factors."""
+def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterable[NDArray[Any]]:
+    """Return blocks (n_channels, n_samples) with channels multiplied by their factors."""
     if all(factor == 1.0 for factor in factors):
-        yield from blocks
-        return
+        return blocks
     column = np.array(factors)[:, np.newaxis]
-    for block in blocks:
-        # Infinite samples are refused by those who read them.
-        with np.errstate(over="ignore"):
-            scaled_block = block * column.astype(block.dtype)
-        yield scaled_block
+
+    def times(block: NDArray[Any]) -> NDArray[Any]:
+        with np.errstate(over="ignore"):  # infinite samples are refused by those who read them
+            return np.asarray(block * column.astype(block.dtype))
+
+    return map(times, blocks)
 
 
 def require_measured(unit: str | None, name: str) -> None:

@@ -45,7 +45,7 @@ class Gaps:
         self._patience, self._longest = time, max(math.ceil(min(time * sampling_rate, 2.0**60)), 1)
         self._limits = np.array([largest(channel.unit) for channel in channels])
         n_channels = len(channels)
-        self._seen = 0
+        self.n_seen = 0  # samples of each channel that have passed
         self._running = np.zeros(n_channels, np.int64)  # missing samples up to the end so far
         self._given_up = np.zeros(n_channels, bool)
         self._end = np.zeros(n_channels, np.int64)  # sample at which each channel was given up
@@ -83,9 +83,9 @@ class Gaps:
 
     def require(self, source: str) -> None:
         """Raise `BadData` if the blocks ended because of channels given up, or held no reading at all."""
-        if self._seen and self._enough(self._given_up | (self.n_samples == self._seen)):
+        if self.n_seen and self._enough(self._given_up | (self.n_samples == self.n_seen)):
             # The number of samples seen depends on the length of the blocks where a channel was given up.
-            end = float(self._last(np.where(self._given_up, self._end, self._seen))) / self._rate
+            end = float(self._last(np.where(self._given_up, self._end, self.n_seen))) / self._rate
             raise BadData(
                 f"{source}: samples must be finite and what a sensor can give, none is in the "
                 f"{min(self._patience, end):.6g} s before {end:.6g} s; check sensor, cable and sample format"
@@ -93,8 +93,8 @@ class Gaps:
 
     def _marked(self, block: NDArray[Any]) -> NDArray[Any]:
         limits = self._limits[:, None]
-        first = self._seen
-        self._seen += block.shape[1]
+        first = self.n_seen
+        self.n_seen += block.shape[1]
         low, high = block.min(axis=1, initial=0.0), block.max(axis=1, initial=0.0)
         # False for nan.
         sound = (-self._limits <= low) & (high <= self._limits) & ~self._given_up

@@ -352,7 +352,7 @@ class RecordingFile:
         return Gaps(channels, self.sampling_rate, self._contents.warnings.append, give_up=give_up, joint=joint)
 
     def blocks(self, length: int = BLOCK_LENGTH, *, gaps: bool = False) -> Iterator[NDArray[Any]]:
-        """Yield the samples in order, (n_channels, at most `length`), float32 or float64.
+        """Return an iterator over the samples in order, (n_channels, at most `length`), float32 or float64.
 
         Parameters
         ----------
@@ -368,11 +368,12 @@ class RecordingFile:
         NoInput
             The file has disappeared or is no longer readable.
         """
-        if gaps:
-            yield from self._blocks(length)
-            return
+        blocks = self._blocks(length)
+        return blocks if gaps else self._finite(blocks)
+
+    def _finite(self, blocks: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
         first = 0
-        for block in self._blocks(length):
+        for block in blocks:
             finite = np.isfinite(block)
             if not finite.all():
                 row, column = np.argwhere(~finite)[0]
