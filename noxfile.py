@@ -51,7 +51,9 @@ def wheel(session: nox.Session) -> None:
         unpacked = Path(folder, "unpacked")
         session.run(PYTHON, "-m", "zipfile", "-e", str(next(Path(folder).glob("*.whl"))), str(unpacked), external=True)
         session.chdir(folder)
-        code = "import sys, cgid.cli; assert 'unpacked' in cgid.__file__; sys.exit(cgid.cli.main(['predict', '--sample']))"
+        code = (
+            "import sys, cgid.cli; assert 'unpacked' in cgid.__file__; sys.exit(cgid.cli.main(['predict', '--sample']))"
+        )
         session.run(PYTHON, "-c", code, external=True, env={"PYTHONPATH": str(unpacked)})
 
 

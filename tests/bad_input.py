@@ -421,9 +421,9 @@ _COMMANDS = r"""
 65 | predict few.csv | 20000 Hz
 65 | predict cut_off.csv | cut off
 2 | predict no_rate.csv | --rate
-65 | predict whole.npy --rate 0 --unit N | sampling_rate
-65 | features whole.npy --rate -5 | sampling_rate
-65 | predict whole.npy --rate 1e-6 --unit N | sampling_rate
+65 | predict whole.npy --rate 0 --unit N | --rate
+65 | features whole.npy --rate -5 | --rate
+65 | predict whole.npy --rate 1e-6 --unit N | --rate
 65 | features whole.npy --rate 100 --unit g | feature
 2 | predict no_unit.csv | --unit
 65 | predict no_unit.csv --unit stone | stone
@@ -486,7 +486,7 @@ _COMMANDS = r"""
 65 | predict good.csv --index 0 | --index
 65 | predict two.h5 --unit V | --unit
 65 | predict good.csv --dead-time -1 | --dead-time
-65 | predict whole.npy --rate 1e300 --unit N | sampling_rate
+65 | predict whole.npy --rate 1e300 --unit N | --rate
 65 | features good.csv --features nose | nose
 65 | features good.csv --features window_level | good.csv
 65 | train one.h5 -o new.npz | at least 2 labels

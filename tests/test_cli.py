@@ -338,7 +338,7 @@ def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch
                 command.make_context(name, arguments[1:])
     # Whoever adds a text here has thought about whether it is the name of a file.
     assert texts == {
-        "base", "channel", "channels", "class_weights", "costs", "dimension_error", "drift", "features", "format",
+        "base", "channel", "class_weights", "costs", "dimension_error", "drift", "features", "format",
         "full_scale", "gain", "gangue", "hammer", "laws", "live", "mirror", "modbus", "mqtt", "name", "names",
         "on_open", "on_shut", "participation_error", "prometheus", "quantities", "sample_format", "scheduler",
         "sensitivity", "sensors", "start_error", "unit", "variable",

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.output import warn
+from cgid.cli.output import name_options, warn
 from cgid.errors import InvalidValue
 
 _OTHERS = "Other"
@@ -64,11 +64,6 @@ def heading_of(command: str | None, option: click.Parameter) -> str | None:
     return special or next((heading for heading, flags in _OPTIONS.items() if flag in flags.split()), None)
 
 
-def _with_option(text: str, flags: Mapping[str, str]) -> str:
-    name, must, rule = text.partition(" must ")
-    return f"{flags.get(name, name)}{must}{rule}"
-
-
 class Command(click.Command):
     """A command whose help has headings and ends with an example, one or more lines for a shell."""
 
@@ -85,19 +80,18 @@ class Command(click.Command):
             if new in flags and "--" not in args[:number]:
                 warn(f"{old} is now called {new}; the old name goes with version 0.3")
                 args[number] = f"{new}{equals}{value}"
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except InvalidValue as error:
+            name_options(error)
+            raise
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; an error that names an argument of the library names the option instead."""
+        """Run the command."""
         try:
             return super().invoke(ctx)
         except InvalidValue as error:
-            flags = {
-                str(option.name): max(option.opts, key=len)
-                for option in self.params
-                if option.param_type_name == "option"
-            }
-            error.args = tuple(_with_option(str(text), flags) for text in error.args)
+            name_options(error)
             raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 import click
 
-from cgid.errors import CannotCreate, CgidError, WriteFailed
+from cgid.errors import CannotCreate, CgidError, InvalidValue, WriteFailed
 from cgid.terminal import printable
 
 #: Version of the lines that --json prints.
@@ -98,8 +98,19 @@ class FileErrors(AbstractContextManager[None]):
         return True
 
 
+def name_options(error: InvalidValue) -> None:
+    """Let an error that names an argument of the library name the option of the running command."""
+    context = click.get_current_context(silent=True)
+    options = [one for one in context.command.params if isinstance(one, click.Option)] if context else []
+    flags = {str(one.name): max(one.opts, key=len) for one in options}
+    parts = (str(text).partition(" must ") for text in error.args)
+    error.args = tuple(f"{flags.get(name, name)}{must}{rule}" for name, must, rule in parts)
+
+
 def say_error(error: CgidError) -> None:
     """Print an error on stderr, with a line for each mistake."""
+    if isinstance(error, InvalidValue):
+        name_options(error)
     for mistake in error.args:
         say(f"cgid: error: {mistake}", err=True)
 
