@@ -423,7 +423,7 @@ _COMMANDS = r"""
 2 | predict no_rate.csv | --rate
 65 | predict whole.npy --rate 0 --unit N | --rate
 65 | features whole.npy --rate -5 | --rate
-65 | predict whole.npy --rate 1e-6 --unit N | --rate
+65 | predict whole.npy --rate 1e-6 --unit N | sampling_rate
 65 | features whole.npy --rate 100 --unit g | feature
 2 | predict no_unit.csv | --unit
 65 | predict no_unit.csv --unit stone | stone
