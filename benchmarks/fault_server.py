@@ -94,7 +94,6 @@ def _wait(children: list[int], asked: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Answer requests until stdin ends; in a copy, run the command."""
-    from cgid.cli.main import main as command_line
     from cgid.cli.main import run
 
     answers = os.dup(1)
@@ -111,7 +110,7 @@ def main() -> None:
                 child = os.fork()
                 if not child:
                     _prepare(asked)
-                    command_line(asked["arguments"])
+                    sys.exit(run(asked["arguments"]))
                 children.append(child)
             answer = _wait(children, asked)
         os.write(answers, (json.dumps(answer) + "\n").encode())

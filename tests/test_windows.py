@@ -238,7 +238,7 @@ def test_good_windows_are_measured_beside_bad_ones(rustle):
     assert np.isnan(found[[0, 17, 39]]).all()
     good = np.setdiff1d(np.arange(40), [0, 17, 39])
     np.testing.assert_array_equal(found[good], extract_array(rustle, RATE, NAMES)[good])
-    with pytest.raises(BadData, match=r"signal 0: a window must hold a signal.*\(\d+ of signals 0 to"):
+    with pytest.raises(BadData, match=r"signal 0: a window must hold a signal.*\(3 of 40 signals"):
         extract_array(spoilt, RATE, NAMES)
 
 
