@@ -23,7 +23,7 @@ import numpy as np
 from cgid import plots, shipped
 from cgid.identification.answers import Answer
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import EVIDENCE, PredictionSettings
+from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import CavingWatch, Share, Switch
 from cgid.identification.stream import identify_blocks
 from cgid.scene import Scene, load_scene, parse_scene
@@ -157,7 +157,7 @@ def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[st
     )
     shut: dict[float, np.ndarray] = {}
     crossings = {}
-    for cost, evidence in [(1.0, evidence) for evidence in EVIDENCES] + [(cost, EVIDENCE) for cost in COSTS]:
+    for cost, evidence in [(1.0, evidence) for evidence in EVIDENCES] + [(cost, PredictionSettings().shares.evidence) for cost in COSTS]:
         limit = 1 / (1 + cost)
         crossing = crossings[cost] = float(np.interp(limit, rises, times))
         turns = [stream.turns(model, dilution_cost=cost, evidence=evidence) for stream in streams]
