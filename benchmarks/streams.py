@@ -157,7 +157,9 @@ def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[st
     )
     shut: dict[float, np.ndarray] = {}
     crossings = {}
-    for cost, evidence in [(1.0, evidence) for evidence in EVIDENCES] + [(cost, PredictionSettings().shares.evidence) for cost in COSTS]:
+    for cost, evidence in [(1.0, evidence) for evidence in EVIDENCES] + [
+        (cost, PredictionSettings().shares.evidence) for cost in COSTS
+    ]:
         limit = 1 / (1 + cost)
         crossing = crossings[cost] = float(np.interp(limit, rises, times))
         turns = [stream.turns(model, dilution_cost=cost, evidence=evidence) for stream in streams]
