@@ -117,10 +117,10 @@ def archive(entries: Mapping[str, bytes], method: int = zipfile.ZIP_STORED) -> b
     return stream.getvalue()
 
 
-def npy(descr: str, shape: str, content: bytes = b"", *, version: bytes = b"\x01\x00") -> bytes:
+def npy(descr: str, shape: str, content: bytes = b"") -> bytes:
     """Return an array file that claims any type and shape."""
     head = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
-    return b"\x93NUMPY" + version + struct.pack("<H" if version == b"\x01\x00" else "<I", len(head)) + head + content
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head + content
 
 
 # -- code -----------------------------------------------------------------------------------------------
@@ -134,12 +134,10 @@ def _pickles() -> dict[str, Callable[[], bytes]]:
     code = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(expression)) + expression
     return {
         "pickle with the ending of a model": lambda: pickle.dumps(_Bomb()),
-        "array file of objects": lambda: alone,
         "header of objects": lambda: packed({"header": objects}),
         "weights of objects": lambda: packed({**arrays_with_header(), "family.intercepts": objects}),
         "pickle beside the arrays": lambda: archive({**entries_of(golden("linear").to_bytes()), "data.pkl": alone}),
         "pickle instead of numbers": lambda: with_array(npy("'|O'", "(1,)", pickle.dumps([_Bomb()]))),
-        "objects in a record": lambda: with_array(npy("[('a', '|O')]", "(1,)", pickle.dumps([_Bomb()]))),
         "Python instead of a shape": lambda: with_array(npy("'<f8'", "(__import__('os').mkdir('cgid-canary'),)")),
         "Python instead of the head of an array": lambda: with_array(code),
         "brackets that break a parser": lambda: with_array(npy("'<f8'", "(" * 9000 + ")" * 9000)),
@@ -161,15 +159,6 @@ def _archives() -> dict[str, Callable[[], bytes]]:
     directory = plain.index(b"PK\x01\x02")
     crc = struct.unpack_from("<L", plain, 14)[0]
 
-    def linked() -> bytes:
-        stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w") as stored:
-            for name, content in entries.items():
-                info = zipfile.ZipInfo(name)
-                info.external_attr = (0o120777 if "mean" in name else 0o100600) << 16
-                stored.writestr(info, content)
-        return stream.getvalue()
-
     def patched(place: int, form: str, *values: int) -> bytes:
         content = bytearray(plain)
         struct.pack_into(form, content, place, *values)
@@ -177,33 +166,15 @@ def _archives() -> dict[str, Callable[[], bytes]]:
 
     return {
         "deflated": lambda: archive(entries, zipfile.ZIP_DEFLATED),
-        "bzip2": lambda: archive(entries, zipfile.ZIP_BZIP2),
-        "LZMA": lambda: archive(entries, zipfile.ZIP_LZMA),
         "bomb of a gigabyte": _bomb,
-        "archive in an archive": lambda: archive({"header.npy": plain}),
         "entries that overlap": _overlapping,
-        "half a million entries in the directory": _many,
-        "a thousand entries": lambda: archive({f"a{k}.npy": b"" for k in range(1000)}),
         "header twice": lambda: _twice(entries),
         "path out of the folder": lambda: archive({**entries, "../../../../tmp/evil.npy": b""}),
-        "absolute path": lambda: archive({**entries, "/etc/passwd.npy": b""}),
-        "drive of Windows": lambda: archive({**entries, "C:\\evil.npy": b""}),
         "escape sequence in a name": lambda: archive({**entries, "\x1b[2J.npy": b""}),
-        "name of 60,000 letters": lambda: archive({**entries, "a" * 60_000: b""}),
-        "link to another file": linked,
-        "size of 2^60 in the 64-bit field": lambda: patched(44, "<2Q", 1 << 60, 1 << 60),
-        "size of 2^32 - 2": lambda: patched(18, "<2L", 2**32 - 2, 2**32 - 2),
         "directory that says another size": lambda: patched(directory + 20, "<2L", 1, 1),
-        "directory that says another checksum": lambda: patched(directory + 16, "<L", crc ^ 1),
-        "directory that says another place": lambda: patched(directory + 42, "<L", 99),
         "checksum that does not fit": lambda: patched(14, "<L", crc ^ 1),
-        "encrypted": lambda: patched(6, "<H", 1),
-        "sizes behind the content": lambda: patched(6, "<H", 8),
         "bytes behind the archive": lambda: plain + b"#!/bin/sh\n",
-        "script before the archive": lambda: b"#!/bin/sh\n" + plain,
-        "comment of the archive": lambda: plain[:-2] + b"\x04\x00evil",
         "cut in the directory": lambda: plain[: directory + 30],
-        "without a directory": lambda: plain[:directory],
         "empty archive": lambda: archive({}),
         "larger than any model": lambda: bytes(MAX_FILE_SIZE + 1),
     }
@@ -230,15 +201,6 @@ def _overlapping() -> bytes:
     return local[:start] + central + b"PK\x05\x06" + struct.pack("<4H2LH", 0, 0, 60, 60, len(central), start, 0)
 
 
-def _many() -> bytes:
-    """Return an archive whose directory names the same entry half a million times."""
-    plain = golden("linear").to_bytes()
-    start = plain.index(b"PK\x01\x02")
-    central = plain[start : start + 56] * 500_000
-    end = struct.pack("<4H2LH", 0, 0, 0xFFFF, 0xFFFF, len(central), start, 0)
-    return plain[:start] + central + b"PK\x05\x06" + end
-
-
 def _twice(entries: Mapping[str, bytes]) -> bytes:
     again = archive({**entries, "headex.npy": entries["header.npy"]})
     return again.replace(b"headex.npy", b"header.npy")
@@ -252,19 +214,9 @@ def _arrays() -> dict[str, Callable[[], bytes]]:
     heads = {
         "10^12 numbers in no bytes": npy("'<f8'", "(1000000000000,)"),
         "shape that overflows": npy("'<f8'", "(4294967296, 4294967296, 16)"),
-        "negative shape": npy("'<f8'", "(-1,)", one),
         "shape of nothing": npy("'<f8'", "(0,)"),
-        "nothing of huge sides": npy("'<f8'", "(0, 999999999, 999999999)"),
-        "fifty axes": npy("'<f8'", "(" + "1, " * 50 + ")", one),
         "more numbers than declared": npy("'<f8'", "(1,)", one * 2),
         "big-endian": npy("'>f8'", "(1,)", one),
-        "half precision": npy("'<f2'", "(1,)", one[:2]),
-        "complex": npy("'<c16'", "(1,)", one * 2),
-        "texts": npy("'<U2'", "(1,)", one),
-        "dates": npy("'<M8[s]'", "(1,)", one),
-        "raw bytes": npy("'|V8'", "(1,)", one),
-        "items without a size": npy("'|V0'", "(999999999,)"),
-        "array format 3": npy("'<f8'", "(1,)", one, version=b"\x03\x00"),
         "head of four gigabytes": b"\x93NUMPY\x02\x00\xff\xff\xff\xff{",
         "no array": b"hello",
         "nothing": b"",
@@ -326,18 +278,13 @@ def _trees() -> dict[str, Callable[[], bytes]]:
     many = np.arange(1_500_000)
     return {
         "child beyond the table": one("left", inner, 10**6),
-        "negative child": one("right", inner, -5),
         "child before its parent": one("left", root, 0),
         "child that is its own parent": one("left", inner, inner),
-        "child in another tree": one("right", inner, root),
         "root that does not exist": one("roots", -1, 10**6),
         "column that does not exist": one("columns", 0, 1),
         "feature that does not exist": one("feature", inner, 2),
-        "negative feature": one("feature", inner, -1),
         "threshold that is nan": one("threshold", inner, np.nan),
-        "threshold without end": one("threshold", inner, np.inf),
         "children of 64 bits without sign": lambda: changed("boosting", None, left=a["left"].astype(np.uint64)),
-        "children that are floats": lambda: changed("boosting", None, left=a["left"].astype(float)),
         "both children are one": lambda: _forest(3, np.zeros(1), np.array([1, 1, 2]), np.array([1, 1, 2])),
         "node that nobody names": lambda: _forest(3, np.zeros(1), three, three),
         "way of 100,000 nodes": lambda: _chain(100_000),
@@ -374,7 +321,6 @@ def with_beam(header: Mapping[str, Any] | None = None, /, **changes: Any) -> byt
 
 def _beams() -> dict[str, Callable[[], bytes]]:
     poles = beam_arrays()["beam.poles"]
-    huge = np.ones(1_000_000)
 
     def of_modes(n: int) -> dict[str, Any]:
         return {"poles": np.tile([[-20.0], [600.0]], n), "participation": np.ones((n, 1, 1))}
@@ -386,20 +332,12 @@ def _beams() -> dict[str, Callable[[], bytes]]:
 
     changes: dict[str, dict[str, Any]] = {
         "beam whose pole grows": one("poles", (0, 1), 20.0),
-        "beam whose pole keeps its size": one("poles", (0, 1), 0.0),
         "beam whose pole is below the axis": {"poles": poles * [[1.0], [-1.0]]},
-        "beam whose pole is on the axis": one("poles", (1, 0), 0.0),
         "beam whose pole is nan": one("poles", (1, 0), np.nan),
         "beam whose pole is 10^99": one("poles", (1, 0), 1e99),
-        "beam whose pole is 10^-300": {"poles": poles * 1e-300},
         "beam whose filter grows": one("filters", (0, 0), 9e3),
-        "beam whose filter is nearly 0": {"filters": np.array([[-1e-90], [0.0]])},
         "beam of 100 filters": {"filters": np.tile([[-9e3], [0.0]], 100)},
-        "beam of a million filters": {"filters": np.stack([-huge, huge])},
-        "beam of a million modes": of_modes(1_000_000),
-        "beam of a million modes in no shape": {"poles": np.stack([-huge, huge])},
         "beam of 1,025 modes": of_modes(1025),
-        "beam of a million shapes": {"shapes": np.ones((1_000_000, 1)), "deviations": huge},
         "beam of 65 shapes": {"shapes": np.ones((65, points_of(8e3))), "deviations": np.ones(65)},
         "beam of too many responses": {
             **of_modes(1024),
@@ -407,37 +345,20 @@ def _beams() -> dict[str, Callable[[], bytes]]:
             "shapes": np.ones((8, points_of(4e5))),
             "deviations": np.ones(8),
         },
-        "beam of a million nodes": {"participation": np.ones((3, 1, 1_000_000))},
         "beam of two axes": {"participation": np.ones((3, 4))},
         "beam that nothing moves": {"participation": np.zeros((3, 4, 5))},
-        "beam that 10^99 moves": one("participation", (0, 0, 0), 1e99),
         "beam upside down": {"region": np.array([0.8, 1.2, 0.5, 0.2])},
         "beam of a million metres": {"region": np.array([0.0, 1e6, 0.0, 1e6])},
-        "beam of 10^99 metres": {"region": np.array([0.0, 1e99, 0.0, 0.0])},
-        "beam of three sides": {"region": np.array([0.0, 1.0, 0.0])},
-        "rate of a beam of 10^300": one("scalars", 0, 1e300),
         "rate of a beam of 10^99": one("scalars", 0, 1e99),
-        "rate of a beam of 10^-300": one("scalars", 0, 1e-300),
         "rate of a beam below 0": one("scalars", 0, -8e3),
         "rate of a beam of another table": one("scalars", 0, 9e3),
         "seven derivatives": one("scalars", 1, 7.0),
-        "one and a half derivatives": one("scalars", 1, 1.5),
-        "derivatives that are nan": one("scalars", 1, np.nan),
-        "one scalar": {"scalars": np.array([8e3])},
-        "scalars in a row": {"scalars": np.array([[8e3, 2.0]])},
         "deviation of 0": one("deviations", 0, 0.0),
-        "deviation below 0": one("deviations", 0, -1.0),
-        "deviations in a square": {"deviations": np.ones((4, 4))},
         "shape that is nan": one("shapes", (0, 0), np.nan),
         "shape of nothing but 0": one("shapes", 0, 0.0),
-        "shape of 10^90": one("shapes", 0, 1e90),
-        "poles without parts": {"poles": poles[0]},
         "poles of three parts": {"poles": np.concatenate([poles, poles[:1]])},
-        "poles of whole numbers": {"poles": poles.astype(np.int64)},
-        "beam of another array": {"more": np.ones(3)},
         "beam of errors below 0": {"errors": np.full((3, 3), -0.01)},
         "beam of errors of other modes": {"errors": np.full((3, 4), 0.01)},
-        "beam of huge errors": {"errors": np.full((3, 3), 1e9)},
         "beam without poles": {"poles": None},
     }
     crafted = {name: (lambda own=own: with_beam(None, **own)) for name, own in changes.items()}
@@ -459,34 +380,25 @@ def _headers() -> dict[str, Callable[[], bytes]]:
     said = {
         "label that clears the screen": {"labels": ["coal\x1b[2J\x1b[H", "gangue"]},
         "label that turns the line over": {"labels": ["coal\u202eeugnag", "gangue"]},
-        "label without width": {"labels": ["coal", "coal\u200b"]},
         "label of two lines": {"labels": ["coal\ncgid: all is well", "gangue"]},
-        "label of half a sign": {"labels": ["coal\ud800", "gangue"]},
         "label of a megabyte": {"labels": ["c" * (1 << 20), "gangue"]},
         "labels that are lists": {"labels": [["coal"], ["gangue"]]},
         "100,000 labels": {"labels": [f"l{k}" for k in range(100_000)]},
-        "100,000 sensors": {"sensors": [f"s{k}" for k in range(100_000)]},
         "feature of a megabyte": {"features": ["f" * (1 << 20), "width_50"]},
         "a feature twice": {"features": ["width_50", "width_50"]},
         "channels without end": {"n_channels": 10**9},
         "temperature that is nan": {"temperature": float("nan")},
-        "temperature without end": {"temperature": float("inf")},
         "temperature of 4000 digits": {"temperature": 10**4000},
-        "temperature that is a truth": {"temperature": True},
         "a thousand rates and a long text": {"sampling_rates": [*([1.0] * 1000), "9" * 1_000_000]},
-        "rate of 10^300": {"sampling_rates": [1.0, 10**300]},
         "measurement that is a number": {"training": {"metrics": 7}},
         "accuracy that is a text": {"training": {"metrics": {"accuracy": "\x1b[31mperfect"}}},
         "confusion of other labels": {"training": {"metrics": {"confusion": [[1]]}}},
-        "confusion of 10^300": {"training": {"metrics": {"confusion": [[1e300, 0], [0, 1e300]]}}},
         "class weights that are lists": {"training": {"class_weights": [1, 2]}},
-        "class weights in lists": {"training": {"class_weights": {"coal": [1], "gangue": [1]}}},
         "class weight of 10^-300": {"training": {"class_weights": {"coal": 1e-300, "gangue": 1e-300}}},
         "something unheard of": {"\x1b]0;evil\x07": 1},
         "family of another world": {"family": "pickle"},
         "family without harm, arrays of another": {"family": "boosting"},
         "schema 1": {"schema_version": 1},
-        "schema 10^30": {"schema_version": 10**30},
         "schema that is a text": {"schema_version": "\x1b[2J"},
         "nested 900 deep": {"training": _nested(900)},
     }
@@ -497,13 +409,10 @@ def _headers() -> dict[str, Callable[[], bytes]]:
     return crafted | {
         "header of 6 megabytes": lambda: with_header(text[:-1] + b" " * 6_000_000 + b"}"),
         "a hundred megabytes of JSON": lambda: with_header(b"[" + b"0," * 50_000_000 + b"0]"),
-        "header of 690,000 objects": lambda: with_header(b"[" + b"{}," * 690_000 + b"{}]"),
         "nested a million deep": lambda: with_header(b"[" * 1_000_000 + b"]" * 1_000_000),
         "key said twice": lambda: with_header(text[:-1] + b', "unit": "N"}'),
         "number of 100,000 digits": lambda: with_header(text[:-1] + b', "n": 1' + b"0" * 100_000 + b"}"),
-        "text that is no Unicode": lambda: with_header(text[:-1] + b', "\xff\xfe": 1}'),
         "no JSON": lambda: with_header(b"hello"),
-        "JSON that is no object": lambda: with_header(b"[1, 2]"),
         "no digest": lambda: written(model.header, model.arrays, sign=False),
         "digest that is a number": lambda: written(model.header | {"sha256": 7}, model.arrays, sign=False),
         "features in another order under the old digest": lambda: written(
@@ -569,16 +478,10 @@ def _extreme_beam() -> bytes:
 
 
 #: Files to refuse, in one line.
-_EVERY: dict[str, Callable[[], bytes]] = _pickles() | _archives() | _arrays() | _trees() | _beams() | _headers()
-#: Changes to fields of an archive that zipfile does not read: the content is the same.
-_UNREAD = (
-    *("link to another file", "size of 2^60 in the 64-bit field", "size of 2^32 - 2", "checksum that does not fit"),
-    *("encrypted", "sizes behind the content"),
-)
-HOSTILE = {name: make for name, make in _EVERY.items() if name not in _UNREAD}
+HOSTILE: dict[str, Callable[[], bytes]] = _pickles() | _archives() | _arrays() | _trees() | _beams() | _headers()
 #: Files that may answer within the limits of time and memory: with probabilities, or with a one-line reason.
 EXTREME: dict[str, Callable[[], bytes]] = {
-    **{name: _EVERY[name] for name in _UNREAD},
+    "checksum that does not fit": HOSTILE.pop("checksum that does not fit"),  # zipfile reads that of the directory
     "widest network": _widest_network,
     "largest forest": _largest_forest,
     "numbers that grow too large": _huge_numbers,

@@ -3,17 +3,16 @@
 import struct
 import subprocess
 import sys
-import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from scipy.io import loadmat, savemat
+from scipy.io import savemat
 
 from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption
-from cgid.recordings import is_dataset, open_recording
+from cgid.recordings import open_recording
 from cgid.recordings import tdms as tdms_reader
 from cgid.recordings.text_layout import stated_chain
 from cgid.recordings.variables import Variable, contents_of, is_statement, stated_sensitivities
@@ -261,20 +260,6 @@ def test_packed_numbers_of_hdf5_are_unpacked(hdf5):
     assert "finite" in refused(hdf5(lambda file: fill(file, np.bytes_(b"often"))))
 
 
-@pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
-@pytest.mark.parametrize("maxshape", [(3, N), (3, None), (None, None)])
-@pytest.mark.parametrize("chunks", [(1, 250), (3, 77), (2, 5000)])
-def test_every_index_of_chunks_is_read(hdf5, libver, maxshape, chunks):
-    if maxshape == (3, N) and chunks[1] > N:
-        chunks = (3, N)
-    packing = {"compression": "gzip", "shuffle": True, "fletcher32": True}
-    path = hdf5(
-        lambda file: file.create_dataset("x", data=SAMPLES, chunks=chunks, maxshape=maxshape, **packing), libver=libver
-    )
-    recording, found = read(path, sampling_rate=1.0)
-    assert np.array_equal(found, SAMPLES) and not recording.warnings
-
-
 @pytest.mark.parametrize("libver", ["earliest", "latest"])
 @pytest.mark.parametrize("maxshape", [(3000,), (None,)])
 @pytest.mark.parametrize("packing", [{}, {"compression": "gzip"}, {"compression": "lzf", "fletcher32": True}])
@@ -304,44 +289,7 @@ def test_a_damaged_index_of_chunks_is_refused_before_it_crashes_hdf5(hdf5):
         assert "damaged index of chunks" in refused(path) or wrong > 10**8
 
 
-def test_foreign_hdf5_is_no_dataset_and_a_dataset_no_recording(hdf5):
-    assert not is_dataset(hdf5(lambda file: file.create_dataset("x", data=SAMPLES)))
-    path = hdf5(lambda file: file.attrs.create("format", np.bytes_(b"cgid-dataset")))
-    assert is_dataset(path) and "--index" in refused(path)
-
-
 # ---- MATLAB ----
-
-
-def mat_element(kind, content, order="<"):
-    if 0 < len(content) <= 4:
-        return struct.pack(f"{order}I", len(content) << 16 | kind) + content.ljust(4, b"\0")
-    return struct.pack(f"{order}II", kind, len(content)) + content + bytes(-len(content) % 8)
-
-
-def mat_array(name, shape, code, stored, content, order="<", flags=0):
-    parts = [
-        mat_element(6, struct.pack(f"{order}II", code | flags, 0), order),
-        mat_element(5, struct.pack(f"{order}{len(shape)}i", *shape), order),
-        mat_element(1, name.encode(), order),
-        mat_element(stored, content, order),
-    ]
-    return mat_element(14, b"".join(parts), order)
-
-
-def mat_file(*elements, order="<"):
-    mark = b"\x00\x01IM" if order == "<" else b"\x01\x00MI"
-    return b"MATLAB 5.0 MAT-file".ljust(124) + mark + b"".join(elements)
-
-
-@pytest.fixture
-def mat(tmp_path):
-    def written(content):
-        path = tmp_path / "made.mat"
-        path.write_bytes(content)
-        return path
-
-    return written
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -362,32 +310,6 @@ def test_structs_texts_and_times_of_mat_are_found(tmp_path, packed):
     assert (recording.sampling_rate, units(recording)) == (25_600.0, ["m/s^2"] * 3)
     recording, found = read(path, variable="columns")
     assert np.array_equal(found, SAMPLES[:1]) and recording.sampling_rate == pytest.approx(5000, rel=1e-12)
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("packed", [False, True])
-def test_mat_as_matlab_stores_it_narrow_and_of_either_byte_order(mat, order, packed):
-    # MATLAB stores a double array of small whole numbers in the smallest type that holds them.
-    values = np.arange(12).reshape(2, 6)
-    array = mat_array("x", (2, 6), 6, 2, values.T.astype("u1").tobytes(), order)
-    rate = mat_array("fs", (1, 1), 6, 4, struct.pack(f"{order}H", 1000), order)
-    elements = [array, rate]
-    if packed:
-        elements = [struct.pack(f"{order}II", 15, len(p := zlib.compress(one))) + p for one in elements]
-    path = mat(mat_file(*elements, order=order))
-    recording, found = read(path, length=4)
-    assert np.array_equal(found, values) and recording.sampling_rate == 1000.0
-    if order == "<":
-        assert np.array_equal(loadmat(path)["x"], values)
-
-
-def test_hostile_sizes_of_mat_are_refused(mat):
-    huge = mat_array("x", (1, 2**31 - 1), 6, 9, b"")
-    cube = mat_array("x", (10**4, 10**4, 10**4), 6, 9, SAMPLES.tobytes())
-    lying = zlib.compress(struct.pack("<II", 14, 2**32 - 16) + bytes(1000))
-    for element in (huge, cube, struct.pack("<II", 15, len(lying)) + lying):
-        refused(mat(mat_file(element)))
-    refused(mat(mat_file(mat_array("x", (0, 5), 6, 9, b""))), sampling_rate=1.0)
 
 
 @pytest.mark.parametrize("write", [lambda path: savemat(path, {"x": SAMPLES}), lambda path: np.savez(path, x=SAMPLES)])
@@ -439,31 +361,6 @@ def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
     assert names(recording) == [f"cDAQ1Mod1/ai{k}" for k in range(3)]
     assert np.array_equal(read(path, variable="cDAQ1Mod1/ai2")[1][0], values[2])
     assert np.array_equal(read(path, variable="beam/cDAQ1Mod1/ai1", length=5000)[1][0], values[1])
-
-
-def test_tdms_of_one_interleaved_chunk_and_scaled_numbers(tmp_path):
-    nptdms = pytest.importorskip("nptdms")
-    raw = (1000 * SAMPLES).astype("i2")
-    scale = {
-        "NI_Number_Of_Scales": 1,
-        "NI_Scale[0]_Scale_Type": "Linear",
-        "NI_Scale[0]_Linear_Slope": 0.001,
-        "NI_Scale[0]_Linear_Y_Intercept": 2.0,
-        "NI_Scale[0]_Linear_Input_Source": 0xFFFFFFFF,
-        "wf_increment": 1e-5,
-    }
-    path = write_tdms(tmp_path / "scaled.tdms", whole(raw, parts=1), scale)
-    recording, found = read(path)
-    assert np.allclose(found, 0.001 * raw + 2.0, rtol=1e-12, atol=1e-12) and recording.sampling_rate == 100_000.0
-    # The same numbers sample by sample: the flag of the table of contents is all that tells.
-    plain = write_tdms(tmp_path / "plain.tdms", whole(raw, parts=1))
-    content = bytearray(plain.read_bytes())
-    content[4] |= 0x20
-    content[-raw.nbytes :] = raw.T.tobytes()
-    plain.write_bytes(content)
-    assert np.array_equal(read(plain)[1], raw)
-    with nptdms.TdmsFile.open(plain) as file:
-        assert np.array_equal(file["beam"]["cDAQ1Mod1/ai1"][:], raw[1])
 
 
 def test_tdms_properties_of_group_and_file_and_the_start(tmp_path):
@@ -573,23 +470,6 @@ def test_uff_is_what_pyuff_reads(tmp_path, binary, precision):
     assert np.array_equal(read(path, variable="2", length=5)[1], found[1:2])
     assert np.array_equal(read(path, variable="mic 3")[1], found[2:])
     assert "mic 2" in refused(path, variable="4")
-
-
-def test_uff_of_high_bytes_first_and_of_other_line_ends(tmp_path):
-    path = write_uff(tmp_path / "big.uff", SAMPLES[:1], binary=1)
-    content = path.read_bytes()
-    start = content.index(SAMPLES[0].tobytes())
-    path.write_bytes(
-        content[:start].replace(b"58b     1", b"58b     2")
-        + SAMPLES[0].astype(">f8").tobytes()
-        + content[start + 8 * N :]
-    )
-    assert np.array_equal(read(path)[1][0], SAMPLES[0])
-    text = write_uff(tmp_path / "d.uff", SAMPLES[:1], binary=0)
-    _, expected = read(text)
-    # The same lines as another system ends them.
-    text.write_bytes(text.read_bytes().replace(b"\n", b"\r\n"))
-    assert np.array_equal(read(text)[1], expected)
 
 
 @pytest.mark.parametrize("number", [0, 1])

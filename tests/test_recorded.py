@@ -17,7 +17,6 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import identify
 from cgid.identification.card import write_card
 from cgid.identification.classifier import ImpactClassifier, ShrunkenDiscriminant
 from cgid.identification.grouped import (
@@ -43,7 +42,7 @@ from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
 from cgid.scene import Scene, synthesise
-from cgid.signals import Batch, Signal
+from cgid.signals import Batch
 from tests import few
 
 RATE = 8000
@@ -209,37 +208,6 @@ def test_a_gap_costs_the_windows_that_lack_samples(folder: Path, tmp_path: Path)
     rows = recorded(np.full_like(samples, np.nan))
     assert set(rows.labels) == {"coal"}
     assert "broken.npy" in str(rows.failures[0])
-
-
-@pytest.mark.parametrize(
-    ("row", "says"),
-    [
-        (f"2.npy,gangue,{RATE},N", "one quantity, got force [N] after acceleration [g]"),
-        (f"two.npy,gangue,{RATE},g", "as many channels each, got 2 after 1"),
-        ("2.npy,gangue,,g", "--rate HZ"),
-        (f"2.npy,gangue,{RATE},", "--unit U"),
-    ],
-)
-def test_recordings_that_do_not_fit_are_said(row: str, says: str, folder: Path) -> None:
-    np.save(folder / "two.npy", flow("coal", 5, n_channels=2))
-    (folder / "odd.csv").write_text(f"path,label,rate,unit\n0.npy,coal,{RATE},g\n{row}\n")
-    rows = record(read_manifest(folder / "odd.csv"), NAMES)
-    assert [says in str(error) for error in rows.failures] == [True]
-
-
-def test_impacts_are_taken_where_they_are_annotated(tmp_path: Path) -> None:
-    generator, times = np.random.default_rng(3), np.arange(0, 0.1, 1 / 50e3)
-    samples = generator.normal(0, 1e-3, 150_000)
-    for start in (0.5, 1.0, 1.5, 2.0, 2.5):
-        first = round(start * 50e3)
-        samples[first : first + times.size] += np.exp(-times / 5e-3) * np.sin(2 * np.pi * 900 * times)
-    np.save(tmp_path / "hits.npy", samples)
-    text = "path,label,start,end,rate,unit\nhits.npy,coal,0,1.2,50000,g\nhits.npy,gangue,1.2,2.2,50000,g\n"
-    (tmp_path / "m.csv").write_text(text)
-    rows = record(read_manifest(tmp_path / "m.csv"), slicing=Slicing(by="impact"))
-    assert rows.labels.tolist() == ["coal"] * 2 + ["gangue"] * 2
-    np.testing.assert_allclose(rows.time, [0.5, 1.0, 1.5, 2.0], atol=1e-3)
-    assert rows.kind == "vibration"
 
 
 def test_sets_that_promise_it_are_free_of_the_gain() -> None:
@@ -430,40 +398,6 @@ def test_each_group_is_left_out_once_and_as_a_whole() -> None:
             assert not np.intersect1d(group[fold], group[~fold]).size
 
 
-@pytest.mark.parametrize("n_rare", [2, 11, 30])
-def test_many_recordings_of_one_blow_each_are_groups(n_rare: int) -> None:
-    labels = np.repeat(["a", "b"], [22, n_rare])
-    group = np.random.default_rng(2).permutation(labels.size)
-    folds = list(leave_groups_out(labels, group, 0))
-    assert (np.sum(folds, axis=0) == 1).all()
-    for fold in folds:
-        assert fold.any()
-        assert set(labels[~fold]) == {"a", "b"}
-
-
-def test_what_keeps_features_from_being_measured_is_named(folder: Path) -> None:
-    with pytest.raises(InvalidValue, match=r"window must last 0.02 s at least to have a feature at 8000 Hz, got"):
-        record(read_manifest(folder / "good.csv"), slicing=Slicing(window_time=0.01, hop_time=0.01))
-    assert record(read_manifest(folder / "good.csv"), slicing=Slicing(window_time=0.02, hop_time=0.5)).names
-    (folder / "slow.csv").write_text("path,label,rate,unit\n0.npy,coal,800,g\n1.npy,gangue,800,g\n")
-    with pytest.raises(BadData, match="sampled at 2000 Hz at least to have a feature, got 800 Hz; sample faster"):
-        record(read_manifest(folder / "slow.csv"), slicing=Slicing(window_time=1.0, hop_time=1.0))
-
-
-def test_who_knows_the_recordings_by_heart_gains_nothing() -> None:
-    """Features that name the recording and nothing else: any window on both sides would be right."""
-    generator, group = np.random.default_rng(6), np.repeat(np.arange(12), 20)
-    labels = np.where(generator.permutation(12)[group] < 6, "coal", "gangue")
-    places = generator.normal(size=(12, 6))
-    rows = rows_of(labels, group, places[group] + 0.01 * generator.normal(size=(240, 6)))
-    candidate = Candidate(name="all", features=rows.names, family="linear")
-    probabilities = cross_validate(lesson_of(rows, [candidate])).probabilities
-    hits = np.unique(labels)[np.argmax(probabilities, axis=1)] == labels
-    assert hits.mean() < 0.75
-    leaked = ImpactClassifier("linear", linear=tuple(range(6))).fit(rows.features[::2], labels[::2])
-    assert np.mean(leaked.predict(rows.features[1::2]) == labels[1::2]) > hits.mean() + 0.1
-
-
 def test_what_judges_has_no_part_in_what_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     """No classifier that answers for a group, or that helps to choose for it, has seen a row of it."""
     generator, group = np.random.default_rng(7), np.repeat(np.arange(6), 10)
@@ -616,12 +550,6 @@ def test_model_of_windows_survives_its_file(model: Model, recorded: Rows, tmp_pa
     assert loaded.novelty(recorded.features + 1e3).min() > 1
 
 
-def test_a_model_of_windows_answers_for_no_single_impact(model: Model) -> None:
-    signal = Signal(samples=np.arange(500.0), sampling_rate=RATE, unit="g", source="hit")
-    with pytest.raises(InvalidValue, match="hit: model must be one of impacts, this one answers for windows"):
-        identify(signal, model)
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -734,18 +662,6 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
         assert {line["label"] == "unknown" for line in windows} == {is_drowned}
         hints = [line["cause"] for line in lines if line["kind"] == "hint"]
         assert hints == (["drowned"] * is_drowned)
-    from_windows = ["train", str(tmp_path / "m.csv"), "--from", str(tmp_path / "m.npz"), "-o", str(tmp_path / "n.npz")]
-    assert run(from_windows) == 65
-    assert "--from must name a model of impacts, this one decides on windows" in capsys.readouterr().err
-    harm = Model.load(tmp_path / "m.npz")
-    with pytest.raises(BadData, match=r"contrast\.mean must have shape"):
-        replace(harm, arrays={**harm.arrays, "contrast.mean": np.zeros(3)})
-    recorded = {**harm.training["recorded"], "fewest_groups": "many"}
-    for value, says in ((1.1, "vote_correlation must be at most 1"), ([0.5], "vote_correlation must be one number")):
-        with pytest.raises(BadData, match=says):
-            replace(harm, training={**harm.training, "vote_correlation": value})
-    with pytest.raises(InvalidValue, match="fewest_groups must be"):
-        replace(harm, training={**harm.training, "recorded": recorded})
 
 
 def test_the_smallest_set_that_is_as_good_is_taken() -> None:
@@ -888,21 +804,6 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
 # -- the command ------------------------------------------------------------------------------------------
 
 FEW = ["--features", ",".join(NAMES)]
-
-
-def test_manifest_is_trained_on_from_the_command_line(folder: Path, tmp_path: Path, capsys: Any) -> None:
-    model = tmp_path / "m.npz"
-    assert run(["train", str(folder / "good.csv"), "-o", str(model), *FEW, "--json"]) == 0
-    out = json.loads(capsys.readouterr().out)
-    assert out["recordings"]["n"] == 6
-    assert [row["time"] for row in out["running"]] == [0.5, 1.0]
-    assert run(["train", str(folder / "good.csv"), "-o", str(model), *FEW, "--overwrite"]) == 0
-    said = capsys.readouterr().out
-    assert f"accuracy {out['accuracy']:.4f} (95 % interval" in said
-    assert "vote of a recording" in said
-    assert "0.npy: coal" in said
-    assert Model.load(model).labels == ("coal", "gangue")
-    assert (tmp_path / "m.md").exists()
 
 
 def test_a_file_that_is_gone_is_said_and_the_model_is_written(folder: Path, tmp_path: Path, capsys: Any) -> None:

@@ -6,13 +6,11 @@ import struct
 import tracemalloc
 from datetime import datetime
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.io import wavfile
 
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, MissingOption
@@ -142,15 +140,6 @@ def test_faults_far_behind_the_first_piece_are_told_by_their_place(write, small_
     assert [word for word in words if word not in str(caught.value)] == []
 
 
-def test_gap_between_pieces_is_found(write, small_pieces):
-    lines = long_text()
-    del lines[40:42]
-    for size in range(500, 700, 7):
-        small_pieces(size)
-        with pytest.raises(BadData, match="even steps to 1 %, sample 39"):
-            whole(open_recording(write("\n".join(lines) + "\n")))
-
-
 def test_decimal_mark_may_come_late_but_never_both(write, small_pieces):
     small_pieces(100)
     zeros = ["0;0"] * 100
@@ -158,13 +147,6 @@ def test_decimal_mark_may_come_late_but_never_both(write, small_pieces):
     recording = open_recording(write("\n".join([*zeros, "1.5;2", *zeros, "1,5;2", ""])), sampling_rate=1)
     with pytest.raises(BadData, match=r"sample 201 \(line 202\) column 1 is '1,5'"):
         whole(recording)
-
-
-def test_line_without_end_is_no_row(write, small_pieces):
-    with pytest.raises(BadData, match="columns"):
-        open_recording(write("1," * 2_000_000))
-    with pytest.raises(BadData, match="at most 262144 characters"):
-        whole(open_recording(write("1,2\n" * 10 + "1" * 3_000_000), sampling_rate=1))
 
 
 @pytest.mark.parametrize(
@@ -193,30 +175,6 @@ def test_several_candidates_for_the_rate(write):
     assert whole(open_recording(write(two))).tolist() == [[1, 2, 3], [5, 6, 7]]
     with pytest.raises(BadData, match=r"'time a' gives 1 Hz and 'time b' 0\.5 Hz"):
         open_recording(write("time a,a,time b,b\n0,1,0,5\n1,2,2,6\n2,3,4,7\n"))
-
-
-def test_start_time_of_a_text(write):
-    recording = open_recording(write("# Start time: 2026-03-04 10:11:12.5\nt,F\n0,1\n1,2\n"))
-    assert recording.start_time == datetime(2026, 3, 4, 10, 11, 12, 500000)
-
-
-@pytest.mark.parametrize(
-    ("header", "encoding", "names", "units"),
-    [
-        ("时间(s),振动加速度(m/s^2)", "gbk", ["振动加速度"], ["m/s^2"]),
-        ("时间（s），力（kN）", "gb18030", ["力"], ["kN"]),
-        ("t (s),Größe (µm)", "latin-1", ["Größe"], ["µm"]),
-        ("t (s),Temperatur °C", "latin-1", ["Temperatur °C"], [None]),
-        ("时间 (s);力 (N)", "utf-16", ["力"], ["N"]),
-    ],
-)
-def test_headers_in_other_characters(write, header, encoding, names, units):
-    mark = ";" if ";" in header else ","
-    text = header + f"\n0{mark}1\n1{mark}2\n2{mark}5\n"
-    recording = open_recording(write(text.encode(encoding)))
-    # A single channel is called by its number, so what the header says is looked up by asking for it.
-    assert open_recording(write(text.encode(encoding)), channel=names[0]).channels == recording.channels
-    assert [channel.unit for channel in recording.channels] == units
 
 
 # ---- WAV ----
@@ -250,16 +208,6 @@ def test_wav_is_what_libsndfile_reads(tmp_path, subtype, container):
     for length in (10, 2000):
         assert np.array_equal(whole(recording, length), expected.T)
     assert np.array_equal(whole(open_recording(path, channel=[3, 1])), expected.T[[2, 0]])
-
-
-def test_wav_of_scipy(tmp_path):
-    for dtype in ("uint8", "int16", "int32", "int64", "float32", "float64"):
-        samples = np.random.default_rng(2).integers(0, 100, (77, 2)).astype(dtype)
-        wavfile.write(tmp_path / "two.wav", 8000, samples)
-        full = {"u": 128.0, "i": 2.0 ** (8 * samples.itemsize - 1), "f": 1.0}[samples.dtype.kind]
-        offset = 128.0 if dtype == "uint8" else 0.0
-        recording = open_recording(tmp_path / "two.wav")
-        assert np.array_equal(whole(recording), (samples.T - offset) / full) and not recording.warnings
 
 
 def test_wav_cut_at_any_byte_gives_what_is_whole_and_a_warning(write):
@@ -447,14 +395,6 @@ def test_lvm_in_every_way_of_writing_it(write, small_pieces, x_columns, separato
         assert not recording.warnings
 
 
-def test_lvm_with_comments_and_channels_without_samples(write):
-    rows = [f"{row}\t\tseen, 1" if k == 3 else f"{row}\t" for k, row in enumerate(rows_of(TABLE, "One"))]
-    text = lvm(rows, x_columns="One", names=("F", "a", "none"), units=("kN", "m/s^2", ""), samples=[50, 50, 0])
-    recording = open_recording(write(text))
-    assert np.array_equal(whole(recording), TABLE.T)
-    assert "1 channel without samples left out: none" in recording.warnings[0]
-
-
 def test_lvm_segments_that_follow_each_other_are_one_recording(write):
     parts = np.split(TABLE, [20, 35])
     by_time = [
@@ -579,14 +519,6 @@ def test_npz_says_rate_and_unit_by_named_values(tmp_path):
         open_recording(path)
 
 
-def test_npz_without_an_array_that_can_be_meant(tmp_path):
-    path = tmp_path / "x.npz"
-    for arrays in ({}, {"x": np.array(["a", "b"])}, {"x": np.zeros((2, 3, 4))}, {"x": np.array([None], object)}):
-        np.savez(path, **arrays)
-        with pytest.raises(BadData):
-            open_recording(path, sampling_rate=1)
-
-
 def test_an_npy_file_that_shrinks_while_it_is_read_is_refused(tmp_path):
     path = tmp_path / "x.npy"
     np.save(path, np.arange(3000.0))
@@ -598,15 +530,6 @@ def test_an_npy_file_that_shrinks_while_it_is_read_is_refused(tmp_path):
 
 
 # ---- FLAC and OGG ----
-
-
-@pytest.fixture(scope="module")
-def flac(tmp_path_factory):
-    soundfile = pytest.importorskip("soundfile")
-    path = tmp_path_factory.mktemp("flac") / "x.flac"
-    samples = np.random.default_rng(7).uniform(-0.9, 0.9, (20_000, 2))
-    soundfile.write(path, samples, 48000, subtype="PCM_16")
-    return SimpleNamespace(path=path, content=path.read_bytes(), samples=soundfile.read(path)[0].T)
 
 
 def test_ogg_cut_off_or_damaged_is_refused(tmp_path):
@@ -711,12 +634,6 @@ def test_live_wav_is_known_by_its_header(size):
         live_stream(Trickle(content), n_channels=3)
     with pytest.raises(InvalidValue, match="another"):
         live_stream(Trickle(content), sample_format="f32le")
-
-
-def test_live_wav_that_breaks_off_is_told():
-    stream = live_stream(Trickle(wav_file(WORDS.tobytes(), size=300)))
-    assert sum(block.shape[1] for block in stream) == 100
-    assert "declares 100 more bytes" in stream.warnings[0]
 
 
 # ---- gaps ----

@@ -17,7 +17,6 @@ from cgid.errors import BadData, CannotCreate, InvalidValue, WriteFailed
 from cgid.scene import generate, parse_scene, synthesise
 from cgid.scene.draws import PARAMETER_UNITS
 from cgid.store import Dataset
-from tests.hostile_hdf5 import ATTACKS, KINDS, Outside
 
 N = 1000
 
@@ -329,31 +328,6 @@ def test_wrong_schema_version(copy, version):
         if version is not None:
             file.attrs["schema_version"] = version
     refused(copy, "schema_version 2 is newer.*upgrade" if version == 2 else "schema_version must be 1")
-
-
-LINKED = "must be (part|a group) of the file itself"
-#: Attacks of `tests.hostile_hdf5`, all of which do no harm, and what is said of some.
-SAID_OF = {
-    "signals linked to another file": LINKED,
-    "a group linked to another file": LINKED,
-    "a column linked to another file": LINKED,
-    "a soft link within the file": LINKED,
-    "signals stored in another file": "plain dataset",
-    "virtual signals": "plain dataset",
-    "a dataset for the group": "parameters must be a group",
-    "a format of variable length": "must be a cgid dataset",
-    "a list of formats": "must be a cgid dataset",
-    "ten thousand columns": "must hold at most 4096 columns",
-    "three hundred attributes": "must have at most 256 attributes",
-    "a scene that was not hashed": "must fit scene_sha256",
-}
-
-
-@pytest.mark.parametrize("attack", SAID_OF)
-def test_attacks_are_refused_in_words(copy, tmp_path, attack):
-    with h5py.File(copy, "r+") as file:
-        ATTACKS[attack](file, KINDS["dataset"], Outside.make(tmp_path / "outside"))
-    refused(copy, SAID_OF[attack])
 
 
 @pytest.mark.parametrize("name", ["signals", "labels", "specimen"])
