@@ -139,12 +139,7 @@ class Signal:
         InvalidValue
             The mass is not above 0, or the signal is not an acceleration.
         """
-        mass = validation.number("mass", mass, "kg", validation.positive)
-        if self.quantity != "acceleration":
-            raise InvalidValue(
-                f"{self.name}: mass turns an acceleration into a force, this is {self.quantity}; leave the mass out"
-            )
-        return replace(self, samples=self.in_si().samples * mass, unit="N")
+        return replace(self, samples=self.samples * force_factor(self.unit, mass, self.name), unit="N")
 
     def inverted(self) -> Signal:
         """Return the signal with the opposite sign.
@@ -154,6 +149,15 @@ class Signal:
         Signal
         """
         return replace(self, samples=-self.samples)
+
+
+def force_factor(unit: str | None, mass: float, name: str) -> float:
+    """Return the factor from an acceleration to the contact force [N] of an impactor of this mass [kg]."""
+    mass = validation.number("mass", mass, "kg", validation.positive)
+    quantity = None if unit is None else units.quantity_of(unit)
+    if unit is None or quantity != "acceleration":
+        raise InvalidValue(f"{name}: mass turns an acceleration into a force, this is {quantity}; leave the mass out")
+    return mass * units.UNITS[quantity][unit]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -143,14 +143,14 @@ class _Rows:
 
     def dataset(self, path: str, invert: bool) -> None:
         """Print one row for each signal of a dataset, batch by batch."""
-        from cgid.measure.features import FEATURES, extract_array, kind_for
+        from cgid.measure.features import FEATURES, any_through_beam, extract_array, kind_for
         from cgid.store import Dataset
 
         dataset = Dataset(path)
         kind = kind_for(dataset.quantity)
         selected = _selected_features(self.names, kind, dataset.sampling_rate, dataset.header.n_samples)
         through = None
-        if any(FEATURES[name].beam for name in self.names or ()) or (self.names is None and kind == "vibration"):
+        if any_through_beam(self.names or ()) or (self.names is None and kind == "vibration"):
             from cgid.identification.contact import ThroughBeam
             from cgid.scene.through_beam import shared_beam
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.output import name_options, warn
-from cgid.errors import InvalidValue
+from cgid.cli.output import options_named, warn
 
 _OTHERS = "Other"
 #: Heading -> the options below it; "command --option" where a command uses the name for something else.
@@ -80,19 +79,13 @@ class Command(click.Command):
             if new in flags and "--" not in args[:number]:
                 warn(f"{old} is now called {new}; the old name goes with version 0.3")
                 args[number] = f"{new}{equals}{value}"
-        try:
+        with options_named():
             return super().parse_args(ctx, args)
-        except InvalidValue as error:
-            name_options(error)
-            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
-        try:
+        with options_named():
             return super().invoke(ctx)
-        except InvalidValue as error:
-            name_options(error)
-            raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under their headings."""

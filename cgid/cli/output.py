@@ -107,6 +107,16 @@ def name_options(error: InvalidValue) -> None:
     error.args = tuple(f"{flags.get(name, name)}{must}{rule}" for name, must, rule in parts)
 
 
+@contextmanager
+def options_named() -> Iterator[None]:
+    """Name the option of the running command in the errors of a block; see `name_options`."""
+    try:
+        yield
+    except InvalidValue as error:
+        name_options(error)
+        raise
+
+
 def say_error(error: CgidError) -> None:
     """Print an error on stderr, with a line for each mistake."""
     if isinstance(error, InvalidValue):

@@ -455,13 +455,13 @@ def _point(text: str) -> tuple[float, float]:
 
 def _beam(sources: list[Scene | Dataset], options: dict[str, Any]) -> Any:
     """Return the beam that scenes and datasets share, if the features, or the default, look through it."""
-    from cgid.measure.features import FEATURES, kind_for
+    from cgid.measure.features import any_through_beam, kind_for
     from cgid.scene import Scene
     from cgid.scene.through_beam import shared_beam
 
     features, sensors = options["features"], options["sensors"]
     beam, why = None, "the features that are asked for need no beam"
-    if features is None or any(FEATURES[name].beam for name in features):
+    if features is None or any_through_beam(features):
         beam, why = shared_beam(sources, sensors)
     if sensors and (beam is None or len(sources) > 1 or not isinstance(sources[0], Scene)):
         raise InvalidValue(f"--sensor must be left out, there is no single scene with a beam: {why}; give tail_beam")

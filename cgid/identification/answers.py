@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cgid import validation
 from cgid.deprecated import renamed_arguments, renamed_attribute
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.identification.detection import find_impacts
@@ -21,7 +20,7 @@ from cgid.measure.features import as_rows, measured, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.frames import DETECTION_LIMIT, MINIMUM_FRAME, frames_of
 from cgid.recordings.chain import require_measured
-from cgid.signals import Signal
+from cgid.signals import Signal, force_factor
 from cgid.units import ELECTRICAL, UNITS, quantity_of
 from cgid.validation import UNKNOWN, Floats
 
@@ -143,12 +142,7 @@ def factor_to(model: Model, unit: str | None, name: str, mass: float | None = No
     if model.quantity not in ELECTRICAL:
         require_measured(unit, name)
     if mass is not None:
-        factor = validation.number("mass", mass, "kg", validation.positive)
-        if quantity != "acceleration":
-            raise InvalidValue(
-                f"{name}: mass turns an acceleration into a force, this is {quantity}; leave the mass out"
-            )
-        factor, unit, quantity = factor * UNITS[quantity][unit], "N", "force"
+        factor, unit, quantity = force_factor(unit, mass, name), "N", "force"
     if quantity != model.quantity:
         hint = f"give a recording of {model.quantity}"
         if (quantity, model.quantity) == ("acceleration", "force"):

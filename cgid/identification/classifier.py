@@ -17,6 +17,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 from sklearn.neural_network import MLPClassifier
+from sklearn.utils.class_weight import compute_sample_weight
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
@@ -33,19 +34,19 @@ _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
 #: known are, and not .1 %.
 _INSIDE = 0.997
 
+Weights = Mapping[str, float] | str | None
+
 
 class ShrunkenDiscriminant(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     """Linear discriminant analysis with a shrunken covariance: as scikit-learn's, in a fifth of the time."""
 
     # A nested cross-validation fits it a thousand times on many features and few recordings.
 
-    def __init__(self, priors: Floats | None = None) -> None:
-        self.priors = priors
-
-    def fit(self, X: Floats, y: NDArray[Any]) -> ShrunkenDiscriminant:
-        """Fit to features (n_rows, n_features) and labels (n_rows,)."""
+    def fit(self, X: Floats, y: NDArray[Any], sample_weight: Floats | None = None) -> ShrunkenDiscriminant:
+        """Fit to features (n_rows, n_features) and labels (n_rows,); weights set the prior probabilities."""
         self.classes_, encoded = np.unique(y, return_inverse=True)
-        priors = np.bincount(encoded) / len(y) if self.priors is None else np.asarray(self.priors)
+        counts = np.bincount(encoded, sample_weight)
+        priors = counts / counts.sum()
         means = np.stack([X[encoded == k].mean(axis=0) for k in range(len(self.classes_))])
         self.covariance_ = _shrunken_covariance(X - means[encoded], encoded, priors)
         # A ridge near rounding, so that the factor exists if a feature is constant.
@@ -218,7 +219,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         n_units: int = 32,
         n_iterations: int = 200,
         calibration_folds: int = 3,
-        class_weight: Mapping[Any, float] | str | None = None,
+        class_weight: Weights = None,
         rejects: bool = True,
         random_state: int = 0,
     ) -> None:
@@ -267,8 +268,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         with threadpool_limits(1):
             self.standardiser_ = Standardiser.fit(features, self.linear)
             standardised = self.standardiser_.apply(features)
-            inputs, weights = self._inputs(standardised), self._class_weights(encoded)
-            self.estimator_ = self._fitted(inputs, encoded, weights)
+            inputs, weights = self._inputs(standardised), row_weights(labels, self.class_weight)
+            self.estimator_ = self.ESTIMATORS[self.family](self).fit(inputs, encoded, sample_weight=weights)
             if self.rejects:
                 covariance = self.estimator_.covariance_ if self.family == "linear" else None
                 self.neighbourhood_ = Neighbourhood.fit(standardised, encoded, covariance)
@@ -344,25 +345,6 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     def _inputs(self, standardised: Floats) -> Floats:
         return squares(standardised) if self.family == "logistic" else standardised
 
-    def _class_weights(self, encoded: NDArray[np.intp]) -> Floats | None:
-        """Return the weight of an impact of each class; None if all are 1."""
-        if self.class_weight is None:
-            return None
-        if isinstance(self.class_weight, str):
-            validation.choice("class_weight", self.class_weight, ("balanced",))
-            return np.asarray(len(encoded) / (len(self.classes_) * np.bincount(encoded)))
-        weights = [self.class_weight.get(label, 1.0) for label in self.classes_.tolist()]
-        return validation.positive("class_weight", weights)
-
-    def _fitted(self, inputs: Floats, encoded: NDArray[np.intp], weights: Floats | None) -> Any:
-        estimator = self.ESTIMATORS[self.family](self)
-        if weights is None:
-            return estimator.fit(inputs, encoded)
-        if self.family == "linear":  # a weight of a class is a prior
-            counts = weights * np.bincount(encoded, minlength=len(weights))
-            return estimator.set_params(priors=counts / counts.sum()).fit(inputs, encoded)
-        return estimator.fit(inputs, encoded, sample_weight=weights[encoded])
-
     def _temperature(
         self,
         inputs: Floats,
@@ -388,9 +370,8 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         answers = workers.each(_scores_left_out, (self, inputs, encoded, weights), parts)
         for (_, test), answer in zip(parts, answers, strict=True):
             scores[test] = answer
-        row_weights = None if weights is None else weights[encoded]
-        temperature = best_temperature(scores, encoded, row_weights)
-        return temperature, log_loss(scores / temperature, encoded, row_weights)
+        temperature = best_temperature(scores, encoded, weights)
+        return temperature, log_loss(scores / temperature, encoded, weights)
 
 
 def _scores_left_out(
@@ -400,9 +381,20 @@ def _scores_left_out(
     """Return the scores of the rows of a fold by a fit to the other rows."""
     classifier, inputs, encoded, weights = fitting
     training, test = part
+    estimator = classifier.ESTIMATORS[classifier.family](classifier)
     with threadpool_limits(1):
-        fitted = classifier._fitted(inputs[training], encoded[training], weights)
-        return np.asarray(fitted.decision_function(inputs[test]))
+        estimator.fit(inputs[training], encoded[training], sample_weight=None if weights is None else weights[training])
+        return np.asarray(estimator.decision_function(inputs[test]))
+
+
+def row_weights(labels: NDArray[Any], class_weight: Weights) -> Floats | None:
+    """Return the weight of each row; None if all are 1."""
+    if class_weight is None:
+        return None
+    if isinstance(class_weight, str):
+        validation.choice("class_weight", class_weight, ("balanced",))
+        return np.asarray(compute_sample_weight(class_weight, labels))
+    return validation.positive("class_weight", [class_weight.get(label, 1.0) for label in labels.tolist()])
 
 
 def best_temperature(

@@ -20,7 +20,14 @@ from sklearn.model_selection import StratifiedGroupKFold
 from threadpoolctl import threadpool_limits
 
 from cgid.errors import BadData
-from cgid.identification.classifier import ImpactClassifier, best_temperature, log_loss, noise_contrast
+from cgid.identification.classifier import (
+    ImpactClassifier,
+    Weights,
+    best_temperature,
+    log_loss,
+    noise_contrast,
+    row_weights,
+)
 from cgid.identification.events import EVENT_TIME
 from cgid.identification.families import Contrast, Neighbourhood, softmax
 from cgid.identification.metrics import paired_difference
@@ -37,7 +44,6 @@ MAX_FOLDS = 20
 MIN_BLOCKS = 8
 #: Impacts on two channels within this time are one impact [s].
 _ONE_BLOW = 10e-3
-Weights = Mapping[str, float] | str | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +167,7 @@ def choose_candidate(training_set: TrainingSet, workers: Workers = ALONE) -> Sel
     for fold, answers in zip(folds, workers.each(_scores_of_all, training_set, folds), strict=True):
         scores[:, fold] = answers
     judged = np.any(folds, axis=0) & rows.is_clear
-    scores, truth, weights = scores[:, judged], truth[judged], _row_weights(rows.labels[judged], training_set.weights)
+    scores, truth, weights = scores[:, judged], truth[judged], row_weights(rows.labels[judged], training_set.weights)
     is_correct = np.argmax(scores, axis=2) == truth
     accuracies = tuple(float(np.average(of_candidate, weights=weights)) for of_candidate in is_correct)
     best = smallest_as_good(training_set.candidates, accuracies, is_correct, rows.group[judged])
@@ -335,14 +341,3 @@ def _scores(candidate: Candidate, training_set: TrainingSet, fold: NDArray[np.bo
         training_set.rows[fold].inputs(candidate.features)
     )
     return np.stack([np.zeros(len(scores)), scores], axis=1) if scores.ndim == 1 else scores
-
-
-def _row_weights(labels: NDArray[np.str_], weights: Weights) -> Floats | None:
-    """Return the weight of each row; None if all are 1."""
-    if weights is None:
-        return None
-    different, group_index, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    if weights == "balanced":
-        return np.asarray(1 / counts[group_index])
-    assert isinstance(weights, Mapping)
-    return np.array([weights.get(label, 1.0) for label in different.tolist()])[group_index]

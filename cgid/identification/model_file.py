@@ -25,7 +25,7 @@ from cgid.identification.families import BY_NAME, Boosting, Contrast, Linear, Ne
 from cgid.identification.reference import equalisations_of
 from cgid.identification.windows import require_times
 from cgid.measure.beam import Beam
-from cgid.measure.features import FEATURES, require_known
+from cgid.measure.features import any_through_beam, require_known
 from cgid.measure.spectra import MEL_BANDS
 from cgid.signals import KNOWN
 from cgid.units import quantity_of
@@ -345,7 +345,7 @@ def _check_arrays(model: Model) -> None:
     if n_classes != 2 and any(name.startswith(Confusion.PREFIX) for name in arrays):
         raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
-    if any(FEATURES[name].beam for name in model.measured) != any(name.startswith("beam.") for name in arrays):
+    if any_through_beam(model.measured) != any(name.startswith("beam.") for name in arrays):
         raise BadData("a model must have the arrays of a beam if features look through it, and only then")
 
 

@@ -22,7 +22,7 @@ from cgid.errors import BadData, CgidError, InvalidValue
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.windows import CLEAR, WINDOW_TIME, columns_of, require_times
 from cgid.measure.beam import Beam
-from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kind_of, supported
+from cgid.measure.features import FEATURES, any_through_beam, choose, extract_array, kind_for, kind_of, supported
 from cgid.measure.spectra import THIRD_OCTAVES
 from cgid.measure.table import Kind
 from cgid.measure.vibration import EARLY_BANDS
@@ -279,7 +279,7 @@ def features_for(
 def default_guards(features: Iterable[str]) -> tuple[str, ...]:
     """Return the guards of a model with these features; models of vibrations have them only through a beam."""
     features = tuple(features)
-    if any(FEATURES[name].beam for name in features):
+    if any_through_beam(features):
         return BEAM_GUARDS
     return DEFAULT_GUARDS if kind_of(features) == "pulse" else ()
 
@@ -363,7 +363,7 @@ def measure(
         known=np.concatenate([heights for _, _, heights in parts]),
         unit=abouts[0].unit,
         sampling_rates=(min(rates), max(rates)),
-        beam=beam if any(FEATURES[name].beam for name in names) else None,
+        beam=beam if any_through_beam(names) else None,
         left_out=int((~complete).sum()),
     )
     return rows[complete]

@@ -20,14 +20,13 @@ from threadpoolctl import threadpool_limits
 from cgid import __version__, validation
 from cgid.deprecated import renamed_arguments
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.classifier import ImpactClassifier, contrast_of
+from cgid.identification.classifier import ImpactClassifier, Weights, contrast_of
 from cgid.identification.conformal import Conformal
 from cgid.identification.families import Neighbourhood
 from cgid.identification.grouped import (
     Candidate,
     Selection,
     TrainingSet,
-    Weights,
     candidates_for,
     choose_candidate,
     cross_validate,
@@ -56,7 +55,7 @@ from cgid.identification.rows import (
     shift,
 )
 from cgid.measure.beam import Beam
-from cgid.measure.features import FEATURES, choose
+from cgid.measure.features import any_through_beam, choose
 from cgid.measure.pulses import MAX_UNEXPLAINED
 from cgid.signals import Batch
 from cgid.units import quantity_of
@@ -421,7 +420,7 @@ def _tried_on_left_out(
         guards=_guard_limits(guards, rows.columns(guards)[training]),
         conformal=conformal,
         contrast=contrast,
-        beam=rows.beam if any(FEATURES[name].beam for name in names) else None,
+        beam=rows.beam if any_through_beam(names) else None,
     )
 
 

@@ -65,6 +65,11 @@ def kind_of(features: Iterable[str]) -> Kind:
     return "pulse"
 
 
+def any_through_beam(features: Iterable[str]) -> bool:
+    """Return whether any of the features looks through a beam."""
+    return any(FEATURES[name].beam for name in features)
+
+
 def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, ...]:
     """Return the names of features in order, with the columns of banks.
 

@@ -156,6 +156,8 @@ class _Stated(Generic[Part]):
 
     def at(self, index: int, contents: Blocks, source: str) -> tuple[Part | None, bool]:
         """Return the value for a channel, and whether it is for this channel alone; two must not differ."""
+        if not self.values:
+            return None, False
         option = f"--{self.name.replace('_', '-')} CHANNEL=VALUE"
         of_channel = [
             value for key, value in self.values if key is not None and index in contents.selected(key, source, option)

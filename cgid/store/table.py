@@ -130,12 +130,14 @@ class TableWriter:
     def __init__(self, write: Callable[[Rows], object]) -> None:
         self._write = write
         self._waiting: list[Rows] = []
+        self._n_waiting = 0
 
     def add(self, rows: Rows) -> None:
         """Append rows, which must have all columns of the header."""
         count("stored_rows", len(rows))
         self._waiting.append(rows)
-        if sum(map(len, self._waiting)) >= _ROWS:
+        self._n_waiting += len(rows)
+        if self._n_waiting >= _ROWS:
             self.finish()
 
     def finish(self) -> None:
@@ -149,7 +151,7 @@ class TableWriter:
                 np.concatenate([getattr(rows, name) for rows in self._waiting]) for name in ("labels", "specimen")
             )
             self._write(Rows(labels=labels, specimen=specimen, columns=columns))
-        self._waiting = []
+        self._waiting, self._n_waiting = [], 0
 
 
 @contextlib.contextmanager
