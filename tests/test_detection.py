@@ -87,20 +87,6 @@ def test_impacts_of_a_caving_window_are_found(stream, decibels, kind, precision,
     assert np.quantile(found.errors, 0.95) <= late
 
 
-@pytest.mark.long
-def test_thin_plate_that_rings_long_at_another_rate():
-    changes = {
-        "sampling": {"sampling_rate": "51.2 kHz"},
-        "tail_beam": {"thickness": "15 mm", "damping_ratio": "1 %"},
-    }
-    stream = Stream.of(caving(8.0, **changes), seed=5)
-    noise = stream.noise(20)
-    found = score(stream, noise, [event.onset for event in detected(stream.samples + noise, sampling_rate=51_200.0)])
-    assert found.n_counting >= 20
-    assert found.precision >= 0.95
-    assert found.recall >= 0.9
-
-
 def test_white_noise_alone_has_no_impact():
     random = np.random.default_rng(0)
     detector = ImpactDetector(RATE, 4, kind="vibration")

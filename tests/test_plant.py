@@ -26,7 +26,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.plant import PlantOutputs, command, mqtt
 from cgid.plant.modbus import HEAD, WIDTH
-from cgid.plant.output import MAX_CLIENTS, Output
+from cgid.plant.output import Output
 from cgid.plant.state import BIN_TIME, Waveform
 from cgid.plant.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -382,25 +382,6 @@ def test_nonsense_leaves_no_line_and_no_connection(two_servers, said, capfd) -> 
     assert capfd.readouterr() == ("", "")
 
 
-def test_silent_clients_leave_room(two_servers, said, capfd) -> None:
-    before = threading.active_count()
-    silent = [socket.create_connection(("127.0.0.1", port)) for port in two_servers for _ in range(3 * MAX_CLIENTS)]
-    try:
-        honest_reads(two_servers)
-        assert threading.active_count() <= before + 2 * MAX_CLIENTS
-        # A client that asks is not the one that has to go.
-        with socket.create_connection(("127.0.0.1", two_servers[0]), timeout=5) as steady:
-            for _ in range(2 * MAX_CLIENTS):
-                silent.append(socket.create_connection(("127.0.0.1", two_servers[0])))
-                steady.sendall(modbus_frame(b"\4\0\0\0\1"))
-                assert steady.recv(300) == modbus_frame(b"\4\2\0\1")
-    finally:
-        for client in silent:
-            client.close()
-    assert said == []
-    assert capfd.readouterr() == ("", "")
-
-
 # -- HTTP -------------------------------------------------------------------------------------------------
 
 
@@ -570,12 +551,6 @@ def test_port_in_use_is_said_before_anything_starts(option, tmp_path, capsys) ->
     assert line.startswith(f"cgid: error: --{option} {address}: the address must be free")
 
 
-def test_command_needs_a_model_that_decides() -> None:
-    own = PlantOutputs(on_open=f'"{sys.executable}" -V', warn=print)
-    with pytest.raises(InvalidValue, match="--on-open needs a model that tells gangue from coal"):
-        own.begin(source="s", channels=["1"], rows=["1"], unit="N", threshold=None, behind=lambda: 0.0)
-
-
 def test_password_in_the_url_is_not_repeated() -> None:
     with pytest.raises(InvalidValue, match="CGID_MQTT_PASSWORD") as found:
         PlantOutputs(mqtt="mqtt://me:s3cret@host/t", warn=print)
@@ -608,17 +583,6 @@ def test_table_is_the_same_with_outlets(raw, tmp_path, capsys) -> None:
     samples = np.fromfile(raw, "<f4")
     found = np.multiply([min(wave["low"]), max(wave["high"])], wave["scale"])
     np.testing.assert_allclose(found, [samples.min(), samples.max()], atol=1e-3 * samples.max())
-
-
-def test_clock_adds_the_time_of_the_wall(raw, capsys) -> None:
-    assert run(["monitor", str(raw), *RAW, "--json"]) == 0
-    without = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert run(["monitor", str(raw), *RAW, "--json", "--clock"]) == 0
-    timed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    times = [line.pop("wall_time") for line in timed]
-    assert timed == without
-    assert times == sorted(times)
-    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00", times[0])
 
 
 @pytest.mark.long

@@ -97,23 +97,6 @@ def test_numbers_with_units(written, dimension, value):
     assert parse(written, dimension) == value
 
 
-@pytest.mark.parametrize(
-    ("written", "dimension"),
-    [
-        ("3.1 GHz", "modulus"),
-        ("3.1", "modulus"),
-        ("1 mm 2", "length"),
-        ("1e400 m", "length"),
-        ("nan m", "length"),
-        (10**400, "length"),
-        (True, "length"),
-    ],
-)
-def test_what_is_no_number_with_its_unit(written, dimension):
-    with pytest.raises(ValueError, match="must be"):
-        parse(written, dimension)
-
-
 @given(
     st.decimals(0, 10_000, places=4), st.sampled_from([("GPa", 9, "modulus"), ("mm", -3, "length"), ("%", -2, "ratio")])
 )
@@ -186,11 +169,6 @@ def test_choice_follows_its_weights():
     assert {float(value): np.mean(drawn == value) for value in np.unique(drawn)} == {4.0: 0.25, 8.0: 0.75}
 
 
-def test_choice_without_weights_is_even():
-    drawn = distribution(distribution="choice", values=[3, 1, 2, 5]).quantile(GRID)
-    assert np.unique(drawn, return_counts=True)[1].tolist() == [25_000] * 4
-
-
 def test_choice_at_the_last_uniform_number():
     """The running sum of these weights ends below their sum."""
     weights = [0.1] * 11
@@ -226,11 +204,6 @@ def test_the_parts_of_a_mixture_have_units():
     assert line.startswith("populations.1.density: parts.0: ") and "'3 s'" in line and "parts.1: mean" in line
 
 
-def test_a_bare_number_is_a_constant():
-    (population, _) = parse_scene(content(populations__0__density="1.4 t/m^3")).populations
-    assert population.density.quantile(GRID[:3]).tolist() == [1400.0] * 3
-
-
 def test_uniform_numbers_lie_strictly_within_zero_and_one_and_are_uniform():
     drawn = np.concatenate([uniforms(5, block, 4).ravel() for block in range(64)])
     assert drawn.min() > 0
@@ -241,12 +214,6 @@ def test_uniform_numbers_lie_strictly_within_zero_and_one_and_are_uniform():
 def test_addresses_have_their_own_random_numbers():
     first = {generator(*address).random() for address in [(0, 1, 0), (1, 1, 0), (0, 2, 0), (0, 1, 1)]}
     assert len(first) == 4
-
-
-@pytest.mark.parametrize("seed", [-1, 2**63])
-def test_seed_out_of_range(seed):
-    with pytest.raises(InvalidValue, match="seed"):
-        next(synthesise("reference", 1, seed))
 
 
 # ---- rules of single numbers: every key, read off its field --------------------------------------------------------
@@ -373,56 +340,28 @@ NORMAL = {"distribution": "normal", "mean": "1400 kg/m^3", "deviation": "200 kg/
 @pytest.mark.parametrize(
     ("changes", "path", "says"),
     [
-        ({"sampling__jittter": 1}, "sampling.jittter", "unknown key; did you mean 'jitter'?"),
         ({"sampel": {}}, "sampel", "unknown key; did you mean 'sampling'?"),
-        ({"impact__stiffness": "herz"}, "impact.stiffness", "did you mean 'hertz'?"),
         ({"populations__1__density": NORMAL}, "populations.1.density", "can be drawn as"),
-        ({"sensor__range": 9, "sensor__relative_range": 1}, "sensor.range", "left out with relative_range"),
-        ({"populations__0__drop_height": 1}, "populations.0", "not both"),
         ({"populations__0__velocity": None}, "populations.0", "either drop_height or velocity"),
         ({"populations__0__density": {"distribution": "gamma"}}, "populations.0.density", "rosin-rammler, got 'gamma'"),
-        ({"populations__0__density": {"mean": 3}}, "populations.0.density", "name its distribution"),
         ({"populations__0__density": True}, "populations.0.density", "finite number"),
-        ({"populations__0__radius": 10**400}, "populations.0.radius", "integer of 1329 bits"),
         ({"populations__0__label": "a/b"}, "populations.0.label", "letters"),
-        ({"populations": []}, "populations", "at least 1 where there are no taps"),
         ({"taps": [{**TAP, "shape": "saw"}]}, "taps.0.shape", "'haversine', got 'saw'"),
-        ({"taps": [{**TAP, "radius": 1}]}, "taps.0.radius", "unknown key"),
         ({"taps": [{"label": "tap", "shape": "square", "peak_force": 1}]}, "taps.0.contact_duration", "missing"),
-        ({"populations__1__clipped_at": "120 %"}, "populations.1.clipped_at", "between 0.001 and 1, got '120 %'"),
         ({"populations__1__clipped_at": {**NORMAL_SHARE}}, "populations.1.clipped_at", "it can be drawn as"),
-        ({"randomise": {}}, "randomise", "at least one of sampling_rate, relative_noise, bandwidth"),
         (
             {"randomise__noise_exponent": {"distribution": "mixed", "parts": [0, uniform(0, 3)]}},
             "randomise.noise_exponent",
             "between -1 and 2, it can be drawn as 3",
         ),
-        ({"randomise__hum_frequency": 50}, "randomise", "hum_frequency must come with hum"),
-        (
-            {"randomise__hum": 0.1, "randomise__hum_frequency": uniform(50, 200e3)},
-            "randomise.hum_frequency",
-            "below half the sampling rate, 100000 Hz, it can be 200000 Hz",
-        ),
-        ({"randomise__bits": uniform(10, 33), "sensor__range": 9}, "randomise.bits", "between 2 and 32, it can be"),
-        ({"randomise__relative_range": 2, "sensor__range": 9}, "sensor.range", "left out with relative_range"),
-        ({"impact__target": {**PLATE, "thickness": "20 mN"}}, "impact.target.thickness", "'20 mN'"),
         (
             {"impact__target": {**PLATE, "thickness": "0.5 mm"}, "populations__1__radius": "5 mm"},
             "populations.0",
             "lambda of the thin plate must be at most 30, it can be drawn as",
         ),
-        ({"sampling__samples": "128"}, "sampling.samples", "integer"),
         ({"sampling__samples": 1 << 60_000}, "sampling.samples", "bits"),
-        ({"impact__stiffness": "soft"}, "impact.stiffness", "'hertz'"),
-        ({"tail_beam": {"modes": [MODE, {**MODE, "shape_sensor": "0.1"}]}}, "tail_beam.modes.1.shape_sensor", "number"),
         ({"tail_beam": {"modes": [MODE, {**MODE, "frequency": "1 kg"}]}}, "tail_beam.modes.1.frequency", "'1 kg'"),
         ({"tail_beam": {"modes": [MODE] * 10_001}}, "tail_beam.modes", "at most 10000, got 10001"),
-        (
-            {"tail_beam": {**BEAM, "sensor_point": {"x": 2, "y": 0.1}}},
-            "tail_beam",
-            "sensor_point.x must lie on the beam",
-        ),
-        ({"tail_beam": {**BEAM, "ribs": {**BEAM["ribs"], "number": 101}}}, "tail_beam.ribs.number", "got 101"),
         ({"impact__dissipation": None}, "impact.dissipation", "missing: How the rock loses energy"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -431,12 +370,6 @@ def test_one_mistake_is_one_line_with_its_path(changes, path, says):
     (line,) = complaints(**changes)
     assert line.startswith(f"{path}: ")
     assert says in line
-
-
-def test_restitution_must_be_left_out_when_elastic():
-    lines = complaints(impact__dissipation="elastic")
-    assert [line.split(": ")[0] for line in lines] == ["populations.0.restitution", "populations.1.restitution"]
-    assert "left out" in lines[0]
 
 
 @pytest.mark.parametrize(
@@ -459,12 +392,6 @@ def test_distributions_that_cannot_be(parameters, says):
     (line,) = complaints(populations__1__density=parameters)
     assert line.startswith("populations.1.density")
     assert says in line
-
-
-@pytest.mark.parametrize(("path", "says"), [("none.toml", "no such scene"), (".", "cannot be read")])
-def test_missing_file(tmp_path, path, says):
-    with pytest.raises(NoInput, match=says):
-        load_scene(tmp_path / path)
 
 
 def nodes(value, path=()):
@@ -560,13 +487,6 @@ def test_identity_does_not_depend_on_the_unit(number):
     assert with_unit.sha256 == without.sha256
 
 
-def test_identity_does_not_depend_on_the_layout_of_the_file(tmp_path):
-    file = tmp_path / "reference.toml"
-    lines = (DATASETS / "reference.toml").read_text().splitlines()
-    file.write_text("\n\n".join(line for line in lines if not line.startswith("#")))
-    assert load_scene(file).sha256 == load_scene(DATASETS / "reference.toml").sha256
-
-
 def test_identity_depends_on_every_number():
     changed = parse_scene(content(populations__0__density=1400.0000001))
     assert changed.sha256 != parse_scene(content()).sha256
@@ -621,14 +541,6 @@ def test_identity_of_a_shipped_scene_stays(name):
 CHECKSUMS = {"reference": -336882.9049193494, "peers": 227069.3838758072, "yang2018": -4807.74648042045}
 
 
-@pytest.mark.parametrize("name", IDENTITIES)
-def test_signals_of_a_shipped_scene_stay(name):
-    scene = load_scene(DATASETS / f"{name}.toml")
-    wave = np.cos(np.arange(scene.sampling.samples))
-    found = sum((batch.signals @ wave).sum() for batch in synthesise(scene, 700, 5, dtype="float64"))
-    assert found == pytest.approx(CHECKSUMS[name], rel=1e-9)
-
-
 # ---- the population of reference.toml --------------------------------------------------------------------------------
 
 
@@ -641,11 +553,6 @@ def drawn():
         label: {k: np.concatenate([d.parameters[k] for d in draws])[labels == label] for k in draws[0].parameters}
         for label in ("coal", "gangue")
     }
-
-
-def test_labels_of_reference_come_alike(drawn):
-    n_coal, n = drawn["coal"]["radius"].size, 120 * 256
-    assert abs(n_coal - n / 2) < 4 * np.sqrt(n / 4)
 
 
 @pytest.mark.parametrize("name", ["reference", "rock", "strangers", "randomised", "tail_beam"])
