@@ -224,7 +224,6 @@ reference | lowest = 0.1, highest = 0.8 | lowest = 0.0, highest = 0.8 | populati
 reference | mean = "1400 kg/m^3" | mean = "-1400 kg/m^3" | populations.0.density
 reference | "3.1 GPa" | "3.1 GHz" | populations.0.youngs_modulus
 reference | jitter | jittter | sampling.jittter
-reference | "hunt-crossley" | "elastic" | populations.0.restitution
 reference | drop_height | height | populations.0
 reference | "hertz" | "herz" | 'hertz'
 reference | label = "coal" | label = "unknown" | label
