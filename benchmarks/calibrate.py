@@ -39,7 +39,7 @@ from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of
 from cgid.site import calibrate
-from cgid.site.calibration import _evidence, prepare_blows, uncertain
+from cgid.site.calibration import mean_evidence, prepare_blows, uncertain
 from cgid.site.learning import learn
 
 #: Modes that a 10 kHz anti-alias filter passes [Hz].
@@ -204,7 +204,7 @@ def from_its_modes(
     change = np.log(np.abs(own.poles) / np.abs(exact.poles))[heard]
     covered = np.mean(np.abs(change) < 1.96 * found.deviation[0, heard])
     middle, most = 100 * np.quantile(np.abs(change), [0.5, 0.9])
-    evidence = " / ".join(f"{_evidence(one, blows, 0.2):.3g}" for one in (begun, own, exact))
+    evidence = " / ".join(f"{mean_evidence(one, blows, 0.2):.3g}" for one in (begun, own, exact))
     head = f"{middle:.3f} / {most:.3f} % | {covered:.2f} | {evidence} | {asked(begun)} | {asked(own)}"
     return head, f"{clock:.0f}"
 
@@ -218,8 +218,8 @@ def from_drawings(
         # A tape tells the sides; stiffness follows from the rest.
         stiff = dict.fromkeys(("thickness", "ribs.depth", "ribs.thickness"), error)
         found = calibrate(scene, *recorded, participation_error=0.2, dimension_error=stiff)
-    except BadData as refusal:
-        return f"- | - | {str(refusal).partition('evidence is ')[2].partition(';')[0]} | {before} | refused", "-"
+    except BadData:
+        return f"- | - | - | {before} | refused", "-"
     clock = time.process_time() - clock
     site = beam_of(found.scene)
     evidence = f"{found.before:.3g} / {found.after:.3g} / {found.expected:.3g}"

@@ -24,7 +24,7 @@ from cgid.cli.generate import generate
 from cgid.cli.help import Group
 from cgid.cli.info import info
 from cgid.cli.monitor import monitor
-from cgid.cli.output import drop, heard, open_missing, say, say_error, warn
+from cgid.cli.output import drop, exit_code_of_interruption, heard, open_missing, say, say_error, warn
 from cgid.cli.plot import plot
 from cgid.cli.predict import predict
 from cgid.cli.tap import tap
@@ -34,7 +34,7 @@ from cgid.errors import CgidError, MissingExtra
 
 #: Number of threads for numba, whose import fails below 1.
 _THREADS = "NUMBA_NUM_THREADS"
-_INTERRUPTED, _INTERNAL, _OUTPUT_FAILED, _NO_INPUT, _BAD_DATA = 130, 70, 74, 66, 65
+_INTERNAL, _OUTPUT_FAILED, _NO_INPUT, _BAD_DATA = 70, 74, 66, 65
 #: Error messages of loaders, threads, C++ and HDF5 that mean a lack of memory.
 _MEMORY_SHORT = (
     "failed to map segment",
@@ -103,7 +103,7 @@ def run(arguments: list[str] | None = None) -> int:
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         say("cgid: interrupted; nothing half-written is left", err=True)
-        return _INTERRUPTED
+        return exit_code_of_interruption()
     except (BrokenPipeError, SystemExit):
         # The reader of our output has closed it; click turns that into SystemExit.
         drop(sys.stdout)

@@ -26,8 +26,8 @@ JSON_VERSION = 1
 _COUNTED_EXACTLY = 100_000
 #: Files that a library reads in this process, and trusts.
 _TRUSTED_BY_LIBRARIES = (".h5", ".hdf5", ".mat")
-#: Ctrl-C was pressed: Python loses KeyboardInterrupt in callbacks of weak references, of which h5py has many.
-_noted = threading.Event()
+#: Signals that asked to stop: Python loses KeyboardInterrupt in callbacks of weak references, of which h5py has many.
+_noted: list[int] = []
 #: Progress bars on the terminal, the last of which is drawn.
 _bars: list[Any] = []
 
@@ -147,23 +147,31 @@ def heard() -> Iterator[None]:
         yield
         return
     _noted.clear()
-    before, hook = signal.signal(signal.SIGINT, _note), sys.unraisablehook
+    # Python ends at once by SIGTERM, and would leave its workers behind.
+    before = {number: signal.signal(number, _note) for number in (signal.SIGINT, signal.SIGTERM)}
+    hook = sys.unraisablehook
     sys.unraisablehook = lambda found: None if found.exc_type is KeyboardInterrupt else hook(found)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         sys.unraisablehook = hook
+
+
+def exit_code_of_interruption() -> int:
+    """Return 128 and the number of the signal that interrupted, as shells do."""
+    return 128 + (_noted[0] if _noted else signal.SIGINT)
 
 
 def stop_if_asked() -> None:
     """Raise KeyboardInterrupt if an interruption was noted and possibly lost."""
-    if _noted.is_set():
+    if _noted:
         raise KeyboardInterrupt
 
 
-def _note(_number: int, _frame: FrameType | None) -> None:
-    _noted.set()
+def _note(number: int, _frame: FrameType | None) -> None:
+    _noted.append(number)
     raise KeyboardInterrupt
 
 

@@ -183,9 +183,13 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
             told = str(error)
         after = find(path)
         still, left = {finding.file for finding in after.findings}, after.damage
+        # What stopped the repair is told once, with the file that it is about.
+        stuck = [finding.file for finding in found.findings if finding.file in still and finding.problem != "foreign"]
+        about = next((file for file in stuck if told.startswith(f"{file}: ")), next(iter(stuck), None))
         for line, finding in zip(lines, found.findings, strict=True):
             if finding.problem != "foreign":
-                line |= {"repaired": finding.file not in still, "told": told if finding.file in still else "made again"}
+                line["repaired"] = finding.file not in still
+                line["told"] = "made again" if line["repaired"] else told if finding.file == about else ""
     _tell(path, found.kind, found.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"

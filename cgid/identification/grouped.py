@@ -98,8 +98,9 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None
         )
     if len(np.unique(group)) < 2:
         raise BadData(
-            "recordings must lie in at least 2 groups, one to train and one to judge, got 1; name groups in the "
-            "manifest (recording, day, support), or add recordings"
+            "recordings must lie in at least 2 groups, one to train and one to judge, got 1; add recordings, name "
+            "groups in the manifest (recording, day, support), or label more of a single recording: from some 16 "
+            "impacts on, blocks of its time judge each other"
         )
     for label in different.tolist():
         count = len(np.unique(group[labels == label]))

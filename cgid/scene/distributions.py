@@ -60,12 +60,12 @@ class Quantity:
                 value = handle(read(content, self.dimension))
             else:
                 value = handle(content)
-            self._require(value, content)
+            self.require(value, content)
             return value
 
         return core_schema.no_info_wrap_validator_function(validate, handler(source))
 
-    def _require(self, value: Any, content: Any) -> None:
+    def require(self, value: Any, content: Any) -> None:
         """Raise `ValueError` unless a number, all numbers of a list, or all that can be drawn meet the rule."""
         drawn = isinstance(value, _Distribution)
         try:

@@ -142,13 +142,13 @@ def generate(
     single = is_single_file(path)
     # More workers than shards or processors would only cost memory.
     jobs = min(jobs, description.n_files, os.cpu_count() or 1)
+    if not single and compression == "none":
+        # What is there is kept or replaced by as much.
+        size = plan.size(n_signals) - sum(file.stat().st_size for file in path.glob("shard-*.h5"))
+        require_room(path, path.parent, size, "signals", "make room, or fewer signals")
     # The workers come first, so that a missing cluster is reported before anything is written.
     with workers(jobs, scheduler) as crew, begun(path, description, overwrite=overwrite, resume=resume) as run:
         n_missing = sum(description.part(number)["n_signals"] for number in run.missing)
-        if not single and compression == "none":
-            files = [path / description.name(number) for number in run.missing]
-            size = plan.size(n_missing) - sum(file.stat().st_size for file in files if file.exists())
-            require_room(path, path.parent, size, "signals", "make room, or fewer signals")
         if progress is not None and n_missing < n_signals:
             progress(n_signals - n_missing)
         make_shards(run, scene, seed, plan, run.missing, crew, progress, overwrite=overwrite or not single)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
@@ -13,7 +14,17 @@ from pydantic import field_validator, model_validator
 from cgid.measure.filters import SENSOR_TAPER, fft_filter
 from cgid.physics.response import LowPass, Resonance
 from cgid.scene.background import QUANTITIES, ColouredNoise
-from cgid.scene.distributions import LIMITS, DampingRatio, Frequency, Level, Number, Quantity, Section, Whole
+from cgid.scene.distributions import (
+    LIMITS,
+    DampingRatio,
+    Frequency,
+    Level,
+    Number,
+    Quantity,
+    Section,
+    Whole,
+    quantity_of,
+)
 from cgid.units import parse
 from cgid.validation import Floats, Rule
 
@@ -104,7 +115,11 @@ class Sensor(Section):
         quantity = info.data.get("quantity")
         if value is None or quantity is None:  # an invalid quantity has its own error
             return value
-        return parse(value, QUANTITIES[quantity][0] + _LEVELS[info.field_name])
+        rule, dimension = quantity_of(cls.model_fields[info.field_name]), QUANTITIES[quantity][0]
+        number = parse(value, dimension + _LEVELS[info.field_name])
+        assert rule is not None
+        replace(rule, dimension=dimension + _LEVELS[info.field_name]).require(number, value)  # with its unit
+        return number
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:

@@ -223,7 +223,7 @@ def calibrate(
     dimensions: tuple[Dimension, ...] = ()
     with threadpool_limits(1):
         blows = prepare_blows(frames[chosen], sampling_rate, pre_trigger)
-        before = _evidence(beam, blows, worst)
+        before = mean_evidence(beam, blows, worst)
         if uncertain_dimensions:
             scene, dimensions = learn_dimensions(scene, beam, blows, uncertain_dimensions, progress=progress)
             beam = through_modes(scene, beam)
@@ -234,7 +234,8 @@ def calibrate(
         learned = replace(start.corrected(found.correction), deviation=found.deviation)
         crossings = count_crossings(scene, learned)
         site = _with_beam(scene, learned=rows_of(learned), impact_point=region)
-        after, expected = _evidence(corrected_beam, blows, worst), _evidence(corrected_beam, _simulated(site), worst)
+        after = mean_evidence(corrected_beam, blows, worst)
+        expected = mean_evidence(corrected_beam, _simulated(site), worst)
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
         raise BadData(
             f"the beam of scene {scene.name} must explain the blows as it explains simulated ones: their evidence is "
@@ -338,7 +339,7 @@ def prepare_blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigge
     return Blows(still, start, noise, ar_noise_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
 
 
-def _evidence(beam: Beam, blows: Blows, worst: float) -> float:
+def mean_evidence(beam: Beam, blows: Blows, worst: float) -> float:
     """Return the mean evidence of some impacts, without this share, the worst."""
     part = blows.taken(slice(_COMPARED))
     found = np.sort(evidence_of(Inversion(beam), part))
