@@ -488,12 +488,12 @@ EXTREME: dict[str, Callable[[], bytes]] = {
     "beam of one node": lambda: with_beam(participation=np.ones((3, 1, 1))),
     "beam without filters": lambda: with_beam(filters=None),
     "beam of no size": lambda: with_beam(region=np.array([0.8, 0.8, 0.2, 0.2])),
+    "beam of extreme numbers": _extreme_beam,
     "beam of modes and places as many as allowed": lambda: with_beam(
         poles=np.tile([[-20.0], [600.0]], 1024),
         participation=np.ones((1024, 4, 5)),
         region=np.array([0.0, 400.0, 0.0, 0.0]),
     ),
-    "beam of extreme numbers": _extreme_beam,
 }
 
 

@@ -22,7 +22,7 @@ from cgid.scene.through_beam import beam_of, through_modes
 from cgid.site import calibrate
 from cgid.site.calibration import check_scene, count_crossings, prepare_blows, table_beside, uncertain, usable_impacts
 from cgid.site.dimensions import dimension_errors, learn_dimensions, with_dimensions
-from cgid.site.learning import Blows, System, learn, search_valleys
+from cgid.site.learning import Blows, System, search_valleys
 from tests.plan_scenes import toml
 
 RATE, BEFORE = 6400.0, 64
@@ -179,12 +179,6 @@ def test_blows_and_sensor_stay_on_the_beam():
         assert beam.sensor_point.x == pytest.approx(sensor) and beam.sensor_point.y == 0.2
 
 
-def test_dimensions_of_taps_and_of_learned_modes_are_not_learned(known):
-    for scene, what in ((tapped(1.0), "tapped"), (known[1], "learned")):
-        with pytest.raises(InvalidValue, match=f"its modes are {what}; leave dimension_error at 0"):
-            calibrate(scene, np.zeros((30, 512)), RATE, BEFORE, dimension_error=0.03)
-
-
 @pytest.mark.long
 def test_participations_are_learned_where_asked(known):
     scene, site, _, _ = known
@@ -250,20 +244,6 @@ def test_pull_is_that_of_the_projected_misfit(known, monkeypatch):
         assert pulls[0, number] == pytest.approx(quotient, rel=0.25)
 
 
-@pytest.mark.long
-def test_slopes_of_all_modes_are_those_of_other_beams(known):
-    """All frequencies raised together, from two beams; and the sum of the slopes of single modes."""
-    scene, _, _, blows = known
-    beam, step = beam_of(scene), np.zeros((3, len(beam_of(scene).poles)))
-    step[0] = 1e-4
-    system = System(beam, prepare_blows(blows[:2], RATE, BEFORE), np.ones(2))
-    together = system.by_beams(lambda _: (corrected(beam, step), corrected(beam, -step)), 1, 1e-4)
-    single = system.by_modes(np.array([0]))
-    for row in range(2):
-        expected = single(row).sum(axis=0)
-        np.testing.assert_allclose(together(row)[0], expected, atol=2e-3 * np.abs(expected).max())
-
-
 def test_a_mode_in_a_wrong_valley_is_found(known):
     _, site, _, blows = known
     beam = beam_of(site)
@@ -275,16 +255,6 @@ def test_a_mode_in_a_wrong_valley_is_found(known):
     system = System(corrected(beam, wrong), own, np.ones(40))
     moved = search_valleys(beam, wrong, deviation, system)
     assert moved is not None and abs(moved[0, mode]) < 0.02
-
-
-def test_learning_needs_no_labels_and_is_reproducible(known):
-    scene, _, _, blows = known
-    beam, own = beam_of(scene), prepare_blows(blows[:30], RATE, BEFORE)
-    deviation = np.stack([np.full(len(beam.poles), spread) for spread in (0.01, 0.1, 0.0)])
-    first, second = (learn(beam, Blows(own.frames, own.start, own.noise, own.colour), deviation) for _ in range(2))
-    assert np.array_equal(first.correction, second.correction)
-    assert not first.correction[2].any()  # not asked for
-    assert (first.deviation <= deviation).all()
 
 
 # -- the site file ----------------------------------------------------------------------------------------

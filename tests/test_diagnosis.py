@@ -17,7 +17,7 @@ from scipy.io import wavfile
 from scipy.signal import resample_poly
 from scipy.stats import binom
 
-from cgid.cli.hints import CALIBRATED, SCENE, SCENE_RATE, Hints
+from cgid.cli.hints import Hints
 from cgid.cli.main import run
 from cgid.identification.answers import Answer, identify_frames
 from cgid.identification.diagnosis import ChannelAnswers, Hint
@@ -109,8 +109,7 @@ def cause_of(samples: np.ndarray, rate: float, model: Model) -> str | None:
 
 def test_what_is_answered_well_gets_no_hint(beam: np.ndarray) -> None:
     random = np.random.default_rng(0)
-    for good in (beam, -beam, beam + random.normal(0, 5, beam.size), np.clip(beam, -200, 200)):
-        assert hint_of(good, BEAM_RATE, BEAM) is None
+    assert hint_of(np.clip(random.normal(-beam, 5), -200, 200), BEAM_RATE, BEAM) is None
     assert hint_of(resample_poly(beam, 2, 1), 2 * BEAM_RATE, BEAM) is None
     force = stream(LABELS, 0.05)
     for good in (force, force - force.mean(), force + random.normal(0, 400, force.size)):
@@ -151,18 +150,6 @@ def test_a_pulse_that_points_down_and_rebounds_is_turned_over() -> None:
     assert hint_of(-samples, RATE, PULSES) is None
 
 
-def test_an_upside_down_channel_is_told_even_if_its_rebounds_were_answered() -> None:
-    hints = Hints(PULSES, RATE, "x.csv", ())
-    for batch in synthesise(load_scene(ROOT / "datasets" / "reference.toml"), 256, 3):
-        answers = identify_frames(batch.signals, batch.sampling_rate, PULSES, pre_trigger=batch.pre_trigger)
-        hints.add(answers)
-    assert hints.hint() is None
-    hints.add((), [answers[0].channel])
-    hint = hints.hint()
-    assert hint is not None
-    assert (hint.cause, hint.n_unknown, hint.n_answers) == ("upside_down", 0, 256)
-
-
 def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     """The answers change when only the rate does, so the rate is the cause."""
     samples = of_the_trained_beam(3)
@@ -176,18 +163,6 @@ def test_a_wrong_sampling_rate_is_told_by_the_true_one() -> None:
     assert hint.cause == "sampling_rate"
     assert "at 25600 Hz they would be inside" in hint.lines[0]
     assert hint.commands == ("cgid predict x.csv --unit g --mass 2 --rate 25600",)
-
-
-def test_a_cut_vibration_says_so() -> None:
-    whole = of_another_beam(1)
-    assert cause_of(whole[:1080], BEAM_RATE, BEAM) == "cut_off"
-
-
-def test_coverage_that_no_label_reaches(beam: np.ndarray) -> None:
-    hint = hint_of(beam, BEAM_RATE, BEAM, coverage=0.99)
-    assert hint is not None
-    assert hint.cause == "coverage"
-    assert "the prediction set at coverage 0.99 holds both" in hint.reason
 
 
 def test_causes_add_up_to_the_distance() -> None:
@@ -260,12 +235,12 @@ def cause_of_change(answers: list[Answer], model: Model = BEAM) -> str | None:
     return None if hint is None else hint.cause
 
 
-@pytest.mark.parametrize("noise", few([None, 0.03, 0.3, 0.003, 0.1], 3))
+@pytest.mark.parametrize("noise", few([None, 0.3, 0.003]))
 def test_a_beam_that_has_not_changed_gets_no_hint(noise: float | None) -> None:
     assert change_of(answers_of(0.0, noise)) is None
 
 
-@pytest.mark.parametrize("noise", few([None, 0.03, 0.003], 2))
+@pytest.mark.parametrize("noise", few([None, 0.03]))
 def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> None:
     answers = answers_of(0.01, noise)
     # Most single impacts tell it, too, where noise does not hide it.
@@ -280,8 +255,7 @@ def test_modes_that_are_off_by_a_hundredth_are_noticed(noise: float | None) -> N
         "cgid predict 'my file.csv' --unit g --model site.npz",
     )
     # Disturbed impacts show nothing, and few are not enough.
-    for mark in ("overlapping", "clipped", "cut"):
-        assert cause_of_change([replace(answer, **{mark: True}) for answer in answers]) != "beam"
+    assert cause_of_change([replace(answer, overlapping=True) for answer in answers]) != "beam"
     assert cause_of_change(answers[:29]) != "beam"
     # A model that was trained on such errors finds nothing new in them.
     middle = float(np.median([answer.unexplained for answer in answers]))
@@ -337,23 +311,6 @@ def printed(path: Path, options: list[str], capsys: pytest.CaptureFixture[str]) 
     return lines[next(k for k, line in enumerate(lines) if line.startswith("cgid: hint: ")) :]
 
 
-def test_a_unit_that_a_sensitivity_converts_is_not_corrected_by_another(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    np.save(tmp_path / "volts.npy", of_another_beam() / 100)
-    chain = ["--rate", f"{BEAM_RATE:g}", "--unit", "V", "--sensitivity", "1 V/N"]
-    first, *steps = printed(tmp_path / "volts.npy", chain, capsys)
-    assert "--sensitivity" in first and "--unit 'm/s^2'" not in "".join(steps)
-
-
-def test_a_scene_of_another_rate_is_not_asked_for() -> None:
-    assert load_scene(SCENE).sampling.sampling_rate == SCENE_RATE
-    assert CALIBRATED == FEWEST
-    hint = hint_of(resample_poly(of_another_beam(24), 2, 1), 2 * BEAM_RATE, BEAM)
-    assert hint is not None and hint.cause == "shape"
-    assert [command.split()[1] for command in hint.commands] == ["events", "in", "train", "predict"]
-
-
 def test_the_unit_that_explains_the_size_is_named() -> None:
     force = stream(LABELS, 0.05)
     for options, wanted in (
@@ -390,7 +347,6 @@ def recordings_with_hints(folder: Path) -> dict[str, tuple[str, list[str]]]:
     wavfile.write(folder / "two channels.wav", round(BEAM_RATE), np.stack([counts, -counts], 1))
     pulses = ["--rate", f"{RATE:g}"]
     return {
-        text("one.csv", BEAM_RATE, "motion (m/s^2)", motion): ("shape", []),
         text("two.csv", BEAM_RATE, "left (m/s^2),right (m/s^2)", *two): ("shape", []),
         text("units.csv", BEAM_RATE, "left (g),right (m/s^2),tap (N)", motion / 9.8, *two): ("shape", []),
         array("volts.npy", *(one / 100 for one in two)): (
@@ -433,7 +389,7 @@ def follow(way: list[str], run_one: Callable[[list[str]], int]) -> list[str]:
 
 @pytest.mark.parametrize(
     "name",
-    few(("two.csv", "down.npy", "one.csv", "volts.npy", "units.csv", "picked.npy", *OTHER_RECORDINGS), 2),
+    few(("down.npy", "two.csv", "volts.npy", "units.csv", "picked.npy", *OTHER_RECORDINGS)),
 )
 def test_every_command_of_a_hint_works(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -528,19 +484,3 @@ def test_a_wrong_scale_is_told_from_ten_impacts_on(model: str) -> None:
 @pytest.mark.parametrize("model", SHIPPED)
 def test_a_factor_of_two_is_told_with_many_impacts(model: str) -> None:
     assert level_of(model, own_answers(model, 2.0)) is not None
-
-
-def test_a_hint_and_a_warning_of_the_level_are_never_both_given() -> None:
-    model = Model.load(ROOT / "models" / "default.npz")
-    for factor in (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3):
-        hints = Hints(model, RATE, "x")
-        hints.add(own_answers("default", factor))
-        assert (hints.hint() is None) == (hints.level_warning() is not None)
-
-
-def test_a_vibration_far_from_the_scale_of_the_beam_is_told_by_its_amplitude() -> None:
-    hints = Hints(BEAM, BEAM_RATE, "x")
-    hints.add(one for one in own_answers("default-acceleration", 1e5))
-    hint = hints.hint()
-    assert hint is not None and hint.cause == "amplitude"
-    assert hints.level_warning() is None

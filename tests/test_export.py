@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import functools
-import hashlib
 import io
 import json
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,19 +16,17 @@ import pytest
 
 from cgid import load_model
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, MissingExtra
+from cgid.errors import BadData, InvalidValue
 from cgid.export_c import c_source
-from cgid.export_onnx import onnx_bytes
 from cgid.identification.classifier import ImpactClassifier, noise_contrast
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.families import Boosting, Standardiser
 from cgid.identification.model import Model
-from cgid.identification.rows import DEFAULT_VIBRATION_FEATURES
 from cgid.measure.features import extract_array
 from cgid.shipped import MODELS, path_of
 from cgid.validation import UNKNOWN
 from tests import few
-from tests.hostile_models import wide_model, written
+from tests.hostile_models import written
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wmissing-prototypes", "-Werror", "-O1")
@@ -299,17 +295,6 @@ def test_bad_rows_end_with_one_line(text: str, code: int, says: str, tmp_path: P
     assert (gone.returncode, gone.stderr) == (66, "gone.csv: cannot be read (No such file or directory)\n")
 
 
-@needs_gcc
-def test_numbers_beyond_single_precision_are_refused_by_the_compiler(tmp_path: Path) -> None:
-    model = made("linear", 2)
-    large = replace(model, arrays={**model.arrays, "family.intercepts": np.array([1e60])})
-    with pytest.raises(AssertionError, match="beyond single precision"):
-        compiled(c_source(large), tmp_path, "-DCGID_MAIN", "-DCGID_REAL=float")
-    assert compiled(c_source(large), tmp_path, "-DCGID_MAIN").exists()
-    with pytest.raises(AssertionError, match="CGID_REAL must be float or double"):
-        compiled(c_source(model), tmp_path, "-DCGID_MAIN", "-DCGID_REAL=int")
-
-
 @pytest.mark.parametrize("family", ["boosting", "linear", "logistic", "network"])
 def test_weights_of_integers_are_those_of_floats(family: str) -> None:
     """A file may hold whole numbers as integers: tables of C that are read as reals must not be made of bytes."""
@@ -323,37 +308,6 @@ def test_weights_of_integers_are_those_of_floats(family: str) -> None:
         name: array.dtype for name, array in whole.arrays.items()
     }
     assert c_source(read) == c_source(floats)
-
-
-@needs_gcc
-def test_trees_of_whole_numbers_read_their_tables_alone(tmp_path: Path) -> None:
-    """Seen by the sanitizers: byte tables were read as tables of reals."""
-    model = made("boosting", 2)
-    names = ("family.threshold", "family.value", "neighbourhood.centres", "standardiser.mean")
-    numbers = {name: model.arrays[name].round().astype(np.int32) for name in names}
-    read = Model.from_bytes(written(model.header, model.arrays | numbers))
-    rows = usual_rows(read, 200)
-    labels, probabilities, _ = judged(read, rows)
-    found = answers(compiled(c_source(read), tmp_path, "-DCGID_MAIN"), as_csv(rows))
-    np.testing.assert_array_equal(found["label"], labels)
-    np.testing.assert_allclose(found["p_coal"], probabilities[:, 0], rtol=0, atol=1e-9)
-
-
-def test_the_file_names_the_model_it_was_made_of(tmp_path: Path) -> None:
-    """The digest is that of the file; names and units stand beside the values."""
-    text = c_source(load_model("default"))
-    digest = hashlib.sha256(path_of("models", "default.npz").read_bytes()).hexdigest()
-    assert digest in text
-    assert "  0  fitted_peak [N], peak of" in text and "unexplained [1], " in text
-    assert text.isascii() and max(map(len, text.splitlines())) <= 120
-    drop_height = c_source(load_model("default-drop-height"))
-    assert "drop_height [m], known besides the signal" in drop_height
-    assert "need the beam of the model" in c_source(load_model("default-acceleration"))
-
-
-def test_too_large_a_model_is_refused() -> None:
-    with pytest.raises(InvalidValue, match="must hold at most 1048576 numbers to be exported, got 14"):
-        c_source(wide_model())
 
 
 @pytest.mark.parametrize(
@@ -378,14 +332,6 @@ def test_onnx_gives_the_models_answers(name: str, tmp_path: Path) -> None:
         places = np.where(np.eye(rows.shape[1], dtype=bool), odd, rows[0])
         assert (session.run(["label"], {"values": places})[0] == -1).all()
     assert len(session.run(["label"], {"values": rows[:0]})[0]) == 0
-
-
-def test_onnx_says_what_it_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'cgid\[onnx\]'"):
-        onnx_bytes(load_model("default"))
-    assert run(["export-model", "default", "--to", "onnx", "-o", str(tmp_path / "m.onnx")]) == 69
-    assert not list(tmp_path.iterdir())
 
 
 MEASURER = """
@@ -480,9 +426,3 @@ def test_levels_of_a_vibration_are_those_of_extract(real: str, tmp_path: Path) -
     np.testing.assert_array_equal(measured[:, 0], np.isfinite(expected).all(axis=1))
     assert 20 <= measured.sum() <= 28
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 if real == "double" else 1e-5)
-
-
-def test_only_levels_are_measured_in_c() -> None:
-    assert "cgid_measure" in c_source(levels_model(DEFAULT_VIBRATION_FEATURES))
-    assert "cgid_measure" not in c_source(levels_model(("level_total", "time_to_peak")))
-    assert "cgid_measure" not in c_source(load_model("default"))

@@ -21,7 +21,6 @@ from cgid.physics import (
     ThinPlate,
     ThinPlateWarning,
     Viscoelastic,
-    delivered_restitution,
     dissipative_constant,
     plate_thickness,
 )
@@ -115,10 +114,6 @@ def test_what_the_published_laws_deliver(law):
     assert (impact.restitution == dissipation.delivered_restitution).all()
     measured = impulse_by_quadrature(impact) / (impact.reduced_mass * impact.velocity) - 1
     assert measured == pytest.approx(impact.restitution, abs=1e-12)
-
-
-def test_zhang_and_lu_deliver_their_fourth_digit():
-    assert f"{float(HuntCrossley(restitution=0.1, law='zhiying-qishao').delivered_restitution):.4f}" == "0.2175"
 
 
 @pytest.mark.parametrize("law", DELIVERED)
@@ -400,11 +395,6 @@ def test_a_sphere_that_stays_on_the_target_is_said_with_the_cure():
         coal_on(HalfSpace(material=STEEL), HuntCrossley(restitution=0.5), velocity=[2.0, 0.01], gravity=9.81)
 
 
-def test_a_sphere_too_heavy_to_turn_is_said_to_be_heavy():
-    with pytest.raises(InvalidValue, match="its weight holds it on the target"):
-        coal_on(HalfSpace(material=STEEL), HuntCrossley(restitution=0.5), velocity=1e-4, gravity=9.81)
-
-
 # ---- the loss for a wanted restitution --------------------------------------------------------------------------
 
 WANTED = np.array([1e-4, 1e-3, 0.02, 0.3, 0.7, 0.99, 1 - 1e-4, 1 - 1e-6, 1 - 1e-9])
@@ -444,50 +434,12 @@ def test_inverses_serve_a_plate_and_a_material_that_both_take_energy():
     assert found == pytest.approx([0.1, 0.5, 0.8], rel=1e-10)
 
 
-def test_inverses_broadcast_restitutions_against_impacts():
-    impacts = coal_on(PLATE, velocity=np.array([[1.0], [2.0]]), radius=np.array([0.01, 0.02, 0.03]))
-    wanted = np.array([[[0.4]], [[0.6]]])
-    constant, thickness = dissipative_constant(wanted, impacts), plate_thickness(wanted, impacts)
-    assert constant.shape == thickness.shape == (2, 2, 3)
-    viscous = replace(impacts, dissipation=Viscoelastic(dissipative_constant=constant))
-    on_plates = replace(impacts, target=ThinPlate(material=STEEL, thickness=thickness))
-    for found in (viscous, on_plates):
-        assert found.restitution == pytest.approx(np.broadcast_to(wanted, (2, 2, 3)), rel=1e-10)
-    one = coal_on(PLATE, velocity=2.0, radius=0.03)
-    assert float(dissipative_constant(0.6, one)) == pytest.approx(float(constant[1, 1, 2]), rel=1e-10)
-    assert dissipative_constant(0.5, one).shape == ()
-    assert dissipative_constant(np.empty((0,)), one).shape == (0,)
-
-
-def test_inverses_serve_impacts_with_gravity():
-    heavy = coal_on(PLATE, gravity=9.81)
-    constant = dissipative_constant([0.3, 0.7], heavy)
-    found = replace(heavy, dissipation=Viscoelastic(dissipative_constant=constant)).restitution
-    assert found == pytest.approx([0.3, 0.7], rel=1e-10)
-    thickness = plate_thickness([0.3, 0.7], heavy)
-    found = replace(heavy, target=ThinPlate(material=STEEL, thickness=thickness)).restitution
-    assert found == pytest.approx([0.3, 0.7], rel=1e-10)
-
-
 @pytest.mark.parametrize("wanted", [0.03, 0.01, 0.003])
 def test_a_restitution_that_a_heavy_sphere_jumps_over_is_refused(wanted):
     """A viscoelastic sphere with g L / v^2 = .005 leaves with .038 at least; with a little more loss it stays."""
     heavy = coal_on(HalfSpace(material=STEEL), gravity=98.1)
     with pytest.raises(InvalidValue, match=r"restitution must be 0\.03[678]\d* or more"):
         dissipative_constant(wanted, heavy)
-
-
-@pytest.mark.parametrize(
-    ("restitution", "message"),
-    [
-        (1.0, r"restitution must lie between 1\.\d+e-05 and 1, which the impact has without this loss, got 1$"),
-        (1e-6, r"restitution must lie between 1\.\d+e-05 and 1, .* got 1e-06"),
-        ([0.5, 1e-6], "got 1e-06"),
-    ],
-)
-def test_restitutions_that_no_constant_gives_are_named(restitution, message):
-    with pytest.raises(InvalidValue, match=message):
-        dissipative_constant(restitution, ON_STEEL)
 
 
 def test_restitutions_that_no_plate_gives_are_named():
@@ -503,12 +455,6 @@ def test_restitutions_that_no_plate_gives_are_named():
     # A plate of its own takes some of what the constant could leave.
     with pytest.raises(InvalidValue, match=r"and 0\.800\d+, which the impact has without this loss, got 0\.9"):
         dissipative_constant(0.9, coal_on(PLATE))
-
-
-@pytest.mark.parametrize("inverse", [dissipative_constant, plate_thickness])
-def test_inverses_of_what_is_no_impact(inverse):
-    with pytest.raises(InvalidValue, match=r"impact must be an? Impact, got 'coal'"):
-        inverse(0.5, "coal")
 
 
 # ---- limits of the theories -------------------------------------------------------------------------------------
@@ -531,8 +477,3 @@ def test_a_heavy_sphere_that_sinks_beyond_hertz_warns():
             dissipation=Elastic(), gravity=0.981,
         )  # fmt: skip
     assert heavy.peak_displacement > 0.4 * 0.1
-
-
-def test_delivered_restitution_at_both_ends():
-    assert delivered_restitution([0.0, 1e-300, 1e-20]) == pytest.approx(1, abs=0)
-    assert delivered_restitution(1e12) == pytest.approx(1e-12, rel=1e-11)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,25 +11,19 @@ import numpy as np
 import pytest
 
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, MissingExtra
+from cgid.errors import BadData, InvalidValue
 from cgid.measure.features import FEATURES, extract_array, extract_truncated
-from cgid.measure.pulses import PulseBatch
-from cgid.measure.vibration import VibrationBatch
-from cgid.physics import Elastic, HalfSpace, HuntCrossley, Impact, Sphere, _contact, _kernels, coupled, curves
+from cgid.physics import HuntCrossley, _contact, _kernels, coupled, curves
 from cgid.physics.coupled import ModalCurves
 from cgid.physics.curves import TOLERANCE, Curves, HuntCrossleyCurves
-from cgid.physics.materials import STEEL as STEEL_MATERIAL
-from cgid.physics.materials import Material
 from cgid.physics.response import Response
-from cgid.scene import Scene, impacts, load_scene, synthesis, synthesise
+from cgid.scene import Scene, impacts, synthesis, synthesise
 from cgid.scene.generation import tabulate
-from cgid.scene.gravity import GRAVITY_TOLERANCE, weighed
 from cgid.scene.impacts import Recorder, TapPulses, draw
 from cgid.scene.plan import QUANTITIES, STAGES, plan
 from cgid.scene.sensor import Sensor
 from cgid.scene.synthesis import columns_of
-from cgid.shipped import scene_path
-from cgid.store import Rows, is_table, read_table, table
+from cgid.store import Rows, is_table, read_table
 from tests.plan_scenes import (
     CASES,
     FIT,
@@ -64,14 +57,6 @@ def parameters_of(scene: Scene, n_signals: int, seed: int = 0, *, first: int = 0
 
 
 # -- counters -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["a beam whose sensor feels the force", "true pulses on a beam"])
-def test_no_mode_runs_where_only_the_force_is_asked(name: str) -> None:
-    counts = named(name).ask()
-    assert (counts["modes"], counts["mode_samples"]) == (0, 0)
-    assert counts["coupled_impacts"] == counts["frames"] > 0  # the beam gives way all the same
-    assert counts["noise_samples"] == 0
 
 
 def test_true_pulses_of_a_beam_are_forces() -> None:
@@ -137,14 +122,6 @@ def test_a_skipped_stage_may_be_broken_and_no_other(chosen: Case, monkeypatch: p
                 broken.setattr(owner, worker, _refuse)
             with pytest.raises(AssertionError, match="that the plan skips"):
                 chosen.ask()
-
-
-def test_only_features_of_a_fit_are_fitted_and_only_spectral_ones_transformed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(VibrationBatch, "level", _refuse)
-    monkeypatch.setattr(PulseBatch, "spectrum", property(_refuse))
-    named("features of the fit").ask()
-    monkeypatch.setattr(PulseBatch, "fit", property(_refuse))
-    named("features in time").ask()
 
 
 # -- features without frames ------------------------------------------------------------------------------
@@ -235,14 +212,6 @@ def test_a_beginning_is_certain_only_where_nothing_behind_it_matters(names: tupl
     assert any(0 < share < 1 for share in shares)
 
 
-def test_signals_that_cannot_be_measured_are_nan_and_counted(tmp_path: Path) -> None:
-    scene = scene_of(sensor={"relative_noise": 3.0})
-    parts = list(features_of(scene, 512, features=["peak_force"]))
-    values = np.concatenate([part.columns["peak_force"] for part in parts])
-    written = tabulate(plan(scene, "features", features=["peak_force"]), tmp_path / "table.csv", 512)
-    assert written.n_unmeasured == np.sum(np.isnan(values)) > 300
-
-
 # -- parameters and closed forms --------------------------------------------------------------------------
 
 
@@ -263,20 +232,6 @@ def test_columns_are_those_of_the_signals() -> None:
     assert np.isfinite(closed.columns["impulse"][~tapped]).all()
     assert np.isnan(closed.columns["impulse"][tapped]).all()
     np.testing.assert_array_equal(np.isfinite(drawn.columns["peak_force"]), tapped)  # only a tap's is drawn
-
-
-def test_what_is_asked_of_a_law_is_not_what_it_delivers() -> None:
-    scene = scene_of({"law": "lee-wang"})
-    (drawn,), (closed,) = parameters_of(scene, 50), closed_forms_of(scene, 50, quantities=["restitution"])
-    assert (closed.columns["restitution"] > drawn.columns["asked_restitution"]).all()
-    assert "restitution" not in drawn.columns
-
-
-def test_true_pulses_are_frames_without_the_sensor() -> None:
-    sensor = {"relative_noise": 0.05, "bandwidth": "20 kHz", "range": "3 kN", "bits": 8}
-    (pulses,) = synthesise(scene_of(sensor=sensor), 200, output="pulses")
-    (silent,) = synthesise(scene_of(sensor={}), 200)
-    np.testing.assert_array_equal(pulses.signals, silent.signals)
 
 
 # -- gravity ----------------------------------------------------------------------------------------------
@@ -305,23 +260,6 @@ def test_the_error_without_gravity_is_below_its_bound() -> None:
     worst = {name: float((error / bound).max()) for name, error in share.items()}
     assert max(worst.values()) < 1, worst
     assert worst["restitution"] > 0.9  # and no wider than it must be
-
-
-def test_each_impact_is_judged_by_itself() -> None:
-    section = scene_of({"gravity": 9.81}).impact
-    material = Material(density=1400, youngs_modulus=3e9, poisson_ratio=0.3)
-    parts = {
-        "sphere": Sphere(material=material, radius=np.array([0.01, 0.2])),
-        "target": HalfSpace(material=STEEL_MATERIAL),
-        "velocity": np.array([8.0, 1.0]),
-        "stiffness": "hertz",
-        "dissipation": HuntCrossley(restitution=0.4),
-    }
-    impact = weighed(section, **parts)
-    np.testing.assert_array_equal(impact.gravity, [0.0, 9.81])
-    exact = Impact(**parts, gravity=9.81)
-    assert impact.peak_force[1] == exact.peak_force[1]
-    assert 0 < abs(impact.peak_force[0] / exact.peak_force[0] - 1) < GRAVITY_TOLERANCE
 
 
 def test_gravity_changes_a_scene_by_less_than_its_tolerance() -> None:
@@ -369,47 +307,7 @@ def test_a_table_is_read_back_as_it_was_made(tmp_path: Path, suffix: str) -> Non
     assert [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(".")] == []
 
 
-def test_memory_stays_flat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "_ROWS", 1024)  # so many rows wait to be written; beyond that nothing grows
-    asked = plan(scene_of(), "features", features=["peak_force"])
-    tabulate(asked, tmp_path / "first.h5", 2048)
-
-    def peak(n_signals: int) -> int:
-        tracemalloc.start()
-        tabulate(asked, tmp_path / "t.h5", n_signals, overwrite=True)
-        highest = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return highest
-
-    assert peak(8192) < 1.1 * peak(3072)
-
-
-def test_parquet_without_its_library_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(MissingExtra, match=r"cgid\[parquet\]"):
-        tabulate(plan(scene_of(), "parameters"), tmp_path / "t.parquet", 10)
-
-
 # -- the plan as it is printed ----------------------------------------------------------------------------
-
-
-def test_every_stage_is_in_every_plan_with_a_reason() -> None:
-    for chosen in CASES:
-        decisions = chosen.plan.decisions
-        assert list(decisions) == list(STAGES)
-        assert all(decision.why for decision in decisions.values())
-        bounded = {name for name, decision in decisions.items() if decision.error_bound > 0}
-        assert bounded <= {"gravity", "coupling", "tail beam", "sensor chain"}
-
-
-def test_a_block_has_a_plan_of_its_own() -> None:
-    scene = SCENES["everything drawn"]
-    asked = plan(scene, "frames")
-    assert asked.runs("bandwidth")
-    here = [asked.for_block(draw(scene, 0, block).scene) for block in range(30)]
-    settled = [block.scene.sensor.bandwidth for block in here]
-    assert [block.runs("bandwidth") for block in here] == [width is not None for width in settled]
-    assert None in settled or all(block.runs("bandwidth") for block in here)
 
 
 def test_explain_prints_the_plan_and_runs_nothing(
@@ -442,41 +340,6 @@ def test_a_beam_that_the_recorder_cannot_hear_is_refused() -> None:
     )
     with pytest.raises(InvalidValue, match="tail_beam: must have a mode within the band"):
         next(synthesise(stiff, 1))
-
-
-def test_a_stream_makes_recordings_and_nothing_else() -> None:
-    with pytest.raises(InvalidValue, match="must be recordings, for it is a stream"):
-        plan(load_scene(scene_path("caving")), "frames")
-    with pytest.raises(InvalidValue, match="must not be recordings"):
-        plan(scene_of(), "recordings")
-
-
-def test_the_command_writes_what_info_describes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "t.csv"
-    assert run(["generate", "randomised", "--features-only", "-n", "768", "--seed", "4", "-o", str(path)]) == 0
-    assert "cannot be measured" in capsys.readouterr().err
-    assert run(["info", str(path), "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
-    assert (content["kind"], content["signals"], content["scene_name"]) == ("table of features", 768, "randomised")
-    assert content["columns"]["sampling_rate"] == "Hz"
-    assert 0 < content["without_a_number"]["fitted_peak"] < 50
-
-
-def test_the_undamped_closed_form_is_hertz() -> None:
-    (closed,) = closed_forms_of(scene_of({"dissipation": "elastic"}, {"restitution": None}), 20)
-    p = closed.columns
-    material = Material(density=p["density"], youngs_modulus=p["youngs_modulus"], poisson_ratio=p["poisson_ratio"])
-    impact = Impact(
-        sphere=Sphere(material=material, radius=p["radius"]),
-        target=HalfSpace(material=STEEL_MATERIAL),
-        velocity=p["velocity"],
-        stiffness="hertz",
-        dissipation=Elastic(),
-    )
-    stiffness = impact.contact_stiffness
-    depth = (1.25 * impact.reduced_mass * p["velocity"] ** 2 / stiffness) ** 0.4
-    np.testing.assert_allclose(p["peak_force"], stiffness * depth**1.5, rtol=1e-12)
-    np.testing.assert_allclose(p["contact_duration"], 2.943275184 * depth / p["velocity"], rtol=1e-8)
 
 
 def test_a_table_that_is_cut_off_behind_a_row_is_refused(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import warnings
 
 import numpy as np
 import pytest
@@ -10,17 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
-from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, ThinPlate, ThinPlateWarning
+from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, ThinPlate
 from cgid.physics.materials import Material
 from cgid.scene import load_scene, parse_scene, synthesise, varied
 from cgid.scene.distributions import Constant, Uniform
 from cgid.scene.draws import BLOCK, PARAMETER_UNITS
 from cgid.scene.impacts import draw
 from cgid.shipped import scene_path
-from tests import few
-from tests.plan_scenes import toml
 
 RATE = 200e3
 STEEL = {"youngs_modulus": "210 GPa", "poisson_ratio": 0.3}
@@ -31,7 +26,6 @@ SHAPES = {
     "triangle": lambda u: np.minimum(2 * u, 2 - 2 * u),
     "haversine": lambda u: (1 - np.cos(2 * np.pi * u)) / 2,
 }
-EXTRAS = ("second_hit_delay", "second_hit_ratio", "clipped_at")
 
 
 def uniform(lowest, highest):
@@ -135,15 +129,6 @@ def test_a_tap_changes_no_impact(sensor):
     np.testing.assert_allclose(mixed.signals[rock] / peak, alone.signals[rock] / peak, atol=1e-14)
 
 
-@pytest.mark.parametrize(("samples", "duration"), [(40, "1 ms"), (64, "1 us"), (64, "5 us")])
-def test_taps_beyond_the_frame_and_between_its_samples(samples, duration):
-    sampling = {"sampling_rate": RATE, "samples": samples, "pre_trigger": 16}
-    batch = batch_of(scene_of(taps=[{**TAPS[1], "contact_duration": duration}], sampling=sampling), dtype="float64")
-    inside = np.arange(samples) / RATE - batch.parameters["onset"][:, None]
-    inside = (inside > 0) & (inside < batch.parameters["contact_duration"][:, None])
-    np.testing.assert_array_equal(batch.signals, inside * batch.parameters["peak_force"][:, None])
-
-
 # ---- second hits -----------------------------------------------------------------------------------------------------
 
 
@@ -182,18 +167,6 @@ def _impact_of(p, target=None):
         stiffness="hertz",
         dissipation=HuntCrossley(restitution=p["restitution"]),
     )
-
-
-def test_second_hits_follow_their_distributions_and_belong_to_their_population():
-    draws = [draw(scene_of([{"second_hit": SECOND}, {}]), 5, block) for block in range(20)]
-    labels = np.concatenate([d.labels for d in draws])
-    delay, ratio = (np.concatenate([d.parameters[name] for d in draws]) for name in EXTRAS[:2])
-    second = labels == "rock 0"
-    assert np.isnan(delay[~second]).all()
-    assert np.isnan(ratio[~second]).all()
-    assert stats.kstest(delay[second], stats.uniform(5e-5, 1.95e-3).cdf).pvalue > 1e-3
-    assert stats.kstest(ratio[second], stats.uniform(0.3, 1.2).cdf).pvalue > 1e-3
-    assert abs(stats.spearmanr(delay[second], ratio[second]).statistic) < 4.5 / np.sqrt(second.sum())
 
 
 # ---- clipping --------------------------------------------------------------------------------------------------------
@@ -309,14 +282,6 @@ def test_settings_of_a_block_are_drawn_independently():
         assert abs(stats.spearmanr(one, other).statistic) < 4.5 / np.sqrt(400)
 
 
-def test_the_draws_of_the_rest_do_not_depend_on_randomisation():
-    plain, randomised = scene_of([{}], TAPS), scene_of([{}], TAPS, randomise={"sampling_rate": LOG_RATE})
-    one, other = batch_of(plain), batch_of(randomised)
-    assert one.sampling_rate != other.sampling_rate
-    for name in PARAMETER_UNITS.keys() - {"onset"}:
-        np.testing.assert_array_equal(one.parameters[name], other.parameters[name])
-
-
 # ---- addresses -------------------------------------------------------------------------------------------------------
 
 
@@ -381,37 +346,6 @@ def test_a_target_with_a_thickness_is_a_thin_plate(dissipation):
         np.testing.assert_allclose(batch.signals[row], impact.force(times), atol=1e-9 * p["peak_force"][row])
 
 
-def test_a_scene_does_not_warn_of_plates_and_check_says_how_many(tmp_path, capsys):
-    scene = varied(
-        scene_of([{}]), target={**STEEL, "thickness": "4 mm"}, youngs_modulus="10 GPa", density=2400, radius="40 mm"
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", ThinPlateWarning)
-        batch_of(scene, 4)
-    (tmp_path / "scene.toml").write_text(toml(json.loads(scene.text)))
-    assert run(["check", str(tmp_path / "scene.toml")]) == 0
-    assert "pass the range of the thin plate (lambda above 1.5)" in capsys.readouterr().err
-
-
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore::cgid.physics.ThinPlateWarning")
-@pytest.mark.parametrize(("law", "restitution"), few(itertools.product(["exact", "lankarani-nikravesh"], [0.05, 1.0])))
-def test_the_hardest_impact_allowed_on_a_plate_can_be_followed(restitution, law):
-    plate = {"stiffness": "hertz", "dissipation": "hunt-crossley", "law": law}
-    fixed = {"density": 2400, "youngs_modulus": "10 GPa", "velocity": 8, "radius": "40 mm", "restitution": restitution}
-    low, high = 1e-3, 1e-2  # too thin, and not
-    for _ in range(12):
-        middle = (low * high) ** 0.5
-        try:
-            scene = scene_of([fixed], impact={**plate, "target": {**STEEL, "thickness": middle}})
-            high = middle
-        except BadData:
-            low = middle
-    batch = batch_of(scene, 1)
-    assert draw(scene, 0, 0).impact.inelasticity.max() == pytest.approx(30, rel=0.01)
-    assert np.isfinite(batch.signals).all()
-
-
 # ---- variations ------------------------------------------------------------------------------------------------------
 
 
@@ -465,26 +399,3 @@ def test_a_frame_keeps_its_seconds(rate, samples, pre_trigger):
     assert (changed.samples, changed.pre_trigger) == (samples, pre_trigger)
     after = (changed.samples - changed.pre_trigger) / changed.sampling_rate
     assert after == pytest.approx((2048 - 200) / 200e3, abs=0.5 / changed.sampling_rate)
-
-
-def test_what_replaces_another_setting_ends_its_draws():
-    scene = scene_of([{}], randomise={"relative_noise": LOG_NOISE, **MIXED})
-    fixed = varied(scene, range="9 kN", anti_alias=None, noise_exponent=1)
-    assert set(fixed.randomise.laws) == {"relative_noise", "hum", "hum_frequency", "bits"}
-    assert varied(fixed, relative_range=2).sensor.range is None
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "says"),
-    [
-        ({"colour": "red"}, InvalidValue, "colour must be a setting of scene reference"),
-        ({"radius": "-1 mm"}, BadData, r"variation of reference: populations\.0\.radius"),
-        ({"restitution": None}, BadData, r"populations\.0\.restitution: is missing"),
-        ({"keep_frame": True}, InvalidValue, "keep_frame must come with sampling_rate .* got nothing"),
-        ({"keep_frame": True, "sampling_rate": 1e5, "samples": 9}, InvalidValue, "got samples, sampling_rate"),
-    ],
-    ids=lambda value: str(value) if isinstance(value, dict) else "",
-)
-def test_variations_that_cannot_be(changes, error, says):
-    with pytest.raises(error, match=says):
-        varied(load_scene(scene_path("reference")), **changes)

@@ -8,12 +8,9 @@ from scipy import integrate, stats
 
 from cgid.physics import HalfSpace, HuntCrossley, Impact, Sphere
 from cgid.physics.materials import Material
-from cgid.scene import parse_scene, rocks, varied
-from cgid.scene import stream as synthesis
-from cgid.scene.draws import BLOCK, generator
+from cgid.scene import parse_scene, varied
 from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.plan import plan
-from cgid.scene.recordings import most_impacts
 from cgid.scene.rocks import PoissonTimes, arrivals_of, population_shares
 from cgid.scene.schema import samples_of
 from cgid.scene.stream import record
@@ -132,16 +129,6 @@ def test_expected_arrivals_and_their_inverse(values):
     np.testing.assert_allclose(process.expected(process.time_of(numbers)), numbers, atol=1e-9)
 
 
-def test_a_stretch_never_holds_more_than_a_block():
-    # The largest uniform number there is: the count is bounded for certain, not just likely.
-    from scipy.special import pdtr
-
-    from cgid.scene.distributions import MAX_UNIFORM
-    from cgid.scene.rocks import EXPECTED_ROCKS
-
-    assert np.searchsorted(pdtr(np.arange(BLOCK), EXPECTED_ROCKS), MAX_UNIFORM) < BLOCK
-
-
 @pytest.mark.parametrize("many", [3, 700])
 def test_given_times_are_those_of_the_impacts(many):
     wanted = np.sort(np.random.default_rng(1).uniform(0, 100, many))
@@ -150,13 +137,6 @@ def test_given_times_are_those_of_the_impacts(many):
     np.testing.assert_array_equal(found["time"], wanted)
     np.testing.assert_array_equal(found["rock"], np.arange(many))
     assert np.unique(found["specimen"]).size == many
-
-
-def test_many_rocks_may_come_at_once():
-    scene = scene_of(arrivals={"times": [1.0] * 600 + [2.0]})
-    found = record(scene)[1]
-    assert (np.sort(found["rock"]) == np.arange(601)).all()
-    assert (found["time"] == np.repeat([1.0, 2.0], [600, 1])).all()
 
 
 # ---- what they are ---------------------------------------------------------------------------------------------------
@@ -185,19 +165,6 @@ def test_labels_without_a_row_share_the_rest_by_weight():
     shares = population_shares(scene, np.array([0.0, 5.0, 20.0]))
     wanted = [[0.75, 0.525, 0.3], [0, 0.1, 0.2], [0.25, 0.175, 0.1], [0, 0.2, 0.4]]
     np.testing.assert_allclose(shares, wanted, atol=1e-15)
-
-
-def test_a_label_of_share_zero_never_comes():
-    scene = scene_of(mixture={"times": [0], "gangue": [0], "coal": [1]})
-    assert set(record(scene)[1]["label"]) == {"coal"}
-
-
-def test_rocks_are_spread_as_their_population_says():
-    scene = scene_of(populations=[population("coal")], duration="100 s", arrivals={"rate": "20 Hz"})
-    found = record(scene)[1]
-    assert stats.kstest(found["radius"], "uniform", args=(0.01, 0.04)).pvalue > 1e-3
-    assert stats.kstest(found["drop_height"], "uniform", args=(0.5, 2.5)).pvalue > 1e-3
-    np.testing.assert_allclose(found["velocity"], np.sqrt(2 * GRAVITY * found["drop_height"]), rtol=1e-14)
 
 
 # ---- rebounds --------------------------------------------------------------------------------------------------------
@@ -291,12 +258,6 @@ def test_energy_never_grows_and_each_bounce_has_what_the_impact_left(target):
         np.testing.assert_allclose(speed[1:], left[:-1], rtol=1e-14)
 
 
-def test_the_normal_part_of_a_vertical_fall_hits_an_inclined_beam():
-    level, sloping = record(scene_of())[1], record(scene_of(inclination="60 deg"))[1]
-    np.testing.assert_allclose(sloping["velocity"], level["velocity"] / 2, rtol=1e-14)
-    np.testing.assert_allclose(sloping["peak_force"], level["peak_force"] * 0.5**1.2, rtol=1e-12)
-
-
 # ---- what is recorded ------------------------------------------------------------------------------------------------
 
 
@@ -325,21 +286,6 @@ def test_the_recording_is_the_sum_of_its_impacts():
     assert isinstance(scene.impact.body, HalfSpace) and found["overlapping"].mean() > 0.3
     wanted = forces_alone(found, scene, signal.samples.size)
     np.testing.assert_allclose(signal.samples, wanted, atol=1e-9 * wanted.max())
-
-
-def test_peaks_stand_where_the_truth_says():
-    scene = scene_of(rebounds={})
-    signal, found = record(scene)
-    clear = np.append(np.inf, found["next_impact"][:-1]) > 2e-3
-    clear &= ~(found["next_impact"] < 2e-3) & (found["time"] < 19.99)
-    assert clear.sum() > 300
-    for row in np.flatnonzero(clear):
-        first = int(np.ceil(found["time"][row] * RATE))
-        behind = int((found["time"][row] + found["contact_duration"][row]) * RATE) + 1
-        assert signal.samples[first - 1] == 0 and signal.samples[behind] == 0
-        if behind - first > 20:
-            highest = signal.samples[first:behind].max()
-            assert 0.98 * found["peak_force"][row] < highest <= found["peak_force"][row] * (1 + 1e-6)
 
 
 def test_overlaps_and_distances_against_every_pair():
@@ -436,38 +382,7 @@ def test_a_longer_recording_begins_with_the_shorter_one():
         np.testing.assert_array_equal(little[name], much[name][: little[name].size])
 
 
-def test_numbers_of_frames_are_what_they_were():
-    # The number of the recording came later, in a word of the counter that was 0.
-    key, counter = np.array([7, 2], np.uint64), np.array([0, 0, 0, 5], np.uint64)
-    wanted = np.random.Generator(np.random.Philox(key=key, counter=counter)).random(4)
-    np.testing.assert_array_equal(generator(7, 2, 5).random(4), wanted)
-    assert (generator(7, 2, 5, recording=1).random(4) != wanted).all()
-
-
-def test_memory_holds_a_stretch_only():
-    scene = scene_of(duration="300 s", arrivals={"rate": "0.5 Hz"}, rebounds={})
-    axes = []
-    original = synthesis.TimeAxis.taken
-
-    def watched(self, stop):
-        axes.append(self.samples.nbytes)
-        return original(self, stop)
-
-    try:
-        synthesis.TimeAxis.taken = watched
-        record(scene)
-    finally:
-        synthesis.TimeAxis.taken = original
-    assert max(axes) < 20 * RATE * 8
-
-
 # ---- scenes ----------------------------------------------------------------------------------------------------------
-
-
-def test_no_recording_passes_the_number_of_impacts_it_was_said_to_have():
-    scene = scene_of(rebounds={"most": 3})
-    assert all(record(scene, seed)[1]["time"].size <= most_impacts(scene) for seed in range(20))
-    assert rocks.Rocks.joined([]).taken(np.empty(0, np.intp))["time"].size == 0
 
 
 @pytest.mark.parametrize("damping_ratio", [1e-3, 1e-9])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -412,17 +411,6 @@ def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Pat
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.h5", "copies"]
 
 
-def test_an_exchanged_shard_is_neither_exported_nor_trained_on(copies: Path, tmp_path: Path) -> None:
-    """Not even one that says of itself what the manifest does: other numbers, with checksums of their own."""
-    folder = copies / "folder"
-    changed(folder / "shard-00001.h5", "signals", 5)
-    for command, output in (("export", "all.h5"), ("train", "model.npz")):
-        assert run([command, str(folder), "-o", str(tmp_path / output)]) == 65
-        assert not (tmp_path / output).exists()
-    with pytest.raises(BadData, match=r"shard-00001\.h5"):
-        export(folder, tmp_path / "all.h5")
-
-
 # ---- the commands ----------------------------------------------------------------------------------------------------
 
 
@@ -442,43 +430,3 @@ def test_verify_tells_and_repairs(made: Path, copies: Path, capsys: pytest.Captu
     assert contents(folder) == contents(made / "folder")
     assert run(["verify", str(folder)]) == 0
     assert capsys.readouterr().out == f"{folder}: dataset of 4 files, whole\n"
-
-
-def test_verify_reads_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    model = Path(__file__).parents[1] / "models" / "default.npz"
-    damaged = tmp_path / "damaged.npz"
-    damaged.write_bytes(model.read_bytes()[:-1000])
-    assert run(["verify", str(model), str(damaged)]) == 65
-    out, err = capsys.readouterr()
-    assert out.splitlines()[0] == f"{model}: model of 1 file, whole"
-    assert f"{damaged}: damaged" in out and err.count("cgid: error") == 1
-
-
-def test_a_folder_of_recordings_of_another_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "monday").mkdir()
-    for name in ("a.csv", "monday/b.csv"):
-        np.savetxt(tmp_path / name, np.sin(np.arange(500.0)))
-    (tmp_path / "events.csv").write_text("path,label\na.csv,coal\n")
-    (tmp_path / "notes.md").write_text("none")
-    assert run(["verify", str(tmp_path)]) == 0
-    out, err = capsys.readouterr()
-    told = "recording of 1 file, no checksum, readable: text of 1 channel, 500 samples each"
-    assert out.splitlines() == [f"{tmp_path / name}: {told}" for name in ("a.csv", "monday/b.csv")] and not err
-    (tmp_path / "a.csv").write_text("1.0\nnan\n")
-    assert run(["verify", str(tmp_path), "--json"]) == 65
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [row["whole"] for row in rows] == [False, True]
-
-
-@pytest.mark.parametrize("name", ["model.npz", "folder", "file.h5", "table.csv"])
-def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "folder").mkdir()
-    os.mkfifo(tmp_path / name / "description.json" if name == "folder" else tmp_path / name)
-    assert run(["verify", str(tmp_path / name)]) in (65, 66)
-    assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_export_command(made: Path, tmp_path: Path) -> None:
-    assert run(["export", str(made / "folder"), "-o", str(tmp_path / "all.h5")]) == 0
-    assert run(["export", str(made / "folder"), "-o", str(tmp_path / "all.h5")]) == 73
-    assert run(["export", str(made / "recording.h5"), "-o", str(tmp_path / "other.h5")]) == 65
