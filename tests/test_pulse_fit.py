@@ -223,8 +223,9 @@ def test_tables_are_what_their_maker_makes():
     place, width = make_shapes.coordinates()
     with np.load(SHAPES_PATH) as stored:
         assert stored["times"] == pytest.approx(make_shapes.times(), abs=1e-6)
-        assert stored["place"] == pytest.approx(place, abs=1e-12)
-        assert stored["width"] == pytest.approx(width, rel=1e-12)
+        # An optimisation finds them, on another processor to 2e-12.
+        assert stored["place"] == pytest.approx(place, abs=1e-10)
+        assert stored["width"] == pytest.approx(width, rel=1e-10)
         assert stored["tangents"] == pytest.approx(make_shapes.tangents_at(NODES, place, width), abs=1e-9)
 
 

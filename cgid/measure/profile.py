@@ -121,8 +121,9 @@ class Profiled:
         given_shape = covariances[0] - column[:, :, None] * column[:, None] / column[:, 3][:, None, None]
         e, mean, wide = np.exp(s), *WIDE_RESTITUTION
         deviation = np.sqrt(np.sum(weight * (e - np.exp(best[:, 3:4])) ** 2, axis=1))
-        # The prior is a density of e, the grid one of ln e.
-        weight = weight * (e * np.exp(-0.5 * ((e - mean) / wide) ** 2))
+        # The prior is a density of e, the grid one of ln e. Logarithms, since far from the prior both may underflow.
+        log_weight = s - 0.5 * (square + ((e - mean) / wide) ** 2)
+        weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
         weight /= weight.sum(axis=1, keepdims=True)
         expected = np.sum(weight * e, axis=1)
         rest = np.sqrt(np.sum(weight * (e - expected[:, None]) ** 2, axis=1))
