@@ -34,12 +34,10 @@ def exact(scene: Scene, n: int, seed: int, drop_height: bool) -> np.ndarray:
 
 
 def inputs(measured: Rows) -> np.ndarray:
-    """Return features and known parameters."""
     return np.hstack([measured.features, measured.known])
 
 
 def main() -> None:
-    """Synthesise once, train several ways, print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default="reference")
     parser.add_argument("--signals", type=int, default=100_000)

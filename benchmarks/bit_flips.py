@@ -71,19 +71,16 @@ class Cut:
 
 
 def some(numbers: int, wanted: int | None, seed: int = 2018) -> Iterable[int]:
-    """Return all whole numbers below `numbers`, or a sorted sample of them."""
     if wanted is None or wanted >= numbers:
         return range(numbers)
     return sorted(random.Random(seed).sample(range(numbers), wanted))
 
 
 def flips(file: Path, wanted: int | None = None) -> list[Damage]:
-    """Return flips of every bit of a file, or of a sample."""
     return [Flip(bit) for bit in some(8 * file.stat().st_size, wanted)]
 
 
 def cuts(file: Path, wanted: int | None = None) -> list[Damage]:
-    """Return cuts to every length of a file, or to a sample."""
     return [Cut(length) for length in some(file.stat().st_size, wanted)]
 
 
@@ -146,7 +143,6 @@ def judge(target: Path, read: Callable[[], dict[str, Any]], damages: Sequence[Da
 def _outcomes(
     target: Path, whole: bytes, read: Callable[[], dict[str, Any]], expected: dict[str, Any], damages: Sequence[Damage]
 ) -> Iterator[str]:
-    """Yield the outcome of each damage until all are done or the reading process has died."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
@@ -229,7 +225,6 @@ def subjects(
 
 
 def main() -> int:
-    """Print the outcomes of each kind of damage; return 1 if any is not allowed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--bits", type=int, help="of small files; all by default")
     parser.add_argument("--lengths", type=int, help="of small files; all by default")

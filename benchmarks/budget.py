@@ -96,7 +96,6 @@ def _exhaust(batches: object) -> None:
 
 
 def main() -> None:
-    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default="reference")
     parser.add_argument("--signals", type=int, default=16384, help="for the whole way to the disk")

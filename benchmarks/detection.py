@@ -76,7 +76,6 @@ def accuracy(seconds: float, quick: bool) -> None:
 
 
 def rate_of(sampling_rate: float) -> dict[str, dict]:
-    """Return the change to another sampling rate, with its anti-aliasing filter."""
     edge = {"frequency": f"{min(10e3, 0.39 * sampling_rate):g} Hz", "order": 8}
     return {"sampling": {"sampling_rate": f"{sampling_rate:g} Hz"}, "sensor": {"anti_alias": edge}}
 

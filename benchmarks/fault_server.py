@@ -16,7 +16,6 @@ import os
 import resource
 import signal
 import sys
-import time
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -47,7 +46,6 @@ def _kept(function: Any) -> Any:
 
 
 def _prepare(asked: dict[str, Any]) -> None:
-    """Set streams, folder, user, limits and faults of this process as requested."""
     os.setpgid(0, 0)
     faulthandler.dump_traceback_later(_LONGEST, exit=True)
     for descriptor, name in ((1, asked["out"]), (2, asked["err"])):
@@ -55,45 +53,27 @@ def _prepare(asked: dict[str, Any]) -> None:
         os.dup2(opened, descriptor)
         os.close(opened)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    for name, value in asked.get("environment", {}).items():
-        os.environ.pop(name, None)
-        if value is not None:
-            os.environ[name] = value
-    if asked.get("folder"):
-        os.chdir(asked["folder"])
-    if asked.get("gone"):
-        Path.cwd().rmdir()
     if asked.get("size"):
         # Beyond this size the kernel itself fails a write with EFBIG.
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (asked["size"], asked["size"]))
-    if asked.get("user"):
-        os.setgid(asked["user"])
-        os.setuid(asked["user"])
     if "below" in asked:
         faults = ctypes.CDLL(None)
         first, number, lasting, sent = (asked.get(name, 0) for name in ("first", "errno", "lasting", "signal"))
         faults.failing_calls_arm(asked["below"].encode(), ctypes.c_long(first), number, lasting, sent)
 
 
-def _wait(children: list[int], asked: dict[str, Any]) -> dict[str, Any]:
-    """Return how the copies ended, their number of calls below the folder, and their time [s]."""
-    began = time.perf_counter()
-    if asked.get("interrupt_after") is not None:
-        time.sleep(asked["interrupt_after"])
-        os.kill(children[0], signal.SIGINT)
+def _wait(child: int, asked: dict[str, Any]) -> dict[str, Any]:
     # A hanging copy is dumped by its own faulthandler and ends as a failure.
-    codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
-    calls = 0
+    code, calls = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), 0
     if "below" in asked:
         count = ctypes.CDLL(None).failing_calls_count
         count.restype = ctypes.c_long
         calls = count()
-    return {"codes": codes, "calls": calls, "seconds": time.perf_counter() - began}
+    return {"code": code, "calls": calls}
 
 
 def main() -> None:
-    """Answer requests until stdin ends; in a copy, run the command."""
     from cgid.cli.main import run
 
     answers = os.dup(1)
@@ -102,17 +82,14 @@ def main() -> None:
         asked = json.loads(line)
         if asked.get("here"):  # imports the command's libraries and keeps its results
             with Path(asked["err"]).open("w") as err, redirect_stdout(io.StringIO()), redirect_stderr(err):
-                answer: dict[str, Any] = {"codes": [run(asked["arguments"])], "calls": 0, "seconds": 0.0}
+                answer: dict[str, Any] = {"code": run(asked["arguments"]), "calls": 0}
         else:
             gc.freeze()  # otherwise every copy scans all shared objects at exit, which takes seconds
-            children = []
-            for _ in range(asked.get("copies", 1)):
-                child = os.fork()
-                if not child:
-                    _prepare(asked)
-                    sys.exit(run(asked["arguments"]))
-                children.append(child)
-            answer = _wait(children, asked)
+            child = os.fork()
+            if not child:
+                _prepare(asked)
+                sys.exit(run(asked["arguments"]))
+            answer = _wait(child, asked)
         os.write(answers, (json.dumps(answer) + "\n").encode())
 
 

@@ -43,14 +43,12 @@ class Command:
     arguments : {here} is the folder for the output, {inputs} that of the input
     older : arguments of the run that makes the files to overwrite
     unfinished : pattern of the files that a failed run may leave
-    computes : whether it computes for long, so that it must run once in the server
     """
 
     name: str
     arguments: tuple[str, ...]
     older: tuple[str, ...]
     unfinished: str = "(?!)"
-    computes: bool = False
 
 
 def _command(name: str, arguments: str, *, older: str = "", **rest: Any) -> Command:
@@ -81,7 +79,7 @@ COMMANDS = (
     _command("generate: table, CSV", f"{_TABLE} 1 -o {{here}}/table.csv"),
     _command("generate: table, Parquet", f"{_TABLE} 1 -o {{here}}/table.parquet"),
     _command("export", "export {inputs}/data.h5 -o {here}/one.h5"),
-    _command("train", "train {inputs}/data.h5 --plots -o {here}/m.npz", computes=True),
+    _command("train", "train {inputs}/data.h5 --plots -o {here}/m.npz"),
     _command("plot: PNG", "plot {inputs}/sample.csv -o {here}/p.png"),
     _command("plot: SVG", "plot {inputs}/sample.csv -o {here}/p.svg"),
     _command("plot: PDF", "plot {inputs}/sample.csv -o {here}/p.pdf"),
@@ -93,15 +91,13 @@ COMMANDS = (
 class Ending:
     """The end of a command.
 
-    codes : exit codes of all concurrent copies; minus the signal that ended one
+    code : exit code; minus the signal that ended it
     calls : number of writing calls
-    out, err : printed text, of the last copy if there are several
+    err : text on stderr
     """
 
-    codes: list[int]
+    code: int
     calls: int
-    seconds: float
-    out: str
     err: str
 
 
@@ -109,16 +105,13 @@ class Server:
     """Runs commands with faults, in copies of one process.
 
     folder : for printed text and the library that makes calls fail
-    around : command that runs the server, such as unshare
-    faults : whether to count calls and make them fail, which needs gcc
     """
 
-    def __init__(self, folder: Path, around: Sequence[str] = (), *, faults: bool = True) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "default"}
-        if faults:
-            environment["LD_PRELOAD"] = str(_built(folder))
-        command = [*around, sys.executable, str(HERE / "fault_server.py")]
+        environment["LD_PRELOAD"] = str(_built(folder))
+        command = [sys.executable, str(HERE / "fault_server.py")]
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, cwd=folder, text=True
         )
@@ -134,19 +127,13 @@ class Server:
 
     def run(self, arguments: Sequence[str], **asked: Any) -> Ending:
         """Run a command and return its end; `fault_server.py` lists the requests."""
-        out, err = self._folder / "out.txt", self._folder / "err.txt"
-        asked = {"arguments": list(arguments), "out": str(out), "err": str(err), **asked}
+        err = self._folder / "err.txt"
+        asked = {"arguments": list(arguments), "out": os.devnull, "err": str(err), **asked}
         assert self.process.stdin is not None and self.process.stdout is not None
         self.process.stdin.write(json.dumps(asked) + "\n")
         self.process.stdin.flush()
         answer = json.loads(self.process.stdout.readline())
-        texts = (Path(asked[name]) for name in ("out", "err"))
-        return Ending(**answer, **{name: text_of(path) for name, path in zip(("out", "err"), texts, strict=True)})
-
-
-def text_of(path: Path) -> str:
-    """Return the text of a file; nothing for a device."""
-    return path.read_text() if path.is_file() else ""
+        return Ending(**answer, err=err.read_text())
 
 
 def _built(folder: Path) -> Path:
@@ -189,13 +176,13 @@ class Trial:
         if overwrite:
             # Any bytes will do for a file; a folder must look like one of cgid.
             arguments = [word if word != "1" else "2" for word in self._words(self.command.older)]
-            assert self.server.run(arguments).codes == [0], self.server.run(arguments).err
+            assert self.server.run(arguments).code == 0, self.server.run(arguments).err
             self.old = files_in(self.here)
             self.old = {n: c + b"old" * (not n.endswith("/") and "data/" not in n) for n, c in self.old.items()}
         self._lay(self.old)
         self.overwrite = overwrite
         ended = self.run()
-        assert ended.codes == [0], ended.err
+        assert ended.code == 0, ended.err
         self.new, self.calls = files_in(self.here), ended.calls
 
     def run(self, **faults: Any) -> Ending:
@@ -218,7 +205,7 @@ class Trial:
 def judge_failure(trial: Trial, ended: Ending) -> str:
     """Return the fault in the end of a command with a failed call, or nothing."""
     left = files_in(trial.here)
-    (code,) = ended.codes
+    code = ended.code
     if code == 0:
         return "" if left == trial.new and "error" not in ended.err else "exit code 0, and not what it should have made"
     if code not in (CANNOT_CREATE, WRITE_FAILED):
@@ -232,7 +219,7 @@ def judge_failure(trial: Trial, ended: Ending) -> str:
 def judge_interruption(trial: Trial, ended: Ending) -> str:
     """Return the fault in the end of a command after Ctrl-C, or nothing."""
     left = files_in(trial.here)
-    (code,) = ended.codes
+    code = ended.code
     if code == 0:
         return "" if left == trial.new else "exit code 0, and not what it should have made"
     if code != INTERRUPTED or "Traceback" in ended.err:
@@ -244,8 +231,8 @@ def judge_interruption(trial: Trial, ended: Ending) -> str:
 
 def judge_kill(trial: Trial, ended: Ending) -> str:
     """Return the fault in the files of a killed command, or nothing."""
-    if ended.codes not in ([-signal.SIGKILL], [0]):
-        return f"exit code {ended.codes}: {ended.err[-300:]}"
+    if ended.code not in (-signal.SIGKILL, 0):
+        return f"exit code {ended.code}: {ended.err[-300:]}"
     for name, content in files_in(trial.here).items():
         known = (trial.old.get(name), trial.new.get(name))
         if content not in known and not name.endswith(".part") and not re.fullmatch(trial.command.unfinished, name):
@@ -303,7 +290,7 @@ def inputs(server: Server, folder: Path) -> Iterator[Path]:
     (folder / "brief.toml").write_text(re.sub("relative_noise = .*", 'absolute_noise = "10 N"', brief) + _BRIEF)
     shutil.copy(scenes / "sample.csv", folder)
     made = server.run(["generate", "reference", "-n", "800", "-o", str(folder / "data.h5")])
-    assert made.codes == [0], made.err
+    assert made.code == 0, made.err
     yield folder
 
 
@@ -313,12 +300,11 @@ def load(server: Server, command: Command, folder: Path, inputs: Path) -> None:
     here.mkdir()
     words = [word.replace("{here}", str(here)).replace("{inputs}", str(inputs)) for word in command.arguments]
     loaded = server.run(words, here=True)
-    assert loaded.codes == [0], loaded.err
+    assert loaded.code == 0, loaded.err
     shutil.rmtree(here)
 
 
 def main() -> None:
-    """Print the number of disturbances of each command, and the faults."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--most", type=int, default=50, help="calls that fail, from the first")
     parser.add_argument("--only", default="", help="commands with this in their name")

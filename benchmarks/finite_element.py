@@ -127,7 +127,6 @@ def first_mode(sphere: Body) -> float:
 
 
 def main() -> None:
-    """Print the requested tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", nargs="+", choices=("convergence", "low-pass"), default=("convergence", "low-pass"))
     parser.add_argument("--elements", type=int, nargs="+", default=[7, 14, 28], help="over the contact radius")

@@ -88,7 +88,6 @@ def row(name: str, impacts: SolvedImpacts, scene: Scene, model: Model, sizes: in
 
 
 def main() -> None:
-    """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?", type=Path, help="a model file; else the shipped default model")
     parser.add_argument("--sizes", type=int, default=8, help="how often sizes and noise are drawn")

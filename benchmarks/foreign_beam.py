@@ -41,7 +41,6 @@ ROCKS = {"coal": (1380.0, 3.1e9, 0.34, 0.06), "gangue": (2580.0, 2.6e10, 0.55, 0
 
 
 def shapes(places: np.ndarray) -> np.ndarray:
-    """Return sine-like mode shapes (n_places, n_modes) at places of 0 to 1 along the beam."""
     return np.sqrt(2) * np.sin(np.outer(places, np.arange(1, 9)) * np.pi * 0.97 + 0.1)
 
 
@@ -115,7 +114,6 @@ def recording(label_of: list[str], random: np.random.Generator) -> tuple[np.ndar
 
 
 def recorded(samples: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Return samples at the recorder's rate, with noise."""
     low = resample_poly(samples, 1, FINE, axis=0, window=firwin(16 * FINE * 2 + 1, 0.85 / FINE))
     return low + random.normal(0, 0.05, low.shape)
 
@@ -179,7 +177,6 @@ def learn(folder: Path) -> None:
 
 
 def main() -> None:
-    """Write the recordings and their truth."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--recordings", type=int, default=4, help="to train on; half as many are new")

@@ -26,7 +26,6 @@ from cgid.recordings import open_recording
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.recording_files import SPECIMENS, UNIT, Specimen, blows
 
-REAL = Path(__file__).parents[2] / "shared" / "realdata"
 TITLES = ("format", "written by", "read to", "rate", "unit", "streamed", "cut", "flipped")
 #: Number of damaged files of each kind.
 DAMAGED = 40
@@ -55,7 +54,6 @@ def row_of(specimen: Specimen, folder: Path, n_samples: int) -> tuple[str, ...]:
 
 
 def _stated(path: Path, specimen: Specimen, name: str) -> bool:
-    """Return whether a file itself states its rate or its unit, as `name` says."""
     options = {key: value for key, value in specimen.options.items() if key != name}
     try:
         recording = open_recording(path, **options)
@@ -76,7 +74,6 @@ def growth(specimen: Specimen, folder: Path, n_samples: int) -> float:
 
 
 def _peak(path: Path, specimen: Specimen) -> int:
-    """Return the peak memory of a process that reads a file block by block [bytes]."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
@@ -114,31 +111,11 @@ def damaged(path: Path, specimen: Specimen, expected: np.ndarray) -> tuple[str, 
     return tallies[0], tallies[1]
 
 
-def real_rows() -> list[tuple[str, ...]]:
-    """Return the facts found in the real recordings next to the checkout."""
-    rows = []
-    for name in (
-        "shock/acc_base_a0.txt",
-        "bulk_ramp/steel_nut_M4_1.wav",
-        "bulk_ramp/screws_1.wav",
-        "shock/mic_sample_uff58b.uff",
-    ):
-        recording = open_recording(REAL / name)
-        length = sum(block.shape[1] for block in recording.blocks())
-        units = ", ".join(str(channel.unit) for channel in recording.channels)
-        rows.append(
-            (name, recording.format, f"{len(recording.channels)} x {length}", f"{recording.sampling_rate:.6g}", units)
-        )
-    return rows
-
-
 def table(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """Return a Markdown table."""
     return "\n".join(f"| {' | '.join(row)} |" for row in (titles, ("---",) * len(titles), *rows))
 
 
 def main() -> None:
-    """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=2_000_000, help="a channel, of the files that show the memory")
     arguments = parser.parse_args()
@@ -146,8 +123,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         possible = [specimen for specimen in SPECIMENS if specimen.is_possible]
         print(table(TITLES, [row_of(specimen, Path(folder), arguments.samples) for specimen in possible]))
-    if REAL.is_dir():
-        print("\n" + table(("real recording", "format", "samples", "rate [Hz]", "unit"), real_rows()))
 
 
 if __name__ == "__main__":

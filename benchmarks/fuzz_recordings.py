@@ -92,12 +92,10 @@ def judge(path: Path, specimen: Specimen, expected: np.ndarray) -> Outcome:
 
 
 def _resident() -> int:
-    """Return the current memory of this process [bytes]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def _await(child: int, deadline: float) -> tuple[int | None, int]:
-    """Return the status of a child process (None if it had to be killed) and its peak memory [bytes]."""
     while time.perf_counter() < deadline:
         done, status, usage = os.wait4(child, os.WNOHANG)
         if done:
@@ -131,7 +129,6 @@ def _read_and_tell(path: Path, specimen: Specimen, expected: np.ndarray, pipe: i
 
 
 def _place(random: np.random.Generator, size: int) -> int:
-    """Return a place in a file; half of them lie in its first part, with the headers."""
     return int(random.integers(min(size, 1024) if random.random() < 0.5 else size))
 
 
@@ -177,7 +174,6 @@ def _noise(content: bytearray, random: np.random.Generator, others: list[bytes])
 
 
 def _digits(content: bytearray, random: np.random.Generator, others: list[bytes]) -> bytearray:
-    """Put a huge or senseless number in place of one in the header's text."""
     places = [k for k, byte in enumerate(content[:4096]) if 48 <= byte <= 57]
     if places:
         first = int(random.choice(places))
@@ -233,7 +229,6 @@ def fuzz(
 
 
 def main() -> None:
-    """Print the outcomes for each format, and every failure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)

@@ -138,7 +138,6 @@ def size(count: float) -> str:
 
 
 def main() -> None:
-    """Measure, extrapolate, print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--signals", type=int, default=50_000)
     parser.add_argument("--scenes", nargs="+", default=["reference", "tail_beam"])

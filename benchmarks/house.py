@@ -112,12 +112,10 @@ def code_lines(text: str) -> tuple[int, int]:
 
 
 def lines_of(node: ast.stmt) -> set[int]:
-    """Return the numbers of the lines of a statement."""
     return set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
 
 
 def is_bare_check(node: ast.AST) -> TypeGuard[ast.If]:
-    """Return whether a statement only raises an error under a condition."""
     return isinstance(node, ast.If) and not node.orelse and all(isinstance(part, ast.Raise) for part in node.body)
 
 
@@ -188,7 +186,6 @@ def data_types(tree: ast.Module) -> int:
 
 
 def n_long_functions(tree: ast.Module) -> int:
-    """Return how many functions of a module have more than 70 lines, docstring and signature included."""
     return sum(isinstance(node, ast.FunctionDef) and len(lines_of(node)) > 70 for node in ast.walk(tree))
 
 
@@ -241,7 +238,6 @@ def figures(checkout: Path) -> dict[str, str]:
 
 
 def main() -> None:
-    """Measure the checkouts and print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
     checkouts = [*(folder.resolve() for folder in parser.parse_args().folders), HERE]

@@ -38,7 +38,6 @@ def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
 
 
 def rows(folder: Path, name: str, *place: int | slice) -> Array:
-    """Return a part of a stored array; the file is reopened each time, so that pages already read are released."""
     return np.array(np.load(folder / f"{name}.npy", mmap_mode="r")[place])
 
 
@@ -212,7 +211,6 @@ def signals(folder: Path, kind: str, rival: Rival, n: int | None) -> Array:
 
 
 def main() -> None:
-    """Run one rival and write the results as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("name", choices=RIVALS)
     parser.add_argument("folder", type=Path)

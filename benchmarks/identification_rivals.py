@@ -63,13 +63,11 @@ CUTS = {
 
 
 def measured_by(beam: ThroughBeam | None, signals: np.ndarray, rate: float, trigger: int) -> np.ndarray:
-    """Return cgid's features and guards of signals (n, samples), nan where they cannot be measured."""
     features = (*BEAM_FEATURES, *BEAM_GUARDS) if beam else (*DEFAULT_FEATURES, *DEFAULT_GUARDS)
     return extract_array(signals, rate, features, pre_trigger=trigger, invalid="nan", beam=beam)
 
 
 def beam_in(name: str) -> ThroughBeam | None:
-    """Return the beam of a shipped scene, if it has one."""
     return ThroughBeam(beam_of(load_scene(shipped.scene_path(name)))) if name == "tail_beam" else None
 
 
@@ -233,7 +231,6 @@ def line_of(scene: str, size: int, record: dict[str, Any], truth: np.ndarray, ou
 
 
 def main() -> None:
-    """Print a table for each scene."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(CUTS)}")
     parser.add_argument("--open", type=Path, metavar="SETS", help="write predictions for the open benchmark, here")

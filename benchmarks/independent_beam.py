@@ -116,7 +116,6 @@ def damping_ratios(frequency: Floats, kind: str) -> Floats:
 
 @cache
 def modes_for(variant: Variant, beam: Beam | None = None) -> Modes:
-    """Return the modes of a variant, of unit modal mass, with `shape(x, y)`; without what is attached to it."""
     return modes_of(replace(beam or Beam(), ribs=variant.ribs, mindlin=variant.mindlin), HIGHEST)
 
 
@@ -175,7 +174,6 @@ def chain(s: Complex) -> Complex:
 
 
 def laplace_points() -> Complex:
-    """Return the points s [1/s] at which signals are transformed: lines of a period, moved right of the poles."""
     lines = np.arange(int(_BAND * _PERIOD)) * RATE / _PERIOD
     return _DECAY * RATE / _PERIOD + 2j * np.pi * lines
 
@@ -232,7 +230,6 @@ def noise_of(variant: Variant, n: int, rng: np.random.Generator) -> Floats:
 
 
 def digitised(signals: Floats) -> Floats:
-    """Return the signals clipped and rounded by the recorder's converter."""
     step = _RANGE / 2 ** (_BITS - 1)
     return np.clip(np.rint(signals / step) * step, -_RANGE, _RANGE - step)
 
@@ -400,7 +397,6 @@ def poles(modes: Modes, variant: Variant, highest: float) -> tuple[Floats, Float
 
 
 def main() -> None:
-    """Print the modes beside those of cgid, or write impacts to a file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--variant", default="plain", choices=VARIANTS, metavar="NAME", help=", ".join(VARIANTS))
     parser.add_argument("--n", type=int, default=1000, help="impacts to write")

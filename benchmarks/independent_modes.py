@@ -91,7 +91,6 @@ class Line(NamedTuple):
 
 @cache
 def _element(degree: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the nodes on [-1, 1] and the integrals of f g, f' g and f' g'."""
     inner = legendre.Legendre.basis(degree).deriv().roots()
     nodes = np.concatenate([[-1.0], np.sort(inner.real), [1.0]])
     series = np.linalg.inv(legendre.legvander(nodes, degree))  # Legendre coefficients of each polynomial, in columns
@@ -150,7 +149,6 @@ class Rigidity(NamedTuple):
 
 
 def _stretched(s: Line, t: Line, pair: str, r: Rigidity) -> dict[tuple[str, str], sparse.csr_array]:
-    """Return the blocks of a `Rigidity`: stretching of (u, v), bending of (p, q)."""
     f, g = pair
     return {
         (f, f): r.r11 * sparse.kron(s.slopes, t.mass) + r.r66 * sparse.kron(s.mass, t.slopes),
@@ -225,7 +223,6 @@ def smeared_plate(beam: Beam, s: Line, t: Line) -> Part:
 
 
 def torsion_constant(beam: Beam) -> float:
-    """Return that of one rib [m^4], a rectangle, to 4 digits: Timoshenko & Goodier (1970), section 109."""
     d, b = max(beam.depth, beam.rib_thickness), min(beam.depth, beam.rib_thickness)
     return d * b**3 * (1 / 3 - 0.21 * b / d * (1 - (b / d) ** 4 / 12))
 
@@ -275,7 +272,6 @@ class _Unknowns:
 
 
 def _tied(terms: list[Tie], size: int) -> sparse.csr_array:
-    """Return the matrix from all unknowns to fields that are sums of (numbers, factor)."""
     rows, columns, values, start = [], [], [], 0
     for field in terms:
         for numbers, factor in field:
@@ -325,13 +321,11 @@ def model(beam: Beam, parity: Literal["even", "odd"]) -> Model:
 
 
 def _supported(skin: dict[str, NDArray[np.intp]]) -> list[NDArray[np.intp]]:
-    """Return what is held where a bare plate is simply supported: w, and the rotation along the edge."""
     ends = [skin[name][row] for name in "wq" for row in (0, -1)]
     return ends + [skin[name][:, 0] for name in "wp"]
 
 
 def _web(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unknowns) -> Rib:
-    """Return a rib as a shell that hangs under the skin; its v points down, its w along the skin's v."""
     z = line(np.array([0.0, beam.depth]), beam.element, beam.degree)
     below = {name: unknowns.field(len(x.nodes), len(z.nodes) - 1) for name in _FIELDS}
     turn = unknowns.field(len(x.nodes), 1)  # the web's own rotation about the vertical
@@ -353,7 +347,6 @@ def _web(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unkn
 
 
 def _bar(beam: Beam, x: Line, edge: dict[str, NDArray[np.intp]], unknowns: _Unknowns) -> Rib:
-    """Return a rib as a bar whose section keeps its shape and follows the skin."""
     turn, down = unknowns.field(len(x.nodes)), -(beam.thickness + beam.depth) / 2
     terms = [
         [(edge["u"], 1.0), (edge["p"], down)],

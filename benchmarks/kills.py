@@ -108,7 +108,6 @@ def kinds() -> tuple[Kind, ...]:
 
 
 def content(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file in a folder that has its final name, by name."""
     files = [path for path in folder.iterdir() if path.suffix != ".part" and path.name != LOCK]
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
@@ -142,7 +141,6 @@ def started(work: Callable[[], object], moment: int | None = None, events: Path 
 
 
 def ended(process: int) -> int:
-    """Wait for a process and return its exit code, negative for a signal."""
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
 
@@ -264,7 +262,6 @@ class Trials:
 
 
 def main() -> None:
-    """Run all trials, print Markdown; the exit code is 1 after any fault."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=200, help="at least so many in all")
     parser.add_argument("--with-workers", type=int, default=20, help="of these with two workers")

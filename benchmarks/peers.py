@@ -3,7 +3,7 @@
 Imported by the work-precision benchmark. Every peer takes a `Population` and a setting and returns the same frames:
 2048 samples of float64 at 200 kHz, the force in N, touch exactly at sample 100, zero outside contact.
 
-    for name, peer in available_peers().items():
+    for name, peer in PEERS.items():
         few = population.part(0, peer.pulses)
         for setting in peer.settings:
             frames = peer.run(few, **setting)
@@ -11,21 +11,15 @@ Imported by the work-precision benchmark. Every peer takes a `Population` and a 
 All peers solve `x'' = -x^(3/2) (1 + D x')`, x(0) = 0, x'(0) = 1, in units of L and T0, in which tolerances are
 meaningful: rtol is the tolerance, atol a hundredth of it, for x starts at 0 (for 1 to 1/10000 of it, error and work
 follow much the same curve). Right-hand sides are compiled by numba; everything runs on one thread. solve_ivp and the
-fixed steps find the separation themselves. odeint and numbalsoda stop at given times only, so they receive the contact
-duration, and their grid ends there. Compiled peers compile in their first call: call each once before timing.
+fixed steps find the separation themselves. odeint stops at given times only, so it receives the contact duration, and
+its grid ends there. Compiled peers compile in their first call: call each once before timing.
 
 At touch the force grows as the power 3/2 of the displacement, so equal steps converge at order 2.5, not 4. Graded steps
 are equal in sqrt(time) at first, which restores order 4 for about a third more time.
-
-numbalsoda 0.3.4 has no wheel: pip builds it from source with a C++ and a Fortran compiler (g++ and gfortran; cmake and
-ninja are build requirements; without gfortran the build fails). Its libraries need libgfortran at run time. Built by
-GCC 12, it works with Python 3.11, numba 0.68.1 and numpy 2.4.6. It is no dependency of cgid; without it
-`available_peers` leaves its peers out and says so. CyRK, diffrax and LAMMPS are not included.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 import sys
 from collections.abc import Callable
@@ -44,11 +38,6 @@ from cgid.scene.impacts import draw
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.references.make_family import reference_pulse
-
-try:
-    import numbalsoda
-except (ImportError, OSError) as error:  # OSError: built, but libgfortran is missing
-    numbalsoda, _NO_NUMBALSODA = None, str(error)
 
 Floats = NDArray[np.float64]
 
@@ -134,13 +123,11 @@ def reference_frames(population: Population) -> Floats:
 
 
 def frame_errors(frames: Floats, reference: Floats) -> Floats:
-    """Return the largest error of each frame over the peak of its reference."""
     return np.abs(frames - reference).max(axis=1) / reference.max(axis=1)
 
 
 @_jit
 def _force(x: float, u: float, damping: float) -> float:
-    """Return x^(3/2) (1 + D x'), never attraction."""
     return max(x * math.sqrt(x) * (1 + damping * u), 0.0) if x > 0 else 0.0
 
 
@@ -202,7 +189,6 @@ _separation.terminal, _separation.direction = True, -1
 
 
 def _pulse(states: Floats, damping: float) -> Floats:
-    """Return the forces of states (2, n)."""
     x = np.maximum(states[0], 0)
     return np.maximum(x * np.sqrt(x) * (1 + damping * states[1]), 0)
 
@@ -233,39 +219,6 @@ def scipy_odeint(population: Population, tolerance: float) -> Floats:
     return frames
 
 
-@functools.cache
-def _numbalsoda(solver: str) -> tuple[Callable[..., None], Any]:
-    """Return the compiled loop over pulses and the right-hand side, which must outlive it."""
-    solve = getattr(numbalsoda, solver)
-
-    @numba.cfunc(numbalsoda.lsoda_sig, error_model="numpy", fastmath=True)
-    def right_side(t, y, rate, parameters):
-        rate[0] = y[1]
-        rate[1] = -_force(y[0], y[1], parameters[0])
-
-    @_jit
-    def loop(frames, address, spacing, damping, scale, counts, tolerance):
-        start = np.array([0.0, 1.0])
-        for i in range(frames.shape[0]):
-            times, parameters = np.arange(counts[i]) * spacing[i], damping[i : i + 1]
-            states, success = solve(address, start, times, data=parameters, rtol=tolerance, atol=tolerance / 100)
-            if not success:
-                raise RuntimeError("numbalsoda gave up")
-            for k in range(counts[i]):
-                frames[i, ONSET + k] = scale[i] * _force(states[k, 0], states[k, 1], damping[i])
-
-    return loop, right_side
-
-
-def numbalsoda_peer(population: Population, solver: str, tolerance: float) -> Floats:
-    """Numbalsoda's dop853 or lsoda in a compiled loop, the grid cut at separation."""
-    frames = np.zeros((len(population), SAMPLES))
-    loop, right_side = _numbalsoda(solver)
-    numbers = (population.spacing, population.damping_number, population.force_scale, population.samples_in_contact)
-    loop(frames, right_side.address, *numbers, tolerance)
-    return frames
-
-
 class Peer(NamedTuple):
     """A function from population and setting to frames, its settings, and the number of pulses to time."""
 
@@ -285,20 +238,9 @@ _STEPS = (1, 4, 16, 64)
 PEERS: dict[str, Peer] = {
     "numba RK4": Peer(numba_rk4, [{"steps": n} for n in _STEPS], 2000),
     "numba RK4, graded": Peer(numba_rk4, [{"steps": n, "graded": True} for n in _STEPS], 2000),
-    "numbalsoda dop853": Peer(numbalsoda_peer, _tolerances(*_EXPONENTS, solver="dop853"), 2000),
-    "numbalsoda lsoda": Peer(numbalsoda_peer, _tolerances(*_EXPONENTS, solver="lsoda"), 2000),
     "odeint": Peer(scipy_odeint, _tolerances(*_EXPONENTS), 200),
     "solve_ivp RK45": Peer(scipy_solve_ivp, _tolerances(*_EXPONENTS, method="RK45"), 20),
     "solve_ivp DOP853": Peer(scipy_solve_ivp, _tolerances(*_EXPONENTS, method="DOP853"), 20),
     "solve_ivp LSODA": Peer(scipy_solve_ivp, _tolerances(*_EXPONENTS, method="LSODA"), 20),
     "solve_ivp Radau": Peer(scipy_solve_ivp, _tolerances(*_EXPONENTS[:-1], method="Radau"), 20),
 }
-
-
-def available_peers() -> dict[str, Peer]:
-    """Return the peers with installed packages; print the others with the reason."""
-    if numbalsoda is not None:
-        return dict(PEERS)
-    missing = [name for name, peer in PEERS.items() if peer.run is numbalsoda_peer]
-    print(f"Left out, numbalsoda cannot be imported ({_NO_NUMBALSODA}): {', '.join(missing)}.")
-    return {name: peer for name, peer in PEERS.items() if name not in missing}

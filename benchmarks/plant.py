@@ -1,24 +1,16 @@
 """The plant outputs of monitor beside a real broker: messages a second, latency, and a broker that dies and comes back.
 
     python benchmarks/plant.py [--seconds 30]
-    python benchmarks/plant.py --clients
 
 Needs mosquitto, and the extra "plant". Everything runs on this machine, over the loopback. Prints Markdown.
 
 The stream is a force at 200 kHz with 50 impacts a second, written in real time. The broker is killed after a third and
 starts again after two thirds. Latency of an answer is the time from writing the last sample of its block to reading its
 row from stdout. The run with a short queue holds 200 messages instead of 10,000.
-
-`--clients` measures what too many clients do to a monitor of at most 1024 descriptors: none, then 1,100 that say
-nothing, then 1,300 that send nonsense, to the Modbus port and to the live page each, while the stream makes a decision
-every second.
 """
 
 import argparse
-import contextlib
 import json
-import random
-import resource
 import shutil
 import socket
 import subprocess
@@ -43,7 +35,7 @@ from tests.test_plant import free_port, impact, share  # noqa: E402
 #: Samples are written in blocks of this time [s].
 BLOCK = 0.01
 SHORT_QUEUE = 200
-MONITOR = "from cgid.plant.output import Outlet; Outlet.__init__.__defaults__ = ({queue},); "
+MONITOR = "from cgid.plant.output import Output; Output.__init__.__defaults__ = ({queue},); "
 MONITOR += "import sys; from cgid.cli.main import run; sys.exit(run(sys.argv[1:]))"
 
 
@@ -232,127 +224,11 @@ def outage(folder, seconds):
         broker.kill()
 
 
-#: Clients that say nothing, and that send nonsense; descriptors of the monitor.
-N_IDLE, N_FUZZED, N_DESCRIPTORS = 1100, 1300, 1024
-
-
-def connected(port):
-    """Return a new connection that does not wait, or None."""
-    client = socket.socket()
-    client.settimeout(0.2)
-    try:
-        client.connect(("127.0.0.1", port))
-    except OSError:
-        client.close()
-        return None
-    client.setblocking(False)
-    return client
-
-
-def idle(ports, until):
-    """Open connections that say nothing, one in ten a byte every second."""
-    clients = [client for _ in range(N_IDLE) for port in ports if (client := connected(port))]
-    while time.perf_counter() < until:
-        for client in clients[::10]:
-            with contextlib.suppress(OSError):
-                client.send(b"G")
-        time.sleep(1.0)
-    for client in clients:
-        client.close()
-
-
-def fuzzed(ports, until):
-    """Send random bytes and damaged requests, some of them in halves, over short connections."""
-    rng = random.Random(1)
-    whole = (bytes([0, 1, 0, 0, 0, 6, 1, 4, 0, 16, 0, 16]), b"GET /state.json HTTP/1.1\r\nHost: localhost\r\n\r\n")
-    for _ in range(N_FUZZED):
-        for port, request in zip(ports, whole, strict=True):
-            content = bytearray(request if rng.random() < 0.7 else rng.randbytes(rng.randrange(1, 400)))
-            for _ in range(rng.randrange(4)):
-                content[rng.randrange(len(content))] = rng.randrange(256)
-            client = connected(port)
-            if client is None:
-                continue
-            with contextlib.suppress(OSError):
-                client.send(content[: rng.randrange(len(content) + 1)] if rng.random() < 0.3 else content)
-            client.close()
-        time.sleep(max(until - time.perf_counter(), 0.0) / N_FUZZED / 2)
-
-
-def ask_modbus(port):
-    """Read the head; return whether it arrived."""
-    with socket.create_connection(("127.0.0.1", port), timeout=2.0) as client:
-        client.sendall(bytes([0, 7, 0, 0, 0, 6, 1, 4, 0, 0, 0, 16]))
-        return len(client.recv(300)) == 41
-
-
-def ask_page(port):
-    """Read the data of the page."""
-    return urllib.request.urlopen(f"http://127.0.0.1:{port}/state.json", timeout=2.0).read().startswith(b"{")
-
-
-def clients(folder, root=ROOT, seconds=20.0):
-    """Print what too many clients do: commands run, descriptors, threads, bytes of stderr, and reads meanwhile."""
-    resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
-    force = stream((["coal"] * 25 + ["gangue"] * 25) * round(seconds), 0.02).astype("<f4")
-    raw = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N", "--window", "0.24"]
-    print("| clients | SHUT, commands run | descriptors | threads | stderr [bytes] | processor [s] | reads answered |")
-    print("|---|---|---|---|---|---|---|")
-    for name, attack in (("none", None), (f"{N_IDLE:,} idle", idle), (f"{N_FUZZED:,} fuzzed", fuzzed)):
-        ports, log = (free_port(), free_port()), Path(folder) / f"{name.split()[-1]}.log"
-        command = [sys.executable, "-c", MONITOR.format(queue=10_000), "monitor", "-", *raw, "--json"]
-        command += ["--modbus", f":{ports[0]}", "--live", f":{ports[1]}", "--on-shut", f"sh -c 'echo run >> {log}'"]
-        limited = ["sh", "-c", f'ulimit -n {N_DESCRIPTORS}; exec "$@"', "sh", *command]
-        with (Path(folder) / "out").open("w+b") as out, (Path(folder) / "err").open("w+b") as err:
-            process = subprocess.Popen(limited, cwd=root, stdin=subprocess.PIPE, stdout=out, stderr=err)
-            time.sleep(3.0)
-            begun, most, reads = time.perf_counter(), [0, 0], []
-            if attack is not None:
-                attacker = threading.Thread(target=attack, args=(ports, begun + seconds))
-                attacker.start()
-            step = round(BLOCK * RATE)
-            for number in range(round(seconds / BLOCK)):
-                time.sleep(max(begun + (number + 1) * BLOCK - time.perf_counter(), 0.0))
-                process.stdin.write(force[number * step : (number + 1) * step].tobytes())
-                process.stdin.flush()
-                if number % 100 == 99:
-                    about = Path(f"/proc/{process.pid}")
-                    now = len(list((about / "fd").iterdir())), len(list((about / "task").iterdir()))
-                    most = np.maximum(most, now)
-                    for ask, port in ((ask_modbus, ports[0]), (ask_page, ports[1])):
-                        try:
-                            reads.append(ask(port))
-                        except OSError:
-                            reads.append(False)
-            ticks = (about / "stat").read_text().rpartition(")")[2].split()[11:13]
-            process.stdin.close()
-            process.wait()
-            if attack is not None:
-                attacker.join()
-            out.seek(0)
-            n_shut = sum(b'"kind": "shut"' in line for line in out)
-            n_run = log.read_text().count("run") if log.exists() else 0
-            spent = sum(map(int, ticks)) / 100
-            print(
-                f"| {name} | {n_shut}, {n_run} | {most[0]} | {most[1]} | {err.seek(0, 2)} | {spent:.1f} | "
-                f"{sum(reads)} of {len(reads)} |",
-                flush=True,
-            )
-            err.seek(0)
-            for line in err.read().decode().splitlines()[:3]:
-                print(f"  {line}", file=sys.stderr)
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--clients", action="store_true")
-    arguments = parser.parse_args()
-    seconds = arguments.seconds
+    seconds = parser.parse_args().seconds
     with tempfile.TemporaryDirectory() as folder:
-        if arguments.clients:
-            clients(folder)
-            return
         broker = Broker(folder)
         print("| output | value |\n|---|---|")
         messages(broker.port)

@@ -63,7 +63,6 @@ def run(checkout: Path) -> dict[str, list[float]]:
 
 
 def main() -> None:
-    """Measure the checkouts in turn and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--rounds", type=int, default=5)

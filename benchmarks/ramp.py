@@ -44,7 +44,6 @@ N_MELS, FRAME, STEP = 64, 1024, 512
 
 
 def material(file: Path) -> str:
-    """Return the material of a recording: its name without the number."""
     return file.stem[:-2]
 
 
@@ -106,7 +105,6 @@ class Told(NamedTuple):
 
 
 def answers(file: Path, model: Path, vote: float) -> list[dict[str, Any]]:
-    """Return what `cgid predict` says of the windows of a recording."""
     lines = command("predict", str(file), "--model", str(model), "--vote", f"{vote:g}", "--json").splitlines()
     return [line for line in map(json.loads, lines) if line["kind"] == "window"]
 
@@ -121,7 +119,6 @@ def told(rows: list[dict[str, Any]], truth: str) -> Told:
 
 
 def joined(parts: list[Told]) -> Told:
-    """Return the answers for several recordings."""
     return Told(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

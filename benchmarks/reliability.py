@@ -97,7 +97,6 @@ def strangers(model: Model, n: int) -> None:
 
 
 def main() -> None:
-    """Judge one model."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.DEFAULT_MODEL))
     parser.add_argument("-n", "--signals", type=int, default=100_000)

@@ -106,7 +106,6 @@ def answered(model: Model, signals: NDArray[Any], labels: NDArray[np.str_], trig
 
 
 def blocks(case: Case, n: int, seed: int) -> Iterator[Impacts]:
-    """Yield n impacts of a case in blocks."""
     for number, first in enumerate(range(0, n, _AT_ONCE)):
         yield record(case, min(_AT_ONCE, n - first), seed + _BLOCK * number)
 
@@ -122,12 +121,10 @@ class Table(NamedTuple):
 
 
 def extracted(model: Model, signals: NDArray[Any], trigger: int) -> Floats:
-    """Return the features of a model of signals, nan where not measurable."""
     return extract_array(signals, RATE, model.features, pre_trigger=trigger, invalid="nan")
 
 
 def features_of(model: Model, case: Case, n: int) -> Table:
-    """Return the features of impacts of a case to learn from."""
     parts = [(extracted(model, one.signals, case.trigger), one.labels) for one in blocks(case, n, _LEARNED)]
     return Table(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -182,7 +179,6 @@ def with_both_losses() -> Scene:
 
 
 def signals_of(scene: Scene, n: int, seed: int) -> tuple[NDArray[Any], NDArray[np.str_]]:
-    """Return signals and labels of a scene."""
     batches = list(synthesise(scene, n, seed))
     return np.concatenate([one.signals for one in batches]), np.concatenate([one.labels for one in batches])
 
@@ -191,7 +187,6 @@ def signals_of(scene: Scene, n: int, seed: int) -> tuple[NDArray[Any], NDArray[n
 
 
 def law_of(scene: Scene, number: int) -> str:
-    """Return the law of loss of a population of a scene."""
     return str(getattr(scene.populations[number], "dissipation", None) or scene.impact.dissipation)
 
 
@@ -308,7 +303,6 @@ def show(title: str, lines: Iterator[Line]) -> None:
 
 
 def main() -> None:
-    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4), default=(2, 3, 4))
     cases = [*(name for name in CASES if name not in _OTHERS), BOTH]

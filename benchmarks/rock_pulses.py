@@ -111,7 +111,6 @@ def viscous(law: Law) -> Viscous:
 
 
 def _top(values: Floats) -> float:
-    """Return the maximum of a sampled curve, by the parabola through the three highest samples."""
     k = int(np.clip(np.argmax(values), 1, len(values) - 2))
     low, top, high = values[k - 1 : k + 2]
     return float(top - 0.125 * (high - low) ** 2 / (low - 2 * top + high))
@@ -119,13 +118,11 @@ def _top(values: Floats) -> float:
 
 @cache
 def _hertz_loading() -> CubicSpline:
-    """Return F over peak of Hertz's loading without loss, over sqrt(time / half the contact)."""
     root = np.linspace(0, 1, 2049)
     return CubicSpline(root, betaincinv(0.4, 0.5, root**2) ** 0.6)
 
 
 def hertz_loading(share: Floats) -> Floats:
-    """Return F over peak at a share (0 to 1) of the loading of Hertz's impact without loss."""
     return np.asarray(_hertz_loading()(np.sqrt(np.clip(share, 0, 1))))
 
 
@@ -138,13 +135,11 @@ def thornton_restitution(ratio: Any) -> Any:
 
 @cache
 def _log_ratio() -> CubicSpline:
-    """Return ln(yield speed over speed) over ln(restitution)."""
     log_ratio = np.linspace(np.log(1e-9), 0.0, 8001)
     return CubicSpline(np.log(thornton_restitution(np.exp(log_ratio))), log_ratio)
 
 
 def yield_ratio(restitution: Floats) -> Floats:
-    """Return the yield speed over speed of a restitution: the closed form inverted."""
     return np.exp(np.minimum(_log_ratio()(np.log(restitution)), 0.0))
 
 
@@ -196,7 +191,6 @@ _SCENES = Path(__file__).parents[1] / "datasets"
 
 
 def _number(value: float | str) -> float:
-    """Return a number of a scene file in SI units."""
     if isinstance(value, str):
         number, unit = value.split()
         return float(number) * _UNITS[unit]
@@ -437,12 +431,10 @@ def record(case: Case, n: int, seed: int) -> Impacts:
 
 @cache
 def largest_peak(case: Case) -> float:
-    """Return the largest peak of 20,000 rocks of a case [N]."""
     return float(pulses(rocks(case, 20_000, np.random.default_rng(0))).peak.max())
 
 
 def _cases() -> dict[str, Case]:
-    """Return the lines of the table by name."""
     wide: Bounds = ("log-uniform", 0.1, 1.0)
     peers: Mapping[str, Any] = {"population": "peers", "trigger": 100, "jitter": 0.0}
     cases = [Case(name=law, laws=(law,)) for law in LAWS]

@@ -92,7 +92,6 @@ def alternate(rounds: int) -> None:
 
 
 def main() -> None:
-    """Print one of the tables as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--first-use", action="store_true", help="first uses of the impact engine instead")

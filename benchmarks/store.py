@@ -51,7 +51,6 @@ class Times:
 
 
 def flush(path: Path) -> None:
-    """Flush a file to the disk."""
     with path.open("rb+") as stream:
         os.fsync(stream.fileno())
 
@@ -77,7 +76,6 @@ def seconds_of(work: Callable[[], object]) -> float:
 
 
 def read(folder: Path) -> None:
-    """Read the signals of all shards by h5py."""
     for shard in sorted(folder.glob("shard-*.h5")):
         with h5py.File(shard) as file:
             file["signals"][:]
@@ -216,7 +214,6 @@ def show_stages(scene: Any, folder: Path) -> None:
 
 
 def main() -> None:
-    """Measure and print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", default="reference")
     parser.add_argument("--signals", type=int, default=8 * SHARD)

@@ -31,7 +31,6 @@ _LITTLE = 2048
 
 
 def made(folder: Path, n_signals: int) -> tuple[Path, Path]:
-    """Make a small dataset and a large one of the reference scene."""
     scene = load_scene(shipped.scene_path("reference"))
     return generate(scene, folder / "little", _LITTLE, 1), generate(scene, folder / "large", n_signals, 2)
 
@@ -47,7 +46,6 @@ def trained_within(room: int, little: Path, large: Path) -> dict[str, Any]:
 
 
 def _within(room: int, little: Path, large: Path) -> dict[str, Any]:
-    """Train under the limit in this process; see the module docstring."""
     _trained(Dataset(little))
     limit = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize() + room
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
@@ -60,7 +58,6 @@ def _within(room: int, little: Path, large: Path) -> dict[str, Any]:
 
 
 def _quarter(data: Dataset) -> Iterator[Batch]:
-    """Yield the first batches, up to a quarter of the signals."""
     count = 0
     for batch in data:
         yield batch
@@ -70,7 +67,6 @@ def _quarter(data: Dataset) -> Iterator[Batch]:
 
 
 def _fits(data: Dataset) -> bool:
-    """Return whether the same training succeeds with all batches in memory."""
     try:
         _trained(list(data))
     except MemoryError:
@@ -83,12 +79,10 @@ def _trained(batches: Iterable[Batch]) -> None:
 
 
 def _peak() -> int:
-    """Return the peak memory of this process [bytes]."""
     return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) * 1024
 
 
 def main() -> None:
-    """Make the data, train under the limit, print; exit with 1 if a result is not as expected."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--signals", type=int, default=98_304)
     parser.add_argument("--room", type=int, default=48, help="beyond the libraries' own [MB]")

@@ -196,13 +196,11 @@ def picture_of(stream: Stream, model: Model) -> bytes:
 
 
 def drawn_row(name: str, streams: list[Stream], until: np.ndarray) -> str:
-    """Return a row of the operators' curve, the mean of streams that are shut at these times [s]."""
     recovery, share = np.mean([s.drawn(t) for s, t in zip(streams, until.tolist(), strict=True)], axis=0)
     return f"| {name} | {recovery:.1%} | {share:.1%} |"
 
 
 def main() -> None:
-    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?", default=shipped.path_of("models", shipped.ACCELERATION_MODEL))
     parser.add_argument("-n", "--streams", type=int, default=10)

@@ -40,7 +40,6 @@ GRADED, BETWEEN = 3, 12  # panels at touch and at separation, and between them
 
 
 def _differentiation() -> np.ndarray:
-    """Return the matrix from values at the nodes to the derivative there (barycentric)."""
     distance = NODES[:, None] - NODES + np.eye(NODES.size)
     weight = 1 / distance.prod(axis=1)
     matrix = weight / weight[:, None] / distance
@@ -240,7 +239,6 @@ def check_core(worst: Worst, n: int, rng: Any) -> None:
 
 
 def main() -> None:
-    """Run everything and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sets", type=int, default=1_000_000, help="impacts by the public API")
     parser.add_argument("--seed", type=int, default=0)

@@ -224,7 +224,6 @@ def hammer_blow(path: str, forced: str | None) -> None:
 
 
 def _slopes(decays: np.ndarray, rate: float, frequency: float, damping: float) -> tuple[float, float]:
-    """Return frequency [Hz] and damping ratio from phase and envelope of the loudest sensor behind a band pass."""
     edges = frequency + np.array([-1, 1]) * max(0.02 * frequency, 8 * damping * frequency, 3.0)
     narrow = sosfiltfilt(butter(3, edges, "bandpass", fs=rate, output="sos"), decays, axis=1)
     loudest = hilbert(narrow[np.argmax(np.square(narrow).sum(axis=1))])

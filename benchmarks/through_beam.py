@@ -179,7 +179,6 @@ def is_noticed(unexplained: Any) -> bool:
 
 
 def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:
-    """Return a beam with its modes off by a share."""
     normal = random.normal(size=(2, len(beam.poles)))
     return corrected(beam, np.stack([share * normal[0], 10 * share * normal[1], np.zeros(len(beam.poles))]))
 
@@ -306,7 +305,6 @@ def printed(rows: list[tuple[str, dict[str, Any]]]) -> None:
 
 
 def main() -> None:
-    """Print a table of all cases asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="default-acceleration")
     parser.add_argument("-n", "--signals", type=int, default=4096)

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from peers import ONSET, SAMPLES, SAMPLING_RATE, Population, available_peers, frame_errors, population, reference_frames
+from peers import ONSET, PEERS, SAMPLES, SAMPLING_RATE, Population, frame_errors, population, reference_frames
 
 from cgid import shipped
 from cgid.files import write_whole
@@ -84,7 +84,6 @@ class Row(NamedTuple):
 
 
 def curves(impacts: Population) -> HuntCrossleyCurves:
-    """Return the curves of the population."""
     nothing = np.zeros(len(impacts))
     return HuntCrossleyCurves(HuntCrossley, impacts.restitution[:, None], nothing, nothing, TOLERANCE)
 
@@ -128,18 +127,15 @@ def impacts_of(n: int, dissipation: Law | None = None) -> Impact:
 
 
 def thornton(impacts: Impact) -> Thornton:
-    """Return crushing rocks of the same restitution."""
     return Thornton(yield_pressure=yield_pressure(impacts.restitution, impacts))
 
 
 def walton_braun(impacts: Impact) -> WaltonBraun:
-    """Return bilinear contacts of the same restitution and, without loss, the same depth."""
     stiffness = 0.8 * impacts.contact_stiffness * np.sqrt(1.25**0.4 * impacts.length_scale)
     return WaltonBraun(restitution=impacts.restitution, loading_stiffness=stiffness)
 
 
 def viscous(law: Callable[[Impact], Thornton | WaltonBraun]) -> Callable[[Impact], Law]:
-    """Return the same law with viscous loss."""
     return lambda impacts: replace(law(impacts), viscous_restitution=VISCOUS)
 
 
@@ -239,7 +235,7 @@ def work_precision(impacts: Population, quick: bool) -> list[Row]:
         measured("cgid", "table, from materials", from_materials(whole), impacts, exact, 15, block=whole),
         measured("cgid", "table, float32", lambda few: cgid_frames(few, "float32"), impacts, exact, 25),
     ]
-    for name, peer in available_peers().items():
+    for name, peer in PEERS.items():
         few = impacts.part(0, min(peer.pulses, 10 if quick and peer.pulses < 100 else peer.pulses))
         for setting in peer.settings[::2] if quick else peer.settings:
             text = ", ".join(f"{key} {value:g}" for key, value in setting.items() if isinstance(value, int | float))
@@ -307,7 +303,6 @@ def write(rows: list[Row]) -> None:
 
 
 def main() -> None:
-    """Print every table, write CSV and picture."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer settings, no files")
     parser.add_argument("--laws", action="store_true", help="every contact law instead")

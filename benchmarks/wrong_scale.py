@@ -92,7 +92,6 @@ class World:
 
 
 def percentage(flags: list[bool]) -> str:
-    """Return a share and its binomial standard error."""
     share = float(np.mean(flags))
     return f"{share:.1%} ± {np.sqrt(share * (1 - share) / len(flags)):.1%}"
 
@@ -125,7 +124,6 @@ def report(name: str, world: World) -> None:
 
 
 def main() -> None:
-    """Print the tables of all shipped models."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-n", "--impacts", type=int, default=24_000, help="of each scene of force; of a beam a quarter")
     parser.add_argument("--streams", type=int, default=40, help="of a minute each")

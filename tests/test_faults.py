@@ -249,7 +249,7 @@ def test_a_limit_on_the_size_of_files_leaves_what_was_there(server):
     trial = Trial(next(one for one in COMMANDS if one.name == "generate: table, CSV"), started, read, folder / "here")
     trial.prepare(overwrite=True)
     ended = trial.run(size=4096)
-    assert ended.codes == [74] and "File too large" in ended.err and ended.err.count("\n") == 1
+    assert ended.code == 74 and "File too large" in ended.err and ended.err.count("\n") == 1
     assert files_in(trial.here) == trial.old
 
 

@@ -26,7 +26,7 @@ from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, InvalidValue, NoInput
 from cgid.plant import PlantOutputs, command, mqtt
 from cgid.plant.modbus import HEAD, WIDTH
-from cgid.plant.output import Output
+from cgid.plant.output import MAX_CLIENTS, Output
 from cgid.plant.state import BIN_TIME, Waveform
 from cgid.plant.web import page
 from tests.streams_of_pulses import RATE, ROOT, stream
@@ -378,6 +378,25 @@ def test_nonsense_leaves_no_line_and_no_connection(two_servers, said, capfd) -> 
                 client.sendall(content)
     honest_reads(two_servers)
     wait_for(lambda: threading.active_count() <= before)
+    assert said == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_silent_clients_leave_room(two_servers, said, capfd) -> None:
+    before = threading.active_count()
+    silent = [socket.create_connection(("127.0.0.1", port)) for port in two_servers for _ in range(3 * MAX_CLIENTS)]
+    try:
+        honest_reads(two_servers)
+        assert threading.active_count() <= before + 2 * MAX_CLIENTS
+        # A client that asks is not the one that has to go.
+        with socket.create_connection(("127.0.0.1", two_servers[0]), timeout=5) as steady:
+            for _ in range(2 * MAX_CLIENTS):
+                silent.append(socket.create_connection(("127.0.0.1", two_servers[0])))
+                steady.sendall(modbus_frame(b"\4\0\0\0\1"))
+                assert steady.recv(300) == modbus_frame(b"\4\2\0\1")
+    finally:
+        for client in silent:
+            client.close()
     assert said == []
     assert capfd.readouterr() == ("", "")
 

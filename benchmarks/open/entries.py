@@ -123,7 +123,6 @@ def statistics(folder: Path) -> Predictions:
 
 
 def _simple(part: Part) -> NDArray[np.float64]:
-    """Return peak, energy, time above half the peak, asymmetry and octave levels of frames, mostly as logarithms."""
     samples = part.signals - part.signals[:, : part.trigger // 2].mean(axis=1, keepdims=True)
     peak, scale = np.abs(samples).max(axis=1), samples.std(axis=1)
     width = (np.abs(samples) > peak[:, None] / 2).sum(axis=1) / part.rate
@@ -133,7 +132,6 @@ def _simple(part: Part) -> NDArray[np.float64]:
 
 
 def _octaves(samples: NDArray[Any], rate: float) -> NDArray[np.float64]:
-    """Return the logarithms of the energy in octaves from 200 Hz to 12.8 kHz, (n, 6)."""
     power = np.abs(np.fft.rfft(samples, axis=1)) ** 2
     edges = np.searchsorted(np.fft.rfftfreq(samples.shape[1], 1 / rate), 200.0 * 2.0 ** np.arange(7))
     octaves = [power[:, first : last + 1].sum(axis=1) for first, last in pairwise(edges)]
@@ -141,7 +139,6 @@ def _octaves(samples: NDArray[Any], rate: float) -> NDArray[np.float64]:
 
 
 def _window_levels(signal: NDArray[Any], rate: float) -> NDArray[np.float64]:
-    """Return mean and deviation of the octave levels of 20 ms pieces of each window, (n_windows, 12)."""
     length = round(0.02 * rate)
     levels = _octaves(np.reshape(signal[: signal.size // length * length], (-1, length)), rate)
     windows = [levels[round(50 * (time - WINDOW)) : round(50 * time)] for time in TIMES]
@@ -199,7 +196,6 @@ def _answered(model: Model, part: Part) -> Frames | Streams:
 
 
 def _watched(model: Model, signal: NDArray[Any], rate: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the shares of the windows of a stream, and whether it is shut at their ends, as `cgid monitor` says."""
     question = PredictionSettings(share_time=float(WINDOW), share_step=1.0)
     steps = identify_blocks([np.array(signal)[None]], rate, model, ("1",), question)
     watch = CavingWatch(model, ("1",), question)

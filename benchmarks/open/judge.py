@@ -83,7 +83,6 @@ class Truth:
 
 
 def _table(path: Path) -> NDArray[np.str_]:
-    """Return the cells of a file that `make` wrote, without its header."""
     cells = np.array([cells for _, cells in read_cells(path, "truth", LARGEST)])
     return cells[1:]
 
@@ -202,7 +201,6 @@ def _flag(place: str, name: str, cells: Sequence[str]) -> float:
 def _complete(
     path: Path, name: str, rows: Mapping[Any, Sequence[float]], n: int, header: tuple[str, ...]
 ) -> Frames | Streams:
-    """Return the predictions of a set in order; raise `BadData` if a row is missing."""
     frames = header[2] == COAL
     keys = list(range(n)) if frames else [(k, int(time)) for k in range(n) for time in TIMES]
     missing = [key for key in keys if key not in rows]
@@ -302,7 +300,6 @@ def judged_streams(own: Streams, streams: Sequence[Stream]) -> Iterator[Result]:
 
 
 def _mean_of(metric: str, values: Floats, scale: Callable[[Floats], Floats] = np.asarray) -> Result:
-    """Return a mean with its interval, both on another scale if asked."""
     mean, n = values.mean(), len(values)
     half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
     low, value, high = scale(np.array([mean - half, mean, mean + half])).tolist()

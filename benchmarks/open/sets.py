@@ -97,7 +97,6 @@ class Set:
 
 
 def all_sets() -> dict[str, Set]:
-    """Return the sets of `sets.toml` by name."""
     entries = tomllib.loads((HERE / "sets.toml").read_text(encoding="utf-8"))
     return {name: _set(name, number, entry) for number, (name, entry) in enumerate(entries.items())}
 
@@ -119,7 +118,6 @@ def _kept(population: Mapping[str, Any], keep: Mapping[str, Any]) -> bool:
 
 
 def _merged(old: Any, new: Any) -> Any:
-    """Return a section with changes; `false` takes a key out."""
     if not (isinstance(old, dict) and isinstance(new, dict)):
         return new
     changed = {key: _merged(old.get(key), value) for key, value in new.items() if value is not False}
@@ -183,12 +181,10 @@ def make(output: Path, *, private: int | None = None, most: int | None = None) -
 
 
 def draw_seed() -> int:
-    """Return a seed that nobody can guess."""
     return MIN_PRIVATE + secrets.randbelow(2**62)
 
 
 def _frames(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]]:
-    """Return frames and their rows of labels."""
     batches = list(synthesise(one.scene, n, seed))
     labels = np.concatenate([batch.labels for batch in batches]).tolist()
     rows: Rows = [(one.name, k, label if label in (COAL, GANGUE) else OTHER) for k, label in enumerate(labels)]
@@ -196,7 +192,6 @@ def _frames(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]]
 
 
 def _streams(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]]:
-    """Return streams and the rows of their impacts and crossings."""
     signals: list[NDArray[Any]] = []
     rows: dict[str, Rows] = {"impacts.csv": [], "crossings.csv": []}
     for number in range(n):
@@ -221,12 +216,10 @@ def write_rows(path: Path, columns: Sequence[str], rows: Rows) -> None:
 
 
 def sums_of(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of each file of a folder but of the sums."""
     return {path.name: sha256_of(path) for path in sorted(folder.iterdir()) if path.name != SUMS}
 
 
 def _compare(output: Path, public: bool) -> None:
-    """Raise `BadData` if a file is not the one whose sum is kept; of a contest the training parts count alone."""
     kept = dict(line.split("  ")[::-1] for line in KEPT_SUMS.read_text(encoding="utf-8").splitlines())
     for folder in ("signals", "truth") if public else ("signals",):
         for file, digest in sums_of(output / folder).items():
