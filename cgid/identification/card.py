@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -28,7 +30,6 @@ PICTURES = ("confusion", "reliability", "roc")
 #: Maximum number of features that a card lists.
 _MAX_NAMES = 60
 _SHAPES = {"pulse": "positive pulses", "vibration": "vibrations of both signs", "window": "recordings in windows"}
-_FEW = f"With fewer than {MIN_GROUPS} groups of a label the next day may be much worse than the intervals say."
 #: Characters that Markdown or HTML interprets within a line; an underscore only at the edge of a word.
 _MARKS = re.compile(r"[\\`*\[\]<>&|~]|\b_|_\b|(?<=_)_|_(?=_)")
 
@@ -91,56 +92,92 @@ def write_card(model: Model, name: str, pictures: tuple[str, ...] = (), further:
     -------
     str
     """
-    lines = [f"# Model card: {plain(name)}", ""]
-    if model.training["labels_shuffled"]:
-        lines += ["**Trained on shuffled labels: a check of the method, of no other use.**", ""]
-    of = "a window of a recording" if model.kind == "window" else "one impact"
-    lines += [f"Identifies {', '.join(map(plain, model.labels))} from the {model.quantity} of {of}.", ""]
-    lines += [*table(("", ""), _identity(model)), ""]
-    for title, body in _sections(model, pictures, further):
-        lines += [f"## {title}", "", *body, ""]
-    return "\n".join(lines)
+    fields = _fields(model, name, pictures)
+    parts = "".join(_part(block, fields) for block in _blocks(model, pictures))
+    body, _, limits = parts.rpartition("## Limits\n")
+    sections = "".join(f"## {title}\n\n" + "\n".join([*lines, "", ""]) for title, lines in further)
+    return f"{body}{sections}## Limits\n{limits}"
 
 
-def _sections(model: Model, pictures: tuple[str, ...], further: Sequence[Section]) -> Iterator[Section]:
-    training = model.training
-    recorded = training.get("recorded")
-    judgement = _judgement(model) + ([] if recorded is None else ["", *_votes(model)])
-    if pictures:
-        judgement += ["", *(f"![{plain(picture)}]({quote(picture)})" for picture in pictures)]
-    yield f"On {'windows' if model.kind == 'window' else 'impacts'} it has not seen", judgement
-    yield "Calibration and reject option", _calibration(model)
-    if recorded is not None:
-        yield "Selection", _choice(recorded["candidates"])
-        if "synthetic" in recorded:
-            yield "Adaptation", _adaptation(recorded["synthetic"], training["metrics"]["accuracy"])
-    yield from further
-    yield "Limits", _limits(model) if recorded is None else _limits_of_recordings(model)
+@cache
+def _template() -> dict[str, str]:
+    """Return the blocks of the template by their names."""
+    text = (resources.files("cgid.identification") / "card.md").read_text(encoding="utf-8")
+    return dict(block.split("\n", 1) for block in text.split("%% ")[1:])
 
 
-def _identity(model: Model) -> list[tuple[str, str]]:
-    training = model.training
-    recorded = training.get("recorded")
-    rates = " to ".join(f"{rate / 1e3:g}" for rate in dict.fromkeys(model.sampling_rates))
+def _part(block: str, fields: Record) -> str:
+    return _template()[block].format_map(fields)
+
+
+def _blocks(model: Model, pictures: tuple[str, ...]) -> Iterator[str]:
+    """Yield the blocks of the template that hold for a model, in their order."""
+    recorded, metrics = model.training.get("recorded"), model.training["metrics"]
+    shown = {
+        "shuffled": model.training["labels_shuffled"],
+        "of specimens": recorded is None,
+        "by impact": recorded is not None and model.kind != "window",
+        "by window": recorded is not None and model.kind == "window",
+        "of recordings": recorded is not None,
+        "sensors": model.sensors,
+        "failures": recorded is not None and recorded["failures"],
+        "votes": recorded is not None,
+        "few": model.is_of_few,
+        "voted": "recordings" in metrics,
+        "pictures": pictures,
+        "calibration of specimens": recorded is None,
+        "no sets": recorded is None and not metrics["prediction_sets"],
+        "sets": metrics["prediction_sets"],
+        "calibration of recordings": recorded is not None,
+        "adaptation": recorded is not None and "synthetic" in recorded,
+        "correction": False,  # a section of its own
+        "limits of specimens": recorded is None,
+        "limits of vibrations": recorded is None and model.kind == "vibration",
+        "limits of recordings": recorded is not None,
+        "limits of noise": recorded is not None and "contrast.limit" in model.arrays,
+        "limits of levels": recorded is not None and not _selected(recorded).endswith("level-free"),
+    }
+    return (block for block in _template() if shown.get(block, True))
+
+
+def _fields(model: Model, name: str, pictures: tuple[str, ...]) -> dict[str, Any]:
+    """Return what stands in the braces of the template."""
+    training, labels = model.training, list(map(plain, model.labels))
+    metrics, is_window = training["metrics"], model.kind == "window"
     guards = zip(model.guards, model.guard_limits, strict=True)
-    return [
-        ("family", f"{model.family}, probabilities calibrated by temperature {model.temperature:.4g}"),
-        ("expects", f"{model.quantity} [{model.unit}], {_SHAPES[model.kind]}, trained at {rates} kHz"),
-        ("must be known, too", ", ".join(f"{name} [{KNOWN[name]}]" for name in model.known) or "nothing"),
-        ("features", _features(model)),
-        ("novelty only", ", ".join(f"{name} (edge {limit:.4g})" for name, limit in guards) or "none"),
-        *(_of_specimens(training) if recorded is None else _of_recordings(model, recorded)),
-        (
-            "left out",
-            f"{training['n_left_out']} {'windows' if model.kind == 'window' else 'impacts'} that could not be measured",
+    return {
+        "name": plain(name),
+        "model": model,
+        "training": training,
+        "metrics": metrics,
+        "labels": ", ".join(labels),
+        "one": "a window of a recording" if is_window else "one impact",
+        "rows": "windows" if is_window else "impacts",
+        "shape": _SHAPES[model.kind],
+        "rates": " to ".join(f"{rate / 1e3:g}" for rate in dict.fromkeys(model.sampling_rates)),
+        "known": ", ".join(f"{name} [{KNOWN[name]}]" for name in model.known) or "nothing",
+        "features": _features(model),
+        "guards": ", ".join(f"{name} (edge {limit:.4g})" for name, limit in guards) or "none",
+        "window": model.window_time * 1e3,
+        "hop": model.hop_time * 1e3,
+        "sensors": ", ".join(map(plain, model.sensors)),
+        "files": "files" if "recorded" in training else "scene",
+        "sources": ", ".join(plain(source or "unknown") for source in training["sources"]),
+        "seed": plain(training["seed"]),
+        "versions": ", ".join(plain(f"{name} {version}") for name, version in training["versions"].items()),
+        "recalls": _rows((f"recall of {plain(one)}", f"{value:.4f}") for one, value in metrics["recall"].items()),
+        "areas": _rows(
+            (f"area under the ROC curve, {plain(one)}", f"{area:.4f}") for one, area in metrics["roc_area"].items()
         ),
-        (
-            f"data (SHA-256 of the {'scene' if recorded is None else 'files'})",
-            ", ".join(plain(source or "unknown") for source in training["sources"]),
+        "confusion": _table(
+            ("", *labels), ((label, *row) for label, row in zip(labels, metrics["confusion"], strict=True))
         ),
-        ("seed", plain(training["seed"])),
-        ("versions", ", ".join(plain(f"{name} {version}") for name, version in training["versions"].items())),
-    ]
+        "pictures": "\n".join(f"![{plain(picture)}]({quote(picture)})" for picture in pictures),
+        "sets": _sets(model),
+        "min_groups": MIN_GROUPS,
+        "dead_time": VIBRATION_DEAD_TIME * 1e3,
+        **(_fields_of_recordings(training["recorded"], metrics) if "recorded" in training else {}),
+    }
 
 
 def _features(model: Model) -> str:
@@ -150,81 +187,25 @@ def _features(model: Model) -> str:
     return f"{len(model.features)}: {', '.join(selected) or 'many'} (`cgid info` lists them)"
 
 
-def _of_specimens(training: Record) -> list[tuple[str, str]]:
-    judged = training["metrics"]["n_impacts"]
-    return [
-        ("trained on", f"{training['n_train']} impacts of {training['n_train_specimens']} specimens"),
-        ("calibrated on", f"one impact of each of {training['n_calibration_specimens']} other specimens"),
-        ("judged on", f"{judged} impacts of {training['n_test_specimens']} other specimens"),
-    ]
+def _selected(recorded: Record) -> str:
+    return next(str(row["name"]) for row in recorded["candidates"] if row["chosen"])
 
 
-def _of_recordings(model: Model, recorded: Record) -> list[tuple[str, str]]:
-    weights = recorded["class_weights"]
+def _fields_of_recordings(recorded: Record, metrics: Record) -> dict[str, Any]:
+    weights, recordings = recorded["class_weights"], metrics.get("recordings", {"rows": ()})
     if isinstance(weights, Mapping):
         weights = ", ".join(f"{plain(label)} {weight:g}" for label, weight in weights.items())
     else:
         weights = plain(weights or "all rows count the same")
-    by = "single impacts, where the detector finds them"
-    if model.kind == "window":
-        by = (
-            f"windows of {model.window_time * 1e3:g} ms, a new one every {model.hop_time * 1e3:g} ms; in a vote, "
-            f"they repeat each other with a correlation of {model.vote_correlation:.2f}"
-        )
-    rows = f"{model.training['n_train']} {recorded['by']}s"
-    lines = [
-        ("decides on", by),
-        ("channels together", str(model.n_channels)),
-        (
-            "trained on",
-            f"{rows} of {recorded['n_recordings']} recordings or intervals in {recorded['n_groups']} groups",
-        ),
-        ("judged on", "the same, each group by what was chosen and trained on the others"),
-        ("class weights", weights),
-    ]
-    if model.sensors:
-        lines.append(("reference spectra of sensors", ", ".join(map(plain, model.sensors))))
-    if recorded["failures"]:
-        lines.append(("could not be read", counted(len(recorded["failures"]), "recording")))
-    return lines
-
-
-def _judgement(model: Model) -> list[str]:
-    metrics = model.training["metrics"]
-    low, high = metrics["accuracy_interval_95"]
-    rows = [
-        ("accuracy", f"{metrics['accuracy']:.4f} (95 % interval {low:.4f} to {high:.4f})"),
-        *((f"recall of {plain(label)}", f"{value:.4f}") for label, value in metrics["recall"].items()),
-        ("Brier score (sum over the labels)", f"{metrics['brier_score']:.4f}"),
-        ("log loss", f"{metrics['log_loss']:.4f}"),
-        *((f"area under the ROC curve, {plain(label)}", f"{area:.4f}") for label, area in metrics["roc_area"].items()),
-    ]
-    labels = list(map(plain, model.labels))
-    return [
-        *table(("", ""), rows),
-        "",
-        "Confusion (rows: truth, columns: answer):",
-        "",
-        *table(("", *labels), [(label, *row) for label, row in zip(labels, metrics["confusion"], strict=True)]),
-    ]
-
-
-def _votes(model: Model) -> list[str]:
-    """Return the accuracy of rows, running votes and whole recordings."""
-    training = model.training
-    metrics = training["metrics"]
-    recordings = metrics.get("recordings")
     judged = [
-        (f"one {training['recorded']['by']}", metrics),
+        (f"one {recorded['by']}", metrics),
         *((f"running vote over {row['time']:g} s", row) for row in metrics.get("running", []) if row["n"]),
-        *([] if recordings is None else [("vote of a whole recording", recordings)]),
+        *([("vote of a whole recording", recordings)] if recordings["rows"] else []),
     ]
-    shares = []
-    for name, row in judged:
-        low, high = row["accuracy_interval_95"]
-        number = row.get("n", metrics["n_impacts"])
-        shares.append((name, f"{row['accuracy']:.4f}", f"{low:.4f} to {high:.4f}", number))
-    votes = [
+    shares = (
+        (name, f"{row['accuracy']:.4f}", _interval(row), row.get("n", metrics["n_impacts"])) for name, row in judged
+    )
+    votes = (
         (
             plain(row["name"]),
             plain(row["label"]),
@@ -232,37 +213,35 @@ def _votes(model: Model) -> list[str]:
             row["n"],
             f"{row['accuracy']:.4f}",
         )
-        for row in ([] if recordings is None else recordings["rows"])
-    ]
-    return [
-        *table(("decision on", "right", "95 % interval", "number"), shares),
-        "",
-        "Votes add logarithms of probabilities, as of fewer windows that do not repeat each other. The intervals count "
-        "groups, not what lies in them, and hold for recordings like these: of their support, sensor, bodies and days.",
-        *(["", _FEW] if model.is_of_few else []),
-        *(["", *table(("recording", "label", "vote", "rows", "right"), votes)] if votes else []),
-    ]
+        for row in recordings["rows"]
+    )
+    candidates = (
+        (
+            f"**{plain(row['name'])}**" if row["chosen"] else plain(row["name"]),
+            plain(row["family"]),
+            row["n_features"],
+            f"{row['accuracy']:.4f}",
+            row["taken_in_folds"],
+        )
+        for row in recorded["candidates"]
+    )
+    synthetic = recorded.get("synthetic", {"moved_db": {}})
+    moved = ((plain(name), f"{by:+.1f}") for name, by in synthetic["moved_db"].items())
+    return {
+        "recorded": recorded,
+        "synthetic": synthetic,
+        "weights": weights,
+        "failures": counted(len(recorded["failures"]), "recording"),
+        "shares": _table(("decision on", "right", "95 % interval", "number"), shares),
+        "votes": _table(("recording", "label", "vote", "rows", "right"), votes),
+        "candidates": _table(("features", "family", "number", "accuracy", "taken in folds"), candidates),
+        "moved": _table(("feature", "moved by [dB]"), moved),
+    }
 
 
-def _calibration(model: Model) -> list[str]:
-    metrics = model.training["metrics"]
-    error, chance = metrics["expected_calibration_error"], metrics["calibration_error_by_chance"]
-    if "recorded" in model.training:
-        # Rows of one recording err together, so chance alone gives a larger calibration error.
-        return [
-            f"The expected calibration error is {error:.4f}; were all rows independent, perfectly calibrated "
-            f"probabilities would show {chance:.4f} by chance, but those of one recording err together, so it is more.",
-            "",
-            "Recordings are too few to calibrate prediction sets: `--coverage` can promise nothing.",
-        ]
-    lines = [
-        f"The expected calibration error is {error:.4f}; perfectly calibrated probabilities would show {chance:.4f} "
-        "by chance.",
-        "",
-    ]
-    if not metrics["prediction_sets"]:
-        return [*lines, "There were too few specimens to calibrate prediction sets: nothing can be rejected."]
-    rows = [
+def _sets(model: Model) -> str:
+    """Return the table of prediction sets."""
+    rows = (
         (
             f"{row['coverage']:g}",
             "each label" if row["class_conditional"] else "the mix",
@@ -271,95 +250,35 @@ def _calibration(model: Model) -> list[str]:
             *(f"{row[name]:.4f}" for name in ("single", "several", "empty")),
             "-" if row["accuracy_of_single"] is None else f"{row['accuracy_of_single']:.4f}",
         )
-        for row in metrics["prediction_sets"]
-    ]
+        for row in model.training["metrics"]["prediction_sets"]
+    )
     titles = ("coverage asked", "of", "achieved", *(f"of {plain(label)}" for label in model.labels))
-    return [
-        *lines,
-        "Prediction sets (split conformal) hold the truth as often as asked, over the mix of the training or for each",
-        "label by itself. With `--coverage` an impact whose set is not a single label is answered with *unknown*:",
-        "",
-        *table((*titles, "single label", "several", "empty", "accuracy of single"), rows),
-    ]
+    return _table((*titles, "single label", "several", "empty", "accuracy of single"), rows)
 
 
 def correction_section(correction: Record) -> Section:
     """Return the section of a model that labelled impacts of a site corrected."""
-    rows = []
-    for name, row in (("before", correction["before"]), ("corrected", correction)):
-        low, high = row["accuracy_interval_95"]
-        recalls = [f"{plain(label)} {value:.4f}" for label, value in row["recall"].items()]
-        rows.append((name, f"{row['accuracy']:.4f}", f"{low:.4f} to {high:.4f}", ", ".join(recalls)))
-    counts = ", ".join(f"{plain(label)} {n}" for label, n in correction["labels"].items())
-    biases = ", ".join(f"{bias:+.3f}" for bias in correction["bias"])
-    return "Corrected for a site", [
-        f"{correction['n']} labelled impacts ({counts}) moved its biases by {biases}, its slope to "
-        f"{correction['slope']:.3f} and the gain to {correction['gain']:.3f}. Each impact is judged by a correction "
-        f"that the others teach; {correction['n_unknown']} more lie outside of the training. The other figures of "
-        "this card are those of the training, before.",
-        "",
-        *table(("model", "accuracy on the site", "95 % interval", "recall"), rows),
-    ]
-
-
-def _choice(candidates: Sequence[Record]) -> list[str]:
-    rows = [
-        (_selected_text(row), plain(row["family"]), row["n_features"], f"{row['accuracy']:.4f}", row["taken_in_folds"])
-        for row in candidates
-    ]
-    return [
-        *table(("features", "family", "number", "accuracy", "taken in folds"), rows),
-        "",
-        "These accuracies chose, so they flatter; what is above was judged by groups that had no part in the choice.",
-    ]
-
-
-def _adaptation(synthetic: Record, accuracy: float) -> list[str]:
-    moved = [(plain(name), f"{by:+.1f}") for name, by in synthetic["moved_db"].items()]
-    return [
-        f"{synthetic['n']} synthetic impacts teach beside the recorded ones and judge nothing. Their levels were "
-        "moved, band by band, onto those of the recordings, by the mean over the labels that both have; when groups "
-        f"judge, by what trains alone. With them {accuracy:.4f} of the recorded impacts are answered right, without "
-        f"them {synthetic['accuracy_without']:.4f}.",
-        "",
-        *table(("feature", "moved by [dB]"), moved),
-    ]
-
-
-def _limits(model: Model) -> list[str]:
-    lines = [
-        "It knows the impacts of its training data and no others. An impact whose novelty passes 1 (the distance",
-        "that 99.9 % of the training impacts keep) is answered with *unknown*; at another sampling rate it is less",
-        "often right than it says. Coverage is promised for impacts like those of the training, not for strangers.",
-        "The interval counts specimens, not impacts.",
-        "Data that was synthesised says how good the method can be, not how good it is in a mine.",
-    ]
-    if model.kind == "vibration":
-        lines += [
-            "",
-            "The levels are those of one beam, its sensor where it is and as sensitive as it is: on another beam, at "
-            "another",
-            "place or with another gain the model must be trained again. Where two impacts follow each other within "
-            f"{VIBRATION_DEAD_TIME * 1e3:g} ms",
-            "the second is taken for a part of the first.",
-        ]
-    return lines
-
-
-def _limits_of_recordings(model: Model) -> list[str]:
-    lines = [
-        "It knows the support, the sensors and the bodies of its recordings and no others. What has a novelty above 1",
-        "is answered with *unknown*: farther out than 99.9 % of what lies in groups left out. At another sampling rate",
-        "it is less often right than it says.",
-    ]
-    if "contrast.limit" in model.arrays:
-        lines.append("A window with more noise than the clear ones of the training have is *unknown*, too.")
-    selected = next(row["name"] for row in model.training["recorded"]["candidates"] if row["chosen"])
-    if not selected.endswith("level-free"):
-        lines.append(
-            "It looks at levels: with another gain it is less often right (`cgid train --level-free` does without)."
+    rows = (
+        (
+            name,
+            f"{row['accuracy']:.4f}",
+            _interval(row),
+            ", ".join(f"{plain(label)} {value:.4f}" for label, value in row["recall"].items()),
         )
-    return lines
+        for name, row in (("before", correction["before"]), ("corrected", correction))
+    )
+    fields = {
+        "correction": correction,
+        "counts": ", ".join(f"{plain(label)} {n}" for label, n in correction["labels"].items()),
+        "biases": ", ".join(f"{bias:+.3f}" for bias in correction["bias"]),
+        "compared": _table(("model", "accuracy on the site", "95 % interval", "recall"), rows),
+    }
+    return "Corrected for a site", _part("correction", fields).splitlines()
+
+
+def _interval(row: Record) -> str:
+    low, high = row["accuracy_interval_95"]
+    return f"{low:.4f} to {high:.4f}"
 
 
 # -- tables, also for `models/*.py` -----------------------------------------------------------------------
@@ -372,12 +291,13 @@ def plain(name: object) -> str:
 
 def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
     """Return the lines of a Markdown table."""
-    return [
-        f"| {' | '.join(titles)} |" if any(titles) else "|" + " |" * len(titles),
-        "|" + "---|" * len(titles),
-        *(f"| {' | '.join(map(str, row))} |" for row in rows),
-    ]
+    return _table(titles, rows).splitlines()
 
 
-def _selected_text(row: Record) -> str:
-    return f"**{plain(row['name'])}**" if row["chosen"] else plain(row["name"])
+def _table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    head = _rows([titles]) if any(titles) else "|" + " |" * len(titles)
+    return "\n".join(filter(None, [head, "|" + "---|" * len(titles), _rows(rows)]))
+
+
+def _rows(rows: Iterable[Sequence[object]]) -> str:
+    return "\n".join(f"| {' | '.join(map(str, row))} |" for row in rows)
