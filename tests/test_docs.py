@@ -20,6 +20,7 @@ import importlib
 import importlib.util
 import inspect
 import io
+import json
 import os
 import re
 import shlex
@@ -33,6 +34,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from cgid.cli.main import run
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -261,6 +264,20 @@ class Loaded(HTMLParser):
             self.places.append(given.get("src") or "")
         if tag == "link" and given.get("rel") not in _LINKS:
             self.places.append(given.get("href") or "")
+
+
+def test_lines_of_json_have_the_keys_of_their_page(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (DOCS / "reference" / "lines.md").read_text(encoding="utf-8")
+    rows = {
+        kinds: set(re.findall(r"`(\w+)`", keys)) for kinds, keys in re.findall(r"^\| (`.*?) \| (.*) \|$", page, re.M)
+    }
+    assert run(["predict", "--sample", "--json", "--window", "0.06", "--coverage", "0.9"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    for kind in ("impact", "share", "summary"):
+        keys = {key for line in lines if line["kind"] == kind for key in line} - {"version", "kind", "source"}
+        stated = next(found for kinds, found in rows.items() if f"`{kind}`" in kinds)
+        assert keys
+        assert keys == keys & stated
 
 
 def test_named_programs_exist() -> None:

@@ -334,6 +334,36 @@ def test_explain_prints_the_plan_and_runs_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+#: A value of each key of a sensor, and what it needs beside it.
+SENSOR_KEYS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "quantity": ("velocity", {}),
+    "mounting": ({"frequency": "6 kHz"}, {}),
+    "anti_alias": ({"frequency": "5 kHz"}, {}),
+    "relative_noise": (0.02, {}),
+    "absolute_noise": (10.0, {}),
+    "noise_density": (0.1, {}),
+    "noise_exponent": (1.0, {"absolute_noise": 10.0}),
+    "noise_spectrum": ({"frequencies": [1, 20e3], "density": [1.0, 0.1]}, {"absolute_noise": 10.0}),
+    "bandwidth": ("5 kHz", {}),
+    "gain": (2.0, {}),
+    "offset": (1.0, {}),
+    "drift": (1000.0, {}),
+    "range": (1.0, {}),
+    "relative_range": (0.5, {}),
+    "bits": (6, {"range": 1e3}),
+}
+
+
+@pytest.mark.parametrize("key", Sensor.model_fields)
+def test_every_key_of_a_sensor_changes_signals_and_plan(key: str) -> None:
+    value, others = SENSOR_KEYS[key]
+    without = {"quantity": "acceleration"} | others
+    scenes = [beam_of(PANEL, sensor) for sensor in (without, without | {key: value})]
+    before, after = (next(synthesise(scene, 4)).signals for scene in scenes)
+    assert np.abs(after - before).max() > 1e-3 * np.abs(before).max()
+    assert key == "quantity" or len({str(plan(scene, "frames").decisions) for scene in scenes}) == 2
+
+
 def test_a_beam_that_the_recorder_cannot_hear_is_refused() -> None:
     stiff = beam_of(
         {**PANEL, "thickness": "90 mm"}, {"quantity": "acceleration", "anti_alias": {"frequency": "300 Hz"}}

@@ -9,7 +9,7 @@ import tempfile
 import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -91,8 +91,13 @@ class OutsideFormat:
 
         return replace(blocks, read=read)
 
-    def _told(self, source: str = "recording") -> AbstractContextManager[None]:
-        return understood(source, f"the reader {self.name} failed", "choose another by --format")
+    @contextmanager
+    def _told(self, source: str = "recording") -> Iterator[None]:
+        with understood(source, f"the reader {self.name} failed", "choose another by --format"):
+            try:
+                yield
+            except BadData as error:  # the reader does not know the name that the user gave
+                raise error if source in str(error) else BadData(f"{source}: {error}") from None
 
 
 def _starts(*magics: bytes) -> Callable[[bytes], bool]:

@@ -52,10 +52,10 @@ class Blocks:
     ----------
     n_channels : int
     read : callable
-        ``read(length, channels)`` yields these channels, counted from 0, as arrays (len(channels), at most `length`) of
-        float32 or float64. Each call begins with the first sample, because a recording may be read several times. A
-        block may also be a pair of its first sample and the array: the samples missing before it are a gap, which moves
-        no later time.
+        ``read(length, channels)`` yields these channels, a sequence counted from 0, as arrays (len(channels), at most
+        `length`) of float32 or float64. Each call begins with the first sample, because a recording may be read several
+        times. A block may also be a pair of its first sample and the array: the samples missing before it are a gap,
+        which moves no later time.
     n_samples : int or None
         Of each channel; None if only reading shows it.
     names : sequence of str

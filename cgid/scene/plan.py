@@ -403,7 +403,8 @@ def _tail_beam(plan: Plan) -> Decision:
         highest = highest_frequency(scene)
         number = max(round(scene.panel.modal_density * highest), 1)
         modes = f"about {number} modes up to {highest:.3g} Hz, none further beyond the band"
-    why = f"{scene.sensor.quantity}: {modes}; those too quiet at the sensor are left out"
+    gain = "" if scene.sensor.gain is None else f" times {scene.sensor.gain:g}"
+    why = f"{scene.sensor.quantity}{gain}: {modes}; those too quiet at the sensor are left out"
     return Decision(True, why, RESPONSE_TOLERANCE)
 
 
