@@ -38,6 +38,8 @@ import inspect, json, os, sys
 package = os.path.join(os.getcwd(), "cgid") + os.sep
 functions, jumps, depth, calls, importing = set(), set(), [0, 0], [0, 0], 0
 def is_check(code):
+    if code.co_qualname.lower().startswith("unchecked"):  # what makes objects without their checks
+        return False
     return code.co_filename.endswith(("validation.py", "units.py")) or code.co_name.lstrip("_").startswith(
         ("require", "check_", "post_init"))
 def is_function(code):  # the bodies of classes and modules have a namespace of their own instead

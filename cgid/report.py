@@ -32,54 +32,26 @@ from cgid.recordings import Channel, RecordingFile
 from cgid.terminal import counted, printable
 from cgid.validation import UNKNOWN
 
-__all__ = ["Report", "report_page", "write_report"]
-
 #: Longest list of names that is written in full.
 _MAX_NAMES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """The content of a page about one recording.
+    """The content of a page about one recording."""
 
-    Attributes
-    ----------
-    source : str
-        Name of the recording.
-    recording, model : mapping of str to str
-        `recording_facts` and `model_facts`, in the order of the page.
-    overview : Overview
-        Waveform, spectrogram and spectrum of the first channels.
-    channels : sequence of Channel
-        The channels of the overview.
-    answers : sequence of Answer
-        In order of time.
-    shares : sequence of Share
-        Gangue shares over sliding windows.
-    turns : sequence of Switch
-        When the window should be shut or opened.
-    threshold : float or None
-        Share of gangue above which further caving costs more than it brings.
-    warnings : sequence of str
-        What is damaged or doubtful.
-    unit_of_decision : str
-        Subject of an answer, "impact" or "window".
-    hint : Hint or None
-        Why most answers are unknown, if they are.
-    """
-
-    source: str
-    recording: Mapping[str, str]
-    model: Mapping[str, str]
-    overview: Overview
-    channels: Sequence[Channel]
-    answers: Sequence[Answer]
-    shares: Sequence[Share] = ()
-    turns: Sequence[Switch] = ()
-    threshold: float | None = None
-    warnings: Sequence[str] = field(default_factory=tuple)
-    unit_of_decision: str = "impact"
-    hint: Hint | None = None
+    source: str  # its name
+    recording: Mapping[str, str]  # `recording_facts`, in the order of the page
+    model: Mapping[str, str]  # `model_facts`
+    overview: Overview  # waveform, spectrogram and spectrum of the first channels
+    channels: Sequence[Channel]  # those of the overview
+    answers: Sequence[Answer]  # in order of time
+    shares: Sequence[Share] = ()  # gangue shares over sliding windows
+    turns: Sequence[Switch] = ()  # when the window should be shut or opened
+    threshold: float | None = None  # share of gangue above which further caving costs more than it brings
+    warnings: Sequence[str] = field(default_factory=tuple)  # what is damaged or doubtful
+    unit_of_decision: str = "impact"  # subject of an answer, or "window"
+    hint: Hint | None = None  # why most answers are unknown, if they are
 
     @property
     def labels(self) -> list[str]:
@@ -173,45 +145,13 @@ _DPI = 130
 
 
 def write_report(path: str | Path, reports: Sequence[Report], *, title: str = "", overwrite: bool = False) -> None:
-    """Write one self-contained HTML page about some recordings.
-
-    Parameters
-    ----------
-    path : str or Path
-        A name with one of `ENDINGS`.
-    reports : sequence of Report
-        One for each recording.
-    title : str
-        Heading of the page.
-    overwrite : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    CannotCreate
-        The name has another ending, the folder is missing or read-only, or the file exists.
-    MissingExtra
-        matplotlib is not installed.
-    WriteFailed
-        The disk is full.
-    """
+    """Write one self-contained HTML page about some recordings; its name has one of `ENDINGS`."""
     path = check_new(Path(path), "a report", ENDINGS, overwrite=overwrite)
     write_whole(path, report_page(reports, title=title).encode(), overwrite=overwrite)
 
 
 def report_page(reports: Sequence[Report], *, title: str = "") -> str:
-    """Return the page that `write_report` writes; equal reports give equal pages.
-
-    Parameters
-    ----------
-    reports : sequence of Report
-    title : str
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Return the page that `write_report` writes; equal reports give equal pages."""
     title = title or _title([Path(report.source).name for report in reports])
     style, script = _resource("report.css") + _swatches(), _resource("report.js")
     allowed = f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src '{_hash(script)}'"

@@ -16,7 +16,7 @@ from cgid.recordings import open_recording
 from cgid.recordings import tdms as tdms_reader
 from cgid.recordings.text_layout import stated_chain
 from cgid.recordings.variables import Variable, contents_of, is_statement, stated_sensitivities
-from cgid.store import is_table
+from cgid.store.table import is_table
 from tests import few, recording_files
 
 RANDOM = np.random.default_rng(20261121)

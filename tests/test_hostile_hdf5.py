@@ -22,9 +22,10 @@ import pytest
 from cgid.errors import CgidError
 from cgid.recordings import open_recording
 from cgid.signals import Batch
-from cgid.store import Dataset, Rows, TableHeader, is_table, read_table, table_writer
+from cgid.store import Dataset, read_table
 from cgid.store.hdf5 import RecordingPlan, ShardBuilder, ShardPlan, writing
 from cgid.store.reading import Recording
+from cgid.store.table import Rows, TableHeader, is_table, table_writer
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="inotify and limits as on Linux")
 

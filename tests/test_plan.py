@@ -23,7 +23,8 @@ from cgid.scene.impacts import Recorder, TapPulses, draw
 from cgid.scene.plan import QUANTITIES, STAGES, plan
 from cgid.scene.sensor import Sensor
 from cgid.scene.synthesis import columns_of
-from cgid.store import Rows, is_table, read_table
+from cgid.store import read_table
+from cgid.store.table import Rows, is_table
 from tests.plan_scenes import (
     CASES,
     FIT,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +14,6 @@ from cgid.identification.diagnosis import Diagnosis, Hint, scale_warning
 from cgid.units import UNITS
 
 if TYPE_CHECKING:
-    from cgid.identification.answers import Answer
     from cgid.identification.diagnosis import Finding
     from cgid.identification.model import Model
 
@@ -90,7 +89,7 @@ _WORDS = {
 }
 
 
-class Hints:
+class Hints(Diagnosis):
     """Diagnose the answers of a recording, and say which commands help."""
 
     # `source` is the file as the next commands name it; `options` are those that all commands need to read it,
@@ -107,25 +106,15 @@ class Hints:
         channels: Sequence[str] = (),
         labelled: bool = False,
     ) -> None:
-        self._diagnosis = Diagnosis(model)
-        self._model, self._rate, self._source = model, sampling_rate, source
+        super().__init__(model)
+        self._rate, self._source = sampling_rate, source
         self._options, self._answering = tuple(options), tuple(answering)
         self._labelled, self._all_channels = labelled, tuple(channels)
         self._kind = "signal" if labelled else "window" if model.kind == "window" else "impact"
 
-    def add(self, answers: Iterable[Answer], upside_down: Iterable[str] = ()) -> None:
-        """Count more answers, and channels that are upside down."""
-        self._diagnosis.add(answers)
-        self._diagnosis.upside_down.update(upside_down)
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether a live stream can have its hint already."""
-        return self._diagnosis.is_clear
-
     def hint(self) -> Hint | None:
         """Return the hint; None where no channel is upside down or mostly unknown, and no beam changed."""
-        finding = self._diagnosis.finding()
+        finding = self.finding()
         if finding is None:
             return None
         commands, instead = self._steps(finding)
@@ -146,14 +135,14 @@ class Hints:
 
     def level_warning(self, *, live: bool = False) -> str | None:
         """Return one line if the levels are not those of the training, None if they are or a hint says why not."""
-        factors = self._diagnosis.wrong_scales(live=live)
-        return scale_warning(factors, self._model, name_channels=len(self._diagnosis.channels) > 1)
+        factors = self.wrong_scales(live=live)
+        return scale_warning(factors, self.model, name_channels=len(self.channels) > 1)
 
     # -- words ----------------------------------------------------------------------------------------
 
     def _words(self, finding: Finding, has_steps: bool) -> tuple[str, str]:
         """Return reason and advice."""
-        model, value = self._model, finding.value
+        model, value = self.model, finding.value
         is_enough = self._kind == "window" or self._has_usable(CALIBRATED)
         low, high = model.sampling_rates
         rates = f"{low:g}" if low == high else f"{low:g} to {high:g}"
@@ -187,7 +176,7 @@ class Hints:
 
     @property
     def _is_of_beam(self) -> bool:
-        return self._model.beam is not None and not self._labelled
+        return self.model.beam is not None and not self._labelled
 
     # -- steps ----------------------------------------------------------------------------------------
 
@@ -221,15 +210,15 @@ class Hints:
 
     def _predict_with(self, model: str) -> str:
         """Return the command for a model made here; what only the former one asks for is left out."""
-        is_for_all = self._model.together > 1 or self._diagnosis.channels.keys() >= set(self._all_channels)
+        is_for_all = self.model.together > 1 or self.channels.keys() >= set(self._all_channels)
         options = self._options if is_for_all else self._for_one()  # others may be of another quantity
         return shlex.join(["cgid", "predict", self._source, *options, "--model", model])
 
     def _turned(self) -> tuple[str, ...]:
         """Return the command that turns the signal over, without the channels that need it not."""
         options = [*self._options, *self._answering]
-        turned, channels = self._diagnosis.upside_down, self._diagnosis.channels
-        if channels.keys() - turned and self._model.together == 1:
+        turned, channels = self.upside_down, self.channels
+        if channels.keys() - turned and self.model.together == 1:
             names = [name for name in channels if name in turned]
             options = _without(options, ("--channel",)) + [word for name in names for word in ("--channel", name)]
         turn = [] if "--invert" in options else ["--invert"]
@@ -244,10 +233,10 @@ class Hints:
     def _in_other_unit(self, factor: float) -> tuple[str, ...]:
         """Return the command with the unit that makes the signal so many times as small; none if no unit does."""
         given = dict(pairwise(self._options)).get("--unit", "")
-        units = UNITS[self._model.quantity]
+        units = UNITS[self.model.quantity]
         if given not in units or self._is_converted("--unit"):
             return ()
-        away = {unit: abs(np.log10(units[given] / units[unit] / factor)) for unit in _spellings(self._model.quantity)}
+        away = {unit: abs(np.log10(units[given] / units[unit] / factor)) for unit in _spellings(self.model.quantity)}
         nearest = min(away, key=lambda unit: away[unit])
         return (self._predict("--unit", nearest),) if away[nearest] < _SAME_UNIT else ()
 
@@ -271,11 +260,11 @@ class Hints:
         return (*_without(self._options, ("--channel",)), "--channel", name)
 
     def _best(self) -> str:
-        channels = self._diagnosis.channels
+        channels = self.channels
         return max(channels, key=lambda name: channels[name].n_usable)
 
     def _has_usable(self, n_impacts: int) -> bool:
-        return self._labelled or self._diagnosis.channels[self._best()].n_usable >= n_impacts
+        return self._labelled or self.channels[self._best()].n_usable >= n_impacts
 
     def _training(self) -> tuple[str, ...]:
         """Return the steps that make a model of this recording's own; none if it is too short for that."""
@@ -287,7 +276,7 @@ class Hints:
         if self._labelled:
             return (shlex.join(["cgid", "train", self._source, "-o", model]), self._predict_with(model))
         options, table = list(self._for_one()), _unused("events", ".csv")
-        if self._model.quantity == "level" and "--unit" not in options:
+        if self.model.quantity == "level" and "--unit" not in options:
             options += ["--unit", "FS"]
         dead_time = [word for pair in pairwise(options) if pair[0] == "--dead-time" for word in pair]
         return (

@@ -29,7 +29,7 @@ _LOCAL_HEAD, _HEADER = 30, b"header.npy"
 def info(file: str, as_json: bool, reading: Reading) -> None:
     """Say what is in FILE: a dataset, a table, a model, or a recording (every channel)."""
     from cgid.recordings import is_dataset
-    from cgid.store import is_table
+    from cgid.store.table import is_table
 
     if is_table(file):
         content = _table(file)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -120,13 +120,8 @@ class TableOutput:
     def _opened(self) -> Callable[[list[Any]], object]:
         """Write the head of the table, and return what writes a row."""
         titles, columns = self._titles, self.columns
-
-        def line(row: list[Any]) -> str:
-            return _line([column.cell(value) for column, value in zip(columns, row, strict=True)])
-
         if self._path is None:
-            _print_line(_line(titles))
-            return lambda row: _print_line(line(row))
+            return _csv_writer(_print_line, columns)
         from cgid.files import clear_half_written, whole_file
 
         clear_half_written(self._path)
@@ -140,8 +135,7 @@ class TableOutput:
         stream = self._files.enter_context(file.open("w", encoding="utf-8", newline=""))
         if suffix == ".jsonl":
             return lambda row: stream.write(json.dumps(finite(dict(zip(titles, row, strict=True)))) + "\n")
-        stream.write(_line(titles) + "\n")
-        return lambda row: stream.write(line(row) + "\n")
+        return _csv_writer(lambda line: stream.write(line + "\n"), columns)
 
 
 class WrittenTable(NamedTuple):
@@ -230,11 +224,17 @@ def _print_line(line: str) -> None:
         say(part)
 
 
-def _line(texts: list[str]) -> str:
-    """Return a row of CSV without its end; the writer quotes only those line breaks that end its own lines."""
-    line = io.StringIO()
-    csv.writer(line, lineterminator="\r\n").writerow(texts)
-    return line.getvalue().removesuffix("\r\n")
+def _csv_writer(put: Callable[[str], object], columns: Sequence[Column]) -> Callable[[list[Any]], None]:
+    """Put the titles of a CSV table, and return what puts a row, without the end of the line."""
+
+    def put_row(texts: Iterable[str]) -> None:
+        line = io.StringIO()
+        # The writer quotes only those line breaks that end its own lines.
+        csv.writer(line, lineterminator="\r\n").writerow(texts)
+        put(line.getvalue().removesuffix("\r\n"))
+
+    put_row(column.title for column in columns)
+    return lambda row: put_row(column.cell(value) for column, value in zip(columns, row, strict=True))
 
 
 def _plain(value: Any) -> Any:

@@ -118,10 +118,10 @@ def _is_file(path: str) -> bool:
 def _is_foreign(path: str) -> bool:
     """Return whether this is a file that cgid has not written, and so a recording of another program."""
     from cgid.recordings import is_dataset
-    from cgid.store import is_table
     from cgid.store.description import is_hdf5
     from cgid.store.reading import is_recording
     from cgid.store.run import is_single_file
+    from cgid.store.table import is_table
 
     file = Path(path)
     if is_table(path) or is_dataset(path) or is_recording(path):

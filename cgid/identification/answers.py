@@ -381,7 +381,8 @@ def answers_from(
     novelties = model.novelty(inputs, guards)
     probabilities = vote(model.probabilities(inputs), novelties <= 1)
     outliers = np.flatnonzero(novelties > 1)
-    causes = dict(zip(outliers.tolist(), causes_of(model, inputs[outliers], guards[outliers]), strict=True))
+    causes = causes_of(model, inputs[outliers], guards[outliers]) if outliers.size else []
+    cause_of = dict(zip(outliers.tolist(), causes, strict=True))
     column = guards.T[model.guards.index("beam_unexplained")] if "beam_unexplained" in model.guards else None
     levels = model.levels(inputs)
     untrained = "" if model.covers(sampling_rate) else f"not trained at {sampling_rate:g} Hz"
@@ -396,7 +397,7 @@ def answers_from(
             in_training_range=not (outside or untrained),
             problem=outside or settings.doubt(labels) or untrained,
             prediction_set=labels,
-            cause=causes.get(row),
+            cause=cause_of.get(row),
             unexplained=float("nan") if column is None else float(column[row]),
             level=float(levels[row]),
         )

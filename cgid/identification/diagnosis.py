@@ -290,8 +290,9 @@ class Diagnosis:
         self.upside_down: set[str] = set()
         self._next_test = _MIN_LEVELS
 
-    def add(self, answers: Iterable[Answer]) -> None:
-        """Count more answers."""
+    def add(self, answers: Iterable[Answer], upside_down: Iterable[str] = ()) -> None:
+        """Count more answers, and channels that are upside down."""
+        self.upside_down.update(upside_down)
         for answer in answers:
             channel = self.channels.setdefault(answer.channel, ChannelAnswers())
             channel.add(answer, is_vibration=self.model.kind == "vibration")

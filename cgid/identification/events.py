@@ -161,20 +161,21 @@ class Framing:
     longest: int
     pre_trigger: int | None  # see `Event`
     shortest: int  # an impact that the recording cuts off sooner after its onset cannot be measured
+    late: int  # how far before its onset the next impact may begin
 
     @classmethod
     def of(cls, kind: str, sampling_rate: float) -> Framing:
         """Return the framing for a kind of impact at a sampling rate [Hz]."""
-        lead = max(round(LEAD_TIME * sampling_rate), 1)
+        lead, late = max(round(LEAD_TIME * sampling_rate), 1), round(_LATE * sampling_rate)
         if kind == "pulse":
             quiet = max(round(PULSE_QUIET_TIME * sampling_rate), _FEWEST)
             length = max(round(PULSE_TIME * sampling_rate), _FEWEST)
-            return cls(sampling_rate, quiet, min(lead, quiet // 2), length, _LONGEST * length, None, 0)
+            return cls(sampling_rate, quiet, min(lead, quiet // 2), length, _LONGEST * length, None, 0, late)
         quiet = max(round(QUIET_TIME * sampling_rate), 2)
         length = max(round(EVENT_TIME * sampling_rate), 16)
         shortest = int(np.ceil(MIN_EVENT * sampling_rate))
         lead = min(lead, quiet // 2)
-        return cls(sampling_rate, quiet, lead, length, length, quiet - lead, shortest)
+        return cls(sampling_rate, quiet, lead, length, length, quiet - lead, shortest, late)
 
     def length_of(self, onset: Onset) -> int:
         """Return the length, from the onset on, of the frame for a completed impact."""
@@ -182,16 +183,6 @@ class Framing:
         while onset.last is not None and length < self.longest and length <= onset.last + 1 - onset.sample:
             length *= _LONGER
         return length
-
-    @property
-    def n_samples(self) -> int:
-        """Length of a whole frame."""
-        return self.quiet + self.length
-
-    @property
-    def late(self) -> int:
-        """How far before its onset the next impact may begin [samples]."""
-        return round(_LATE * self.sampling_rate)
 
     def reach(self, length: int) -> int:
         """Return the distance from which a later onset has no part in a frame of this length."""

@@ -137,13 +137,7 @@ class Model:
         check_names(self)
         check_numbers(self)
         check_training(self)
-        _ = (
-            self._classifier,
-            self.conformal,
-            self.contrast,
-            self.beam,
-            self.confusion,
-        )  # their constructors check the arrays
+        _ = self._classifier, self.conformal, self.contrast, self.beam, self.confusion  # they check their arrays
 
     def __repr__(self) -> str:
         n_more = len(self.inputs) - 4
@@ -169,17 +163,17 @@ class Model:
         recorded = self.training.get("recorded", {})
         return bool(recorded.get("fewest_groups", MIN_GROUPS) < MIN_GROUPS)
 
-    @property
+    @cached_property
     def measured(self) -> tuple[str, ...]:
         """Features to measure: those of the classifier, then the guards."""
         return self.features + self.guards
 
-    @property
+    @cached_property
     def kind(self) -> Kind:
         """Kind of the signals: pulse, vibration or window."""
         return kind_of(self.measured)
 
-    @property
+    @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Inputs of the classifier: the features, channel by channel, then the known quantities."""
         return inputs_of(self.features, self.n_channels) + self.known
@@ -267,7 +261,8 @@ class Model:
         -------
         ndarray, (n_impacts,)
         """
-        distance = self.distance(inputs)
+        neighbourhood = self.neighbourhood
+        distance = _in_blocks(neighbourhood.novelty, self._standardised(inputs), neighbourhood.centres.size)
         if guards is None and not self.guards:
             guards = np.empty((len(inputs), 0))
         guards = None if guards is None else validation.plain("guards", guards)
@@ -342,11 +337,6 @@ class Model:
         if self._level_weights is None:
             return np.full(len(inputs), np.nan)
         return np.asarray(self._standardised(inputs) @ self._level_weights[0])
-
-    def distance(self, inputs: Floats) -> Floats:
-        """Return the part of the novelty that is due to the inputs, not to the guards, (n_impacts,)."""
-        neighbourhood = self.neighbourhood
-        return _in_blocks(neighbourhood.novelty, self._standardised(inputs), neighbourhood.centres.size)
 
     def foremost(self, inputs: Floats) -> NDArray[np.intp]:
         """Return the number of the input that contributes most to the distance of each impact, (n_impacts,)."""

@@ -41,7 +41,7 @@ from cgid.identification.model import Model
 from cgid.identification.prediction_settings import RULES, PredictionSettings
 from cgid.validation import Floats
 
-__all__ = ["CavingWatch", "Share", "ShareWindow", "wilson_interval"]
+__all__ = ["CavingWatch", "Share"]
 
 #: Probability of the share to lie in its interval.
 LEVEL = 0.95
@@ -128,25 +128,6 @@ def answers_of(model: Model, gangue: Collection[str]) -> Confusion | NoConfusion
 class ShareWindow:
     """The impacts of the last seconds, and their gangue fraction.
 
-    Parameters
-    ----------
-    length : float [s]
-        Of the window.
-    answers : Confusion or NoConfusion
-        What the model answers to gangue (its second label) and to coal.
-    weight : float, in (0, 1]
-        Weight of one answer, because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap.
-    channel : str
-    threshold : float
-        Share for `Share.above`.
-
-    Raises
-    ------
-    InvalidValue
-        A number is outside of its range.
-
-    Examples
-    --------
     Four certain impacts give the mode and the interval of Beta(1 + 1, 3 + 1).
 
     >>> window = ShareWindow(10.0)
@@ -165,6 +146,8 @@ class ShareWindow:
         channel: str = "1",
         threshold: float = 0.5,
     ) -> None:
+        # The weight of one answer is below 1 where windows overlap: 1 end to end, .5 for half overlap; the threshold is
+        # for `Share.above`.
         self.length = validation.number("window", length, "s", validation.positive)
         self.channel = channel
         if not 0 < weight <= 1:
@@ -175,29 +158,11 @@ class ShareWindow:
         self._impacts: deque[tuple[float, float]] = deque()
 
     def add(self, time: float, probability: float) -> None:
-        """Take the gangue probability of an impact at a time [s], nan if unknown; calls come in order of time.
-
-        Parameters
-        ----------
-        time : float [s]
-            Time of the impact.
-        probability : float
-            Of gangue.
-        """
+        """Take the gangue probability of an impact at a time [s], nan if unknown; calls come in order of time."""
         self._impacts.append((time, probability))
 
     def at(self, time: float) -> Share:
-        """Return the share in the window that ends at a time [s], and forget all earlier impacts.
-
-        Parameters
-        ----------
-        time : float [s]
-            End of the window.
-
-        Returns
-        -------
-        Share
-        """
+        """Return the share in the window that ends at a time [s], and forget all earlier impacts."""
         start = time - self.length
         while self._impacts and self._impacts[0][0] <= start:
             self._impacts.popleft()
@@ -330,8 +295,8 @@ class CavingWatch:
         Names of the channels.
     settings : PredictionSettings
         Holds the share window, its step, the labels and the cost of gangue.
-    weight : float
-        As in `ShareWindow`.
+    weight : float, in (0, 1]
+        Weight of one answer, because overlapping windows repeat each other: 1 end to end, 0.5 for half overlap.
     """
 
     def __init__(
@@ -416,19 +381,6 @@ _Z = 1.959963984540054
 def wilson_interval(share: float, total: float) -> tuple[float, float]:
     """Return the 95 % score interval of a share of independent trials (Wilson 1927).
 
-    Parameters
-    ----------
-    share : float, in [0, 1]
-    total : float
-        Number of trials.
-
-    Returns
-    -------
-    tuple of two floats
-        Lower and upper end.
-
-    Examples
-    --------
     >>> [round(end, 4) for end in wilson_interval(0.9, 100)]
     [0.8256, 0.9448]
     """

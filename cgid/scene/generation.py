@@ -28,12 +28,12 @@ from cgid.scene.plan import Plan
 from cgid.scene.schema import Scene, load_scene
 from cgid.scene.synthesis import columns_of, synthesise
 from cgid.signals import Batch
-from cgid.store import TableHeader, check_table_output, table_writer
 from cgid.store.dataset import describe_dataset, shard_content
 from cgid.store.description import COMPRESSIONS, DIGEST, FORMAT, SCHEMA_VERSION
 from cgid.store.folder import Description
 from cgid.store.hdf5 import ShardPlan, library, require
 from cgid.store.run import Run, begun, check_output, is_single_file, require_description
+from cgid.store.table import TableHeader, check_table_output, table_writer
 from cgid.workers import ALONE, Workers, workers
 
 #: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.

@@ -21,7 +21,7 @@ from cgid.scene.plan import OF_TAPS, TRUE, Plan, plan
 from cgid.scene.schema import Scene, load_scene
 from cgid.scene.sensor import Sensor, clip
 from cgid.signals import Batch
-from cgid.store import Rows
+from cgid.store.table import Rows
 from cgid.validation import Floats
 
 #: Blocks drawn and measured at once, to share the overhead, and most samples of their frames (16 MB).

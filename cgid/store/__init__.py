@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cgid.store.description import FORMAT, SCHEMA_VERSION
     from cgid.store.reading import Dataset
-    from cgid.store.table import Rows, Table, TableHeader, check_table_output, is_table, read_table, table_writer
+    from cgid.store.table import Table, read_table
 
-__all__ = [
-    "FORMAT",
-    "SCHEMA_VERSION",
-    "Dataset",
-    "Rows",
-    "Table",
-    "TableHeader",
-    "check_table_output",
-    "is_table",
-    "read_table",
-    "table_writer",
-]
+__all__ = ["FORMAT", "SCHEMA_VERSION", "Dataset", "Table", "read_table"]
 
 #: Where each public name lives.
 _HOMES = dict.fromkeys(__all__, "table") | {

@@ -37,21 +37,11 @@ _SAYS_SO = f'"format": "{TABLE_FORMAT}"'.encode()
 
 @dataclass(frozen=True, kw_only=True)
 class TableHeader:
-    """The header of a table.
+    """The header of a table."""
 
-    Attributes
-    ----------
-    kind : str
-        Content of the rows: "features", "closed-form" or "parameters".
-    units : dict
-        The columns besides label and specimen, and their units.
-    attributes : dict
-        Numbers and strings that describe how the data was made.
-    """
-
-    kind: str
-    units: Mapping[str, str]
-    attributes: Mapping[str, Any]
+    kind: str  # content of the rows: "features", "closed-form" or "parameters"
+    units: Mapping[str, str]  # the columns besides label and specimen, and their units
+    attributes: Mapping[str, Any]  # numbers and strings that describe how the data was made
 
     @property
     def text(self) -> str:
@@ -62,14 +52,7 @@ class TableHeader:
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Some rows of a table.
-
-    Attributes
-    ----------
-    labels : ndarray of str, (n,)
-    specimen : ndarray of uint64, (n,)
-    columns : dict of ndarray, each (n,)
-    """
+    """Some rows of a table: labels, specimens and each column (n,)."""
 
     labels: NDArray[np.str_]
     specimen: NDArray[np.uint64]
@@ -85,37 +68,18 @@ class Table(Rows):
 
     Attributes
     ----------
-    labels, specimen, columns
-        As in `Rows`.
+    labels : ndarray of str, (n,)
+    specimen : ndarray of uint64, (n,)
+    columns : dict of ndarray, each (n,)
     header : TableHeader
+        With `kind`, `units` and `attributes`.
     """
 
     header: TableHeader
 
 
 def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
-    """Return the output as a path if a table may be written there; run before any work is done.
-
-    Parameters
-    ----------
-    output : str or Path
-        Its ending sets the format.
-    overwrite : bool
-        Whether an existing file is allowed.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InvalidValue
-        The name has another ending than .h5, .hdf5, .parquet or .csv.
-    MissingExtra
-        The Parquet library is needed and not installed.
-    CannotCreate
-        The file exists, or the parent folder is missing.
-    """
+    """Return the output as a path if a table may be written there; run before any work is done."""
     path = Path(output)
     if path.suffix.lower() not in TABLE_SUFFIXES:
         raise InvalidValue(f"{path}: the name of a table must end in {', '.join(TABLE_SUFFIXES)}; choose such a name")
@@ -158,29 +122,7 @@ class TableWriter:
 def table_writer(
     path: str | Path, header: TableHeader, label_width: int, *, overwrite: bool = True
 ) -> Iterator[TableWriter]:
-    """Yield the writer of a table; the file name has its old content or the whole table.
-
-    Parameters
-    ----------
-    path : str or Path
-        Its ending sets the format; see `check_table_output`.
-    header : TableHeader
-    label_width : int
-        Bytes of the longest label.
-    overwrite : bool
-        Whether to replace an existing file.
-
-    Yields
-    ------
-    TableWriter
-
-    Raises
-    ------
-    CannotCreate
-        The folder is missing or not writable, or the name has been taken meanwhile.
-    WriteFailed
-        The disk is full or broken; nothing is left behind.
-    """
+    """Yield the writer of a table; the file name has its old content or the whole table."""
     written = {".csv": _written_csv, ".parquet": _written_parquet}.get(Path(path).suffix.lower(), _written_hdf5)
     clear_half_written(Path(path))
     with whole_file(path, overwrite=overwrite) as temporary, written(temporary, header, label_width) as write:
@@ -368,16 +310,7 @@ def _damaged(path: str | Path, error: Exception) -> BadData:
 
 
 def is_table(path: str | Path) -> bool:
-    """Return whether a file has the header of a cgid table; False if it cannot be read.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a file has the header of a cgid table; False if it cannot be read."""
     suffix = Path(path).suffix.lower()
     try:
         if suffix == ".parquet":

@@ -84,11 +84,8 @@ PAGES: dict[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "output": (
-        "Pictures and reports: cgid.plots, cgid.report",
-        (
-            "cgid.plots",
-            "cgid.report",
-        ),
+        "Pictures: cgid.plots",
+        ("cgid.plots",),
     ),
 }
 
