@@ -81,10 +81,7 @@ class AnswerLines:
         if self.as_json:
             return
         columns = answer_columns(
-            model,
-            sets=settings.coverage is not None,
-            datasets=self._datasets,
-            impactors=settings.impactors is not None,
+            model, sets=settings.coverage is not None, datasets=self._datasets, impactors=settings.impactors is not None
         )
         if lacking := self._table.begin(columns):
             raise BadData(

@@ -158,7 +158,7 @@ def _frames(recordings: tuple[str, ...], scene: Scene, reading: Reading) -> tupl
 
 def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
     """Return the impacts of a recording in the unit of a scene's sensor."""
-    from cgid.identification.detection import ImpactDetector
+    from cgid.cli.events import found_impacts
     from cgid.identification.labelled_recordings import unit_of
     from cgid.site.calibration import check_scene
     from cgid.units import UNITS, quantity_of
@@ -176,17 +176,7 @@ def _found(recording: Any, scene: Scene, reading: Reading) -> list[Event]:
             f"{quantity} [{unit}]; choose another channel, or say --unit"
         )
     check_scene(scene, recording.sampling_rate)
-    factor = UNITS[quantity][unit] * (-1 if reading.invert else 1)
-    detector = ImpactDetector(recording.sampling_rate, kind="vibration", dead_time=reading.dead_time, gaps=True)
-    events: list[Event] = []
-    for block in recording.blocks_with_gaps():
-        events += detector.feed(block * factor)
-    events += detector.finish()
-    for warning in recording.warnings:
-        warn(warning)
-    if not events:
-        raise BadData(f"{recording.source}: {detector.why_silent(unit=unit)}")
-    return events
+    return found_impacts(recording, "vibration", reading, UNITS[quantity][unit])
 
 
 def _of_dataset(path: str, scene: Scene) -> tuple[NDArray[np.floating], float, int]:

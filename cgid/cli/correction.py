@@ -17,14 +17,7 @@ _LOOK = 20
 
 
 def correct_model(
-    manifest: Manifest,
-    base: str,
-    path: Path,
-    reading: Reading,
-    *,
-    strict: bool,
-    plots: bool,
-    as_json: bool,
+    manifest: Manifest, base: str, path: Path, reading: Reading, *, strict: bool, plots: bool, as_json: bool
 ) -> int:
     """Write a model corrected by labelled impacts, and say how good it is on their site."""
     from cgid.identification.card import correction_section, write_model

@@ -18,6 +18,7 @@ from cgid.terminal import counted
 
 if TYPE_CHECKING:
     from cgid.identification.events import Event
+    from cgid.measure.table import ImpactKind
     from cgid.recordings import RecordingFile
 
 #: An interval begins this long before its impact, because a channel may hear it sooner than another [s].
@@ -99,14 +100,14 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
     """Yield a row for each impact of a recording; the columns are those of a manifest and informative ones."""
     from cgid.identification.labelled_recordings import unit_of
     from cgid.identification.manifest import path_from
+    from cgid.measure.features import kind_for
+    from cgid.units import quantity_of
 
     if file == "-":
         raise InvalidValue("stdin: a table of impacts must name files, a stream has no name; save it first")
     recording = reading.recording(file)
     unit = unit_of(recording)
-    events = _find_impacts(recording, unit, reading)
-    for warning in recording.warnings:
-        warn(warning)
+    events = found_impacts(recording, kind_for(quantity_of(unit)), reading, joint=True)
     chain = {name: ";".join(values) for name, values in reading.chain.items() if values}
     given = {
         **chain,
@@ -137,26 +138,23 @@ def _rows(file: str, folder: Path, reading: Reading) -> Iterator[dict[str, str]]
         }
 
 
-def _find_impacts(recording: RecordingFile, unit: str, reading: Reading) -> list[Event]:
-    """Return the impacts of a recording, joint over its channels; raises `BadData` if there is none."""
+def found_impacts(
+    recording: RecordingFile, kind: ImpactKind, reading: Reading, factor: float = 1.0, *, joint: bool = False
+) -> list[Event]:
+    """Return the impacts of a recording, whose samples are multiplied first; raises `BadData` if there is none."""
     from cgid.identification.detection import ImpactDetector
-    from cgid.measure.features import kind_for
-    from cgid.units import quantity_of
 
-    detector = ImpactDetector(
-        recording.sampling_rate,
-        len(recording.channels),
-        kind=kind_for(quantity_of(unit)),
-        dead_time=reading.dead_time,
-        joint=True,
-        gaps=True,
-    )
+    n_channels, factor = len(recording.channels), -factor if reading.invert else factor
+    rate, dead_time = recording.sampling_rate, reading.dead_time
+    detector = ImpactDetector(rate, n_channels, kind=kind, dead_time=dead_time, joint=joint, gaps=True)
     events: list[Event] = []
-    for block in recording.blocks_with_gaps(joint=True):
-        events += detector.feed(-block if reading.invert else block)
+    for block in recording.blocks_with_gaps(joint=joint):
+        events += detector.feed(block * factor)
     events += detector.finish()
+    for warning in recording.warnings:
+        warn(warning)
     if not events:
-        raise BadData(f"{recording.source}: {detector.why_silent(unit=unit)}")
+        raise BadData(f"{recording.source}: {detector.why_silent(unit=recording.channels[0].unit)}")
     return events
 
 

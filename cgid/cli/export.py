@@ -39,10 +39,7 @@ def export(data: str, output: str, overwrite: bool) -> None:
 )
 @click.argument("model", type=MODEL)
 @click.option(
-    "--to",
-    type=click.Choice(["c", "onnx"]),
-    required=True,
-    help="Choose the format: one C99 file, or an ONNX graph.",
+    "--to", type=click.Choice(["c", "onnx"]), required=True, help="Choose the format: one C99 file, or an ONNX graph."
 )
 @click.option("-o", "--output", type=PATH, required=True, help="Write this file, ending in .c or .onnx.")
 @overwrite_option

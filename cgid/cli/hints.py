@@ -31,14 +31,8 @@ _WORDS = {
         "they are too weak, only {value:.2g} times as strong as what is before them",
         "record nearer to the impacts, or with less noise",
     ),
-    "hidden": (
-        "they are too weak, not clear of the noise",
-        "record nearer to the impacts, or with less noise",
-    ),
-    "drowned": (
-        "they are drowned in noise that the training does not have",
-        "record nearer, or with less noise",
-    ),
+    "hidden": ("they are too weak, not clear of the noise", "record nearer to the impacts, or with less noise"),
+    "drowned": ("they are drowned in noise that the training does not have", "record nearer, or with less noise"),
     "clipped": ("they are clipped at the limit of the recorder", "record with a larger range"),
     "cut_off": (
         "the recording begins or ends within them",

@@ -237,12 +237,7 @@ def _follow(
     names = [channel.name for channel in live.channels]
     inbox, delay = Inbox(live, live.sampling_rate), DelayReport(live.source, lines)
     gaps = Gaps(
-        live.channels,
-        live.sampling_rate,
-        warned,
-        give_up=settings.give_up,
-        joint=model.together > 1,
-        at_once=True,
+        live.channels, live.sampling_rate, warned, give_up=settings.give_up, joint=model.together > 1, at_once=True
     )
     blocks: Iterable[NDArray[Any]] = scaled(gaps.marked(inbox), factors)
     if outputs is not None:

@@ -355,10 +355,7 @@ answering_options = _options(
         "--window", "share_time", type=float, help="Let the gangue share look back this long [s], by default 10."
     ),
     click.option(
-        "--gangue",
-        multiple=True,
-        metavar="LABEL",
-        help="Count this label as gangue, or several, one an option.",
+        "--gangue", multiple=True, metavar="LABEL", help="Count this label as gangue, or several, one an option."
     ),
     click.option(
         "--dilution-cost",
@@ -366,9 +363,7 @@ answering_options = _options(
         help="Say what drawn gangue costs, in units of lost coal, by default 1; it decides when to shut.",
     ),
     click.option(
-        "--evidence",
-        type=float,
-        help="Say SHUT or OPEN when it is right with this probability, by default 0.95.",
+        "--evidence", type=float, help="Say SHUT or OPEN when it is right with this probability, by default 0.95."
     ),
     click.option(
         "--hold", type=float, help="Keep to SHUT or OPEN at least this long [s], by default as long as the window."

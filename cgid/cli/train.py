@@ -63,10 +63,7 @@ _OF_TRAINING = (
     help="Write this model file, ending in .npz; the model card is written beside it as .md.",
 )
 @click.option(
-    "--template",
-    type=PATH,
-    metavar="FILE.csv",
-    help="Write a manifest of the recordings, for you to fill in.",
+    "--template", type=PATH, metavar="FILE.csv", help="Write a manifest of the recordings, for you to fill in."
 )
 @click.option(
     "--family",
@@ -341,10 +338,7 @@ def _from_recordings(
 
     window, hop = options["window_time"], options["hop_time"]
     slicing = Slicing(
-        by=options["by"],
-        window_time=window,
-        hop_time=window / 2 if hop is None else hop,
-        dead_time=reading.dead_time,
+        by=options["by"], window_time=window, hop_time=window / 2 if hop is None else hop, dead_time=reading.dead_time
     )
     with progress_bar(manifest.n_intervals, "rows", "measuring") as progress:
         rows = record(

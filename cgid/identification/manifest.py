@@ -49,21 +49,7 @@ MAX_FILE_SIZE, _MAX_KEYS = 16 << 20, 1_000_000
 #: Length of the beginning of a CSV file that shows whether it is a recording [bytes].
 _HEAD = 1 << 14
 #: Keys that may apply to all recordings of a TOML manifest.
-_SHARED = (
-    *(
-        "group",
-        "channel",
-        "gain",
-        "sensor",
-        "rate",
-        "unit",
-        "variable",
-        "format",
-        "sensitivity",
-        "full_scale",
-        "invert",
-    ),
-)
+_SHARED = tuple(name for name in COLUMNS if name not in ("path", "label", "start", "end", "reference"))
 #: Columns that hold for a recording as a whole, and where annotations hold them.
 _OF_RECORDINGS = {
     **{name: name for name in ("sensitivity", "full_scale", "unit", "variable", "format", "invert")},

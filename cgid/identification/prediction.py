@@ -142,12 +142,7 @@ def predict(
     applied = replace(PredictionSettings(), **settings)
     if isinstance(samples, str | Path):
         signals = read_recording(
-            samples,
-            sampling_rate=sampling_rate,
-            unit=unit,
-            sensitivity=sensitivity,
-            gain=gain,
-            full_scale=full_scale,
+            samples, sampling_rate=sampling_rate, unit=unit, sensitivity=sensitivity, gain=gain, full_scale=full_scale
         )
     else:
         signals = _measured(samples, sampling_rate, unit, Chain.of(sensitivity, gain, full_scale))

@@ -38,11 +38,7 @@ DEFAULT_GUARDS = ("unexplained",)
 #: Features of a model of pulses: the fitted pulse, and the uncertainty of its shape.
 FEW_FEATURES = ("fitted_peak", "fitted_width", "shrunken_restitution", "shrunken_restitution_deviation")
 #: These, and what tells laws of loss apart: the uncertainty of the peak, and the shape of what the fit leaves.
-DEFAULT_FEATURES = (
-    *FEW_FEATURES,
-    "fitted_peak_deviation",
-    *(f"pulse_shape_{n}" for n in (1, 2, 3, 4)),
-)
+DEFAULT_FEATURES = (*FEW_FEATURES, "fitted_peak_deviation", *(f"pulse_shape_{n}" for n in (1, 2, 3, 4)))
 #: Features of a model of vibrations, where sampling rate and frame allow: levels by frequency, over the whole frame and
 #: while the force acts. They depend on the gain, because the strength of the impact is the most informative.
 DEFAULT_VIBRATION_FEATURES = (

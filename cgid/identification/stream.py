@@ -62,10 +62,7 @@ class Step:
 
 @renamed_arguments(question="settings")
 def identify_recording(
-    recording: RecordingFile,
-    model: Model,
-    settings: PredictionSettings | None = None,
-    **fields: Any,
+    recording: RecordingFile, model: Model, settings: PredictionSettings | None = None, **fields: Any
 ) -> Iterator[Answer]:
     """Yield the answers for a recording, in order of time; it is read block by block.
 

@@ -18,14 +18,7 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
 from cgid.recordings.recording import DATASET_CURE, MAX_ARRAYS, MAX_CHANNELS, Blocks, understood
-from cgid.recordings.variables import (
-    Value,
-    Variable,
-    contents_of,
-    full_scale_of,
-    is_statement,
-    orientation,
-)
+from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, orientation
 
 if TYPE_CHECKING:
     from cgid.store.foreign import ForeignArray

@@ -215,10 +215,7 @@ class Chain:
 
     @classmethod
     def of(
-        cls,
-        sensitivity: Statement | None = None,
-        gain: Statement | None = None,
-        full_scale: Statement | None = None,
+        cls, sensitivity: Statement | None = None, gain: Statement | None = None, full_scale: Statement | None = None
     ) -> Chain:
         """Return the chain of some statements; raise `InvalidValue` if one is wrong."""
         return cls(

@@ -198,13 +198,7 @@ def _parsed_at_once(text: str, layout: Layout) -> Floats | None:
 
 
 def _checked_rows(
-    text: str,
-    layout: Layout,
-    times: Sequence[int],
-    needed: Sequence[int],
-    sample: int,
-    first_line: int,
-    source: str,
+    text: str, layout: Layout, times: Sequence[int], needed: Sequence[int], sample: int, first_line: int, source: str
 ) -> Iterator[str]:
     # Only the last line of the file may lack its line feed.
     unended = first_line + text.count("\n")

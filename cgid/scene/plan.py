@@ -107,8 +107,14 @@ class Plan:
         return {stage: self._decision(stage) for stage in STAGES}
 
     def _decision(self, stage: str) -> Decision:
+        """Return the decision for a stage, made once."""
         if stage not in self._decided:
-            self._decided[stage] = _decide(self, stage)
+            needs, decide = STAGES[stage]
+            lacking = next(
+                (otherwise for has, otherwise in (_NEEDS[need] for need in needs.split()) if not has(self)), None
+            )
+            found = Decision(False, lacking) if lacking else decide(self)
+            self._decided[stage] = found if isinstance(found, Decision) else Decision(bool(found), found or "off")
         return self._decided[stage]
 
     @cached_property
@@ -376,19 +382,6 @@ def _rebounds(plan: Plan) -> str | Decision:
     return f"by formula, {stream.rebounds.most} rebounds at most, none slower than {stream.rebounds.least_speed:g} m/s"
 
 
-def _pulses(_: Plan) -> str:
-    return "samples in contact only"
-
-
-def _taps(plan: Plan) -> str | Decision:
-    return "samples in contact only" if plan.scene.taps else Decision(False, "the scene has none")
-
-
-def _second_hits(plan: Plan) -> str:
-    some = any(source.second_hit is not None for source in plan.scene.sources)
-    return "the same pulse once more, delay and ratio are drawn" * some
-
-
 def _tail_beam(plan: Plan) -> Decision:
     scene = plan.scene
     if scene.tail_beam is None:
@@ -476,10 +469,6 @@ def _background(plan: Plan) -> str:
     return ", ".join(on) + "; always whole frames" * bool(on)
 
 
-def _clipping(plan: Plan) -> str:
-    return "clipped_at is drawn" * any(source.clipped_at is not None for source in plan.scene.sources)
-
-
 def _digitising(plan: Plan) -> str:
     names = ("offset", "drift", "range", "relative_range", "bits")
     drawn = [name for name in names if plan.scene.draws(name)]
@@ -515,25 +504,28 @@ STAGES: Mapping[str, tuple[str, Callable[[Plan], str | Decision]]] = {
     "gravity": ("rocks results", _gravity),
     "coupling": ("rocks results", _coupling),
     "rebounds": ("stream recordings", _rebounds),
-    "pulses": ("signals rocks", _pulses),
-    "taps": ("signals", _taps),
-    "second hits": ("signals", _second_hits),
+    "pulses": ("signals rocks", lambda _: "samples in contact only"),
+    "taps": (
+        "signals",
+        lambda asked: "samples in contact only" if asked.scene.taps else Decision(False, "the scene has none"),
+    ),
+    "second hits": (
+        "signals",
+        lambda asked: (
+            "the same pulse once more, delay and ratio are drawn"
+            * any(source.second_hit is not None for source in asked.scene.sources)
+        ),
+    ),
     "tail beam": ("sensor", _tail_beam),
     "sensor chain": ("sensor", _sensor_chain),
     "rest of the frames": ("signals", _frame_remainder),
     "bandwidth": ("sensor", _bandwidth),
     "noise": ("sensor", _noise),
     "background": ("sensor", _background),
-    "clipping": ("sensor", _clipping),
+    "clipping": (
+        "sensor",
+        lambda asked: "clipped_at is drawn" * any(source.clipped_at is not None for source in asked.scene.sources),
+    ),
     "offset, range and bits": ("sensor", _digitising),
     "features": ("", _measuring),
 }
-
-
-def _decide(asked: Plan, stage: str) -> Decision:
-    needs, decide = STAGES[stage]
-    for has, otherwise in (_NEEDS[need] for need in needs.split()):
-        if not has(asked):
-            return Decision(False, otherwise)
-    found = decide(asked)
-    return found if isinstance(found, Decision) else Decision(bool(found), found or "off")
