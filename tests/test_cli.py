@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import errno
-import io
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import click
-import h5py
 import numpy as np
 import pytest
 
-from cgid.cli.main import cli, run
-from cgid.cli.options import PathName
-from cgid.cli.output import progress_bar, say
-from cgid.errors import MissingExtra, NoInput
+from cgid.cli.main import run
+from cgid.errors import MissingExtra
 from cgid.shipped import SCENES
-from tests.bad_input import CASES, Case, make_files, pulse
+from tests.bad_input import CASES, Case, make_files
 
 ROOT = Path(__file__).parents[1]
 
@@ -167,62 +160,11 @@ def test_drop_height_is_known_by_dataset_index_and_option(made: Path, capsys: py
     assert np.max(np.abs(np.subtract(*answers))) > 0.1
 
 
-def test_drop_height_takes_the_default_model_that_knows_it(
-    made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from cgid import shipped
-
-    assert run(["train", "reference", "-n", "800", "-o", str(made / "sister.npz"), "--drop-height"]) == 0
-    path_of = shipped.path_of
-    asked = []
-
-    def here(kind: str, name: str) -> Path:
-        asked.append(name)
-        if name != shipped.DROP_HEIGHT_MODEL:
-            return path_of(kind, name)
-        if not (made / "sister.npz").exists():
-            raise NoInput("missing")
-        return made / "sister.npz"
-
-    monkeypatch.setattr(shipped, "path_of", here)
-    assert run(["predict", "--sample", "--drop-height", "1.5"]) == 0
-    assert shipped.DROP_HEIGHT_MODEL in asked
-    assert shipped.DEFAULT_MODEL not in asked
-    (made / "sister.npz").unlink()
-    assert run(["predict", "--sample", "--drop-height", "1.5"]) == 65
-    assert "cgid train --drop-height" in capsys.readouterr().err
-
-
-def test_check_previews_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["check", "reference"]) == 0
-    out, err = capsys.readouterr()
-    assert "share of the labels" in out
-    assert "known of this scene: 3.96% of the impacts have fewer than 20 samples on the contact\n" in out
-    assert err == ""
-    assert run(["check", str(ROOT / "datasets" / "reference.toml")]) == 0
-    assert "fewer than 20 samples on the contact; raise sampling_rate" in capsys.readouterr().err
-    assert run(["check", "yang2018", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["labels"] == pytest.approx({"coal": 0.5, "gangue": 0.5}, abs=0.04)
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_a_shipped_scene_is_checked_without_warnings(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", name, "--json"]) == 0
     out, err = capsys.readouterr()
     assert (err, json.loads(out)["warnings"]) == ("", {})
-
-
-def test_generate_options(made: Path) -> None:
-    common = ["generate", "reference", "-n", "600", "--seed", "9"]
-    assert run([*common, "-o", str(made / "a.h5")]) == 0
-    assert run([*common, "-o", str(made / "b.h5"), "--dtype", "float64", "--compression", "gzip"]) == 0
-    assert run([*common, "-o", str(made / "c"), "--shard-signals", "250", "--jobs", "2"]) == 0
-    with h5py.File(made / "a.h5") as single, h5py.File(made / "b.h5") as double:
-        assert double["signals"].dtype == np.float64
-        assert double["signals"].compression == "gzip"
-        np.testing.assert_allclose(double["signals"][:], single["signals"][:], rtol=2e-7, atol=1e-2)
-        shards = [h5py.File(path)["signals"][:] for path in sorted((made / "c").glob("*.h5"))]
-        np.testing.assert_array_equal(np.concatenate(shards), single["signals"][:])
 
 
 @pytest.mark.parametrize(
@@ -266,18 +208,6 @@ def test_real_shock(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert row["label"] in ("coal", "gangue", "unknown")
 
 
-@pytest.mark.parametrize("name", ["steel_nut_M4_1.wav", "plastic_spheres_1.wav"])
-def test_real_wav_per_channel(name: str, real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = str(real_data / "bulk_ramp" / name)
-    assert run(["info", file, "--json"]) == 0
-    about = json.loads(capsys.readouterr().out)
-    assert {about[f"channel {k}"]["sampling_rate_hz"] for k in (1, 2)} == {44100.0}
-    assert run(["features", file, "--json", "--features", "peak_force,width_50"]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert {row["channel"] for row in rows} == {"1", "2"}
-    assert any(row["features"]["peak_level"] for row in rows)
-
-
 def test_internal_errors_are_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     import cgid.identification.model as module
 
@@ -318,76 +248,3 @@ def test_predict_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr.splitlines()[-1] == "[]"
-
-
-def test_an_empty_name_is_wrong_usage_for_every_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # which an empty name would mean
-    texts = set()
-    for name, command in cli.commands.items():
-        needed = [one for one in command.params if one.required or isinstance(one, click.Argument)]
-        for parameter in command.params:
-            if not isinstance(parameter.type, PathName):
-                texts |= {parameter.name} if isinstance(parameter.type, click.types.StringParamType) else set()
-                continue
-            arguments = [name]
-            for one in dict.fromkeys([*needed, parameter]):
-                arguments += one.opts[:1] if isinstance(one, click.Option) else []
-                other = one.type.choices[0] if isinstance(one.type, click.Choice) else "x"
-                arguments.append("" if one is parameter else other)
-            with pytest.raises(click.BadParameter, match="must not be empty"):
-                command.make_context(name, arguments[1:])
-    # Whoever adds a text here has thought about whether it is the name of a file.
-    assert texts == {
-        "base", "channel", "class_weights", "costs", "dimension_error", "drift", "features", "format",
-        "full_scale", "gain", "gangue", "hammer", "laws", "live", "mirror", "modbus", "mqtt", "name", "names",
-        "on_open", "on_shut", "participation_error", "prometheus", "quantities", "sample_format", "scheduler",
-        "sensitivity", "sensors", "start_error", "unit", "variable",
-    }  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "arguments", [["info", "--unit", "N"], ["plot", "-o", "p.png"], ["features"], ["predict", "--unit", "N"]]
-)
-def test_pulses_that_point_downwards_are_told_to_be_turned_over(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    np.save("down.npy", -pulse().astype(np.float32))
-    run([*arguments, "down.npy", "--rate", "2e5"])
-    assert capsys.readouterr().err.count("turn it over with --invert") == 1
-
-
-def test_every_command_takes_several_channels_in_one_word(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    np.save("three.npy", np.stack([pulse(), -pulse(), 2 * pulse()]))
-    for command in ("predict", "features"):
-        assert run([command, "three.npy", "--rate", "2e5", "--unit", "N", "--channel", "1+3", "--json"]) == 0
-        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        assert {row["channel"] for row in rows if "time_s" in row} == {"1", "3"}
-    assert run(["plot", "three.npy", "--rate", "2e5", "--channel", "1+3", "-o", "p.png", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["channels"] == ["1", "3"]
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_a_progress_bar_says_what_of_how_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = Terminal()
-    monkeypatch.setattr("sys.stderr", terminal)
-    with progress_bar(30, "signals", "measuring") as progress:
-        progress(10)
-        say("a line", err=True)
-        progress(20)
-    shown = re.split("[\r\n]", terminal.getvalue())
-    assert any(re.match(r"measuring: \d+ of 30 signals", text) for text in shown)
-    assert "a line" in [text.strip() for text in shown]
-
-
-def test_no_progress_bar_beside_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress_bar(3, "signals", "measuring") as progress:
-        progress(3)
-    assert capsys.readouterr().err == ""

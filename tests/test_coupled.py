@@ -8,13 +8,11 @@ from cgid.errors import InvalidValue
 from cgid.physics import (
     Elastic,
     HalfSpace,
-    HertzRangeWarning,
     HuntCrossley,
     Impact,
     ModalImpact,
     Sphere,
     ThinPlate,
-    coupled,
 )
 from cgid.physics.materials import STEEL, YANG2018_SPHERES
 from tests import few
@@ -181,13 +179,6 @@ def test_peaks_are_the_largest_values_of_the_curves(pair):
         assert curve(time) == pytest.approx(peak, rel=1e-9)
 
 
-def test_the_cases_are_what_they_are_called():
-    assert dimensionless(*CASES["hit again"]).contacts > 1
-    assert dimensionless(*CASES["hit again, damped"]).contacts > 1
-    released = dimensionless(*CASES["released"])
-    assert released.end_displacement > 0.1 * released.peak_displacement
-
-
 def test_gravity_pulls_in_contact_and_between():
     dissipation = HuntCrossley(restitution=0.8)
     light = dimensionless(*CASES["hit again"][:3], dissipation)
@@ -327,18 +318,6 @@ def test_momentum_is_kept(many):
     assert many.impulse == pytest.approx(expected, rel=1e-12)
 
 
-def test_more_nodes_shorter_steps_and_a_smaller_tail_give_the_same(many, monkeypatch):
-    monkeypatch.setattr(coupled, "N_NODES", 20)
-    monkeypatch.setattr(coupled, "N_TIMES", 36)
-    monkeypatch.setattr(coupled, "_MAX_PHASE", 9.0)
-    given = {name: getattr(many, name) for name in many.__dataclass_fields__}
-    finer = ModalImpact(**{**given, "tolerance": 1e-12})
-    assert (finer.contacts == many.contacts).all()
-    for name, tolerance in (("restitution", 1e-11), ("peak_force", 1e-10), ("contact_duration", 1e-11),
-                            ("end_of_contact", 1e-9), ("modal_energy", 1e-10)):  # fmt: skip
-        assert getattr(finer, name) == pytest.approx(getattr(many, name), rel=tolerance, abs=1e-12)
-
-
 # ---- batches, frames --------------------------------------------------------------------------------------------
 
 
@@ -367,29 +346,6 @@ def test_frames_hold_the_force_of_all_contacts(many):
     outside = np.arange(n_samples) / rate - onset > many.end_of_contact[:, None]
     assert (frames[outside] == ground[outside]).all()
     assert (expected >= 0).all()
-
-
-def test_shapes_broadcast():
-    impact = modal([100.0, 900.0], 0.02, np.full((3, 1, 2), 0.5), velocity=np.array([1.0, 2.0]))
-    assert impact.restitution.shape == impact.contacts.shape == (3, 2)
-    assert impact.force_frames(1e5, 64).shape == (3, 2, 64)
-    assert impact.restitution[0] == pytest.approx(impact.restitution[2], rel=0)
-    # Twice as light is not the same.
-    assert modal([100.0, 900.0], 0.02, [1.0, 1.0]).restitution != modal([100.0, 900.0], 0.02, [0.5, 0.5]).restitution
-
-
-def test_a_window_ends_what_is_followed():
-    long = dimensionless(*CASES["hit again"])
-    given = {name: getattr(long, name) for name in long.__dataclass_fields__}
-    short = ModalImpact(**{**given, "window": 0.0})
-    assert (short.contacts, long.contacts > 1) == (1, True)
-    assert short.contact_duration == long.contact_duration
-    assert short.restitution != long.restitution
-
-
-def test_it_warns_beyond_hertz():
-    with pytest.warns(HertzRangeWarning):
-        modal([100.0], 0.01, [0.1], velocity=200.0)
 
 
 # ---- bad input --------------------------------------------------------------------------------------------------

@@ -10,10 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import cgid
 from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue
-from cgid.identification.estimation import estimate
 from cgid.impactor import Detection, MeasuredPulses, estimate_impactors, population_of, size_distribution
 from cgid.impactor.columns import match_times
 from cgid.impactor.population import beam_behind, fit_through_beam
@@ -121,24 +118,6 @@ def test_pulses_of_other_laws_are_covered_by_their_population():
         assert abs(np.mean((low <= truth[name])[known] & (truth[name] <= high)[known]) - 0.8) < 0.06, name
 
 
-def test_pulse_of_another_law_is_wide_in_a_population_of_one_law(reference):
-    rock = Impact(
-        sphere=Sphere(material=COAL, radius=0.04),
-        target=HalfSpace(material=STEEL),
-        stiffness="hertz",
-        velocity=5.0,
-        dissipation=cgid.physics.Thornton(yield_pressure=40e6),
-    )
-    frame = np.zeros((1, 1200))
-    rock.add_to_frames(frame, RATE, np.array([2e-3]))
-    frame += np.random.default_rng(0).normal(0, 0.01 * frame.max(), frame.shape)
-    found = estimate_impactors(frame, RATE, reference, pre_trigger=300)
-    assert "wide: the pulse is not of the family (misfit" in found.reason[0]
-    low, high = (end[0] for end in found.interval("mass", 0.95))
-    mass = 4 / 3 * np.pi * 0.04**3 * 1400
-    assert low < mass < high and high / low > 2
-
-
 def test_a_row_does_not_depend_on_the_others(population):
     rng = np.random.default_rng(1)
     rows = rng.integers(0, population.shape.size, 300)
@@ -183,18 +162,6 @@ def test_material_gives_radius_and_speed(target):
     assert found.median("mass") == pytest.approx(4 / 3 * np.pi * radius**3 * 1400, rel=6e-4)
 
 
-def test_propagation_agrees_with_draws():
-    deviations = (0.01, 0.015, 0.05)
-    seen = measured(np.log(8e3), np.log(2e-4), np.log(0.5), deviations)
-    found = of_material(seen, COAL)
-    scatter = np.random.default_rng(0).normal(0, deviations, (4000, 3))
-    many = measured(*(np.array([np.log(8e3), np.log(2e-4), np.log(0.5)]) + scatter).T, deviations)
-    for name in QUANTITIES:
-        low, high = np.quantile(of_material(many, COAL).median(name), [0.1, 0.9])
-        own = found.interval(name, 0.8)
-        assert own[0][0] == pytest.approx(low, rel=4e-3) and own[1][0] == pytest.approx(high, rel=4e-3), name
-
-
 # -- what nobody can know -----------------------------------------------------------------------------
 
 
@@ -233,40 +200,6 @@ def test_saturated_and_failed_pulses_have_no_interval(reference):
     assert "all samples are 0" in found.reason[3] and "no impact" in found.reason[4]
     whole, cut = (np.log(np.divide(*found.interval("mass", 0.9)[::-1]))[row] for row in (0, 2))
     assert np.isfinite(cut) and cut > 0.9 * whole
-
-
-def test_misfit_without_end_is_no_measurement(reference):
-    fit = estimate(pulse(), RATE)
-    bad = {name: getattr(fit, name) for name in fit.__dataclass_fields__}
-    for change, says in (
-        ({"misfit": np.array([1e3])}, "not of the family (misfit 1e+03, 400 is the limit)"),
-        ({"converged": np.array([False])}, "the fit of the pulse failed"),
-        ({"peak": np.array([np.nan])}, "the fit of the pulse failed"),
-        ({"covariance": np.full((1, 5, 5), np.inf)}, "the fit of the pulse failed"),
-    ):
-        found = population_of(reference).posterior(MeasuredPulses.of_estimates(type(fit)(**(bad | change))))
-        assert np.isnan(found.median("speed")[0]) and says in found.reason[0]
-
-
-@pytest.mark.parametrize(
-    ("ask", "says"),
-    [
-        (lambda: estimate_impactors(pulse(), RATE, 7), "among must be a scene, draws or a material, got a int"),
-        (
-            lambda: estimate_impactors(
-                pulse(), RATE, Material(density=[1e3, 2e3], youngs_modulus=1e9, poisson_ratio=0.3)
-            ),
-            "material must be one material, got 2; take one by one",
-        ),
-        (lambda: estimate_impactors(pulse(), RATE, load_scene("randomised")), "take [randomise] out"),
-        (lambda: population_of(load_scene("reference"), 100), "must hold at least 1024 draws, got 100"),
-        (lambda: estimate_impactors(pulse(), RATE, load_scene("tail_beam"), noise=1.0), "noise is for forces"),
-    ],
-)
-def test_bad_input_is_named(ask, says):
-    with pytest.raises(InvalidValue) as caught:
-        ask()
-    assert says in str(caught.value) and "\n" not in str(caught.value)
 
 
 # -- through a beam -----------------------------------------------------------------------------------
@@ -309,13 +242,6 @@ def test_draws_behind_a_beam_are_measured_as_blows_are():
     assert (1.48 * np.median(np.abs(apart), axis=1) < [0.008, 0.01, 0.05]).all()
 
 
-@pytest.mark.long
-def test_beam_of_a_stream_reaches_where_rocks_bounce():
-    scene = load_scene("caving")
-    low, high = beam_behind(scene).beam.region[:2]
-    assert low < 0.2 and high > 1.5 and scene.tail_beam.impact_point.x.extremes[1] < 0.81
-
-
 def test_what_is_no_likelier_than_noise_is_unknown_through_a_beam(population):
     n = 2
     contact = SimpleNamespace(
@@ -328,22 +254,6 @@ def test_what_is_no_likelier_than_noise_is_unknown_through_a_beam(population):
     found = population.posterior(MeasuredPulses.of_contact(contact, inverted))
     assert np.isfinite(found.median("mass")).tolist() == [True, False]
     assert found.reason.tolist() == ["", "no blow anywhere on the beam explains the vibration better than noise does"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("share", [0.4, 0.1])
-def test_a_saturated_accelerometer_gives_wide_intervals_or_none(share):
-    scene = load_scene("tail_beam")
-    signals, truth = frames_of(scene, 384, seed=11)
-    limit = share * np.abs(signals).max(axis=1, keepdims=True)
-    whole, cut = (
-        estimate_impactors(one, 25600.0, scene, pre_trigger=128) for one in (signals, np.clip(signals, -limit, limit))
-    )
-    known = np.isfinite(cut.median("mass"))
-    low, high = cut.interval("mass", 0.95)
-    assert np.mean((low <= truth["mass"])[known] & (truth["mass"] <= high)[known]) > 0.88
-    assert np.nanmedian(high / low) > np.nanmedian(np.divide(*whole.interval("mass", 0.95)[::-1])[known])
-    assert (cut.reason[~known] != "").all()
 
 
 def test_a_frame_without_a_blow_is_unknown_through_a_beam():
@@ -396,21 +306,6 @@ def test_detection_is_learned_from_simulated_impacts():
     assert own.peak == pytest.approx(500, rel=0.05) and own.steepness == pytest.approx(3, rel=0.05)
     assert Detection.learned(peak, np.ones(peak.size)).probability(np.log(peak)).min() == 1
     assert Detection(500.0).probability(np.log([499.0, 501.0])).round(9).tolist() == [0, 1]
-
-
-@pytest.mark.parametrize(
-    ("ask", "says"),
-    [
-        (lambda p: size_distribution(measured([9.0], [-9.0], [-1.0], (0.1, 0.1, 0.1)), p), "at least 5 impacts"),
-        (lambda p: size_distribution(measured([9.0], [-9.0], [-1.0], (0.1, 0.1, 0.1)), p, edges=[2, 1, 3]), "edges"),
-        (lambda p: size_distribution(measured([9.0], [-9.0], [-1.0], (0.1, 0.1, 0.1)), p, quantity="size"), "quantity"),
-        (lambda p: Detection(-1.0), "peak must be"),
-        (lambda p: Detection.learned([1.0, 2.0], [False, False]), "no simulated impact was found"),
-    ],
-)
-def test_bad_distributions_are_named(population, ask, says):
-    with pytest.raises((InvalidValue, BadData), match=says):
-        ask(population)
 
 
 # -- the command ----------------------------------------------------------------------------------------

@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal, stats
 
-from cgid.errors import InvalidValue
 from cgid.scene import load_scene, parse_scene, synthesise
 from cgid.scene._noise import LANES, TILE, random_words, to_normal
-from cgid.scene.draws import BLOCK, NOISE, TAPS, settings_of
-from cgid.scene.noise import MAX_SAMPLES, Coloured, add_noise
+from cgid.scene.draws import BLOCK, NOISE, TAPS
+from cgid.scene.noise import add_noise
 from cgid.scene.schema import Scene
 from cgid.scene.sensor import CHUNK
 from cgid.scene.stream import record
@@ -115,10 +114,6 @@ def test_a_window_has_the_noise_of_the_whole(first, length):
     np.testing.assert_array_equal(noise(length, 2, first_sample=first), WHOLE[:, first : first + length])
 
 
-def test_a_block_is_the_same_with_fewer_rows():
-    np.testing.assert_array_equal(noise(WHOLE.shape[1], 1), WHOLE[:1])
-
-
 def test_a_long_recording_in_pieces_by_threads():
     whole, pieces = noise(100_000, block=9), np.zeros((1, 100_000), np.float32)
     starts = list(range(0, 100_000, 7001))
@@ -131,10 +126,6 @@ def test_a_long_recording_in_pieces_by_threads():
     np.testing.assert_array_equal(pieces, whole)
 
 
-def test_double_precision_holds_the_same_numbers():
-    np.testing.assert_array_equal(noise(1000, 2, dtype="float64"), noise(1000, 2).astype(np.float64))
-
-
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_noise_is_added_at_the_level_of_each_row(dtype):
     level = np.array([0.0, 0.1, 1e6])
@@ -143,17 +134,6 @@ def test_noise_is_added_at_the_level_of_each_row(dtype):
     add_noise(noisy, level, 1, 0)
     expected = signal + level.astype(dtype)[:, None] * noise(600, 3, dtype=dtype)
     np.testing.assert_array_equal(noisy, expected)
-
-
-def test_frames_need_not_lie_side_by_side():
-    wide = np.zeros((2, 900), np.float32)
-    add_noise(wide[:, ::2], np.ones(2), 1, 0, first_sample=50)
-    np.testing.assert_array_equal(wide[:, ::2], WHOLE[:, 50:500])
-    assert not wide[:, 1::2].any()
-
-
-def test_the_last_sample_that_has_an_address():
-    assert noise(1, first_sample=MAX_SAMPLES - 1)[0, 0] != 0
 
 
 # ---- statistics ------------------------------------------------------------------------------------------------------
@@ -320,11 +300,6 @@ def test_coloured_noise_of_blocks_and_seeds_is_independent():
         assert abs(found) < 5 / np.sqrt(len(one) * lines)
 
 
-def test_an_exponent_of_0_is_white_noise_to_the_last_bit():
-    asked = noise_scene(noise_exponent=0.0)
-    np.testing.assert_array_equal(noise_frames(asked, 300), noise_frames(noise_scene(), 300))
-
-
 def quiet_stream(**sensor):
     silent = {"arrivals": {"times": ["39 s"]}, "duration": "40 s"}
     return parse_scene(stream_content(sensor={"absolute_noise": 3.0, **sensor}, **silent))
@@ -366,28 +341,3 @@ def test_a_spectrum_from_a_file_is_the_same_scene(tmp_path):
     assert load_scene(tmp_path / "inline.toml").sha256 == from_file.sha256
     (tmp_path / "hiss.csv").unlink()  # the scene holds its numbers
     assert noise_frames(from_file, 2).std() > 0
-
-
-def test_white_noise_needs_no_transform(monkeypatch):
-    parts = [{"distribution": "uniform", "lowest": 0.5, "highest": 1}, 0]
-    sensor = {"absolute_noise": 0.0, "relative_noise": 0.01}
-    drawn = noise_scene(**sensor).model_dump(exclude_none=True)
-    drawn = parse_scene({**drawn, "randomise": {"noise_exponent": {"distribution": "mixed", "parts": parts}}})
-    exponents = [settings_of(drawn, 0, block)["noise_exponent"] for block in range(8)]
-    coloured, white = (int(np.flatnonzero(kind)[0]) for kind in (np.array(exponents) > 0, np.equal(exponents, 0)))
-
-    def refuse(*_):
-        raise AssertionError("white noise is transformed")
-
-    monkeypatch.setattr(Coloured, "_rows", refuse)
-    for scene in (noise_scene(), noise_scene(noise_exponent=0), noise_scene(absolute_noise=0, relative_noise=0)):
-        noise_frames(scene, 1)
-    noise_frames(drawn, 1, first=white * BLOCK)
-    with pytest.raises(AssertionError, match="is transformed"):
-        noise_frames(drawn, 1, first=coloured * BLOCK)
-
-
-@pytest.mark.parametrize("options", [{"block": -1}, {"block": 2**56}, {"first_sample": -1}])
-def test_addresses_out_of_range_are_refused(options):
-    with pytest.raises(InvalidValue):
-        noise(10, **options)

@@ -184,26 +184,6 @@ def test_calibration_error_and_its_resampling_are_those_of_a_slow_twin() -> None
         assert found == pytest.approx(slow, rel=1e-12)
 
 
-@pytest.mark.parametrize("stretch", [1.6, 2.5])
-def test_intervals_of_the_calibration_error_hold_the_true_one(stretch: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Overconfident answers, whose true error over the bins is that of a million of them."""
-    monkeypatch.setattr("benchmarks.open.judge.RESAMPLINGS", 300)
-
-    def draw(n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        logit = rng.normal(0, 1.5, n)
-        return 1 / (1 + np.exp(-stretch * logit)), rng.random(n) < 1 / (1 + np.exp(-logit))
-
-    rng = np.random.default_rng(1)
-    true = float(calibration_error(*draw(1_000_000, rng), np.ones((1, 1_000_000)))[0])
-    held = 0
-    for _ in range(40):
-        p, truth = draw(1000, rng)
-        labels = np.where(truth, "gangue", "coal")
-        one = next(o for o in judged_frames(Frames(p, np.zeros(1000, bool)), labels) if o.metric == "calibration error")
-        held += one.low <= true <= one.high
-    assert held >= 34  # 40 times .95 is 38; fewer than 34 has a probability of .003
-
-
 def test_shares_and_the_cost_of_a_wrong_time_are_counted_by_hand() -> None:
     # A rock each second at .5; coal until 20 s, then three gangue to one coal.
     time = np.arange(60) + 0.5
@@ -259,30 +239,6 @@ def test_an_entry_replaces_its_earlier_one_and_fills_the_page(
 
 
 # -- making ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_sets_say_what_the_issue_asks_for() -> None:
-    found = sets.all_sets()
-    assert all(found[one.learn].signals.get("train") and one.signals.get("test") for one in found.values())
-    assert {one.name for one in found.values() if one.is_stream} == {
-        "caving-constant",
-        "caving-crossing",
-        "caving-seam",
-    }
-    assert found["seam-apart"].scene.populations[0].youngs_modulus.median == 2.5e9  # type: ignore[union-attr]
-    assert (
-        found["laws"].scene.dissipations.count("thornton") == 4
-        and "hunt-crossley" not in found["laws"].scene.dissipations
-    )
-    assert all(one.curvature is not None for one in found["lumps"].scene.populations)
-    assert found["beam-recorder"].scene.sensor.noise_density is None
-    crossings = [found["caving-crossing"].stream(5, k)[1] for k in range(40)]
-    assert 24 <= min(crossings) < 28 and 40 < max(crossings) <= 44
-    size = sum(
-        4 * n * one.scene.sampling.samples for one in found.values() if not one.is_stream for n in one.signals.values()
-    )
-    size += sum(4 * n * 60 * 25_600 for one in found.values() if one.is_stream for n in one.signals.values())
-    assert size < 500e6
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from cgid.errors import BadData, InvalidValue
+from cgid.errors import BadData
 from cgid.physics import HuntCrossley, Impact, Sphere, Thornton, WaltonBraun
 from cgid.physics.curves import TOLERANCE
 from cgid.physics.materials import Material
@@ -19,7 +19,7 @@ from cgid.scene.stream import record
 from cgid.scene.synthesis import columns_of
 from tests import naive
 from tests.plan_scenes import POPULATION, scene_of, uniform
-from tests.test_plastic import ELASTIC_PRESSURE, coal, thornton_contact
+from tests.test_plastic import coal, thornton_contact
 
 pytestmark = pytest.mark.filterwarnings("ignore::cgid.physics.HertzRangeWarning")
 
@@ -146,37 +146,6 @@ def test_impulse_and_both_losses_by_quadrature(law):
     assert viscous > 0 and crushing > -TOLERANCE * energy
 
 
-def test_impulse_of_random_impacts():
-    """Yield anywhere from touch to turn, damping from none to .05, by quadrature of the evaluated force."""
-    random, n = np.random.default_rng(5), 200
-    viscous = np.concatenate([random.uniform(0.05, 1, n // 2), 1 - 10.0 ** random.uniform(-16, -1, n // 2)])
-    pressure = ELASTIC_PRESSURE * np.sqrt(random.permutation(np.linspace(1e-4, 1.05, n)))  # even in the yield depth
-    for law in (
-        Thornton(yield_pressure=pressure, viscous_restitution=viscous),
-        WaltonBraun(restitution=random.uniform(0.05, 1, n), viscous_restitution=viscous),
-    ):
-        curves, total = coal(law).curves, np.zeros(n)
-        ends = (np.zeros(n), *ends_of(curves))
-        nodes, weights = np.polynomial.legendre.leggauss(40)
-        for part in range(3):
-            start, length = ends[part], ends[part + 1] - ends[part]
-            for low, high in ((0, 0.05), (0.05, 0.2), (0.2, 0.5), (0.5, 1)):
-                s = low + (high - low) * (nodes + 1) / 2
-                share, rate = {0: (s**2, 2 * s), 1: (s, 1 + 0 * s), 2: (1 - (1 - s) ** 2, 2 * (1 - s))}[part]
-                times = start[:, None] + length[:, None] * share
-                force = curves.evaluate(times, np.ones(n), np.ones(n), "force", "float64", 1)
-                assert (force >= 0).all()
-                total += (force * rate * weights).sum(axis=1) * (high - low) / 2 * length
-        assert total == pytest.approx(1 + curves.restitution, rel=TOLERANCE)
-
-
-def test_both_losses_together_leave_less_than_either():
-    pressure, viscous = np.geomspace(1e6, 150e6, 40)[:, None], np.linspace(0.05, 0.99, 30)
-    both = coal(Thornton(yield_pressure=pressure, viscous_restitution=viscous)).restitution
-    assert (both <= viscous + TOLERANCE).all() and (both < viscous).any(axis=0).all()
-    assert (both < coal(Thornton(yield_pressure=pressure)).restitution).all()
-
-
 # ---- limits -------------------------------------------------------------------------------------------------------
 
 
@@ -222,36 +191,6 @@ def test_a_bilinear_contact_of_restitution_1_is_a_damped_linear_spring():
     deepest = np.sqrt(2 * stored * float(impact.reduced_mass) * 4 / 2e6)
     assert float(impact.peak_displacement) == pytest.approx(deepest, rel=TOLERANCE)
     assert float(impact.restitution) == pytest.approx(0.5, rel=TOLERANCE)  # it stores as much as a Hertzian one
-
-
-# ---- batches ------------------------------------------------------------------------------------------------------
-
-
-def test_impacts_broadcast_with_times_and_onsets():
-    law = Thornton(yield_pressure=[[4e7], [8e7]], viscous_restitution=0.7)
-    frames = coal(law, velocity=[1.0, 2.0, 3.0]).force_frames(2e5, 128, np.array([1e-4, 1e-4, 2e-4]))
-    alone = coal(replace(law, yield_pressure=8e7), velocity=3.0)
-    assert np.array_equal(frames[1, 2], alone.force_frames(2e5, 128, 2e-4))
-    assert np.array_equal(alone.force_frames(2e5, 128, np.array([1e-4, 2e-4]))[1], frames[1, 2])
-
-
-@pytest.mark.parametrize("viscous", [0.05, 0.5, 1.0])
-@pytest.mark.parametrize("pressure", [1e-30, 1e-3, 1e30])
-def test_extreme_but_representable_yield_pressures_give_finite_pulses(pressure, viscous):
-    with np.errstate(all="raise", under="ignore"):
-        impact = coal(Thornton(yield_pressure=pressure, viscous_restitution=viscous))
-        force = impact.force(np.linspace(0, float(impact.contact_duration), 50))
-        assert np.isfinite(force).all() and force.max() > 0
-        for name in RESULTS:
-            assert np.isfinite(getattr(impact, name))
-
-
-@pytest.mark.parametrize("law", [Thornton(yield_pressure=4e7), WaltonBraun(restitution=0.5)], ids=["T", "WB"])
-@pytest.mark.parametrize("value", [0.0, 0.049, -0.5, 1.01, np.nan, np.inf, "dull", [0.5, 0.0], 1j])
-def test_invalid_viscous_restitutions(law, value):
-    with pytest.raises(InvalidValue, match=r"viscous_restitution must .*, got ") as error:
-        replace(law, viscous_restitution=value)
-    assert "\n" not in str(error.value)
 
 
 # ---- scenes -------------------------------------------------------------------------------------------------------

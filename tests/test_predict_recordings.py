@@ -15,7 +15,6 @@ from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import Answer, identify
 from cgid.identification.model import Model
-from cgid.identification.prediction import load_model
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.share import CavingWatch, Share, Switch
 from cgid.identification.stream import identify_blocks, identify_recording, independence
@@ -193,28 +192,6 @@ def test_sensors_are_made_up_for_and_their_drift_is_said(tmp_path: Path, capsys:
     assert "sensor right" in said["message"]
 
 
-@pytest.mark.long
-def test_a_stream_without_a_quiet_moment_is_said_once_and_answered() -> None:
-    rng, rate = np.random.default_rng(0), 25_600
-    times = np.arange(2000) / rate
-    ring = 300 * np.exp(-30 * times) * np.sin(2 * np.pi * 800 * times)
-    model = load_model("default-acceleration")
-    told = {}
-    for n_impacts in (12, 900):
-        samples = rng.normal(0, 0.5, 11 * rate)
-        for start in rng.integers(0, samples.size - ring.size, n_impacts):
-            samples[start : start + ring.size] += ring * rng.lognormal(0, 0.5)
-        for size in (1000, 300_000):
-            blocks = [samples[None, first : first + size] for first in range(0, samples.size, size)]
-            steps = list(identify_blocks(blocks, rate, model, ("1",), PredictionSettings(), "loud"))
-            told[n_impacts, size] = [warning for step in steps for warning in step.warnings]
-            assert sum(len(step.answers) for step in steps) > 5
-    assert told[12, 1000] == told[12, 300_000] == []
-    assert told[900, 1000] == told[900, 300_000]
-    (warning,) = told[900, 1000]
-    assert warning.startswith("loud: there is no quiet moment in 10 s")
-
-
 # -- shares and turns -------------------------------------------------------------------------------------
 
 
@@ -247,15 +224,6 @@ def test_watch_tells_the_same_however_answers_come(default_model: Model) -> None
     assert [turn.shut for turn in turns] == [True]
     first_over = next(share for share in shares if share.above >= 0.95)
     assert turns[0].share is first_over or turns[0].share == first_over
-
-
-def test_what_lies_outside_of_the_training_has_no_share(default_model: Model) -> None:
-    strange = [
-        Answer(time=k / 10, label="unknown", probabilities={"coal": 0.0, "gangue": 1.0}, novelty=1.5) for k in range(20)
-    ]
-    watch = CavingWatch(default_model, ("1",), PredictionSettings(share_time=5.0, share_step=5.0))
-    (share,) = watch.feed([*answers_at(np.array([0.05]), np.array([0.02])), *strange], 5.0)
-    assert (share.n_impacts, share.n_unknown) == (1, 20)
 
 
 # -- the command ------------------------------------------------------------------------------------------
@@ -309,15 +277,6 @@ def test_predict_says_when_to_shut(tmp_path: Path, capsys: pytest.CaptureFixture
     assert sum(line.startswith("SHUT ") for line in capsys.readouterr().err.splitlines()) == 1
 
 
-def test_one_impact_has_neither_share_nor_summary_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.save(tmp_path / "one.npy", stream(["coal"], 0.02))
-    arguments = ["predict", str(tmp_path / "one.npy"), "--rate", str(RATE), "--unit", "N", "--json"]
-    assert run(arguments) == 0
-    assert [row["kind"] for row in lines_of(capsys)] == ["impact"]
-    assert run([*arguments, "--window", "1"]) == 0
-    assert [row["kind"] for row in lines_of(capsys)] == ["impact", "share"]
-
-
 def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     force = stream(LABELS[:3], 0.02)
     quiet = np.random.default_rng(0).normal(0, 25, force.size)
@@ -340,37 +299,6 @@ def test_silent_channel_is_a_warning_and_silence_an_error(tmp_path: Path, capsys
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
-
-
-def test_truncated_wav_is_answered_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    force = stream(LABELS[:4], 0.02)
-    wavfile.write(tmp_path / "w.wav", int(RATE), (force / np.abs(force).max() * 32767).astype(np.int16))
-    raw = (tmp_path / "w.wav").read_bytes()
-    (tmp_path / "cut.wav").write_bytes(raw[: len(raw) * 15 // 16 + 1])
-    assert run(["predict", str(tmp_path / "cut.wav"), "--full-scale", "1 kN", "--json"]) == 0
-    out, err = capsys.readouterr()
-    rows = [json.loads(line) for line in out.splitlines()]
-    assert len(of_kind(rows, "impact")) == 4
-    messages = [row["message"] for row in of_kind(rows, "warning")]
-    assert messages
-    assert all(message in err for message in messages)
-    for command in ("features", "info"):
-        assert run([command, str(tmp_path / "cut.wav"), "--full-scale", "1 kN"]) == 0
-        assert all(message in capsys.readouterr().err for message in messages)
-
-
-def test_strict_stops_at_the_first_file_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.save(tmp_path / "good.npy", stream(["coal"], 0.02))
-    (tmp_path / "empty.csv").write_text("")
-    arguments = ["predict", str(tmp_path / "empty.csv"), str(tmp_path / "good.npy"), "--rate", str(RATE), "--unit", "N"]
-    for command in ("predict", "features"):
-        arguments[0] = command
-        assert run([*arguments, "--json"]) == 65
-        assert len(capsys.readouterr().out.splitlines()) == 1
-        assert run([*arguments, "--json", "--strict"]) == 65
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert err.count("\n") == 1
 
 
 def test_recordings_of_two_quantities_have_two_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -411,25 +339,3 @@ def test_model_of_windows_answers_windows(tmp_path: Path, capsys: pytest.Capture
     arguments[1] = str(tmp_path / "short.wav")
     assert run(arguments) == 65
     assert "must last a window of 0.1 s" in capsys.readouterr().err
-
-
-def test_report_is_a_page_of_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("matplotlib")
-    page, short = tmp_path / "page.html", tmp_path / "short.npy"
-    np.save(short, stream(["coal"], 0.02))
-    arguments = ["--rate", str(RATE), "--unit", "N", "--report"]
-    files = [str(short), str(tmp_path / "none.csv"), str(ROOT / "datasets" / "sample.csv")]
-    page.write_text("old")
-    assert run(["predict", *files, *arguments, str(page)]) == 73
-    assert "--overwrite" in capsys.readouterr().err
-    assert page.read_text() == "old"
-    assert run(["predict", *files, *arguments, str(tmp_path / "page.txt")]) == 73
-    assert ".html" in capsys.readouterr().err
-    assert run(["predict", *files, *arguments, str(page), "--overwrite"]) == 66  # the one that is missing
-    rows = capsys.readouterr().out.splitlines()
-    text = page.read_text()
-    assert text.count("<table") == 2
-    assert len(rows) == 1 + 1 + 6
-    assert text.count("<tr>") == 2 + 1 + 6  # a head each, and the impacts
-    assert "short.npy" in text
-    assert "sample.csv" in text

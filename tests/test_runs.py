@@ -8,11 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate
 from cgid.scene import generate, generate_recordings, parse_scene
 from cgid.store import Dataset
-from cgid.store.folder import sums_text
 from cgid.store.verification import verify
 from tests import few
 from tests.test_store import scene_of
@@ -142,12 +140,6 @@ def test_what_is_whole_is_left_as_it_is(whole, path, make):
     assert files(path) != whole[make]
 
 
-@pytest.mark.parametrize("make", [dataset, recordings])
-def test_where_there_is_nothing_to_resume_the_run_begins(whole, path, make):
-    make(path, resume=True)
-    assert files(path) == whole[make]
-
-
 @pytest.mark.parametrize(
     ("name", "value", "first"),
     [
@@ -180,29 +172,6 @@ def test_finished_shards_that_are_damaged_are_made_again(whole, path, damage):
     assert files(path) == whole[dataset]
 
 
-@pytest.mark.parametrize("damage", ["gone", "torn", "flipped", "swapped", "of another run"])
-def test_sums_that_are_lost_make_nothing_again(whole, path, damage):
-    """What has no sum is adopted by its digest, number and checksums."""
-    dataset(path)
-    sums, times = path / "SHA256SUMS", {file: file.stat().st_mtime_ns for file in path.glob("*.h5")}
-    content = sums.read_bytes()
-    lines = content.splitlines(keepends=True)
-    if damage == "gone":
-        sums.unlink()
-    else:
-        sums.write_bytes(
-            {
-                "torn": content[:-30],
-                "flipped": bytes([content[0] ^ 1]) + content[1:],
-                "swapped": b"".join([lines[-1], *lines[1:-1], lines[0]]),
-                "of another run": sums_text({"description.json": "0" * 64, "shard-00000.h5": "1" * 64}),
-            }[damage]
-        )
-    dataset(path, resume=True)
-    assert files(path) == whole[dataset]
-    assert {file: file.stat().st_mtime_ns for file in path.glob("*.h5")} == times
-
-
 @pytest.mark.parametrize("damage", ["gone", "cut", "flipped"])
 def test_a_description_that_is_lost_is_written_again(whole, path, damage):
     stopped(dataset, path, after=2)
@@ -229,16 +198,6 @@ def test_a_shard_without_a_sum_that_is_not_whole_is_made_again(whole, path):
     shards[2].write_bytes(shards[3].read_bytes())
     dataset(path, resume=True)
     assert files(path) == whole[dataset]
-
-
-def test_recordings_of_an_earlier_version_are_not_replaced_by_resuming(path):
-    path.mkdir()
-    (path / "recording-00000.h5").write_bytes(b"old")
-    (path / "SHA256SUMS").write_bytes(sums_text({"recording-00000.h5": "1" * 64}))
-    before = files(path)
-    with pytest.raises(CannotCreate, match="--overwrite"):
-        recordings(path, resume=True)
-    assert before.items() <= files(path).items()
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "unfinished.jsonl"])
@@ -271,59 +230,6 @@ def test_one_file(tmp_path):
             dataset(path, resume=True, **options)
     dataset(path, resume=True, overwrite=True, seed=4)
     assert files(tmp_path) != before
-
-
-@pytest.mark.parametrize("damage", ["flipped", "cut off", "another kind"])
-def test_one_file_that_is_not_whole(tmp_path, damage):
-    path, other = tmp_path / "data.h5", tmp_path / "other.h5"
-    dataset(path)
-    recordings(other, n_recordings=1)
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    broken = {"flipped": content, "cut off": content[:1000], "another kind": other.read_bytes()}[damage]
-    whole = path.read_bytes()
-    path.write_bytes(broken)
-    with pytest.raises(BadData, match="--overwrite"):
-        dataset(path, resume=True)
-    assert path.read_bytes() == broken
-    dataset(path, resume=True, overwrite=True)
-    assert path.read_bytes() == whole
-    content = bytearray(other.read_bytes())
-    content[len(content) // 2] ^= 1
-    other.write_bytes(content)
-    with pytest.raises(BadData, match="--overwrite"):
-        recordings(other, n_recordings=1, resume=True)
-
-
-def test_a_file_of_another_program_is_not_to_be_overwritten(tmp_path):
-    path = tmp_path / "data.h5"
-    path.write_text("my thesis")
-    with pytest.raises(BadData, match=r"choose another name$"):
-        dataset(path, resume=True)
-    assert path.read_text() == "my thesis"
-
-
-def test_a_folder_by_another_name(tmp_path, path, monkeypatch):
-    dataset(path)
-    link = tmp_path / "link"
-    link.symlink_to(path)
-    dataset(link, seed=4, overwrite=True)
-    assert link.is_symlink()
-    assert files(path) == files(dataset(tmp_path / "other", seed=4))
-    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-    monkeypatch.chdir(path)
-    before = files(path)
-    dataset(".", seed=4, resume=True)
-    dataset(".", seed=4, overwrite=True)
-    assert files(path) == before
-    assert not verify(".").findings
-
-
-def test_a_pipe_in_place_of_a_description(path):
-    path.mkdir()
-    os.mkfifo(path / "description.json")
-    with pytest.raises(BadData, match="pipe"):
-        dataset(path, resume=True)
 
 
 # ---- two at once -----------------------------------------------------------------------------------------------------
@@ -402,37 +308,3 @@ def test_a_reader_never_sees_a_mixture(path):
         with pytest.raises(BadData):
             read()
     assert len(list(Dataset(path))) == 4
-
-
-@pytest.mark.long
-def test_a_reader_of_one_file_sees_the_old_or_the_new(tmp_path):
-    path = dataset(tmp_path / "data.h5", seed=1)
-    old = Dataset(path).signal(399).samples
-    reader, late = Dataset(path), Dataset(path)
-    signals = reader.batches(100)
-    next(signals)
-    dataset(path, overwrite=True)
-    assert (list(signals)[-1].signals[-1] == old).all()
-    with pytest.raises(BadData, match=r"data\.h5"):
-        late.signal(399)
-
-
-# ---- what is said ----------------------------------------------------------------------------------------------------
-
-
-def test_an_unfinished_dataset_is_told_as_such(path, capsys):
-    stopped(dataset, path)
-    with pytest.raises(BadData, match=r"[123] of 4 .*--resume"):
-        Dataset(path)
-    assert run(["info", str(path)]) == 65
-    assert "--resume" in capsys.readouterr().err
-
-
-def test_resume_by_the_command_line(tmp_path, capsys):
-    command = ["generate", "reference", "-n", "30", "-o", str(tmp_path / "data")]
-    assert run(command) == run([*command, "--resume"]) == 0
-    assert run(command) == 73
-    assert run([*command, "--resume", "--seed", "4"]) == 73
-    assert "seed" in capsys.readouterr().err
-    table = ["generate", "reference", "-n", "30", "-o", str(tmp_path / "table.csv"), "--parameters-only", "--resume"]
-    assert run(table) == 2

@@ -157,13 +157,6 @@ def test_window_slides() -> None:
         assert found.n_impacts + found.n_unknown == inside.sum()
 
 
-@pytest.mark.parametrize("probabilities", [[], [np.nan, np.nan]])
-def test_nothing_told_is_nothing_known(probabilities) -> None:
-    found = share_of(probabilities)
-    assert np.isnan(found.share)
-    assert (found.low, found.high, found.n_impacts, found.n_unknown) == (0.0, 1.0, 0, len(probabilities))
-
-
 @pytest.fixture(scope="module")
 def futures() -> tuple[np.ndarray, np.ndarray]:
     """The share found in each of many windows, and that among the impacts after it: what really comes."""
@@ -220,22 +213,6 @@ def test_few_impacts_decide_nothing() -> None:
     assert rule.watch(state(0.9, MIN_IMPACTS - 1, above=0.99)) is None
     assert rule.watch(state(float("nan"), 0, above=float("nan"))) is None
     assert rule.watch(state(0.9, MIN_IMPACTS, above=0.99)).shut
-
-
-def test_a_share_near_the_threshold_does_not_flap() -> None:
-    """A thousand windows at the very threshold, each half new: without evidence and hold a turn at every third."""
-    rng = np.random.default_rng(4)
-    _, probabilities = drawn(rng, 0.5, 40_000)
-    turns = []
-    for settings in ({"evidence": 0.5}, {"evidence": 0.95, "hold": 10.0}):
-        window, rule, found = ShareWindow(10.0), ShutDecision(1.0, **settings), 0
-        for k in range(1000):
-            for n in range(40):
-                window.add(k * 5 + n / 8, probabilities[40 * k + n])
-            found += rule.watch(window.at(k * 5 + 5.0)) is not None
-        turns.append(found)
-    assert turns[0] > 200
-    assert turns[1] < turns[0] / 5
 
 
 def test_caving_window_is_shut_close_to_the_best_time() -> None:
@@ -356,18 +333,6 @@ def test_every_rock_twice_is_known_from_the_scatter() -> None:
     assert found.overdispersion == pytest.approx(3.0 * (1.0 - known), rel=0.15)
 
 
-def test_labels_exchanged_are_the_other_share() -> None:
-    rng = np.random.default_rng(24)
-    confusion = confusion_of(rng)
-    logits, _, _ = answered(rng, rng.random(60) < 0.3)
-    probabilities = 1 / (1 + np.exp(-logits))
-    one, other = (
-        share_of(probabilities, confusion=confusion),
-        share_of(1 - probabilities, confusion=confusion.turned()),
-    )
-    assert (one.share, one.low, one.high) == pytest.approx((1 - other.share, 1 - other.high, 1 - other.low), abs=8e-3)
-
-
 def test_too_few_answers_are_no_confusion() -> None:
     logits = np.linspace(-3, 3, 120)
     assert Confusion.counted(logits, logits > 1, (60, 60)) is None
@@ -444,20 +409,3 @@ def test_a_pause_is_told_once_and_all_windows_of_impacts_are() -> None:
     for untils in ([1000.0], [*np.sort(rng.uniform(0, 1000, 300)), 1000.0]):
         told = watched(answers, untils, **settings)
         assert [(one.time, one.channel, one.n_impacts) for one in told] == sorted(every)
-
-
-def test_silence_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two impacts, thirty years apart: windows are counted, as the clock would tell little."""
-    asked: list[float] = []
-    at = ShareWindow.at
-
-    def counted(self: ShareWindow, time: float) -> Share:
-        asked.append(time)
-        assert len(asked) < 100
-        return at(self, time)
-
-    monkeypatch.setattr(ShareWindow, "at", counted)
-    untils = [10.0, 1e6, 2e6, 1e9]
-    told = watched([answer(1.0), answer(5e8 + 0.01)], untils, share_time=10.0, share_step=1.0)
-    heard = [*range(1, 11), *range(500_000_001, 500_000_011)]
-    assert [one.time for one in told if one.n_impacts] == heard

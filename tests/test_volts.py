@@ -13,7 +13,7 @@ import pytest
 
 from cgid import open_recording, read_recording
 from cgid.cli.main import run as main
-from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.errors import BadData, InvalidValue
 from cgid.identification.manifest import read_manifest
 from cgid.recordings.chain import Chain, FullScale, Gain
 from cgid.recordings.live import live_stream
@@ -159,14 +159,6 @@ def test_volts_enter_from_every_format(
         assert np.abs(signal.samples - row / (2 * BEAM)).max() <= specimen.resolution / (2 * BEAM) + rounding
 
 
-def test_a_value_for_all_is_for_the_channels_in_volts(tmp_path: Path) -> None:
-    measured = blows(2000)
-    csv(tmp_path / "a.csv", measured * [[BEAM], [1.0]], ["V", "N"])
-    motion, force = read_recording(tmp_path / "a.csv", sensitivity="10.2 mV/g")
-    assert (motion.unit, force.unit) == ("m/s^2", "N")
-    np.testing.assert_allclose([motion.samples, force.samples], measured, rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize("name", ["a.csv", "a.tdms", "a.uff", "a.wav"])
 def test_volts_are_answered_like_newtons_and_accelerations(name: str, tmp_path: Path) -> None:
     """The last of the issue's shows: the same labels and probabilities on the command line."""
@@ -218,27 +210,6 @@ def test_integers_of_a_recorder_are_right_to_their_rounding(tmp_path: Path) -> N
     assert_same(answers(str(tmp_path / "a.wav"), *stated), expected)
 
 
-def test_integers_whose_unit_the_file_states_and_streams_of_floats_need_no_full_scale(tmp_path: Path) -> None:
-    tdms(tmp_path / "a.tdms", np.arange(2000, dtype=np.int16)[None], ["N"])
-    (found,) = read_recording(tmp_path / "a.tdms")
-    assert found.unit == "N" and found.samples.tolist() == list(range(2000))
-    stream = {"sampling_rate": RATE, "n_channels": 1, "unit": "N"}
-    assert live_stream(io.BytesIO(bytes(8)), sample_format="f32le", **stream).channels[0].unit == "N"
-    with pytest.raises(MissingOption, match="--full-scale"):
-        live_stream(io.BytesIO(bytes(8)), sample_format="s16le", **stream)
-
-
-def test_channels_of_an_array_may_differ_in_unit(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", blows())
-    both = open_recording(tmp_path / "a.npy", sampling_rate=RATE, unit="1=m/s^2, 2=N")
-    assert [channel.unit for channel in both.channels] == ["m/s^2", "N"]
-    one = open_recording(tmp_path / "a.npy", sampling_rate=RATE, unit="1=mV", sensitivity="10.2 mV/g")
-    assert [channel.unit for channel in one.channels] == ["m/s^2", None]
-    for unit in ("1=stone", "3=N", "1=N, 1=V", "=N"):
-        with pytest.raises(InvalidValue):
-            open_recording(tmp_path / "a.npy", sampling_rate=RATE, unit=unit)
-
-
 def test_clipping_is_seen_behind_a_sensitivity(tmp_path: Path) -> None:
     from scipy.io import wavfile
 
@@ -276,23 +247,6 @@ def test_files_that_state_the_sensitivity_need_no_option(tmp_path: Path) -> None
     (signal,) = read_recording(tmp_path / "si.tdms")
     assert signal.unit == "g"
     np.testing.assert_array_equal(signal.samples, measured[0])
-
-
-def test_scales_of_daqmx_come_before_the_sensitivity(tmp_path: Path) -> None:
-    """Counts with a scale to volts, as DAQmx logs them: nptdms applies the scale, this package the sensitivity."""
-    measured = blows(5000)[:1]
-    counts = np.rint(measured * BEAM / 10 * 2**15).astype(np.int16)
-    scale = {
-        "NI_Scaling_Status": "unscaled",
-        "NI_Number_Of_Scales": 1,
-        "NI_Scale[0]_Scale_Type": "Linear",
-        "NI_Scale[0]_Linear_Slope": 10 / 2**15,
-        "NI_Scale[0]_Linear_Y_Intercept": 0.0,
-        "NI_Scale[0]_Linear_Input_Source": 0xFFFFFFFF,
-    }
-    tdms(tmp_path / "a.tdms", counts, ["V"], scale)
-    (signal,) = read_recording(tmp_path / "a.tdms", sensitivity="10.2 mV/g")
-    np.testing.assert_allclose(signal.samples, counts[0] * (10 / 2**15) / BEAM, rtol=1e-12)
 
 
 def test_every_way_to_state_a_chain() -> None:
