@@ -90,7 +90,7 @@ class Signal:
     @property
     def name(self) -> str:
         """Source, and the channel unless it is "1"."""
-        return self.source if self.channel == "1" else f"{self.source} channel {self.channel}"
+        return channel_name(self.source, self.channel)
 
     @property
     def quantity(self) -> str | None:
@@ -149,6 +149,11 @@ class Signal:
         Signal
         """
         return replace(self, samples=-self.samples)
+
+
+def channel_name(source: str, channel: str) -> str:
+    """Return the name of a source, and of its channel unless that is "1"."""
+    return source if channel == "1" else f"{source} channel {channel}"
 
 
 def force_factor(unit: str | None, mass: float, name: str) -> float:

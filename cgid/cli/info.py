@@ -159,6 +159,7 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     from cgid.errors import BadData
     from cgid.identification.detection import TURN_OVER, ImpactDetector
     from cgid.measure.features import kind_for
+    from cgid.signals import channel_name
 
     names, rate = recording.channels, recording.sampling_rate
     limit = None
@@ -182,8 +183,7 @@ def _channels(recording: Any, as_json: bool) -> dict[str, Any]:
     for row, (channel, detector) in enumerate(zip(names, detectors, strict=True)):
         impacts[row] += len(detector.finish())
         if is_known[row] and not impacts[row] and TURN_OVER in detector.why_silent():
-            suffix = "" if channel.name == "1" else f" channel {channel.name}"
-            warn(f"{recording.source}{suffix}: no impact: {TURN_OVER}")
+            warn(f"{channel_name(recording.source, channel.name)}: no impact: {TURN_OVER}")
         middle = {"mean": total[row] / n_samples} if limit is None else {"median": np.median(limit[row])}
         described[f"channel {channel.name}"] = {
             "samples": n_samples,

@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 from cgid.cli.output import say_error, warn
 from cgid.errors import CgidError, InvalidValue, NoInput
 from cgid.shipped import MODELS, SCENES
-from cgid.signals import Signal
+from cgid.signals import Signal, channel_name
 
 if TYPE_CHECKING:
     from cgid.identification.labelled_recordings import Reading as ManifestReading
@@ -79,9 +79,8 @@ def warn_of_volts(recording: RecordingFile) -> None:
     from cgid.recordings.chain import require_measured
 
     for channel in recording.channels:
-        name = recording.source if channel.name == "1" else f"{recording.source} channel {channel.name}"
         try:
-            require_measured(channel.unit, name)
+            require_measured(channel.unit, channel_name(recording.source, channel.name))
         except MissingOption as error:
             warn(error)
 

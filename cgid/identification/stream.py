@@ -28,6 +28,7 @@ from cgid.measure.features import FEATURES, require_measurable
 from cgid.measure.filters import Equalisation
 from cgid.measure.table import ImpactKind
 from cgid.recordings.chain import scaled
+from cgid.signals import channel_name
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -100,10 +101,8 @@ def identify_recording(
 def factors_for(model: Model, channels: Sequence[Channel], settings: PredictionSettings, source: str) -> list[float]:
     """Return the factor of each channel to the unit of the model, negative to invert; raises as `suited`."""
     sign = -1.0 if settings.invert else 1.0
-    names = [source if channel.name == "1" else f"{source} channel {channel.name}" for channel in channels]
     return [
-        sign * factor_to(model, channel.unit, name, settings.mass)
-        for channel, name in zip(channels, names, strict=True)
+        sign * factor_to(model, channel.unit, channel_name(source, channel.name), settings.mass) for channel in channels
     ]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.signals import channel_name
 from cgid.units import ELECTRICAL, UNITS, known_unit, number_and_unit, quantity_of, ratio_of
 from cgid.validation import shown
 
@@ -255,7 +256,7 @@ class Chain:
         """Return the link through charge gain and sensitivity, too."""
         sensitivity, is_own = self.sensitivity.at(index, contents, source)
         gain, is_own_gain = self.gain.at(index, contents, source)
-        name = _name(contents, index, source)
+        name = channel_name(source, contents.label(index))
         quantity = None if link.unit is None else quantity_of(link.unit)
         if quantity not in ELECTRICAL:
             is_meant = is_own or is_own_gain or not is_some
@@ -289,7 +290,7 @@ class Chain:
 
 def _full_scale(scale: FullScale, stated: str | None, contents: Blocks, index: int, source: str) -> tuple[str, float]:
     """Return unit and factor of the numbers of a channel whose full scale is known."""
-    name = _name(contents, index, source)
+    name = channel_name(source, contents.label(index))
     stated = None if stated == "FS" else stated
     unit = scale.unit or stated
     if unit is None:
@@ -324,8 +325,8 @@ def _require_full_scale(unit: str | None, contents: Blocks, index: int, source: 
     bits = "" if _full_scale_number(contents, index) else " at 24 bit"
     example = {"acceleration": "500 g", "voltage": "10 V"}.get(quantity_of(unit), f"500 {unit}")
     raise MissingOption(
-        f"{_name(contents, index, source)}: the samples are integers, and the unit ({unit}) does not say how many "
-        f"{unit} full scale is; give it as in --full-scale '{example}{bits}'"
+        f"{channel_name(source, contents.label(index))}: the samples are integers, and the unit ({unit}) does not say "
+        f"how many {unit} full scale is; give it as in --full-scale '{example}{bits}'"
     )
 
 
@@ -422,11 +423,6 @@ def _bounded(link: Link, name: str) -> Link:
 
 def _of_file(stated: Sequence[str | None], index: int) -> str | None:
     return stated[index] if index < len(stated) else None
-
-
-def _name(contents: Blocks, index: int, source: str) -> str:
-    label = contents.label(index)
-    return source if label == "1" else f"{source} channel {label}"
 
 
 def scaled(blocks: Iterable[NDArray[Any]], factors: Sequence[float]) -> Iterable[NDArray[Any]]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from cgid import validation
 from cgid.errors import BadData, InvalidValue, MissingOption
 from cgid.recordings.chain import Chain, scaled, units_of
-from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel, rates_agree
-from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, WaveHead, read_wave_head
+from cgid.recordings.recording import MAX_CHANNELS, Blocks, Channel
+from cgid.recordings.sound import ENDLESS, WAV_MAGICS, Coding, read_wave_head
 from cgid.validation import require_rate
 
 #: Most numbers to read from the stream at once.
@@ -103,78 +103,59 @@ def live_stream(
         raise BadData(f"{source}: a stream must hold samples, it is empty; check what writes to it")
     if start.startswith(WAV_MAGICS):
         head = read_wave_head(file, partial(_skip, file), source, start)
-        _require_agreement(head, given, n_channels, coding, source)
-        return LiveStream(
-            file=file,
-            coding=head.coding,
-            sampling_rate=given or head.sampling_rate,
-            **_channels(head.n_channels, head.coding, unit, "FS", chain, source),
-            source=source,
-            size=head.data_size if 0 < head.data_size < ENDLESS else None,
-            warnings=head.warnings,
-        )
-    for magic, name in _FILES.items():
-        if start == magic:
-            raise BadData(f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict -")
-    for missing, what, option in (
-        (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
-        (given is None, "the sampling rate", "--rate HZ"),
-        (n_channels is None, "the number of channels", "--channels N"),
-    ):
-        if missing:
-            raise MissingOption(f"{source}: a raw stream does not say {what}; give it with {option}")
-    assert coding is not None and given is not None and n_channels is not None
+        if not 0 < head.n_channels <= MAX_CHANNELS:
+            raise BadData(f"{source}: a stream must be of 1 to {MAX_CHANNELS} channels, got {head.n_channels}")
+        for name, stated, own in (("channels", n_channels, head.n_channels), ("sample_format", coding, head.coding)):
+            if stated not in (None, own):
+                says = (
+                    f"got {stated} where the WAV header says {own}"
+                    if name == "channels"
+                    else "the WAV header says another"
+                )
+                raise InvalidValue(
+                    f"{source}: {name} must agree with the stream, {says}; leave out --{name.replace('_', '-')}"
+                )
+        contents = _contents(head.n_channels, head.coding, "FS", head.sampling_rate)
+        size = head.data_size if 0 < head.data_size < ENDLESS else None
+        about: dict[str, Any] = {"coding": head.coding, "size": size, "warnings": head.warnings}
+    else:
+        for magic, name in _FILES.items():
+            if start == magic:
+                raise BadData(
+                    f"{source}: a stream must be raw numbers or WAV, this is {name}; give it to cgid predict -"
+                )
+        for missing, what, option in (
+            (coding is None, "how numbers are written", "--sample-format NAME, such as s16le"),
+            (given is None, "the sampling rate", "--rate HZ"),
+            (n_channels is None, "the number of channels", "--channels N"),
+        ):
+            if missing:
+                raise MissingOption(f"{source}: a raw stream does not say {what}; give it with {option}")
+        assert coding is not None and n_channels is not None
+        contents = _contents(n_channels, coding, None if coding.kind == "f" else "FS")
+        about = {"coding": coding, "head": start}
+    links = (chain or Chain()).links(contents, range(contents.n_channels), unit, source)
     return LiveStream(
         file=file,
-        coding=coding,
-        sampling_rate=given,
-        **_channels(n_channels, coding, unit, None if coding.kind == "f" else "FS", chain, source),
+        sampling_rate=require_rate(contents.rate(given, source)),
+        channels=[Channel(name=str(k), unit=link.unit, origin=link.origin) for k, link in enumerate(links, 1)],
+        factors=[link.factor for link in links],
         source=source,
-        head=start,
+        **about,
     )
 
 
-def _channels(
-    n: int, coding: Coding, unit: str | None, fallback: str | None, chain: Chain | None, source: str
-) -> dict[str, Any]:
-    """Return the channels of a stream and the factors of their samples."""
-    contents = Blocks(
-        n_channels=n,
+def _contents(n_channels: int, coding: Coding, fallback_unit: str | None, rate: float | None = None) -> Blocks:
+    """Return what a stream states of its channels."""
+    return Blocks(
+        n_channels=n_channels,
         read=lambda length, channels: iter(()),
-        fallback_unit=fallback,
-        full_scales=[1.0] * n,
-        integers=[coding.kind != "f"] * n,
+        sampling_rate=rate,
+        rate_from="WAV header",
+        fallback_unit=fallback_unit,
+        full_scales=[1.0] * n_channels,
+        integers=[coding.kind != "f"] * n_channels,
     )
-    links = (chain or Chain()).links(contents, range(n), unit, source)
-    return {
-        "channels": [
-            Channel(name=str(number), unit=link.unit, origin=link.origin) for number, link in enumerate(links, 1)
-        ],
-        "factors": [link.factor for link in links],
-    }
-
-
-def _require_agreement(
-    head: WaveHead, sampling_rate: float | None, n_channels: int | None, coding: Coding | None, source: str
-) -> None:
-    if not 0 < head.n_channels <= MAX_CHANNELS:
-        raise BadData(f"{source}: a stream must be of 1 to {MAX_CHANNELS} channels, got {head.n_channels}")
-    stated = require_rate(head.sampling_rate)
-    if sampling_rate is not None and not rates_agree(sampling_rate, stated):
-        raise InvalidValue(
-            f"{source}: sampling_rate must agree with the stream to 0.1 %, got {sampling_rate:.10g} Hz where "
-            f"the WAV header says {stated:.10g} Hz; leave out --rate or correct it"
-        )
-    if n_channels not in (None, head.n_channels):
-        raise InvalidValue(
-            f"{source}: n_channels must agree with the stream, got {n_channels} where the WAV header says "
-            f"{head.n_channels}; leave out --channels or correct it"
-        )
-    if coding not in (None, head.coding):
-        raise InvalidValue(
-            f"{source}: sample_format must agree with the stream, the WAV header says another; leave out "
-            "--sample-format"
-        )
 
 
 def _skip(file: BinaryIO, size: int) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
-from cgid.signals import Signal
+from cgid.signals import Signal, channel_name
 from cgid.units import UNITS, quantity_of
 from cgid.validation import require_rate
 
@@ -378,8 +378,8 @@ class RecordingFile:
             if not finite.all():
                 row, column = np.argwhere(~finite)[0]
                 raise BadData(
-                    f"{self._name(row)}: samples must be finite, sample {first + column} is {block[row, column]}; "
-                    "cut or repair the recording there"
+                    f"{channel_name(self.source, self.channels[row].name)}: samples must be finite, sample "
+                    f"{first + column} is {block[row, column]}; cut or repair the recording there"
                 )
             first += block.shape[1]
             yield block
@@ -443,10 +443,6 @@ class RecordingFile:
             out[:, filled : filled + block.shape[1]] = block
             filled += block.shape[1]
         return out[:, :filled]
-
-    def _name(self, row: int) -> str:
-        channel = self.channels[row].name
-        return self.source if channel == "1" else f"{self.source} channel {channel}"
 
 
 def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None, source: str) -> tuple[int, ...]:
