@@ -13,7 +13,7 @@ import pytest
 from cgid import shipped
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
-from cgid.identification.answers import identify, identify_frames, suited
+from cgid.identification.answers import identify, identify_frames
 from cgid.identification.detection import find_impacts
 from cgid.identification.model import Model
 from cgid.identification.rows import (
@@ -21,11 +21,9 @@ from cgid.identification.rows import (
     DEFAULT_GUARDS,
     DEFAULT_VIBRATION_FEATURES,
     default_guards,
-    linear_columns,
     measure,
 )
 from cgid.identification.training import Training, train
-from cgid.measure.features import FEATURES
 from cgid.signals import Batch, Signal
 from cgid.units import STANDARD_GRAVITY
 from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing_batch
@@ -92,38 +90,11 @@ def test_a_model_asks_for_no_band_that_its_rate_has_not() -> None:
         measure([slow], ["level_10000_hz"])
 
 
-def test_levels_get_no_second_logarithm() -> None:
-    names = ("peak_amplitude", "level_500_hz", "relative_level_500_hz", "crest_factor", "decay_time")
-    assert linear_columns(names) == (1, 2)
-    assert {FEATURES[name].kind for name in names} == {"vibration"}
-
-
 def test_logistic_learns_from_the_levels(training: Training, fresh: Batch) -> None:
     assert training.metrics["accuracy"] > 0.85
     answers = identify_frames(fresh.signals, RATE, training.model, pre_trigger=PRE_TRIGGER)
     assert accuracy(answers, fresh.labels) > 0.85
     assert [answer.time for answer in answers] == [PRE_TRIGGER / RATE] * len(fresh)
-
-
-def test_g_is_converted(training: Training, fresh: Batch) -> None:
-    frame = fresh.signals[0].astype(float)
-    signal = Signal(samples=frame / STANDARD_GRAVITY, sampling_rate=RATE, unit="g", pre_trigger=PRE_TRIGGER)
-    (answer,) = identify(suited(signal, training.model), training.model)
-    (expected,) = identify_frames(frame[None], RATE, training.model, pre_trigger=PRE_TRIGGER)
-    assert answer.label == expected.label
-    assert answer.probabilities == pytest.approx(expected.probabilities, rel=1e-9)
-
-
-def test_what_cannot_be_measured_is_answered_with_unknown(training: Training, fresh: Batch) -> None:
-    frames = fresh.signals[:3].copy()
-    frames[1] = 0.0
-    answers = identify_frames(frames, RATE, training.model, pre_trigger=PRE_TRIGGER)
-    assert answers[1].label == "unknown"
-    assert "all samples are 0" in answers[1].problem
-    assert answers[0].probabilities
-    assert answers[2].probabilities
-    with pytest.raises(InvalidValue, match="needs a sampling_rate"):
-        identify_frames(frames, RATE / 2, training.model, pre_trigger=PRE_TRIGGER)
 
 
 # -- impacts in a recording -----------------------------------------------------------------------------------
@@ -233,18 +204,6 @@ def test_each_quantity_gets_its_default_model(
     assert run(["predict", files["force"], "--model", force_model, "--json"]) == 0
     (row,) = impacts(capsys)
     assert row == rows[2]
-
-
-def test_mass_makes_a_force_of_it_and_asks_the_model_of_force(
-    files: dict[str, str], default_model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["predict", files["force"], "--json"]) == 0
-    (force,) = impacts(capsys)
-    assert run(["predict", files["impactor"], "--mass", "2", "--json"]) == 0
-    (impactor,) = impacts(capsys)
-    assert impactor["probabilities"] == pytest.approx(force["probabilities"], rel=1e-9)
-    assert run(["predict", files["force"], "--model", str(default_model)]) == 65
-    assert "acceleration" in capsys.readouterr().err
 
 
 def test_dataset_of_acceleration(

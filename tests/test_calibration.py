@@ -158,11 +158,6 @@ def test_gain_of_taps_and_drops(taps, drops, gain):
     assert calibrated(found.scene, blows).gain == pytest.approx(gain, rel=0.01)
 
 
-def test_without_noise_the_gain_is_that_of_the_beam():
-    blows = [tap(0, noise=0.0), drop(0, noise=0.0)[0]]
-    assert calibrated(scene_of(), blows).gain == pytest.approx(1.0, rel=3e-4)
-
-
 def test_force_that_went_through_no_filter():
     force = hammer(150.4 / RATE, 2e3, 0.6e-3)
     motion, _ = recorded(force)
@@ -218,12 +213,6 @@ def test_gain_is_a_factor_on_the_motion_alone():
         next(synthesise(varied(scene, absolute_noise=1.0), 5, seed=1, dtype="float64")) for scene in (plain, louder)
     ]
     np.testing.assert_allclose(noisy[1].signals - other.signals, noisy[0].signals - one.signals, atol=1e-6)
-
-
-def test_a_scene_without_gain_keeps_its_identity():
-    plain = scene_of()
-    assert "gain" not in plain.text
-    assert varied(varied(plain, gain=2.0), gain=None).sha256 == plain.sha256 != varied(plain, gain=2.0).sha256
 
 
 # ---- bad input -------------------------------------------------------------------------------------------------------

@@ -187,36 +187,6 @@ def test_scores_are_those_of_their_definitions(found):
     assert found.roc_area("gangue") == pytest.approx(pairs.mean(), abs=1e-6)
 
 
-def test_a_known_drop_height_never_hurts(found):
-    known = ceiling(rocks(*PAIR, sensor={"relative_noise": 0.05}), 512, seed=44, drop_height_known=True)
-    assert (known.truth == found.truth).all()
-    gain = known.probabilities.max(axis=1) - found.probabilities.max(axis=1)
-    assert gain.mean() > -2 * gain.std() / np.sqrt(len(gain))
-    difference = known.hits - known.probabilities.max(axis=1)
-    assert abs(difference.mean()) < 3 * difference.std() / np.sqrt(len(difference))
-
-
-def test_more_noise_is_never_better(found):
-    worse = ceiling(rocks(*PAIR, sensor={"relative_noise": 0.2}), 512, seed=44)
-    assert worse.accuracy < found.accuracy - 0.02
-
-
-@pytest.mark.parametrize("known", [False, True])
-def test_two_names_of_one_rock_cannot_be_told_apart(known):
-    same = ceiling(rocks(("coal", "coal"), ("culm", "coal")), 256, seed=45, drop_height_known=known)
-    assert same.probabilities == pytest.approx(np.full((256, 2), 0.5), abs=1e-12)
-    assert same.accuracy == pytest.approx(0.5)
-
-
-@pytest.mark.long
-def test_rocks_without_anything_in_common_are_always_told_apart():
-    low, high = ({"distribution": "uniform", "lowest": e, "highest": e + 0.1} for e in (0.3, 0.8))
-    scene = content(populations__0__restitution=low, populations__1__restitution=high, sensor__relative_noise=0.01)
-    apart = ceiling(parse_scene(scene), 256, seed=46)
-    assert apart.accuracy == pytest.approx(1, abs=1e-6)
-    assert apart.hits.all()
-
-
 def test_two_populations_of_one_label_add_up():
     """Coal and gangue, or three equal populations of which two are one label."""
     thirds = ceiling(rocks(("coal", "coal"), ("coal", "coal"), ("culm", "coal")), 256, seed=47)
@@ -263,11 +233,6 @@ def test_what_is_not_covered_is_refused_with_the_reason(scene, said):
     with pytest.raises(InvalidValue, match="scene small: the Bayes limit needs") as caught:
         ceiling(parse_scene(scene), 8)
     assert said in str(caught.value)
-
-
-def test_roc_wants_a_label(found):
-    with pytest.raises(InvalidValue, match="label"):
-        found.roc_area("slate")
 
 
 # -- from below, and the command ----------------------------------------------------------------------------------
@@ -326,10 +291,3 @@ def test_the_command_bounds_what_it_does_not_integrate_from_below(capsys, tmp_pa
     content = json.loads(capsys.readouterr().out)
     assert content["kind"] == "below" and "accuracy" not in content and "filter" in content["uncovered"]
     assert 0.5 < content["learner"]["accuracy"] <= 1
-
-
-@pytest.mark.parametrize("scene", ["tail_beam", "plate"])
-def test_acceleration_ends_with_a_line_that_names_the_study(capsys, scene):
-    assert run(["ceiling", scene]) == 2
-    err = capsys.readouterr().err
-    assert f"studies.ceilings {scene}" in err and err.count("\n") == 1

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import logging
 import os
 import re
-import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -16,21 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
-from distributed.scheduler import KilledWorker
-from joblib._dask import DaskDistributedBackend
-from joblib.parallel import BatchedCalls
 
 from cgid import workers as cluster
 from cgid.cli.main import run
-from cgid.errors import BadData, CannotCreate, ClusterFailed, InvalidValue, MissingExtra
+from cgid.errors import CannotCreate, ClusterFailed, InvalidValue
 from cgid.identification.grouped import Candidate, TrainingSet, choose_candidate, cross_validate, final
-from cgid.identification.rows import Rows, measure
-from cgid.scene import Scene, generate, synthesise
+from cgid.identification.rows import Rows
+from cgid.scene import Scene, generate
 from cgid.scene import generation as shards
 from cgid.store import Dataset
 from cgid.validation import positive
 from cgid.workers import ALONE, Workers, workers
-from models.selection import FAMILIES, select
 from tests.mortal import fatal
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.
@@ -91,15 +85,6 @@ def test_a_dataset_is_the_same_whoever_makes_it(
 
 
 @pytest.mark.long
-def test_what_all_have_in_common_may_be_large(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    common = np.arange(200_000.0)
-    assert common.nbytes > cluster._SMALL
-    with workers(scheduler=address) as crew:
-        for _ in range(2):  # the second time just after the first is forgotten
-            assert list(crew.each(np.take, common, range(7))) == list(range(7))
-
-
-@pytest.mark.long
 def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
     generator, group = np.random.default_rng(8), np.repeat(np.arange(4), 15)
     labels = np.where(group % 2, "a", "b")
@@ -122,18 +107,6 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
 
 
 @pytest.mark.long
-def test_families_are_compared_alike_whoever_does_the_folds(reference_scene: Scene) -> None:
-    measured = measure(synthesise(reference_scene, 300, 3), FEATURES.split(","))
-
-    def compared(crew: Workers) -> list[dict[str, Any]]:
-        rows = select(measured, families=FAMILIES[:2], n_folds=2, crew=crew)
-        return [{name: value for name, value in row.items() if name not in ("fit_s", "predict_us")} for row in rows]
-
-    with workers(2) as two:
-        assert compared(ALONE) == compared(two)
-
-
-@pytest.mark.long
 def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, models = str(tmp_path / "data"), [tmp_path / name for name in ("far.npz", "two.npz", "one.npz")]
     assert (
@@ -143,15 +116,6 @@ def test_a_command_does_its_work_on_a_cluster(address: str, tmp_path: Path, caps
         assert run(["train", data, "-o", str(model), "--family", "linear", "--features", FEATURES, *way]) == 0
     assert len({model.read_bytes() for model in models}) == 1
     assert "Traceback" not in capsys.readouterr().err
-
-
-@pytest.mark.long
-def test_what_dask_logs_is_kept_off_the_terminal(address: str) -> None:
-    logs = [logging.getLogger(name) for name in ("distributed.client", "distributed.scheduler", "tornado.application")]
-    before = [log.level for log in logs]
-    with workers(scheduler=address):
-        assert not any(log.isEnabledFor(logging.CRITICAL) for log in logs)
-    assert [log.level for log in logs] == before
 
 
 def test_processes_that_are_kept_stand_in_another_folder(
@@ -182,17 +146,6 @@ def test_what_a_part_raises_is_raised(way: str, address: str) -> None:
         with pytest.raises(InvalidValue, match=r"^radius must be above 0, got -2"):
             list(crew.each(positive, "radius", [1, -2, 3]))
         assert sorted(crew.each(positive, "radius", [3, 4, 5], ordered=False)) == [3, 4, 5]  # the crew goes on
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("way", WAYS)
-def test_parts_that_cannot_be_made_are_told(way: str, address: str) -> None:
-    def parts() -> Iterator[int]:
-        yield from range(3, 30)
-        raise BadData("shard 5 is damaged")
-
-    with crew_of(way, address) as crew, pytest.raises(BadData, match="shard 5 is damaged"):
-        list(crew.each(positive, "radius", parts()))
 
 
 @pytest.mark.long
@@ -238,34 +191,6 @@ def test_no_scheduler_at_all(
     error = capsys.readouterr().err
     assert re.fullmatch(r"cgid: error: tcp://127\.0\.0\.1:9: a dask scheduler must answer there within .*\n", error)
     assert not (tmp_path / "d").exists()
-
-
-@pytest.mark.parametrize("scheduler", ["", "127.0.0.1:8786", "tcp://host", "http://host:1", "tcp://host:eight"])
-def test_what_is_no_address_is_refused(scheduler: str) -> None:
-    with pytest.raises(InvalidValue, match="scheduler must be an address such as"), workers(scheduler=scheduler):
-        pass
-
-
-def test_tls_without_certificates_is_refused() -> None:
-    with pytest.raises(InvalidValue, match=r"certificates.*tcp://"), workers(scheduler="tls://127.0.0.1:9"):
-        pass
-
-
-def test_dask_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'cgid\[cluster\]'"), workers(scheduler="tcp://host:1"):
-        pass
-
-
-def test_jobs_and_a_scheduler_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
-    way = ["--jobs", "2", "--scheduler", "tcp://host:1"]
-    for command in (["generate", "reference", "-o", "d"], ["train", "reference", "-o", "m.npz"]):
-        assert run([*command, *way]) == 2
-        assert "--jobs is for this machine, --scheduler for a cluster" in capsys.readouterr().err
-    assert run(["generate", "caving", "-o", "d.h5", "--scheduler", "tcp://host:1"]) == 65
-    assert "--scheduler is for datasets" in capsys.readouterr().err
-    with pytest.raises(InvalidValue, match="jobs"), workers(0):
-        pass
 
 
 def test_workers_that_never_come_back_are_told(nobody: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,22 +241,4 @@ def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: st
         pytest.raises(ClusterFailed, match="several workers have died of the same"),
     ):
         list(crew.each(fatal, f"{tmp_path}|99", range(6)))
-    two_workers.scheduler.allowed_failures = 3
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("mended", [False, True])
-def test_joblib_alone_does_not_hear_of_a_part_that_is_given_up(
-    two_workers: Any, address: str, tmp_path: Path, mended: bool
-) -> None:
-    """So it waits for ever. When this fails joblib does, and our own backend can go."""
-    two_workers.scheduler.allowed_failures = 0
-    told: list[Any] = []
-    with Client(address, set_as_default=False) as client:
-        backend = cluster._cluster_backend(client) if mended else DaskDistributedBackend(client=client)
-        backend.start_call()
-        batch = BatchedCalls([(fatal, (f"{tmp_path}|99", 1), {})], (None, 1))
-        assert isinstance(backend.submit(batch, told.append).exception(timeout=60), KilledWorker)
-        backend.stop_call()
-    assert [type(one) for one in told] == [KilledWorker] * mended
     two_workers.scheduler.allowed_failures = 3

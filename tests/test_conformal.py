@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.identification.answers import identify_frames
 from cgid.identification.card import write_card
-from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.conformal import COVERAGES, Conformal
 from cgid.identification.families import softmax
 from cgid.identification.metrics import calibration_error_by_chance, evaluate_sets, reliability
@@ -71,17 +67,6 @@ def test_coverage_holds_whatever_the_scores_are_worth(temperature: float) -> Non
     assert abs(np.mean(held) - coverage) < 4 * error
 
 
-def test_probabilities_taken_at_their_word_would_not_cover() -> None:
-    """What the calibration is for: the overconfident scores of the test above, believed."""
-    scores, truth = drawn(100_000, 0)
-    probabilities = softmax(scores / 0.1)
-    believed = 1 - probabilities <= 0.9
-    assert believed[np.arange(len(truth)), truth].mean() < 0.85
-    own = Conformal.fit(*(part[:20_000] for part in (probabilities, truth)))
-    sets = own.prediction_set(probabilities[20_000:], 0.9)
-    assert sets[np.arange(80_000), truth[20_000:]].mean() == pytest.approx(0.9, abs=0.01)
-
-
 def test_class_conditional_sets_cover_any_mix_of_the_labels() -> None:
     scores, truth = drawn(40_000, 3)
     own = Conformal.fit(softmax(scores - 1.0), truth)  # in favour of the first label
@@ -95,21 +80,6 @@ def test_class_conditional_sets_cover_any_mix_of_the_labels() -> None:
     assert held[False].mean() < 0.86
     assert held[True].mean() == pytest.approx(0.9, abs=0.01)
     assert [held[True][truth == k].mean() for k in (0, 1)] == pytest.approx([0.9, 0.9], abs=0.02)
-
-
-def test_more_coverage_never_takes_a_label_away() -> None:
-    scores, truth = drawn(5000, 5)
-    probabilities = softmax(scores)
-    own = Conformal.fit(probabilities, truth)
-    for conditional in (False, True):
-        sets = [own.prediction_set(probabilities, c, class_conditional=conditional) for c in COVERAGES]
-        assert all((small <= large).all() for small, large in pairwise(sets))
-
-
-@pytest.mark.parametrize("coverage", [0.0, 1.0, -0.1, 2.0, float("nan")])
-def test_impossible_coverages_are_refused(coverage: float) -> None:
-    with pytest.raises(InvalidValue, match="coverage must lie between 0 and 1"):
-        Conformal(np.array([0.5]), np.array([0]), 1).thresholds(coverage)
 
 
 @pytest.mark.parametrize(
@@ -142,21 +112,6 @@ def test_who_calibrates_neither_trains_nor_judges() -> None:
     assert counts == {"coal": 40, "gangue": 60}
 
 
-def test_training_keeps_the_calibration_out_of_the_fit(reference_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    fitted = []
-    fit = ImpactClassifier.fit
-    monkeypatch.setattr(
-        ImpactClassifier, "fit", lambda self, X, *rest, **crew: (fitted.append(X), fit(self, X, *rest, **crew))[1]
-    )
-    training = train(synthesise(reference_scene, 1000), features=["peak_force", "width_50", "tilt"])
-    (rows,) = fitted
-    about = training.model.training
-    assert len(rows) == about["n_train"] == 1000 - 100 - 250
-    assert (about["n_calibration_specimens"], about["n_test_specimens"]) == (100, 250)
-    assert training.model.conformal is not None
-    assert len(training.model.conformal.scores) == 100
-
-
 def test_impacts_of_one_specimen_calibrate_once(reference_scene: Scene) -> None:
     batches = list(synthesise(reference_scene, 600))
     training = train([*batches, *batches, *batches], features=["peak_force", "width_50", "tilt"])
@@ -172,14 +127,6 @@ def test_too_few_specimens_all_train_and_nothing_can_be_rejected(reference_scene
     assert "nothing can be rejected" in write_card(training.model, "m.npz")
     with pytest.raises(InvalidValue, match="coverage must be left out"):
         training.model.prediction_set(np.array([[0.5, 0.5]]), 0.9)
-
-
-@pytest.mark.parametrize(("test_share", "share"), [(0.25, 1.0), (0.25, -0.1), (0.25, 0.8)])
-def test_impossible_shares_are_refused(test_share: float, share: float) -> None:
-    specimen = np.arange(400, dtype=np.uint64)
-    labels = np.where(specimen % 2, "a", "b")
-    with pytest.raises(InvalidValue, match="calibration share"):
-        set_apart(labels, specimen, hold_out(labels, specimen, test_share), share)
 
 
 # -- what is reported -------------------------------------------------------------------------------------
@@ -261,22 +208,3 @@ def test_coverage_survives_the_file(trained: Trained, tmp_path: Path) -> None:
             loaded.prediction_set(training.test_probabilities, 0.93, class_conditional=conditional),
             training.model.prediction_set(training.test_probabilities, 0.93, class_conditional=conditional),
         )
-
-
-def test_predict_rejects_and_counts(trained: Trained, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "m.npz").write_bytes(trained["logistic"].model.to_bytes())
-    data = str(tmp_path / "new.h5")
-    assert run(["generate", "reference", "-o", data, "-n", "400", "--seed", "5"]) == 0
-    capsys.readouterr()
-    arguments = ["predict", data, "--model", str(tmp_path / "m.npz"), "--coverage", "0.9", "--json"]
-    for more in ([], ["--class-conditional"]):
-        assert run([*arguments, *more]) == 0
-        out, err = capsys.readouterr()
-        rows = [json.loads(line) for line in out.splitlines()]
-        covered = np.mean([row["truth"] in row["prediction_set"] for row in rows])
-        assert 0.85 < covered < 0.95
-        assert f"prediction sets hold the truth in {covered:.4f}" in err
-        named = [row for row in rows if row["label"] != "unknown"]
-        right = np.mean([row["label"] == row["truth"] for row in named])
-        assert f"{right:.4f} of the {len(named)} other answers are right" in err
-        assert all(row["prediction_set"] == [row["label"]] for row in named)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -17,7 +16,7 @@ import pytest
 from scipy.io import wavfile
 
 from cgid.cli.main import run
-from cgid.cli.monitor import Inbox, UnbufferedInput
+from cgid.cli.monitor import Inbox
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
 
 LABELS = ["coal"] * 14 + ["gangue"] * 14
@@ -205,26 +204,6 @@ def test_interruption_ends_with_a_summary(force: np.ndarray) -> None:
     assert b"Fatal" not in err
 
 
-def test_windows_are_monitored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rng = np.random.default_rng(4)
-    (tmp_path / "m.npz").write_bytes(window_model(hop_time=0.1).to_bytes())
-    (tmp_path / "n.raw").write_bytes((rng.normal(size=(8000, 2)) / 5).astype("<f4").tobytes())
-    arguments = ["monitor", str(tmp_path / "n.raw"), "--rate", "8000", "--channels", "2", "--sample-format", "f32le"]
-    assert run([*arguments, "--unit", "FS", "--model", str(tmp_path / "m.npz"), "--json"]) == 0
-    windows = rows_of(capsys.readouterr().out, "window")
-    assert [row["channel"] for row in windows] == ["1", "2"] * 10
-    assert {row["label"] for row in windows} == {"gangue"}
-
-
-def test_silence_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "s").write_bytes(np.zeros(200_000, "<f4").tobytes())
-    assert run(["monitor", str(tmp_path / "s"), *RAW, "--json", "--window", "0.5"]) == 0
-    out = capsys.readouterr().out
-    assert not rows_of(out, "impact")
-    assert rows_of(out, "summary")[0]["impacts"] == 0
-    assert {row["gangue_share"] for row in rows_of(out, "share")} == {None}  # still alive, and says so
-
-
 # -- nothing is dropped -----------------------------------------------------------------------------------
 
 
@@ -244,17 +223,6 @@ def test_inbox_joins_what_waits_and_drops_nothing() -> None:
     np.testing.assert_array_equal(np.concatenate(taken, axis=1), np.concatenate(blocks, axis=1))
     assert len(taken) < len(blocks)
     assert inbox.n_taken == sum(block.shape[1] for block in blocks)
-
-
-def test_inbox_passes_on_what_went_wrong_after_what_came_before() -> None:
-    def broken():
-        yield np.ones((1, 3))
-        raise OSError("unplugged")
-
-    taken = []
-    with pytest.raises(OSError, match="unplugged"):
-        taken.extend(Inbox(broken(), 10.0))
-    assert sum(block.shape[1] for block in taken) == 3
 
 
 def test_inbox_that_is_full_makes_the_stream_wait() -> None:
@@ -301,20 +269,3 @@ def test_a_live_stream_is_behind_by_what_waits_and_a_file_is_not(monkeypatch: py
     assert inbox.behind == 0.5
     leave.set()
     assert sum(block.shape[1] for block in iterator) == 50
-
-
-def test_unbuffered_input_returns_what_there_is() -> None:
-    reading, writing = os.pipe()
-    try:
-        os.write(writing, b"abcdef")
-        file = UnbufferedInput(reading)
-        assert file.read(4) == b"abcd"
-        assert file.read1(100) == b"ef"
-        os.close(writing)
-        writing = -1
-        assert file.read1(10) == b""
-        assert file.read(3) == b""
-    finally:
-        os.close(reading)
-        if writing >= 0:
-            os.close(writing)

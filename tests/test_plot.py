@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import wave
 import xml.etree.ElementTree as ElementTree
@@ -14,12 +13,11 @@ import numpy as np
 import pytest
 from scipy import signal as scipy_signal
 
-from cgid import shipped
 from cgid.cli.main import run
 from cgid.measure.overview import OverviewStream
 from cgid.plots import picture, share_figure
 from cgid.plots.answers import drawn_figure
-from cgid.plots.figure import COLOURS, FORMATS, NEUTRAL, judgement_pictures
+from cgid.plots.figure import FORMATS
 from cgid.plots.recording import Mark, overview_figure
 from cgid.recordings import Channel
 from cgid.scene import generate
@@ -98,36 +96,6 @@ def test_every_format_takes_text_of_anybody(suffix: str) -> None:
         root = ElementTree.fromstring(content)
         links = [value for node in root.iter() for name, value in node.attrib.items() if name.endswith("href")]
         assert all(link.startswith(("#", "data:image/png")) for link in links)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_equal_figures_give_equal_bytes(suffix: str) -> None:
-    samples = np.ones((1, 10))
-    assert picture(figure_of(samples), suffix, dpi=40) == picture(figure_of(samples), suffix, dpi=40)
-
-
-def test_colours_are_told_apart_by_everybody() -> None:
-    # Machado, Oliveira and Fernandes 2009, full severity: what is seen without one kind of cones, in linear RGB.
-    views = [
-        np.eye(3),
-        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
-        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
-    ]
-    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-
-    def seen(colour: str, view: Any) -> np.ndarray:
-        value = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-        linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-        white = to_xyz @ np.ones(3)
-        ratio = np.cbrt(to_xyz @ np.clip(np.array(view) @ linear, 0, 1) / white)
-        return np.array([116 * ratio[1] - 16, 500 * (ratio[0] - ratio[1]), 200 * (ratio[1] - ratio[2])])
-
-    for view in views:
-        colours = [seen(colour, view) for colour in (*COLOURS, NEUTRAL)]
-        # One unit is just seen beside each other; ten times that on far away marks.
-        assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(colours, 2)) > 15
 
 
 def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
@@ -210,31 +178,6 @@ def test_plot_finds_the_impacts(wav: Path, tmp_path: Path, capsys: pytest.Captur
     assert (tmp_path / "b.SVG").read_bytes().startswith(MAGIC[".svg"])
 
 
-def test_plot_passes_marks_on(wav: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import cgid.plots.recording
-
-    seen: dict[str, Any] = {}
-
-    def drawn(overview: Any, channels: Any, **more: Any) -> None:
-        seen.update(more, overview=overview)
-
-    monkeypatch.setattr(cgid.plots.recording, "overview_figure", drawn)
-    monkeypatch.setattr(cgid.plots, "picture", lambda *_, **__: b"")
-    assert run(["plot", str(wav), "-o", str(tmp_path / "a.png"), "--from", "0.5"]) == 0
-    times = [(mark.time, mark.channel) for mark in seen["marks"]]
-    assert [channel for _, channel in sorted(times)] in (["1", "2", "1"], ["2", "1", "1"])
-    np.testing.assert_allclose(sorted(time for time, _ in times), np.array([20_000, 20_000, 31_000]) / RATE, atol=2e-3)
-    assert (seen["title"], seen["facts"]) == ("blows.wav", "WAV, 25.6 kHz, 1.062 s, 3 impacts found")
-    upright = seen["overview"]
-    assert run(["plot", str(wav), "-o", str(tmp_path / "b.png"), "--no-events", "--invert", "--from", "0.5"]) == 0
-    assert seen["marks"] == [] and seen["facts"] == "WAV, 25.6 kHz, 1.062 s"
-    np.testing.assert_array_equal(seen["overview"].highest, -upright.lowest)
-    # A force is looked at as pulses are, unless said otherwise.
-    sample = str(shipped.path_of("datasets", shipped.SAMPLE))
-    assert run(["plot", sample, "-o", str(tmp_path / "c.png")]) == 0
-    assert seen["facts"].endswith("6 impacts found")
-
-
 def test_plot_draws_one_signal_of_a_dataset(tmp_path: Path, reference_scene: Any, capsys: Any) -> None:
     generate(reference_scene, tmp_path / "data.h5", 5, seed=1)
     picked = ["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "a.pdf"), "--index", "3", "--json"]
@@ -243,53 +186,3 @@ def test_plot_draws_one_signal_of_a_dataset(tmp_path: Path, reference_scene: Any
     assert told["impacts"] == 1 and told["source"].endswith("data.h5 index 3")
     assert run(["plot", str(tmp_path / "data.h5"), "-o", str(tmp_path / "b.pdf")]) == 65
     assert "--index" in capsys.readouterr().err
-
-
-def test_plot_draws_eight_channels_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    import cgid.plots.recording
-
-    monkeypatch.setattr(cgid.plots, "picture", lambda *_, **__: b"")
-    monkeypatch.setattr(cgid.plots.recording, "overview_figure", lambda *_, **__: None)
-    np.save(tmp_path / "ten.npy", np.random.default_rng(0).normal(size=(10, 5000)))
-    arguments = ["plot", str(tmp_path / "ten.npy"), "--rate", "1e4", "-o", str(tmp_path / "a.png"), "--no-events"]
-    assert run(arguments) == 0
-    assert "the first 8 of 10 channels are drawn; choose with --channel" in capsys.readouterr().err
-    assert run([*arguments, "--overwrite", "--channel", "9", "--channel", "10", "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert json.loads(out)["channels"] == ["9", "10"] and "warning" not in err
-
-
-def test_silence_is_drawn_without_impacts(tmp_path: Path, capsys: Any) -> None:
-    np.save(tmp_path / "silence.npy", np.zeros(20_000, np.float32))
-    arguments = ["plot", str(tmp_path / "silence.npy"), "--rate", "1e4", "-o", str(tmp_path / "a.png"), "--json"]
-    assert run(arguments) == 0
-    assert json.loads(capsys.readouterr().out)["impacts"] == 0
-
-
-def test_without_matplotlib_the_extra_is_named(wav: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    import sys
-
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert run(["plot", str(wav), "-o", str(wav.with_name("a.png"))]) == 69
-    assert "pip install 'cgid[plot]'" in capsys.readouterr().err
-
-
-def test_real_recordings(real_data: Path, tmp_path: Path, capsys: Any) -> None:
-    for name, more, least in (
-        ("bulk_ramp/screws_1.wav", [], 20),
-        ("shock/acc_base_a0.txt", ["--kind", "pulse"], 1),
-    ):
-        assert run(["plot", str(real_data / name), "-o", str(tmp_path / "a.png"), "--overwrite", "--json", *more]) == 0
-        assert json.loads(capsys.readouterr().out)["impacts"] >= least
-
-
-def test_the_reliability_picture_says_how_many_answers_each_bin_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures = []
-    monkeypatch.setattr("cgid.plots.figure.png", lambda figure: figures.append(figure) or b"")
-    counts = [12, 3400, 560]
-    reliability = [[0.55, 0.5, counts[0]], [0.7, 0.72, counts[1]], [0.95, 0.96, counts[2]]]
-    labels, probabilities = np.array(["a", "b"]), np.array([[0.9, 0.1], [0.2, 0.8]])
-    judgement_pictures(labels, probabilities, ("a", "b"), {"confusion": [[1, 0], [0, 1]], "reliability": reliability})
-    below = figures[1].axes[1]
-    assert [bar.get_height() for bar in below.patches] == counts
-    assert [text.get_text() for text in below.texts] == [str(count) for count in counts]

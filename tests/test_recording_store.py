@@ -1,7 +1,6 @@
 """Recordings on disk: whole or not at all, the same bytes twice, read back as they were; damage is told."""
 
 import json
-import os
 import subprocess
 import sys
 import tracemalloc
@@ -62,26 +61,6 @@ def test_what_is_read_is_what_was_made(made):
     assert stored.impact_units == {**impact_units(SCENE), "label": "", "specimen": ""}
 
 
-def test_root_attributes_say_how_it_was_made(made):
-    about = Recording(made / "three" / "recording-00002.h5").attributes
-    assert (about["format"], about["schema_version"], about["seed"], about["recording"]) == ("cgid-recording", 1, 3, 2)
-    assert parse_scene(json.loads(about["scene"])) == SCENE and about["scene_sha256"] == SCENE.sha256
-    assert "numpy" in about["versions"]
-
-
-def test_a_recorded_background_leaves_its_hash(tmp_path):
-    np.save(tmp_path / "pump.npy", np.sin(np.arange(5000.0)))
-    asked = {"recorded": {"path": "pump.npy", "signal_to_noise": 20, "sampling_rate": RATE}}
-    scene = parse_scene(content(duration="1 s", background=asked), folder=tmp_path)
-    hashes = set()
-    for number in range(2):
-        generate_recordings(scene, tmp_path / f"{number}.h5")
-        hashes.add(Recording(tmp_path / f"{number}.h5").attributes["background_sha256"])
-        np.save(tmp_path / "pump.npy", np.sin(np.arange(5001.0)))
-        os.utime(tmp_path / "pump.npy", ns=(number, number))
-    assert len(hashes) == 2
-
-
 def test_recordings_of_a_folder_are_those_of_their_numbers(made):
     files = sorted(path.name for path in (made / "three").glob("*.h5"))
     assert files == [f"recording-{number:05d}.h5" for number in range(3)]
@@ -103,21 +82,6 @@ def test_twice_the_same_bytes_in_another_process(made, tmp_path):
     )
     subprocess.run([sys.executable, "-c", program, tmp_path / "scene.json", tmp_path / "again.h5"], check=True)
     assert (tmp_path / "again.h5").read_bytes() == (made / "one.h5").read_bytes()
-
-
-def test_double_precision_holds_the_same_recording(tmp_path):
-    generate_recordings(SCENE, tmp_path / "wide.h5", seed=3, dtype="float64")
-    wide = Recording(tmp_path / "wide.h5").samples()
-    assert wide.dtype == np.float64
-    np.testing.assert_array_equal(wide.astype(np.float32), record(SCENE, 3)[0].samples)
-
-
-def test_a_recording_without_impacts(tmp_path):
-    with writing(tmp_path / "none.h5", plan_of(100)) as writer:
-        writer.add(np.ones(100, np.float32))
-        writer.add_impacts(impacts_of(0), {"time": "s"})
-    stored = Recording(tmp_path / "none.h5")
-    assert stored.n_impacts == 0 and stored.impacts()["label"].size == 0 and stored.samples().sum() == 100
 
 
 # ---- as a recording like any other -----------------------------------------------------------------------------------
@@ -168,33 +132,6 @@ def test_what_is_measured_is_what_the_truth_says(made):
         )[0]
         assert peak == pytest.approx(truth["peak_force"][row], rel=0.05)
         assert duration == pytest.approx(truth["contact_duration"][row], rel=0.3)
-
-
-def test_the_command_makes_recordings(tmp_path, capfd):
-    scene = tmp_path / "scene.toml"
-    scene.write_text(
-        'name = "toml"\n[impact]\nstiffness = "hertz"\ndissipation = "elastic"\ntarget = "rigid"\n'
-        '[sampling]\nsampling_rate = "25.6 kHz"\n[stream]\nduration = "1 s"\narrivals = { times = ["0.5 s"] }\n'
-        '[[populations]]\nlabel = "coal"\ndensity = 1400\nyoungs_modulus = "3 GPa"\npoisson_ratio = 0.3\n'
-        'radius = "25 mm"\nvelocity = 4\n'
-    )
-    assert run(["generate", str(scene), "-o", str(tmp_path / "one.h5")]) == 0
-    assert Recording(tmp_path / "one.h5").n_impacts == 1
-    assert run(["generate", str(scene), "-o", str(tmp_path / "many"), "-n", "2"]) == 0
-    assert len(list((tmp_path / "many").glob("*.h5"))) == 2
-    assert run(["check", str(scene)]) == 0
-    capfd.readouterr()
-    for arguments, code, says in (
-        (["-o", str(tmp_path / "two.h5"), "-n", "2"], 65, "for a folder"),
-        (["-o", str(tmp_path / "one.h5")], 73, "exists already"),
-        (["-o", str(tmp_path / "new.h5"), "--jobs", "2"], 65, "--jobs is for datasets"),
-        (["-o", str(tmp_path / "new.h5"), "-n", "0"], 65, "between 1 and"),
-        (["-o", str(tmp_path / "new.h5"), "--seed", "-1"], 65, "seed"),
-    ):
-        assert run(["generate", str(scene), *arguments]) == code
-        (line,) = capfd.readouterr().err.splitlines()
-        assert says in line
-    assert not (tmp_path / "new.h5").exists() and not (tmp_path / "two.h5").exists()
 
 
 # ---- whole or not at all ---------------------------------------------------------------------------------------------
@@ -275,11 +212,3 @@ def test_headers_that_are_not_believed(made, tmp_path, change, says):
         change(file)
     with pytest.raises(BadData, match=says):
         Recording(path)
-
-
-def test_the_picture_shows_a_recording(made):
-    from cgid.plots import recording_picture
-
-    stored = Recording(made / "one.h5")
-    picture = recording_picture(stored.signal(), stored.impacts())
-    assert picture.startswith(b"\x89PNG") and picture == recording_picture(stored.signal(), stored.impacts())

@@ -78,12 +78,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
     )
 
 
-def test_a_model_may_say_little_of_its_accuracy() -> None:
-    model = Model.load(shipped.path_of("models", shipped.ACCELERATION_MODEL))
-    for metrics in ({}, {"accuracy": 0.7}, {"accuracy_interval_95": [0.5, 0.9]}):
-        assert "accuracy in its test" not in model_facts(replace(model, training={"metrics": metrics}), "m.npz")
-
-
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not about pictures need not wait for them."""
@@ -173,21 +167,6 @@ def test_text_of_strangers_is_only_text(report: Report) -> None:
     assert any('"><img src="http://127.0.0.1' in text for text in seen.texts)
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_many_recordings_are_one_page(report: Report) -> None:
-    four = [replace(report, source=f"folder/{name}.wav") for name in "abcd"]
-    text = report_page(four)
-    assert "<title>a.wav and 3 other recordings</title>" in text and text.count("<section>") == 4
-    assert "<title>a.wav, b.wav</title>" in report_page(four[:2])
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_long_tables_say_that_they_end(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "MAX_ROWS", 7)
-    text = report_page([report])
-    assert "The first 7 of 30" in text and len(Page(text).rows) == 8
-
-
 @pytest.fixture
 def visitors() -> Iterator[tuple[int, list[bytes]]]:
     """A port on this machine, and what anybody has asked there."""
@@ -264,26 +243,3 @@ def test_the_table_sorts_and_chooses(report: Report, tmp_path: Path) -> None:
     assert ordered["label"] == [*range(1, 31)]
     assert ordered["number"] == [*range(1, 31)]
     assert ordered["chosen"] == [30]
-
-
-# -- next steps, and a phone ------------------------------------------------------------------------------
-
-
-def test_a_phone_never_scrolls_the_page_sideways(report: Report, tmp_path: Path) -> None:
-    long = "a_name_without_any_place_to_break_it_" * 6
-    told = replace(report, source=f"/x/{long}.csv", warnings=[long], recording={long: long})
-    # Chromium has no window narrower than 500 pixels, a frame in it may be.
-    inner = html.escape(re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", report_page([told])))
-    steps = """
-      addEventListener("load", () => {
-        const page = document.querySelector("iframe").contentDocument, root = page.documentElement;
-        const sizes = [...page.querySelectorAll("th button, select")].map(one => one.getBoundingClientRect().height);
-        document.title = JSON.stringify([root.clientWidth, root.scrollWidth, Math.min(...sizes)]);
-      });
-    """
-    frame = f'<iframe srcdoc="{inner}" width="360" height="740" style="border: 0"></iframe>'
-    (tmp_path / "page.html").write_text(f"<title></title><script>{steps}</script>{frame}", "utf-8")
-    shown = browse(tmp_path / "page.html", tmp_path / "browser")
-    width, scrolled, touch = json.loads(html.unescape(re.search("<title>(.*?)</title>", shown)[1]))
-    assert scrolled <= width <= 360
-    assert touch >= 44

@@ -163,24 +163,6 @@ def test_two_sensors_find_the_location_and_the_force() -> None:
     assert np.median(np.abs(np.log(values[:, 0] / batch.parameters["peak_force"]))) < 0.01
 
 
-@pytest.mark.long
-def test_two_sensors_on_the_middle_line_cannot_tell_a_side() -> None:
-    """But the force is right on either side."""
-    batch, inverted, values = looked(ON)
-    mirrored = np.abs(inverted.y + batch.parameters["impact_y"] - 1.4) < 5e-3
-    assert 0.25 < np.mean(mirrored) < 0.75
-    assert np.mean(mirrored | (far(ON) < 0.02)) > 0.95
-    assert np.median(np.abs(np.log(values[:, 0] / batch.parameters["peak_force"]))) < 0.01
-
-
-def test_two_sensors_tell_more_than_one() -> None:
-    """Deviations of the peak as of measurements that are independent."""
-    batch, _, both = looked(OFF)
-    single = [features_of(batch.signals[:, k], batch, alone(k))[:, 3] for k in range(2)]
-    expected = np.sqrt(1 / (single[0] ** -2 + single[1] ** -2))
-    assert np.median(both[:, 3] / expected) == pytest.approx(1.0, abs=0.15)
-
-
 def test_a_noisy_sensor_does_not_mislead() -> None:
     """Noise that goes with the loudness of each sensor: far louder at one than at the other, and of another colour."""
     batch, _, _ = looked(OFF)
@@ -225,26 +207,6 @@ def test_clipped_samples_tell_nothing(clipped: tuple[int, ...]) -> None:
     error = np.log(values[:, 0] / batch.parameters["peak_force"][:48])
     assert np.nanmedian(np.abs(error)) < 0.02
     assert np.mean(np.abs(error) < 1.96 * values[:, 3]) > 0.7
-
-
-def test_a_limit_on_either_side() -> None:
-    """A value that two samples share is a limit, and the other side has the same, even for a single sample."""
-    frames = np.array([[0.0, 3, 3, 1, -3, 2, 0], [0.0, 3, 3, 1, -2, 2, 0], [0.0, 3, 2, 1, -3, 2, 0]])
-    found = clipped_samples(frames)
-    assert found is not None
-    assert [np.flatnonzero(row).tolist() for row in found] == [[1, 2, 4], [1, 2], []]
-
-
-def test_the_first_sensor_is_the_beam_itself() -> None:
-    """A sensor at the scene's point hears what that of the scene does, and others what the shapes there say."""
-    scene, both = load_scene("tail_beam"), beam_at(*OFF).beam
-    assert OFF[0] == (scene.tail_beam.sensor_point.x, scene.tail_beam.sensor_point.y)
-    for number, point in enumerate(OFF):
-        modes = beam_modes(moved(scene, point))
-        x, y = np.array([0.9, 1.3]), np.array([0.3, 1.1])
-        true = modes.participation(x, y)
-        found = both.weights(x, y)[0] * both.shares[number]
-        np.testing.assert_allclose(found, true, atol=1e-3 * np.abs(true).max())
 
 
 def test_participations_that_blows_taught_are_those_of_one_sensor() -> None:

@@ -17,12 +17,9 @@ import pyarrow.parquet
 import pytest
 from scipy.io import wavfile
 
-from cgid.cli.answer_rows import AnswerLines
 from cgid.cli.main import run
 from cgid.cli.table import ENDINGS, TableOutput, numbers
-from cgid.errors import BadData
 from cgid.identification.model import Model
-from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.stream import identify_recording
 from cgid.recordings import open_recording
 from tests.streams_of_pulses import RATE, ROOT, stream, window_model
@@ -105,13 +102,6 @@ def test_windows_sets_and_datasets_have_their_own_columns(tmp_path: Path, datase
     assert "of 12 labelled impacts" in err
 
 
-def test_models_of_other_columns_are_refused() -> None:
-    lines = AnswerLines(False)
-    lines.begin("a.wav", Model.load(ROOT / "models" / "default.npz"), PredictionSettings())
-    with pytest.raises(BadData, match=r"b.wav: .* its model has end_s, too"):
-        lines.begin("b.wav", window_model(), PredictionSettings())
-
-
 def test_monitor_prints_a_table_even_of_silence() -> None:
     raw = ["--rate", str(RATE), "--channels", "1", "--sample-format", "f32le", "--unit", "N"]
     force = stream(["coal"] * 14 + ["gangue"] * 14, 0.02)
@@ -121,14 +111,6 @@ def test_monitor_prints_a_table_even_of_silence() -> None:
     table, err = printed("monitor", "-", *raw, content=bytes(4 * 100_000))
     assert table.empty and list(table.columns[:4]) == ["source", "channel", "time_s", "label"]
     assert "stdin: 0 impacts: none in 0.5 s" in err
-
-
-def test_a_recording_without_impacts_is_an_empty_table(tmp_path: Path) -> None:
-    np.save(tmp_path / "quiet.npy", np.random.default_rng(0).normal(0, 25, 24_000))
-    table, err = printed("predict", str(tmp_path / "quiet.npy"), *RAW, code=65)
-    assert table.empty and "p_coal" in table and "no impact" in err
-    table, err = printed("features", str(tmp_path / "quiet.npy"), *RAW, code=65)
-    assert table.empty and "peak_force_N" in table and "no impact" in err
 
 
 def test_features_print_a_table(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -163,15 +145,6 @@ def test_channels_of_two_quantities_share_a_table_and_files_do_as_far_as_they_ca
     )
     table, err = printed("features", SAMPLE, str(tmp_path / "beam.csv"), code=65)
     assert len(table) == 6 and "its features must be among those of the file before" in err
-
-
-def test_the_list_of_features_is_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    table, err = printed("features", "--list")
-    assert list(table.columns) == ["name", "unit", "definition", "source", "kind"]
-    assert set(table["kind"]) == {"pulse", "vibration", "window"} and not err
-    assert run(["features", "--list", "--json"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [json.loads(line)["definition"] for line in lines] == table["definition"].tolist()
 
 
 def test_names_are_quoted_and_cannot_command_the_terminal(tmp_path: Path) -> None:
