@@ -221,31 +221,7 @@ def open_recording(
 ) -> RecordingFile:
     r"""Open a recording; its content determines the format, not its name, unless `format` does.
 
-    Text (CSV, TXT, ...): columns divided by comma, semicolon, tab, bar or blanks; a decimal comma unless commas divide
-    columns; comments above and below the numbers; header lines; UTF-8, UTF-16, GB 18030 or Latin-1. A header such as
-    ``time (ms), force [kN]`` gives names and units, ``# sampling_rate: 200 kHz`` and ``# unit: N`` the rest. Times are
-    in seconds unless the header says ms or us, or they are times of day.
-
-    LVM (LabVIEW): the channels of all segments that follow each other without a gap. `variable` is the number of one
-    segment.
-
-    WAV (RIFF, RIFX, RF64), FLAC and OGG (library soundfile): any number of channels. Integers are scaled to a full
-    scale of 1.0. The unit is "FS" unless `unit` is given, as the unit of numbers between -1 and 1.
-
-    NPY: (n_samples,) is one channel. Two axes are (n_channels, n_samples), or (n_samples, n_channels) if the second is
-    shorter.
-
-    NPZ, HDF5 and MATLAB (version 5 and up): named arrays. If there are several besides times, `variable` selects an
-    array, a group or struct of arrays of one length, or a pattern such as ``ch*``. Rate, unit, start and channel names
-    come from attributes and single values (``fs``, ``dt``, ``unit``, ...), the nearest first; the rate else from an
-    array of times. A recording made by `cgid generate` is one channel.
-
-    TDMS (library nptdms): the channels of one group with their waveform properties; `variable` is a group or
-    ``group/channel``. UFF, UNV (library pyuff): the data sets 58 over time; `variable` is the number or name of one.
-    Parquet (library pyarrow): columns, as in a text file.
-
-    A file that is cut off is refused, but for WAV and TDMS, and LVM between two rows, which give the samples before it
-    and `RecordingFile.warnings`. A text that is cut off at the end of a line looks like a whole one.
+    The page "Formats of recordings" of the reference says what is read of each format, and what of a damaged file.
 
     Volts and coulombs become N or m/s^2 where `sensitivity` or the file says what the sensor gives: a line ``#
     sensitivity: 10.2 mV/g`` above a text or in the header of a UFF, an attribute, property or value of such a name.
