@@ -1,4 +1,4 @@
-"""What to do where most impacts are unknown, the beam has changed or the scale is wrong: words and commands."""
+"""What to do where most impacts are unknown, the beam has changed or the scale is wrong: commands, words of a table."""
 
 from __future__ import annotations
 
@@ -24,63 +24,6 @@ SCENE, SCENE_RATE = "tail_beam", 25_600.0
 CALIBRATED, _TRAINED = 20, 16
 #: Decades by which an amplitude may miss the unit that explains it: it is known to a quarter of a decade.
 _SAME_UNIT = 0.3
-
-#: Cause -> reason, and what helps; see `Hints._words` for what stands in braces.
-_WORDS = {
-    "noise": (
-        "they are too weak, only {value:.2g} times as strong as what is before them",
-        "record nearer to the impacts, or with less noise",
-    ),
-    "hidden": ("they are too weak, not clear of the noise", "record nearer to the impacts, or with less noise"),
-    "drowned": ("they are drowned in noise that the training does not have", "record nearer, or with less noise"),
-    "clipped": ("they are clipped at the limit of the recorder", "record with a larger range"),
-    "cut_off": (
-        "the recording begins or ends within them",
-        "record longer, with some milliseconds before the first impact",
-    ),
-    "overlapping": (
-        "they follow too closely, each begins before the one before it is over",
-        "place the sensor where fewer rocks are heard",
-    ),
-    "upside_down": ("the signal falls far deeper than it rises", "turn it over"),
-    "coverage": ("they are like those of the training, but {problem}", "ask for a lower coverage"),
-    "unmeasured": ("they cannot be measured ({problem})", "record anew"),
-    "sampling_rate": (
-        "sampled at {rate:g} Hz they are outside of the training, at {value:g} Hz they would be inside",
-        "if that is the true rate, {correct_rate}",
-    ),
-    "amplitude": (
-        "they are about {times} times as {strong} as those of the training, otherwise like them",
-        "check gain, sensitivity and unit ({units}), and {correct_unit}",
-    ),
-    "duration": (
-        "they are about {times} times as {long} as those of the training, otherwise like them",
-        "check the sampling rate, {rate:g} Hz, and {correct_rate}",
-    ),
-    "vibration": (
-        "they swing below their baseline by {value:.0%} of their peak, which no contact force does",
-        "if it is an acceleration, {correct_unit}, else label impacts and train on them{lacking}",
-    ),
-    "other_beam": (
-        "they are clear, but unlike those of the training: the modes of the model's beam do not explain them, it is "
-        "another beam, or it has changed{or_order}",
-        "learn the modes of this beam, with a scene of its size at {rate:g} Hz, and train on them, or label impacts"
-        "{lacking}",
-    ),
-    "shape": (
-        "they are no single pulses like those of the training, as where the sensor rings or filters{other_rate}",
-        "label impacts and train on them{lacking}",
-    ),
-    "features": (
-        "they are clear, but unlike those of the training, as on another beam, mount or sensor{range}{other_rate}",
-        "label {what} and train on them{lacking}",
-    ),
-    "beam": (
-        "the beam has changed, or it is another: the modes of the model's leave {value:.2g} % of the energy of the "
-        "last {n_latest} {kind}s unexplained (median{usual}), and answers are less often right",
-        "learn its modes anew and train on them{lacking}",
-    ),
-}
 
 
 class Hints(Diagnosis):
@@ -136,6 +79,8 @@ class Hints(Diagnosis):
 
     def _words(self, finding: Finding, has_steps: bool) -> tuple[str, str]:
         """Return reason and advice."""
+        import tomllib
+
         model, value = self.model, finding.value
         is_enough = self._kind == "window" or self._has_usable(CALIBRATED)
         low, high = model.sampling_rates
@@ -165,8 +110,9 @@ class Hints(Diagnosis):
             cause = "hidden"
         elif cause == "shape" and self._is_of_beam:
             cause = "other_beam"
-        reason, advice = _WORDS.get(cause, _WORDS["features"])
-        return reason.format(**fields).removesuffix(" ()"), advice.format(**fields)
+        words = tomllib.loads(Path(__file__).with_name("hints.toml").read_text(encoding="utf-8"))
+        found = words.get(cause, words["features"])
+        return found["reason"].format(**fields).removesuffix(" ()"), found["advice"].format(**fields)
 
     @property
     def _is_of_beam(self) -> bool:
