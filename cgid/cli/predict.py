@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import count
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from cgid.identification.answers import Answer
     from cgid.identification.model import Model
     from cgid.identification.prediction_settings import PredictionSettings
+    from cgid.impactor import ImpactorColumns
     from cgid.measure.overview import Overview
     from cgid.recordings import RecordingFile
     from cgid.recordings.recording import Channel
@@ -309,19 +311,7 @@ def predict(
 
     if not files and not sample:
         raise click.UsageError("give at least one FILE, or --sample for the one that comes with cgid")
-    if masses is not None and impactor is None:
-        raise click.UsageError("--masses needs to know what can have struck; give --impactor SCENE, too")
-    picture = None
-    if masses is not None:
-        from cgid.plots.figure import FORMATS, new_picture
-
-        picture = new_picture(masses, endings=FORMATS, overwrite=overwrite)
-    impactors = None
-    if impactor is not None:
-        from cgid.impactor import ImpactorColumns
-        from cgid.scene import load_scene
-
-        impactors = ImpactorColumns(load_scene(impactor), keep=picture is not None)
+    impactors, picture = _impactors(impactor, masses, overwrite=overwrite)
     models, settings = settings_of(reading, **options, impactors=impactors)
     if sample:
         name = shipped.ACCELERATION_SAMPLE if models.expects_acceleration else shipped.SAMPLE
@@ -359,3 +349,17 @@ def predict(
         write_whole(picture, content, overwrite=overwrite)
         say(f"wrote {picture}", err=True)
     return errors.code
+
+
+def _impactors(scene: str | None, masses: str | None, *, overwrite: bool) -> tuple[ImpactorColumns | None, Path | None]:
+    """Return what says what struck, where that is requested, and the picture of its masses."""
+    if scene is None:
+        if masses is not None:
+            raise click.UsageError("--masses needs to know what can have struck; give --impactor SCENE, too")
+        return None, None
+    from cgid.impactor import ImpactorColumns
+    from cgid.plots.figure import FORMATS, new_picture
+    from cgid.scene import load_scene
+
+    picture = None if masses is None else new_picture(masses, endings=FORMATS, overwrite=overwrite)
+    return ImpactorColumns(load_scene(scene), keep=picture is not None), picture

@@ -329,46 +329,23 @@ def measure(
     batches, names = features_for(batches, features, beam)
     for name in known:
         validation.choice("known", name, dict(KNOWN))
-    parts: list[tuple[Batch, Floats, Floats]] = []
+    parts: list[Rows] = []
     with closing(workers.each(_measured, (names, known, beam), batches)) as measured:
         for part in measured:
-            unit = part[0].unit
-            if parts and unit != parts[0][0].unit:
+            if parts and part.unit != parts[0].unit:
                 raise BadData(
-                    f"all signals must be in one unit, got {parts[0][0].unit} and {unit}; convert or train apart"
+                    f"all signals must be in one unit, got {parts[0].unit} and {part.unit}; convert or train apart"
                 )
             parts.append(part)
             if progress is not None:
-                progress(len(part[0]))
+                progress(len(part.labels) + part.left_out)
     if not parts:
         raise BadData("there must be signals to train on; there are none")
-    abouts = [about for about, _, _ in parts]
-    sources = tuple(dict.fromkeys(about.source for about in abouts))
-    rates = [about.sampling_rate for about in abouts]
-    table = np.concatenate([values for _, values, _ in parts])
-    complete = np.isfinite(table).all(axis=1)
-    rows = Rows(
-        names=names,
-        features=table,
-        labels=np.concatenate([about.labels for about in abouts]),
-        group=np.concatenate([about.specimen for about in abouts]),
-        source=np.concatenate([np.full(len(about), sources.index(about.source)) for about in abouts]),
-        sources=sources,
-        digests=sources,
-        known_names=known,
-        known=np.concatenate([heights for _, _, heights in parts]),
-        unit=abouts[0].unit,
-        sampling_rates=(min(rates), max(rates)),
-        beam=beam if any_through_beam(names) else None,
-        left_out=int((~complete).sum()),
-    )
-    return rows[complete]
+    return Rows.joined(parts)
 
 
-def _measured(
-    settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], batch: Batch
-) -> tuple[Batch, Floats, Floats]:
-    """Return a batch without its signals, its features, and its known quantities."""
+def _measured(settings: tuple[tuple[str, ...], tuple[str, ...], Beam | None], batch: Batch) -> Rows:
+    """Return the complete rows of a batch."""
     names, known, beam = settings
     with threadpool_limits(1):
         features = extract_array(
@@ -379,8 +356,22 @@ def _measured(
             invalid="nan",
             beam=None if beam is None else through(beam),
         )
-    about = replace(batch, signals=np.empty((len(batch), 0)), parameters={})
-    return about, features, _known_of(batch) if known else np.empty((len(batch), 0))
+    complete = np.asarray(np.isfinite(features).all(axis=1))
+    rows = Rows(
+        names=names,
+        features=features,
+        labels=batch.labels,
+        group=batch.specimen,
+        source=np.zeros(len(batch), np.intp),
+        sources=(batch.source,),
+        known_names=known,
+        known=_known_of(batch) if known else np.empty((len(batch), 0)),
+        unit=batch.unit,
+        sampling_rates=(batch.sampling_rate, batch.sampling_rate),
+        beam=beam if any_through_beam(names) else None,
+        left_out=int((~complete).sum()),
+    )
+    return rows[complete]
 
 
 @lru_cache(maxsize=4)
