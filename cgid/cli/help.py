@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from cgid.cli.output import options_named, warn
+from cgid.cli import output
 
 _OTHERS = "Other"
 #: Heading -> the options below it; "command --option" where a command uses the name for something else.
@@ -73,19 +73,14 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the arguments, former options under their present names."""
         flags = {flag for option in self.params for flag in option.opts}
+        output.flags = {str(one.name): max(one.opts, key=len) for one in self.params if isinstance(one, click.Option)}
         for number, argument in enumerate(args):
             old, equals, value = argument.partition("=")
             new = RENAMED.get(old, "")
             if new in flags and "--" not in args[:number]:
-                warn(f"{old} is now called {new}; the old name goes with version 0.3")
+                output.warn(f"{old} is now called {new}; the old name goes with version 0.3")
                 args[number] = f"{new}{equals}{value}"
-        with options_named():
-            return super().parse_args(ctx, args)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command."""
-        with options_named():
-            return super().invoke(ctx)
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under their headings."""

@@ -73,7 +73,7 @@ class Hints(Diagnosis):
     def level_warning(self, *, live: bool = False) -> str | None:
         """Return one line if the levels are not those of the training, None if they are or a hint says why not."""
         factors = self.wrong_scales(live=live)
-        return scale_warning(factors, self.model, name_channels=len(self.channels) > 1)
+        return scale_warning(factors, self.model, name_channels=len(self.channels) > 1) if factors else None
 
     # -- words ----------------------------------------------------------------------------------------
 

@@ -28,6 +28,8 @@ _COUNTED_EXACTLY = 100_000
 _TRUSTED_BY_LIBRARIES = (".h5", ".hdf5", ".mat")
 #: Signals that asked to stop: Python loses KeyboardInterrupt in callbacks of weak references, of which h5py has many.
 _noted: list[int] = []
+#: The options of the running command, by the names of their parameters.
+flags: dict[str, str] = {}
 #: Progress bars on the terminal, the last of which is drawn.
 _bars: list[Any] = []
 
@@ -98,31 +100,12 @@ class FileErrors(AbstractContextManager[None]):
         return True
 
 
-def name_options(error: InvalidValue) -> None:
-    """Let an error that names an argument of the library name the option of the running command."""
-    context = click.get_current_context(silent=True)
-    options = [one for one in context.command.params if isinstance(one, click.Option)] if context else []
-    flags = {str(one.name): max(one.opts, key=len) for one in options}
-    parts = (str(text).partition(" must ") for text in error.args)
-    error.args = tuple(f"{flags.get(name, name)}{must}{rule}" for name, must, rule in parts)
-
-
-@contextmanager
-def options_named() -> Iterator[None]:
-    """Name the option of the running command in the errors of a block; see `name_options`."""
-    try:
-        yield
-    except InvalidValue as error:
-        name_options(error)
-        raise
-
-
 def say_error(error: CgidError) -> None:
-    """Print an error on stderr, with a line for each mistake."""
-    if isinstance(error, InvalidValue):
-        name_options(error)
+    """Print an error on stderr, with a line for each mistake; an argument of the library becomes its option."""
     for mistake in error.args:
-        say(f"cgid: error: {mistake}", err=True)
+        name, must, rule = str(mistake).partition(" must ")
+        name = flags.get(name, name) if isinstance(error, InvalidValue) else name
+        say(f"cgid: error: {name}{must}{rule}", err=True)
 
 
 def print_json(content: dict[str, Any], version: int = JSON_VERSION) -> None:

@@ -255,7 +255,8 @@ class ImpactDetector:
                     f"samples must be finite and lie within +-{LARGEST:g}, they reach from {least:.3g} to {most:.3g}; "
                     "was the file read in the right format?"
                 )
-            self._limits.widen(lowest, highest)
+            self._limits.lowest = np.minimum(self._limits.lowest, lowest)
+            self._limits.highest = np.maximum(self._limits.highest, highest)
         return samples
 
     def _join(self) -> None:
@@ -340,10 +341,6 @@ class _Limits:
         self.lowest, self.highest = np.full(n_channels, np.inf), np.full(n_channels, -np.inf)
         self._counts, self._seen, self._passed = np.zeros((2, n_channels)), 0, 0
         self._counted = np.stack([self.lowest, self.highest])
-
-    def widen(self, lowest: Floats, highest: Floats) -> None:
-        """Update the limits with those of more samples."""
-        self.lowest, self.highest = np.minimum(self.lowest, lowest), np.maximum(self.highest, highest)
 
     def see(self, samples: NDArray[Any]) -> None:
         """Count the samples (n_channels, n) at the limits."""

@@ -306,6 +306,8 @@ class Diagnosis:
 
     def _changed(self) -> dict[str, list[float]]:
         """Return the channels whose beam has changed, with what their latest impacts leave unexplained [%]."""
+        if self.model.beam is None:
+            return {}
         limit = max(CHANGED, _OVER_TRAINING * self.model.unexplained)
         unexplained = {name: channel.median_unexplained() for name, channel in self.channels.items()}
         return {name: latest for name, (median, latest) in unexplained.items() if median > limit}
