@@ -185,7 +185,8 @@ def test_events_leave_before_the_stream_goes_on(force: np.ndarray) -> None:
         process.stdout.close()
 
 
-def test_interruption_ends_with_a_summary(force: np.ndarray) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_ends_with_a_summary(force: np.ndarray, number: signal.Signals) -> None:
     command = [sys.executable, "-u", "-m", "cgid", "monitor", "-", "--json", *RAW]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen(command, cwd=ROOT, **pipes)
@@ -195,9 +196,9 @@ def test_interruption_ends_with_a_summary(force: np.ndarray) -> None:
     process.stdin.write(force.astype("<f4").tobytes())
     process.stdin.flush()
     json.loads(process.stdout.readline())
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, err = process.communicate(timeout=300)
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     assert json.loads(out.splitlines()[-1])["kind"] == "summary"
     assert b"interrupted" in err
     assert b"Traceback" not in err
