@@ -63,16 +63,6 @@ def test_hum_of_a_recording_is_lines_of_the_asked_frequencies_and_amplitudes():
     assert lines.max() < 1e-6
 
 
-def test_hum_has_another_phase_in_every_frame_and_recording():
-    asked = {"hum": [{"frequency": "100 Hz", "amplitude": 3.0}]}
-    made = in_frames(asked, samples=int(RATE))
-    lines = lines_of(made)[:, 100]
-    np.testing.assert_allclose(np.abs(lines), 3.0, rtol=1e-9)
-    assert abs(np.mean(lines / 3)) < 4 / np.sqrt(BLOCK)
-    phases = [np.angle(lines_of(recorded(asked, 0, number)[: int(RATE)])[100]) for number in range(3)]
-    assert np.unique(np.round(phases, 6)).size == 3
-
-
 def test_hum_relative_to_the_peak_has_the_share_of_each_peak():
     asked = {"hum": [{"frequency": "50 Hz", "relative_amplitude": "2 %"}, {"frequency": 150, "amplitude": 3.0}]}
     scene, silent = frames(asked, samples=int(RATE) // 2), frames(None, samples=int(RATE) // 2)
@@ -142,13 +132,6 @@ def test_coloured_noise_is_gaussian_and_without_memory_of_the_frame():
     across = np.mean(made[:, 0] * made[:, -1]) / made.var()
     beside = np.mean(made[:, 0] * made[:, 1]) / made.var()
     assert beside > 0.9 and abs(across) < 4 / np.sqrt(BLOCK)
-
-
-def test_a_density_may_be_written_in_several_ways():
-    ways = [2.0, "2 N/sqrt(Hz)", "0.002 kN/sqrt(Hz)"]
-    for way in ways:
-        scene = frames({"coloured": {"frequencies": [10, 100], "density": [way, way]}})
-        np.testing.assert_allclose(scene.background.coloured.densities("force"), 4.0, rtol=1e-14)
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------
@@ -229,11 +212,6 @@ def test_recordings_that_cannot_be_used(tmp_path, write, error, says):
 # ---- all of them -----------------------------------------------------------------------------------------------------
 
 ALL = {"hum": [{"frequency": "50 Hz", "amplitude": "20 N"}], "coloured": COLOURED}
-
-
-def test_backgrounds_add():
-    hum, coloured, both = (in_frames(asked) for asked in ({"hum": ALL["hum"]}, {"coloured": COLOURED}, ALL))
-    np.testing.assert_allclose(both, hum + coloured, atol=1e-12)
 
 
 def test_the_same_address_gives_the_same_numbers():

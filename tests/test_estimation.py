@@ -12,7 +12,7 @@ from cgid.measure.filters import fft_filter
 from cgid.measure.fit import MODEL_ERROR, Start, fit_pulses
 from cgid.measure.fit_samples import strongest_run
 from cgid.measure.pulses import PulseBatch
-from cgid.measure.template import curve, pulse_and_slopes, relative_times, shape_deviation
+from cgid.measure.template import curve, relative_times
 from cgid.scene import load_scene, parse_scene, synthesise
 from tests import few, naive
 from tests.conftest import ROOT
@@ -61,17 +61,6 @@ def test_curve_is_the_exact_pulse(e, turned):
     share = np.linspace(-0.1, 1.1, 2401)
     e = 1 / e if turned else e
     assert np.abs(curve(share[None], shape_of(e))[0] - exact(share, e)).max() < 1e-9
-
-
-def test_template_goes_on_smoothly_beyond_1():
-    """The pulse, and its slopes in peak, width, place and shape."""
-    times = np.linspace(-5, 60, 1301)[None]
-    below, at, above = (
-        pulse_and_slopes(np.array([[1.0, np.log(30), 27.6, s, 0.0]]), times) for s in (-1e-7, 0.0, 1e-7)
-    )
-    for part in range(2):
-        assert np.abs(below[part] - at[part]).max() < 3e-5
-        assert np.abs(above[part] - at[part]).max() < 3e-5
 
 
 @pytest.mark.parametrize("e", [0.05, 0.07, 0.2, 0.35, 0.65, 0.9, 1.0])
@@ -159,48 +148,11 @@ def test_fit_of_a_clipped_pulse_is_that_of_scipy(e):
         assert found.peak[row] == pytest.approx(twin[0], rel=0.2 * np.sqrt(found.covariance[row, 0, 0]))
 
 
-@pytest.mark.parametrize("e", [0.5, 0.65, 0.95])
-def test_clipping_takes_no_side(e):
-    """Half the samples of the top are gone, and peak and restitution still come out on either side of the truth."""
-    frames, _ = frames_of(e, 60, 0.01, n=600, seed=8)
-    found = fitted(np.minimum(frames, 0.6), 0.01)
-    for error, deviation in (
-        (np.log(found.peak), np.sqrt(found.covariance[:, 0, 0])),
-        (np.log(found.restitution / e), np.sqrt(found.covariance[:, 3, 3])),
-    ):
-        assert abs(np.mean(error / deviation)) < 0.15
-        assert 0.85 < np.std(error / deviation) < 1.15
-    assert found.overload == pytest.approx(found.peak / 0.6 - 1, rel=1e-12)
-    assert np.mean(found.overload) == pytest.approx(1 / 0.6 - 1, abs=0.01)
-
-
 #: What is found errs without noise, by restitution: of the peak, the restitution, the duration, relatively. Windows of
 #: more than 320 samples are averaged before they are fitted, which flattens the top.
 EXACT = [(0.1, 1e-4, 1e-3, 1e-3), (0.2, 1e-5, 2e-4, 2e-4), (0.35, 1e-5, 2e-5, 2e-5), (0.5, 1e-5, 2e-5, 2e-5),
          (0.65, 1e-5, 2e-5, 2e-5), (0.95, 1e-5, 2e-5, 2e-5), (1.0, 1e-5, 2e-5, 2e-5), (1.5, 1e-5, 2e-5, 2e-5),
          (5.0, 1e-5, 3e-4, 3e-4)]  # fmt: skip
-
-
-@pytest.mark.parametrize(("e", "peak", "restitution", "duration"), EXACT)
-@pytest.mark.parametrize("contact", [30, 100])
-def test_without_noise_the_pulse_is_found(e, peak, restitution, duration, contact):
-    frames, touch = frames_of(e, contact, n=6, seed=9)
-    found = fitted(frames, 0.0)
-    assert found.peak == pytest.approx(np.ones(6), rel=peak)
-    assert found.restitution == pytest.approx(np.full(6, e), rel=restitution)
-    assert found.contact_duration == pytest.approx(np.full(6, contact), rel=duration)
-    assert found.onset == pytest.approx(touch, abs=duration * contact)
-
-
-@pytest.mark.parametrize("e", [0.5, 0.8])
-def test_long_pulses_reach_the_bound(e):
-    """2000 samples in contact at 1 MHz, averaged before they are fitted: nothing is lost."""
-    frames, _ = frames_of(e, 2000.0, 0.05, n=200, seed=10, after=1.2)
-    found = fitted(frames.astype(np.float32), 0.05, 1e6)
-    bound = cramer_rao_bound(2e-3, e, 0.05, 1e6).restitution_deviation
-    assert np.std(found.restitution) / bound == pytest.approx(1, abs=0.15)
-    assert abs(np.mean(found.restitution) - e) < 0.25 * bound
-    assert found.restitution_deviation == pytest.approx(np.full(200, bound), rel=0.15)
 
 
 # -- what must not matter -----------------------------------------------------------------------------------------
@@ -219,31 +171,6 @@ def same(found, other, relative=1e-6, rows=slice(None)):
         assert getattr(found, name)[rows] == pytest.approx(getattr(other, name), rel=relative), name
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1e6])
-def test_unit_of_the_samples_does_not_matter(noisy, scale):
-    found, other = fitted(noisy, 0.01), fitted(noisy * scale, 0.01 * scale)
-    assert other.peak == pytest.approx(scale * found.peak, rel=1e-6)
-    for name in ("contact_duration", "onset", "restitution", "misfit"):
-        assert getattr(other, name) == pytest.approx(getattr(found, name), rel=1e-6)
-
-
-def test_whole_samples_shift_the_onset_alone(noisy):
-    found, other = fitted(noisy, 0.01), fitted(np.pad(noisy, ((0, 0), (13, 0))), 0.01)
-    assert other.onset == pytest.approx(found.onset + 13, abs=1e-5)
-    assert other.restitution == pytest.approx(found.restitution, rel=1e-6)
-    assert other.peak == pytest.approx(found.peak, rel=1e-6)
-
-
-def test_turned_round_in_time_the_restitution_is_its_inverse():
-    for e in (0.5, 0.65, 0.95):
-        frames, _ = frames_of(e, 60, 0.01, n=10, seed=12)
-        found, other = fitted(frames, 0.01), fitted(frames[:, ::-1], 0.01)
-        deviation = np.sqrt(found.covariance[:, 3, 3])
-        assert np.abs(np.log(found.restitution * other.restitution) / deviation).max() < 0.2
-        end = frames.shape[1] - 1 - (found.onset + found.contact_duration)
-        assert other.onset == pytest.approx(end, abs=0.5)
-
-
 @pytest.mark.parametrize("options", [{}, {"bandwidth": 0.3}, {"fit_baseline": True}, {"clip_level": 0.7}])
 def test_a_row_does_not_depend_on_its_neighbours(noisy, options):
     found = fitted(noisy, 0.01, **options)
@@ -251,14 +178,6 @@ def test_a_row_does_not_depend_on_its_neighbours(noisy, options):
         alone = fitted(noisy[row], 0.01, **options)
         same(found, alone, rows=slice(row, row + 1))
         assert found.misfit[row] == pytest.approx(alone.misfit[0], rel=1e-6)
-
-
-def test_sampling_rate_only_scales_times(noisy):
-    found, other = fitted(noisy, 0.01), fitted(noisy, 0.01, 2e5)
-    assert other.onset * 2e5 == pytest.approx(found.onset, rel=1e-9)
-    assert other.contact_duration * 2e5 == pytest.approx(found.contact_duration, rel=1e-9)
-    assert other.restitution == pytest.approx(found.restitution, rel=1e-9)
-    assert other.covariance[:, 2, 2] * 4e10 == pytest.approx(found.covariance[:, 2, 2], rel=1e-8)
 
 
 _BROKEN = [
@@ -316,21 +235,6 @@ def test_bound_is_as_published():
     assert found == pytest.approx([0.0723, 0.0155], rel=0.005)
 
 
-def test_too_few_samples_tell_nothing():
-    assert np.isinf(cramer_rao_bound(3.2, 0.65, 0.01, 1.0).restitution_deviation)
-    assert np.isfinite(cramer_rao_bound(4.2, 0.65, 0.01, 1.0).restitution_deviation)
-    assert np.isinf(cramer_rao_bound(4.2, 0.65, 0.01, 1.0, fit_baseline=True).restitution_deviation)
-
-
-def test_the_shape_is_told_the_worse_the_more_is_lost():
-    """What Firth's penalty leans on is the bound: the same up to a constant."""
-    e = np.array([0.3, 0.5, 0.8, 1.0])
-    bound = cramer_rao_bound(2000.0, e, 1.0, 1.0)
-    width = 2000 / relative_times(np.log(e))[0]
-    stated = np.exp(shape_deviation(np.log(e))[0])
-    assert np.sqrt(bound.covariance[:, 3, 3] * width) == pytest.approx(stated, rel=0.02)
-
-
 # -- many noisy pulses --------------------------------------------------------------------------------------------
 
 
@@ -386,13 +290,6 @@ def test_over_a_population_estimates_are_unbiased_and_reach_the_bound(peers_esti
         assert relative.std() < 1.2, name
 
 
-def test_of_a_population_all_fit(peers_estimates):
-    _, found, _ = peers_estimates
-    # Over a noise level that is known from 100 samples, whose inverse square is 99/97 of the true one on average.
-    assert found.misfit.mean() == pytest.approx(99 / 97, abs=0.01)
-    assert found.of_family.mean() > 0.999  # 1 in 8000 lies beyond the limit by chance
-
-
 # -- the prior and the posterior ----------------------------------------------------------------------------------
 
 
@@ -446,16 +343,6 @@ def test_prior_integrates_to_1(toy_prior):
         cell *= step
     points = np.meshgrid(*axes, indexing="ij")
     assert np.exp(toy_prior.log_density(*points)).sum() * cell == pytest.approx(1, abs=0.01)
-
-
-def test_prior_ends_where_its_draws_do(toy_prior):
-    low, high = toy_prior.shape_bounds
-    assert low == pytest.approx(np.log(0.3), abs=0.025)
-    assert high == pytest.approx(np.log(0.7), abs=0.025)
-    log_peak, log_duration, s = (np.array([values.mean()]) for values in toy(1000))
-    assert toy_prior.log_density(log_peak, log_duration, s) > 0
-    for moved in ((log_peak + 9, log_duration, s), (log_peak, log_duration + 3, s), (log_peak, log_duration, s - 1)):
-        assert toy_prior.log_density(*moved) < -15
 
 
 @pytest.fixture(scope="module")
@@ -564,13 +451,6 @@ def reason(samples, rate=1e5, pre_trigger=BEFORE - 4):
     with pytest.raises(BadData) as caught:
         extract_array(samples, rate, FITTED, pre_trigger=pre_trigger)
     return str(caught.value)
-
-
-def test_noise_alone_explains_nothing():
-    noise = np.random.default_rng(25).normal(size=(400, 400))
-    found = PulseBatch(noise, 1e5, 36).fit_problems()
-    assert len(found) >= 396  # a chance run is taken for a pulse at most once in a hundred
-    assert "a pulse must explain 40 times the variance of the noise" in found[min(found)]
 
 
 def test_a_faint_pulse_is_fitted_where_its_samples_tell_nothing():

@@ -20,13 +20,12 @@ from cgid.errors import BadData, InvalidValue
 from cgid.export_c import c_source
 from cgid.identification.classifier import ImpactClassifier, noise_contrast
 from cgid.identification.conformal import COVERAGES, Conformal
-from cgid.identification.families import Boosting, Standardiser
+from cgid.identification.families import Standardiser
 from cgid.identification.model import Model
 from cgid.measure.features import extract_array
 from cgid.shipped import MODELS, path_of
 from cgid.validation import UNKNOWN
 from tests import few
-from tests.hostile_models import written
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wmissing-prototypes", "-Werror", "-O1")
@@ -178,19 +177,6 @@ def test_double_precision_gives_the_models_answers(name: str, tmp_path: Path) ->
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", NAMES)
-def test_single_precision_gives_the_same_labels_where_they_are_clear(name: str, tmp_path: Path) -> None:
-    model = named(name)
-    rows = usual_rows(model, 3000)
-    found = answers(compiled(c_source(model), tmp_path, "-DCGID_MAIN", "-DCGID_REAL=float"), as_csv(rows))
-    labels, probabilities, novelties = judged(model, rows)
-    best = np.sort(probabilities, axis=1)
-    clear = (best[:, -1] - best[:, -2] > 0.002) & (np.abs(novelties - 1) > 1e-3)
-    assert clear.mean() > 0.98
-    np.testing.assert_array_equal(found["label"][clear], labels[clear])
-
-
-@needs_gcc
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_what_is_no_number_is_unknown(real: str, tmp_path: Path) -> None:
     """One value after the other is nan, infinite, or missing."""
@@ -293,21 +279,6 @@ def test_bad_rows_end_with_one_line(text: str, code: int, says: str, tmp_path: P
     assert (done.returncode, done.stderr) == (code, f"{says}\n")
     gone = subprocess.run([program, "gone.csv"], capture_output=True, text=True)
     assert (gone.returncode, gone.stderr) == (66, "gone.csv: cannot be read (No such file or directory)\n")
-
-
-@pytest.mark.parametrize("family", ["boosting", "linear", "logistic", "network"])
-def test_weights_of_integers_are_those_of_floats(family: str) -> None:
-    """A file may hold whole numbers as integers: tables of C that are read as reals must not be made of bytes."""
-    whole, indices = made(family, 2), ("conformal.labels", *(f"family.{name}" for name in Boosting.INDICES))
-    weights = {name: a for name, a in whole.arrays.items() if name not in indices and a.dtype != bool}
-    large = {name: np.where(a > 0, np.ceil(a), np.floor(a)) for name, a in weights.items() if "conformal" not in name}
-    floats = replace(whole, arrays=whole.arrays | large)
-    integers = {name: array.astype(np.int64) for name, array in large.items()}
-    read = Model.from_bytes(written(floats.header, floats.arrays | integers))
-    assert {name: array.dtype for name, array in read.arrays.items()} == {
-        name: array.dtype for name, array in whole.arrays.items()
-    }
-    assert c_source(read) == c_source(floats)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import struct
 import subprocess
 import sys
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 import h5py
@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from cgid.errors import BadData, CgidError, InvalidValue, MissingExtra, MissingOption
+from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.recordings import open_recording
 from cgid.recordings import tdms as tdms_reader
-from cgid.recordings.text_layout import stated_chain
-from cgid.recordings.variables import Variable, contents_of, is_statement, stated_sensitivities
+from cgid.recordings.variables import Variable, contents_of
 from cgid.store.table import is_table
 from tests import few, recording_files
 
@@ -250,16 +249,6 @@ def test_hostile_shapes_of_hdf5_are_refused_before_anything_is_allocated(hdf5):
     assert read(hdf5(ring), sampling_rate=1.0)[0].n_samples == N
 
 
-def test_packed_numbers_of_hdf5_are_unpacked(hdf5):
-    raw = (1000 * SAMPLES).astype("i2")
-
-    def fill(file, factor):
-        file.create_dataset("x", data=raw).attrs.update(scale_factor=factor, add_offset=2.0, fs=10.0)
-
-    assert np.array_equal(read(hdf5(lambda file: fill(file, 0.001)))[1], 2.0 + 0.001 * raw)
-    assert "finite" in refused(hdf5(lambda file: fill(file, np.bytes_(b"often"))))
-
-
 @pytest.mark.parametrize("libver", ["earliest", "latest"])
 @pytest.mark.parametrize("maxshape", [(3000,), (None,)])
 @pytest.mark.parametrize("packing", [{}, {"compression": "gzip"}, {"compression": "lzf", "fletcher32": True}])
@@ -363,18 +352,6 @@ def test_tdms_is_what_nptdms_reads(tmp_path, monkeypatch, dtype, longest):
     assert np.array_equal(read(path, variable="beam/cDAQ1Mod1/ai1", length=5000)[1][0], values[1])
 
 
-def test_tdms_properties_of_group_and_file_and_the_start(tmp_path):
-    start = {"wf_start_time": np.datetime64("2026-03-04T10:11:12.250"), "wf_start_offset": 1.5, "unit_string": "N"}
-    path = write_tdms(tmp_path / "start.tdms", whole(), start, group={"SamplingRate": 2000.0}, root={"fs": 1.0})
-    recording, _ = read(path)
-    assert recording.start_time == datetime(2026, 3, 4, 10, 11, 13, 750_000, UTC)
-    assert recording.sampling_rate == 2000.0 and units(recording) == ["N"] * 3
-    timed = [[("beam", "Time", np.arange(N) / 4000), ("beam", "force", SAMPLES[0])]]
-    recording, found = read(write_tdms(tmp_path / "timed.tdms", timed, {}))
-    assert recording.sampling_rate == pytest.approx(4000) and np.array_equal(found, SAMPLES[:1])
-    assert "--rate HZ" in refused(write_tdms(tmp_path / "none.tdms", whole(), {}), MissingOption)
-
-
 def test_tdms_of_several_groups_lengths_and_rates(tmp_path):
     path = write_tdms(tmp_path / "groups.tdms", [whole(parts=1)[0] + whole(SAMPLES[:1, :50], "slow", 1)[0]])
     message = refused(path)
@@ -391,22 +368,6 @@ def test_tdms_of_several_groups_lengths_and_rates(tmp_path):
         rates = [nptdms.ChannelObject("g", str(k), SAMPLES[k], {"wf_increment": 0.1 * (k + 1)}) for k in range(2)]
         writer.write_segment(rates)
     assert "one sampling rate" in refused(tmp_path / "rates.tdms")
-
-
-def test_tdms_channels_without_samples_or_numbers_are_left_out_with_a_warning(tmp_path):
-    nptdms = pytest.importorskip("nptdms")
-    path = tmp_path / "empty.tdms"
-    with nptdms.TdmsWriter(str(path)) as writer:
-        about = {"wf_increment": 0.1}
-        channels = [nptdms.ChannelObject("g", "a", SAMPLES[0], about), nptdms.ChannelObject("g", "none", [], about)]
-        writer.write_segment([*channels, nptdms.ChannelObject("g", "said", ["one", "two"])])
-    recording, found = read(path)
-    assert np.array_equal(found, SAMPLES[:1])
-    assert any("g/none holds no samples" in one for one in recording.warnings)
-    assert any("g/said holds no numbers" in one for one in recording.warnings)
-    with nptdms.TdmsWriter(str(path)) as writer:
-        writer.write_segment([nptdms.ChannelObject("g", "none", np.zeros(0), about)])
-    assert "there is none" in refused(path)
 
 
 def test_tdms_never_closed_by_labview_and_a_false_index_beside_it(tmp_path):
@@ -482,11 +443,6 @@ def test_bytes_added_to_or_missing_in_a_binary_uff_are_found(tmp_path, number):
         refused(path)
 
 
-def test_uff_whose_label_contradicts_its_seconds_is_refused(tmp_path):
-    path = write_uff(tmp_path / "a.uff", SAMPLES, abscissa_axis_units_lab="ms")
-    assert "must be in s" in refused(path)
-
-
 @pytest.mark.long
 def test_uff_that_is_no_recording_is_refused(tmp_path):
     path = tmp_path / "other.uff"
@@ -503,11 +459,6 @@ def test_uff_that_is_no_recording_is_refused(tmp_path):
     # A column of numbers that begins like a universal file is none.
     path.write_bytes(b"-1\n58\n3\n")
     assert read(path, sampling_rate=1.0)[1].tolist() == [[-1, 58, 3]]
-
-
-def test_uff_too_large_to_be_read_whole_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("cgid.recordings.uff.MAX_FILE_SIZE", 1000)
-    assert "export fewer data sets" in refused(write_uff(tmp_path / "x.uff", SAMPLES))
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"the measured recordings are not there: {REAL}")
@@ -557,30 +508,6 @@ def test_parquet_is_what_was_written(parquet, compression):
     assert np.array_equal(read(path, channel=["acc", 1])[1], [expected[2], expected[0]])
 
 
-@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-def test_timestamps_of_parquet_give_rate_and_start(parquet, unit):
-    ticks = np.arange(N) * {"s": 1, "ms": 20, "us": 20, "ns": 20_000}[unit]
-    when = np.datetime64("2026-03-04T10:11:12", unit) + ticks.astype(f"timedelta64[{unit}]")
-    recording, found = read(parquet({"when": when, "x": SAMPLES[0]}))
-    rate = {"s": 1.0, "ms": 50.0, "us": 50_000.0, "ns": 50_000.0}[unit]
-    assert recording.sampling_rate == pytest.approx(rate, rel=1e-9) and np.array_equal(found, SAMPLES[:1])
-    assert recording.start_time == datetime(2026, 3, 4, 10, 11, 12)
-
-
-def test_metadata_of_parquet_and_what_is_missing(parquet):
-    fields = {"x": {"unit": "m/s^2"}, "y": {"unit": "furlong"}}
-    path = parquet(
-        {"x": SAMPLES[0], "y": SAMPLES[1]}, {"sampling_rate": "51.2 kHz", "start_time": "2026-03-04"}, fields
-    )
-    recording, _ = read(path)
-    assert recording.sampling_rate == 51_200.0 and units(recording) == ["m/s^2", None]
-    assert recording.start_time == datetime(2026, 3, 4)
-    assert "--rate HZ" in refused(parquet({"x": SAMPLES[0]}), MissingOption)
-    assert read(parquet({"x": SAMPLES[0]}), sampling_rate=1.0, channel="x")[0].n_samples == N
-    contradicting = parquet({"time": np.arange(N) / 1000.0, "x": SAMPLES[0]}, {"fs": "2000"})
-    assert "fs says 2000 Hz" in refused(contradicting)
-
-
 def test_columns_of_parquet_that_are_no_channels(parquet):
     words = ["a"] * N
     recording, found = read(parquet({"x": SAMPLES[0], "said": words, "flag": SAMPLES[0] > 0}, {"fs": "10"}))
@@ -606,24 +533,6 @@ def test_columns_of_parquet_that_are_no_channels(parquet):
 # ---- all ----
 
 
-def test_what_names_and_lines_state():
-    assert [is_statement(name) for name in ("Sampling Rate [kHz]", "fs", "FS", "Sensor_Sensitivity")] == [1, 1, 0, 1]
-    for values, expected in (
-        ({"Sensitivity": "10.2 mV/g"}, "10.2 mV/g"),
-        ({"sensitivity [mV/N]": 2.3}, "2.3 mV/N"),
-        ({"Sensor_Sensitivity": 100.0, "Sensor_Sensitivity_Units": "mVolts/g"}, "100 mVolts/g"),
-    ):
-        assert stated_sensitivities(values, 2) == [expected] * 2
-    for line, expected in (
-        ("# sensitivity: 10.2 mV/g, 2.3 mV/N", ("sensitivities", ("10.2 mV/g", "2.3 mV/N"))),
-        ("# Sensitivity [mV/g] = 100", ("sensitivities", ("100 mV/g",))),
-        ("# sensitivity: 10,2 mV/g", ("sensitivities", ("10.2 mV/g",))),
-        ("# gain: 1 mV/pC", ("gains", ("1 mV/pC",))),
-        ("time, force", None),
-    ):
-        assert stated_chain(line) == expected
-
-
 def test_channels_that_come_in_pieces_of_different_length_stay_together():
     def pieces(row, most):
         def blocks(length, channels):
@@ -642,23 +551,6 @@ def test_channels_that_come_in_pieces_of_different_length_stay_together():
     short = Variable(name="short", n_channels=1, n_samples=N, read=pieces(SAMPLES[0, :9], 5))
     with pytest.raises(BadData, match="3001 samples are declared, 9 are there"):
         list(contents_of([parts[0], short], {"": {"fs": 5.0}}, "made", "*", []).read(64, (0, 1)))
-
-
-@pytest.mark.parametrize(
-    ("library", "head", "extra"),
-    [
-        ("nptdms", b"TDSm", "formats"),
-        ("pyuff", b"    -1\n    58\n", "formats"),
-        ("soundfile", b"fLaC", "formats"),
-        ("pyarrow", b"PAR1", "parquet"),
-    ],
-)
-def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, library, head, extra):
-    path = tmp_path / "hit.dat"
-    path.write_bytes(head + bytes(100))
-    monkeypatch.setitem(sys.modules, library, None)
-    message = refused(path, MissingExtra)
-    assert library in message and f"pip install 'cgid[{extra}]'" in message
 
 
 _MEMORY = r"""

@@ -67,15 +67,6 @@ def test_frames_hold_the_force_and_each_may_have_a_rate_of_its_own():
     assert not late.any()
 
 
-def test_stretched_pulses_are_those_of_a_larger_sphere():
-    """Elastic impacts know no size: force goes with R^2 and time with R."""
-    impact = impacts(HuntCrossley(restitution=0.4), n=2)
-    small, large = sampled(impact).taken(slice(0, 1)), sampled(impact).taken(np.array([1]))
-    scaled = small.stretched(64.0, 8.0)
-    np.testing.assert_allclose(scaled.contact_duration, large.contact_duration, rtol=1e-12)
-    np.testing.assert_allclose(scaled.forces, large.forces, rtol=1e-6, atol=1e-6 * large.peak_force[0])
-
-
 @pytest.mark.parametrize("name", ["reference", "plate", "peers", "randomised"])
 def test_the_same_pulses_give_the_signals_of_the_scene(name):
     """Through the chain, with noise: a force as it is, and what an accelerometer on a plate hears of it."""
@@ -194,12 +185,3 @@ def test_touch_and_points_of_impact_are_drawn_where_they_are_not_known():
     assert (batch.signals[2] != drawn.signals[2]).any()
     with pytest.raises(InvalidValue, match=r"impact_y must lie on the beam, between 0 and 0.36 m, got 1 m at index 0"):
         next(synthesise_given(scene, pulses, labels, {"impact_y": np.ones(5)}))
-
-
-def test_one_time_and_no_pulses_have_forces():
-    pulses = sampled(impacts(HuntCrossley(restitution=0.5)))
-    time = float(pulses.contact_duration[0]) / 2
-    np.testing.assert_array_equal(pulses.force(time), pulses.force(np.full((5, 1), time)))
-    none = pulses.taken(slice(0, 0))
-    assert none.force([time, time]).shape == (0, 2)
-    assert none.peak_force.shape == none.impulse.shape == (0,)

@@ -78,13 +78,6 @@ def test_a_scene_is_no_manifest(tmp_path: Path) -> None:
     assert is_manifest(written(tmp_path, '[[recording]]\npath = "a"\n', "m.toml"))
 
 
-def test_a_table_of_numbers_is_a_recording(tmp_path: Path) -> None:
-    assert not is_manifest(written(tmp_path, "time (s),left (g)\n0,1\n0.1,2\n"))
-    assert not is_manifest(written(tmp_path, "\ufeff# 8000 Hz\n0;1,5\n1;2,5\n"))
-    for content in ("path,label\n3,4\n", "", "paht,label\na.wav,coal\n", "file,kind\na.wav,coal\n"):
-        assert is_manifest(written(tmp_path, content)), content
-
-
 def test_a_spreadsheet_may_save_what_we_wrote(tmp_path: Path) -> None:
     """Its separator, its decimal comma, its byte order mark, and columns that only inform."""
     row = {

@@ -5,13 +5,7 @@ import time
 
 import pytest
 
-from cgid.counting import count, counted
 from cgid.scene.generation import ahead
-
-
-def test_all_come_in_order():
-    assert list(ahead(range(100), 7)) == list(range(100))
-    assert list(ahead((), 7)) == []
 
 
 @pytest.mark.parametrize("most", [1, 5])
@@ -67,9 +61,3 @@ def test_nothing_runs_on_when_it_is_left():
     so_far = len(made)
     time.sleep(0.02)
     assert len(made) == so_far <= 5
-
-
-def test_counters_count_in_the_thread():
-    with counted() as counts:
-        list(ahead((count("items") or 1 for _ in range(5)), 2))
-    assert counts["items"] == 5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import re
 from pathlib import Path
 
@@ -115,14 +114,6 @@ def test_workers_make_the_same_bytes_and_another_law_is_no_resumption(cone, tmp_
         generate(scene_of_cones(), tmp_path / "one", 600, shard_signals=256, resume=True)
 
 
-def test_a_scene_takes_its_laws_along(cone, monkeypatch):
-    packed = pickle.dumps(scene_of_cones())
-    monkeypatch.setattr(own_laws, "_own", {})
-    assert own_laws.own_law("cone") is None
-    pickle.loads(packed)
-    assert own_laws.own_law("cone") is not None
-
-
 def test_a_scene_with_a_law_that_is_not_there_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(own_laws, "_own", {})
     with pytest.raises(BadData, match="cone"):
@@ -160,9 +151,3 @@ def test_a_bad_law_ends_with_a_clear_error(verbs, message, velocity):
     with pytest.raises(InvalidValue, match=message) as error:
         coal(law_with(**verbs), velocity)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("source", ["no.such.module", "missing.py", "math"])
-def test_modules_that_hold_no_law(source):
-    with pytest.raises(InvalidValue, match=source):
-        own_laws.add_laws(source)

@@ -130,14 +130,6 @@ def test_another_file_is_not_replaced(one, server, tmp_path):
     assert own.read_text() == "my notes" and not asked
 
 
-def test_no_network_is_one_line(one, tmp_path, capsys):
-    # Nobody listens on this port.
-    assert run(["fetch", one, "-o", str(tmp_path), "--mirror", "http://127.0.0.1:9"]) == 66
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("cgid: error: http://127.0.0.1:9/data/6mm/a%20b.txt: cannot be downloaded: ")
-    assert "give --mirror" in line
-
-
 def test_no_redirect_leaves_the_web(one, server, tmp_path, monkeypatch):
     monkeypatch.setattr(public, "PATIENCE", 1.0)
     address, answers, _ = server
@@ -148,12 +140,6 @@ def test_no_redirect_leaves_the_web(one, server, tmp_path, monkeypatch):
         other.setblocking(False)
         with pytest.raises(BlockingIOError):  # nobody has called
             other.accept()
-
-
-def test_a_folder_that_is_a_file(one, server, tmp_path):
-    (tmp_path / one).write_text("")
-    with pytest.raises(CannotCreate):
-        public.fetch(one, tmp_path, mirror=server[0])
 
 
 def test_the_list_is_whole(capsys):

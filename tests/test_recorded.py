@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import signal as filters
-from scipy import special, stats
+from scipy import special
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
 from cgid.cli.main import run
@@ -22,26 +22,21 @@ from cgid.identification.classifier import ImpactClassifier, ShrunkenDiscriminan
 from cgid.identification.grouped import (
     Candidate,
     TrainingSet,
-    choose_candidate,
     cross_validate,
     in_blocks_of_time,
     leave_groups_out,
-    smallest_as_good,
     vote_correlation,
 )
 from cgid.identification.labelled_recordings import record
 from cgid.identification.manifest import read_manifest
-from cgid.identification.metrics import clustered_interval
 from cgid.identification.model import Model
-from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for, shift, thinned
-from cgid.identification.share import wilson_interval
+from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.training import train
 from cgid.identification.windows import CLEAR, WINDOW_TIME, NoisyCopies, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
-from cgid.scene import Scene, synthesise
 from cgid.signals import Batch
 from tests import few
 
@@ -208,14 +203,6 @@ def test_a_gap_costs_the_windows_that_lack_samples(folder: Path, tmp_path: Path)
     rows = recorded(np.full_like(samples, np.nan))
     assert set(rows.labels) == {"coal"}
     assert "broken.npy" in str(rows.failures[0])
-
-
-def test_sets_that_promise_it_are_free_of_the_gain() -> None:
-    windows = np.random.default_rng(5).normal(size=(2, 1, 4800))
-    for name, features in sets_for("window").items():
-        both = [measure_windows(factor * windows, 48e3, features) for factor in (1.0, 7.3)]
-        assert np.allclose(*both, rtol=1e-6, atol=1e-9) == name.endswith("level-free"), name
-    assert all(name.endswith("level-free") for name in sets_for("window", level_free=True))
 
 
 # -- from impacts to labels and back -----------------------------------------------------------------------
@@ -419,48 +406,6 @@ def test_what_judges_has_no_part_in_what_is_chosen(monkeypatch: pytest.MonkeyPat
         assert seen[11 * one + 10] == set(range(6)) - {one}
 
 
-def test_the_better_features_are_chosen_and_the_first_if_none_is() -> None:
-    generator, group = np.random.default_rng(8), np.repeat(np.arange(8), 25)
-    labels = np.where(group % 2, "a", "b")
-    features = generator.normal(size=(200, 3))
-    features[:, 1] += 3.0 * (group % 2)
-    rows = rows_of(labels, group, features)
-    candidates = [Candidate(name=name, features=(name,), family="linear") for name in rows.names]
-    choice = choose_candidate(lesson_of(rows, candidates))
-    assert choice.best == 1
-    assert choice.accuracies[1] > 0.85 > 0.65 > max(choice.accuracies[0], choice.accuracies[2])
-    noise = replace(rows, features=generator.normal(size=(200, 3)))
-    assert choose_candidate(lesson_of(noise, [candidates[0], candidates[0]])).best == 0
-
-
-def test_what_was_always_right_is_not_certain() -> None:
-    """Labels far apart: of 60 rows none is wrong, so the probability of a wrong one is about 1 in 62, not 1e-300."""
-    group = np.repeat(np.arange(6), 10)
-    labels = np.where(np.arange(60) % 2, "a", "b")
-    features = np.random.default_rng(4).normal(size=(60, 2)) + 8.0 * (labels == "a")[:, None]
-    rows = rows_of(labels, group, features)
-    probabilities = cross_validate(
-        lesson_of(rows, [Candidate(name="all", features=rows.names, family="linear")])
-    ).probabilities
-    assert (np.unique(labels)[np.argmax(probabilities, axis=1)] == labels).all()
-    assert 0.2 / 62 < probabilities.min(axis=1).mean() < 5 / 62
-
-
-def test_interval_counts_groups_where_they_decide() -> None:
-    group = np.repeat(np.arange(20), 50)
-    alike = np.repeat(np.arange(20) < 15, 50)
-    shrink = (stats.norm.ppf(0.975) / stats.t.ppf(0.975, 19)) ** 2
-    np.testing.assert_allclose(clustered_interval(alike, group), wilson_interval(0.75, 20), rtol=1e-12)
-    independent = np.random.default_rng(0).random(1000) < 0.75
-    low, high = clustered_interval(independent, group)
-    assert wilson_interval(0.75, 1000 * shrink)[0] - 0.02 < low < high < wilson_interval(0.75, 1000 * shrink)[1] + 0.02
-    assert clustered_interval(np.ones(1000, bool), group) == pytest.approx(wilson_interval(1.0, 20))
-    assert clustered_interval(independent, np.zeros(1000, int)) == (0.0, 1.0)
-    # One miss of a thousand says no more of the recordings to come than none.
-    once = np.arange(1000) != 7
-    assert clustered_interval(once, group) == pytest.approx(wilson_interval(0.999, 20))
-
-
 # -- the linear family ------------------------------------------------------------------------------------
 
 
@@ -622,17 +567,6 @@ def test_noisy_copies_are_as_noisy_as_they_say_whatever_the_blocks() -> None:
         assert (np.abs(20 * np.log10(gain[clear])) < 4).all()
 
 
-def test_noisy_copies_neither_judge_nor_count(folder: Path, recorded: Rows) -> None:
-    noisy = record(read_manifest(folder / "good.csv"), NAMES, augment=True)
-    own = noisy[noisy.is_recorded]
-    np.testing.assert_array_equal(own.features, recorded.features)
-    assert len(noisy.labels) == 4 * len(own.labels) and noisy.left_out == 0
-    assert (noisy[~noisy.is_clear].snr < CLEAR).all()
-    training = train(noisy, features=NAMES)
-    assert training.metrics["n_impacts"] == training.model.training["n_train"] == len(own.labels)
-    assert training.test_probabilities.shape == (len(own.labels), 2)
-
-
 @pytest.mark.parametrize("n_channels", few([2, 1]))
 def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, capsys: Any) -> None:
     """Bands of a rustle are clear at 30 dB, and drowned where noise is as strong; the model says why."""
@@ -662,18 +596,6 @@ def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, c
         assert {line["label"] == "unknown" for line in windows} == {is_drowned}
         hints = [line["cause"] for line in lines if line["kind"] == "hint"]
         assert hints == (["drowned"] * is_drowned)
-
-
-def test_the_smallest_set_that_is_as_good_is_taken() -> None:
-    """Of 8 groups the large set gains all in one, which is chance; or a fifth in each, which is not."""
-    group = np.repeat(np.arange(8), 10)
-    sets = [Candidate(name=str(n), features=tuple("x" * n), family="linear") for n in (9, 2, 4)]
-    small = np.tile(np.arange(10) < 7, 8)
-    lucky, better = small | (group == 3), np.tile(np.arange(10) < 9, 8)
-    lucky[50] = False
-    for large, taken in ((lucky, 1), (better, 0)):
-        hits = np.stack([large, small, small])
-        assert smallest_as_good(sets, hits.mean(axis=1).tolist(), hits, group) == taken
 
 
 @pytest.mark.long
@@ -736,24 +658,6 @@ def test_reference_runs_make_up_for_another_sensor(tmp_path: Path) -> None:
 # -- mixed training ---------------------------------------------------------------------------------------
 
 
-def test_levels_are_moved_onto_those_of_the_recordings() -> None:
-    generator = np.random.default_rng(12)
-    names = ("level_1000_hz", "decay_time", "relative_level_1000_hz")
-    labels = np.array(["coal"] * 50 + ["gangue"] * 150 + ["coal"] * 90 + ["gangue"] * 10)
-    synthetic = np.arange(300) >= 200
-    features = generator.normal(size=(300, 3)) * 1e-3 + (labels == "gangue")[:, None]
-    features[synthetic] += [2.5, 1.0, -0.5]
-    np.testing.assert_allclose(shift(names, features, labels, synthetic), [-2.5, 0.0, 0.5], atol=2e-3)
-    with pytest.raises(BadData, match="a label in common"):
-        shift(names, features, np.where(synthetic, "shale", "coal"), synthetic)
-
-
-def test_synthetic_rows_do_not_drown_those_of_their_label() -> None:
-    labels = np.repeat(["coal", "gangue", "shale"], [100, 3, 50])
-    kept = thinned(labels, np.repeat(["coal", "gangue"], [7, 10]), 0)
-    assert dict(zip(*np.unique(labels[kept], return_counts=True), strict=True)) == {"coal": 70, "gangue": 3}
-
-
 def vibrations(labels: np.ndarray, seed: int, gain: float = 1.0, noise: float = 1e-3) -> Batch:
     """Return single blows: gangue rings higher than coal."""
     generator, times = np.random.default_rng(seed), np.arange(2048) / 20e3 - 0.01
@@ -804,22 +708,3 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
 # -- the command ------------------------------------------------------------------------------------------
 
 FEW = ["--features", ",".join(NAMES)]
-
-
-def test_a_file_that_is_gone_is_said_and_the_model_is_written(folder: Path, tmp_path: Path, capsys: Any) -> None:
-    arguments = ["train", str(folder / "gone.csv"), "-o", str(tmp_path / "m.npz"), *FEW]
-    assert run([*arguments, "--strict"]) == 66
-    assert not (tmp_path / "m.npz").exists()
-    capsys.readouterr()
-    assert run(arguments) == 66
-    assert capsys.readouterr().err.count("gone.npy") == 1
-    assert Model.load(tmp_path / "m.npz").training["recorded"]["failures"]
-
-
-def test_class_weights_count_for_scenes_too(reference_scene: Scene) -> None:
-    share = {}
-    for weight in (1.0, 5.0):
-        training = train(synthesise(reference_scene, 800), class_weights={"gangue": weight})
-        share[weight] = training.metrics["recall"]["gangue"]
-    assert share[5.0] > share[1.0]
-    assert training.model.training["class_weights"] == {"gangue": 5.0}

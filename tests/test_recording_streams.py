@@ -12,14 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cgid.cli.main import run
-from cgid.errors import BadData, InvalidValue, MissingOption
+from cgid.errors import BadData
 from cgid.recordings import open_recording, read_recording
 from cgid.recordings import text as rows
 from cgid.recordings.gaps import Gaps, largest
 from cgid.recordings.live import live_stream
 from cgid.recordings.recording import Channel
-from cgid.units import KNOWN_UNITS
 
 SAMPLE = Path(__file__).parents[1] / "datasets" / "sample.csv"
 
@@ -140,15 +138,6 @@ def test_faults_far_behind_the_first_piece_are_told_by_their_place(write, small_
     assert [word for word in words if word not in str(caught.value)] == []
 
 
-def test_decimal_mark_may_come_late_but_never_both(write, small_pieces):
-    small_pieces(100)
-    zeros = ["0;0"] * 100
-    assert whole(open_recording(write("\n".join([*zeros, "1,5;2", ""])), sampling_rate=1))[:, -1].tolist() == [1.5, 2]
-    recording = open_recording(write("\n".join([*zeros, "1.5;2", *zeros, "1,5;2", ""])), sampling_rate=1)
-    with pytest.raises(BadData, match=r"sample 201 \(line 202\) column 1 is '1,5'"):
-        whole(recording)
-
-
 @pytest.mark.parametrize(
     ("header", "rate"),
     [
@@ -163,18 +152,6 @@ def test_decimal_mark_may_come_late_but_never_both(write, small_pieces):
 )
 def test_headers_that_give_the_rate(write, header, rate):
     assert open_recording(write(f"{header}\n1\n2\n")).sampling_rate == pytest.approx(rate)
-
-
-def test_several_candidates_for_the_rate(write):
-    stated = "# sample rate: 1 kHz\n# fs: 2000 Hz\n"
-    with pytest.raises(BadData, match="1000 Hz and 2000 Hz"):
-        open_recording(write(stated + "1\n2\n"))
-    # Where times decide, one of them is borne out; where they contradict each other, none is.
-    assert open_recording(write(stated + "t,F\n0,1\n0.0005,2\n0.001,3\n")).sampling_rate == pytest.approx(2000)
-    two = "time a,a,time b,b\n0,1,0,5\n1,2,1,6\n2,3,2,7\n"
-    assert whole(open_recording(write(two))).tolist() == [[1, 2, 3], [5, 6, 7]]
-    with pytest.raises(BadData, match=r"'time a' gives 1 Hz and 'time b' 0\.5 Hz"):
-        open_recording(write("time a,a,time b,b\n0,1,0,5\n1,2,2,6\n2,3,4,7\n"))
 
 
 # ---- WAV ----
@@ -226,13 +203,6 @@ def test_wav_cut_at_any_byte_gives_what_is_whole_and_a_warning(write):
         assert f"declares 200 bytes of sound and {length - 54} follow" in warning
 
 
-@pytest.mark.parametrize("size", [0, 0xFFFFFFFF, 0x7FFFF024, 0x80000000])
-def test_wav_of_a_program_that_never_came_back(write, size):
-    (signal,) = read_recording(write(wav_file(WORDS.tobytes(), size=size, outer=size)))
-    assert signal.samples.tolist() == (WORDS / 2**15).tolist()
-    assert "was not closed" in signal.warnings[0]
-
-
 @pytest.mark.parametrize(
     ("content", "word"),
     [
@@ -245,16 +215,6 @@ def test_wav_of_a_program_that_never_came_back(write, size):
 def test_wav_that_contradicts_itself_is_told(write, content, word):
     recording = open_recording(write(content))
     assert [word in warning for warning in recording.warnings] == [True]
-
-
-def test_wav_with_chunks_around_and_a_date(write):
-    broadcast = b"\0" * 320 + b"2026-03-04" + b"10:11:12" + b"\0" * 264
-    content = wav_file(
-        WORDS.tobytes(), before=chunk(b"bext", broadcast) + chunk(b"odd!", b"123"), after=chunk(b"LIST", b"INFO")
-    )
-    recording = open_recording(write(content))
-    assert (recording.start_time, recording.warnings) == (datetime(2026, 3, 4, 10, 11, 12), ())
-    assert whole(recording).tolist() == [(WORDS / 2**15).tolist()]
 
 
 def test_absurd_headers_take_no_memory(write):
@@ -421,38 +381,6 @@ def test_lvm_segments_that_follow_each_other_are_one_recording(write):
         open_recording(write("".join(by_time)), variable="4")
 
 
-def test_lvm_channels_of_different_length_are_read_one_by_one(write):
-    rows = list(rows_of(TABLE))
-    rows[30:] = [f"{row.rpartition(chr(9))[0]}\t" for row in rows[30:]]
-    path = write(lvm(rows, samples=[50, 30]))
-    (signal,) = read_recording(path, channel="F")
-    assert signal.samples.tolist() == TABLE[:, 0].tolist()
-    with pytest.raises(BadData, match=r"sample 30 \(line 52\) column 3 is empty"):
-        read_recording(path)
-
-
-def test_lvm_rate_is_taken_from_the_digits_that_tell_it(write, small_pieces):
-    # Six decimals of 1/51200 s are 2 % wrong; the column of x knows better, and without it the rate is asked for.
-    rows = list(rows_of(TABLE, "One", step=1 / 51200))
-    one = lvm(rows, x_columns="One", delta="0.000020")
-    for size in (1 << 20, 400):
-        small_pieces(size)
-        # The times of a second segment may begin anew or go on.
-        for first in (0, 50):
-            more = list(rows_of(TABLE, "One", first=first, step=1 / 51200))
-            two = one + lvm(more, x_columns="One", delta="0.000020", head=False, time="10:00:00.500977")
-            recording = open_recording(write(two))
-            assert recording.sampling_rate == pytest.approx(51200, rel=3e-3)
-            assert np.array_equal(whole(recording), np.concatenate([TABLE, TABLE]).T) and not recording.warnings
-    del rows[25]
-    with pytest.raises(BadData, match="even steps"):
-        whole(open_recording(write(lvm(rows, x_columns="One", delta="0.000020"))))
-    path = write(lvm(list(rows_of(TABLE)), delta="0.000020"))
-    with pytest.raises(MissingOption, match="--rate HZ"):
-        open_recording(path)
-    assert open_recording(path, sampling_rate=51200).sampling_rate == 51200
-
-
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -591,17 +519,6 @@ def test_raw_streams_are_what_was_written(name, n_channels, seed):
     assert (stream.n_samples, stream.warnings, stream.channels[0].unit) == (100, [], None if name[0] == "f" else "FS")
 
 
-def test_blocks_of_many_channels_are_short(tmp_path):
-    h5py = pytest.importorskip("h5py")
-    samples = np.arange(1500 * 8000, dtype=np.float32).reshape(8000, 1500)
-    with h5py.File(tmp_path / "wide.h5", "w") as file:
-        file.create_dataset("x", data=samples, chunks=(500, 1500)).attrs["fs"] = 1000.0
-    recording = open_recording(tmp_path / "wide.h5")
-    blocks = list(recording.blocks())
-    assert max(block.size for block in blocks) <= 1 << 22
-    assert (np.concatenate(blocks, axis=1) == samples.T).all()
-
-
 def test_live_stream_does_not_wait_for_a_full_block():
     reading, writing = os.pipe()
     with os.fdopen(reading, "rb") as file, os.fdopen(writing, "wb", buffering=0) as source:
@@ -617,23 +534,6 @@ def test_live_stream_does_not_wait_for_a_full_block():
         source.close()
         assert list(blocks) == []
     assert "ended within a sample of 2 bytes; the last 1 were left out" in stream.warnings[0]
-
-
-@pytest.mark.parametrize("size", [None, 0, 0xFFFFFFFF, 0x7FFFF000])
-def test_live_wav_is_known_by_its_header(size):
-    content = wav_file(WORDS.tobytes(), size=size, before=chunk(b"LIST", b"abc"), after=chunk(b"LIST", b"x" * 50))
-    if size is not None:
-        content = content[:-58]
-    stream = live_stream(Trickle(content))
-    assert (stream.sampling_rate, stream.n_channels, stream.channels[0].unit) == (1000, 1, "FS")
-    assert np.concatenate(list(stream), axis=1).tolist() == [(WORDS / 2**15).tolist()]
-    assert not stream.warnings
-    with pytest.raises(InvalidValue, match="2000 Hz where the WAV header says 1000 Hz"):
-        live_stream(Trickle(content), sampling_rate=2000)
-    with pytest.raises(InvalidValue, match="got 3 where the WAV header says 1"):
-        live_stream(Trickle(content), n_channels=3)
-    with pytest.raises(InvalidValue, match="another"):
-        live_stream(Trickle(content), sample_format="f32le")
 
 
 # ---- gaps ----
@@ -689,29 +589,3 @@ def test_gaps_are_the_same_sample_by_sample(seed, cuts, unit):
     with pytest.raises(BadData) as other:
         at_once.require("here")
     assert str(other.value) == str(caught.value)  # whatever the blocks
-
-
-def test_every_unit_has_a_largest_sample_and_no_block_is_copied():
-    # Loud, but possible: 1e6 m/s^2 and 10 MN.
-    assert largest("g") * 9.80665 == pytest.approx(largest("m/s^2"))
-    assert largest("m/s^2") > 1e6
-    assert largest("kN") > 1e4
-    assert all(0 < largest(unit) < 1e17 for unit in KNOWN_UNITS)
-    block = np.ones((1, 5), np.float32)
-    (passed,) = Gaps([Channel(name="1", unit="N")], 10.0, pytest.fail).marked([block])
-    assert passed is block
-
-
-@pytest.mark.parametrize("lost", ["nan", "-inf", "NaN"])
-def test_a_lost_sample_in_a_text_is_a_gap(lost, tmp_path, capsys):
-    """A logger writes nan for a sample that it lost: one warning, and the impacts are those without it."""
-    lines = SAMPLE.read_text().splitlines()
-    lines[len(lines) // 2] = lost
-    (tmp_path / "lost.csv").write_text("\n".join(lines) + "\n")
-    found = {}
-    for path in (SAMPLE, tmp_path / "lost.csv"):
-        assert run(["predict", str(path)]) == 0
-        out, err = capsys.readouterr()
-        found[path] = [line.split(",")[1:] for line in out.splitlines()]
-    assert found[SAMPLE] == found[path] and err.count("warning") == 1 and "1 gap" in err
-    assert run(["features", str(path)]) == 65

@@ -61,11 +61,6 @@ def test_thornton_by_branches_is_the_closed_form(ratio):
     assert found.peak[0] * impulse == pytest.approx(1 + found.restitution[0], rel=1e-8)
 
 
-def test_thornton_of_a_restitution():
-    e = np.linspace(0.03, 0.999, 400)
-    assert rock_pulses.thornton_restitution(rock_pulses.yield_ratio(e)) == pytest.approx(e, rel=1e-9)
-
-
 def test_thornton_is_its_equation_of_motion():
     ratio = 0.3
     found, row = rock_pulses.thornton(np.array([ratio])), np.zeros(2000, np.intp)
@@ -129,16 +124,6 @@ def test_package_makes_the_same_pulses(law):
 # -- recorder -----------------------------------------------------------------------------------------------
 
 
-def test_equal_seeds_give_equal_rocks_whatever_law_and_recorder():
-    plain, other = record(CASES["hunt-crossley"], 64, 5), record(CASES["clipped at .7"], 64, 5)
-    crushed = record(CASES["thornton"], 64, 5)
-    assert np.array_equal(plain.peak, other.peak)
-    assert np.array_equal(plain.rocks.mass, crushed.rocks.mass)
-    assert plain.restitution == pytest.approx(crushed.restitution, rel=1e-10)
-    assert sorted(plain.labels) == ["coal"] * 32 + ["gangue"] * 32
-    assert not np.array_equal(plain.peak, record(CASES["hunt-crossley"], 64, 6).peak)
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_signal_is_quiet_before_touch_and_holds_the_peak(name):
     case, impacts = CASES[name], record(CASES[name], 64, 8)
@@ -170,14 +155,6 @@ def test_recorded_force_is_that_of_the_pulse_at_each_sample():
         assert impacts.signals[k] / impacts.peak[k] == pytest.approx(up + down, abs=1e-6)
 
 
-def test_pink_noise_has_its_deviation_and_falls_by_half_an_octave():
-    noise = rock_pulses.pink_noise(np.random.default_rng(1), 2000)
-    assert noise.std() == pytest.approx(1, abs=0.02)
-    power = (np.abs(np.fft.rfft(noise, axis=1)) ** 2).mean(axis=0)
-    low, high = power[4:8].mean(), power[256:512].mean()
-    assert low / high == pytest.approx(np.mean(1 / np.arange(4, 8)) / np.mean(1 / np.arange(256, 512)), rel=0.05)
-
-
 def test_anti_alias_filter_holds_what_is_far_below_its_edge():
     """A contact that is long beside the filter comes through delayed by its delay at low frequencies, and unchanged."""
     case = replace(CASES["anti-alias 20 kHz"], noise=0.0)
@@ -187,9 +164,6 @@ def test_anti_alias_filter_holds_what_is_far_below_its_edge():
     t = np.arange(2048)
     moved = np.interp(t - delay, t, plain.signals[k])
     assert np.abs(filtered.signals[k] - moved).max() < 0.01 * plain.peak[k]
-
-
-# -- slow search --------------------------------------------------------------------------------------------
 
 
 # -- tables -------------------------------------------------------------------------------------------------

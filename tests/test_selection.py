@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cgid.errors import InvalidValue
 from cgid.identification.card import write_card
 from cgid.identification.classifier import FAMILIES as EXPORTABLE
 from cgid.identification.classifier import ImpactClassifier
@@ -90,21 +89,6 @@ def test_all_see_the_same_folds_and_specimens_stay_together(measured: Rows) -> N
     assert sum(len(everything - fold) for fold in first) == len(everything)
 
 
-def test_who_knows_the_specimens_by_heart_gains_nothing() -> None:
-    generator = np.random.default_rng(6)
-    specimen = np.repeat(np.arange(60), 20)
-    features = np.exp(np.repeat(generator.normal(size=(60, 3)), 20, axis=0) + generator.normal(0, 1e-3, (1200, 3)))
-    labels = np.where(specimen % 2, "a", "b")
-    rows = select(made(features, labels, specimen), families=FAMILIES[1:2], n_folds=3)
-    assert rows[0]["accuracy"] < 0.75
-
-
-def test_a_family_may_be_trained_on_fewer(measured: Rows) -> None:
-    thinned = replace(FAMILIES[3], most=100)
-    rows = select(measured, families=(FAMILIES[3], thinned), n_folds=3)
-    assert [row["n_train"] for row in rows] == [333, 100] or [row["n_train"] for row in rows] == [334, 100]
-
-
 def test_paired_difference_is_that_of_specimens() -> None:
     generator = np.random.default_rng(1)
     first, second = generator.random((2, 400)) < [[0.9], [0.8]]
@@ -132,9 +116,3 @@ def test_paired_difference_is_that_of_specimens() -> None:
 def test_a_later_one_wins_only_by_the_margin(accuracies: list[float], best: int) -> None:
     assert MARGIN == 0.003
     assert preferred(accuracies, MARGIN) == best
-
-
-@pytest.mark.parametrize("n_folds", [1, 400])
-def test_impossible_numbers_of_folds_are_refused(n_folds: int, measured: Rows) -> None:
-    with pytest.raises(InvalidValue, match="n_folds must lie between 2 and"):
-        select(measured, n_folds=n_folds)

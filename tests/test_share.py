@@ -127,17 +127,6 @@ def test_share_does_not_depend_on_the_mix_of_the_training() -> None:
     assert found[0].low < found[0].share < found[0].high
 
 
-def test_the_same_said_twice_with_half_the_weight_is_said_once() -> None:
-    _, probabilities = drawn(np.random.default_rng(2), 0.4, 30)
-    once, twice = share_of(probabilities), share_of(np.repeat(probabilities, 2), weight=0.5)
-    assert (twice.share, twice.low, twice.high) == pytest.approx((once.share, once.low, once.high), abs=1e-9)
-
-
-def test_one_surely_wrong_answer_does_not_outweigh_all_others() -> None:
-    found = share_of([1e-300] * 100 + [1 - 1e-16])
-    assert found.share < 0.05
-
-
 def test_window_slides() -> None:
     rng = np.random.default_rng(3)
     times = np.sort(rng.uniform(0, 60, 300))
@@ -331,28 +320,6 @@ def test_every_rock_twice_is_known_from_the_scatter() -> None:
     known = np.mean([found.information(share) * share * (1 - share) for share in shares])
     assert 0.1 < known < 0.9
     assert found.overdispersion == pytest.approx(3.0 * (1.0 - known), rel=0.15)
-
-
-def test_too_few_answers_are_no_confusion() -> None:
-    logits = np.linspace(-3, 3, 120)
-    assert Confusion.counted(logits, logits > 1, (60, 60)) is None
-    found = Confusion.counted(np.append(logits, np.nan), np.append(logits > 0, True), (60, 60))
-    assert found is not None
-    assert found.rates.shape == (2, 1 + found.edges.size)
-    assert Confusion.from_arrays(found.arrays).rates.tolist() == found.rates.tolist()  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_answers_as_sure_as_can_be_leave_no_bin_empty(sign: int) -> None:
-    """A network that trained on few impacts is certain of many others."""
-    logits = sign * np.append(np.full(300, -6.9), np.linspace(-6, 6, 300))
-    second = np.arange(600) % 3 == 0
-    found = Confusion.counted(logits, second, (400, 200))
-    assert found is not None
-    answers = np.array([np.sum(~second) / 400, np.sum(second) / 200])
-    assert found.rates.sum(axis=1) == pytest.approx(answers)
-    bins = np.searchsorted(found.edges, logits, side="right")
-    assert set(bins.tolist()) == set(range(found.edges.size + 1))
 
 
 @pytest.mark.parametrize(

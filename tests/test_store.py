@@ -106,17 +106,6 @@ def test_what_comes_back_is_what_was_synthesised(made, name):
     assert_equal(columns(made / name), expected)
 
 
-@pytest.mark.parametrize("name", ["one.h5", "cut300"])
-def test_a_dataset_says_what_it_is(made, name):
-    dataset = Dataset(made / name)
-    assert len(dataset) == N
-    assert (dataset.sampling_rate, dataset.unit, dataset.quantity, dataset.pre_trigger) == (1e5, "N", "force", 16)
-    assert dataset.source == scene_of().sha256
-    assert dataset.header.n_samples == 64
-    batch = next(dataset.batches())
-    assert (batch.sampling_rate, batch.unit, batch.pre_trigger, batch.source) == (1e5, "N", 16, dataset.source)
-
-
 @pytest.mark.parametrize("compression", ["none", "gzip", "zstd", "blosc2"])
 def test_bytes_are_the_same_whoever_packs(tmp_path, compression):
     for jobs in (1, 2):

@@ -5,8 +5,6 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
 
 from cgid.physics import Elastic, HuntCrossley, Impact, Sphere, ThinPlate
@@ -90,17 +88,6 @@ def test_taps_are_their_closed_form(dtype, tolerance, jitter):
     assert (batch.signals[:, :33] == 0).all()
 
 
-def test_taps_draw_from_their_distributions_and_have_nothing_else():
-    draws = [draw(scene_of(taps=TAPS[:1]), 5, block) for block in range(20)]
-    values = {name: np.concatenate([d.parameters[name] for d in draws]) for name in PARAMETER_UNITS}
-    assert stats.kstest(values["peak_force"], stats.uniform(1e3, 19e3).cdf).pvalue > 1e-3
-    assert stats.kstest(values["contact_duration"], stats.uniform(1e-4, 1.9e-3).cdf).pvalue > 1e-3
-    assert abs(stats.spearmanr(values["peak_force"], values["contact_duration"]).statistic) < 4.5 / np.sqrt(20 * 256)
-    assert np.isfinite(values["onset"]).all()
-    for name in PARAMETER_UNITS.keys() - {"peak_force", "contact_duration", "onset"}:
-        assert np.isnan(values[name]).all()
-
-
 def test_taps_and_populations_share_a_scene_by_their_weights():
     scene = scene_of([{"weight": 2}], [{**TAPS[0], "weight": 6}])
     batches = list(synthesise(scene, 16 * BLOCK, 1))
@@ -112,21 +99,6 @@ def test_taps_and_populations_share_a_scene_by_their_weights():
         assert np.isnan(batch.parameters["radius"][tapped]).all()
         assert np.isfinite(batch.parameters["radius"][~tapped]).all()
         assert np.isfinite(batch.parameters["peak_force"]).all()
-
-
-@pytest.mark.parametrize("sensor", [{}, {"relative_noise": 0.02}], ids=str)
-def test_a_tap_changes_no_impact(sensor):
-    alone = batch_of(scene_of([{}, {}], sensor=sensor), dtype="float64")
-    # The second population's place is taken by a tap.
-    mixed = batch_of(scene_of([{}], [TAPS[0]], sensor=sensor), dtype="float64")
-    rock = mixed.labels == "rock 0"
-    assert 0.3 < rock.mean() < 0.7
-    np.testing.assert_array_equal(rock, alone.labels == "rock 0")
-    np.testing.assert_array_equal(mixed.specimen[rock], alone.specimen[rock])
-    for name in PARAMETER_UNITS:
-        np.testing.assert_array_equal(mixed.parameters[name][rock], alone.parameters[name][rock])
-    peak = alone.parameters["peak_force"][rock, None]
-    np.testing.assert_allclose(mixed.signals[rock] / peak, alone.signals[rock] / peak, atol=1e-14)
 
 
 # ---- second hits -----------------------------------------------------------------------------------------------------
@@ -184,20 +156,6 @@ def test_a_clipped_pulse_is_flat_at_its_share_of_the_peak_and_unchanged_below(dt
     np.testing.assert_array_equal(clipped.signals, np.minimum(np.maximum(free.signals, -level), level))
     np.testing.assert_array_equal(clipped.signals.max(axis=1), level[:, 0])
     assert ((clipped.signals == level).sum(axis=1) > 3).all()
-
-
-def test_only_its_own_population_is_clipped_and_the_range_comes_after_it():
-    scene = scene_of([{"clipped_at": 0.5}, {}], sensor={"relative_noise": 0.02, "range": "5 kN", "bits": 12})
-    analogue = varied(scene, range=None, bits=None)
-    digital, clipped = batch_of(scene, dtype="float64"), batch_of(analogue, dtype="float64")
-    own = clipped.labels == "rock 0"
-    highest = clipped.signals.max(axis=1) / clipped.parameters["peak_force"]
-    np.testing.assert_allclose(highest[own], 0.5, rtol=1e-12)
-    assert highest[~own].min() > 0.9
-    assert np.isnan(clipped.parameters["clipped_at"][~own]).all()
-    step = 5000 / 2**11
-    expected = np.clip(np.rint(clipped.signals / step) * step, -5000, 5000 - step)
-    np.testing.assert_array_equal(digital.signals, expected)
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -295,25 +253,6 @@ def everything():
         randomise={"sampling_rate": LOG_RATE, "relative_noise": LOG_NOISE},
     )
     return scene, list(synthesise(scene, 4 * BLOCK, 3))
-
-
-def _joined(batches):
-    names = batches[0].parameters
-    return {
-        "signals": np.concatenate([batch.signals for batch in batches]),
-        "labels": np.concatenate([batch.labels for batch in batches]),
-        "specimen": np.concatenate([batch.specimen for batch in batches]),
-        "rate": np.concatenate([np.full(len(batch), batch.sampling_rate) for batch in batches]),
-    } | {name: np.concatenate([batch.parameters[name] for batch in batches]) for name in names}
-
-
-@settings(max_examples=25, deadline=None)
-@given(first=st.integers(0, 3 * BLOCK - 9), count=st.integers(1, BLOCK + 9))
-def test_a_signal_is_the_same_wherever_the_run_is_cut(everything, first, count):
-    scene, whole = everything
-    expected = _joined(whole)
-    for name, values in _joined(list(synthesise(scene, count, 3, first=first))).items():
-        np.testing.assert_array_equal(values, expected[name][first : first + count])
 
 
 # ---- thin plates -----------------------------------------------------------------------------------------------------

@@ -11,10 +11,9 @@ from cgid.physics.materials import Material
 from cgid.scene import parse_scene, varied
 from cgid.scene.impacts import impact_of, impacts_by_coupling, recorder_of
 from cgid.scene.plan import plan
-from cgid.scene.rocks import PoissonTimes, arrivals_of, population_shares
+from cgid.scene.rocks import arrivals_of
 from cgid.scene.schema import samples_of
 from cgid.scene.stream import record
-from cgid.scene.stream_section import RateTable
 
 GRAVITY = 9.80665
 RATE = 25_600.0
@@ -117,28 +116,6 @@ def test_arrivals_follow_a_rate_that_changes():
     assert 1e-3 < stats.chi2.cdf(squares.sum(), held.sum()) < 1 - 1e-3
 
 
-@pytest.mark.parametrize("values", [(2.0, 40.0, 0.0), (5.0, 5.0, 5.0), (0.0, 0.0, 3.0)])
-def test_expected_arrivals_and_their_inverse(values):
-    process = PoissonTimes(RateTable(times=(1.0, 4.0, 6.0), values=values))
-    moments = np.linspace(0, 9, 91)
-    wanted = [
-        integrate.quad(lambda t: np.interp(t, [1, 4, 6], values), 0, t, points=[1, 4, 6], limit=200)[0] for t in moments
-    ]
-    np.testing.assert_allclose(process.expected(moments), wanted, atol=1e-9)
-    numbers = np.linspace(0, float(process.expected(9.0)) * (1 - 1e-12), 50)
-    np.testing.assert_allclose(process.expected(process.time_of(numbers)), numbers, atol=1e-9)
-
-
-@pytest.mark.parametrize("many", [3, 700])
-def test_given_times_are_those_of_the_impacts(many):
-    wanted = np.sort(np.random.default_rng(1).uniform(0, 100, many))
-    scene = scene_of(duration="100 s", arrivals={"times": wanted.tolist()})
-    found = record(scene)[1]
-    np.testing.assert_array_equal(found["time"], wanted)
-    np.testing.assert_array_equal(found["rock"], np.arange(many))
-    assert np.unique(found["specimen"]).size == many
-
-
 # ---- what they are ---------------------------------------------------------------------------------------------------
 
 
@@ -152,19 +129,6 @@ def test_labels_follow_the_mixture_over_time():
     share = np.interp((edges[:-1] + edges[1:]) / 2, [0, 200, 300], [0.05, 0.2, 0.9])  # linear within every window
     squares = (gangue - total * share) ** 2 / (total * share * (1 - share))
     assert 1e-3 < stats.chi2.cdf(squares.sum(), total.size) < 1 - 1e-3
-
-
-def test_labels_without_a_row_share_the_rest_by_weight():
-    kinds = [
-        population("coal", weight=3.0),
-        population("gangue"),
-        population("mudstone"),
-        population("gangue", weight=2),
-    ]
-    scene = scene_of(populations=kinds, mixture={"times": [0, 10], "gangue": [0.0, 0.6]})
-    shares = population_shares(scene, np.array([0.0, 5.0, 20.0]))
-    wanted = [[0.75, 0.525, 0.3], [0, 0.1, 0.2], [0.25, 0.175, 0.1], [0, 0.2, 0.4]]
-    np.testing.assert_allclose(shares, wanted, atol=1e-15)
 
 
 # ---- rebounds --------------------------------------------------------------------------------------------------------
@@ -210,15 +174,6 @@ def test_bounces_against_the_fall_integrated_in_time(slope):
         slip += GRAVITY * np.sin(slope) * contact
         flight, way, normal, slip = flown(found["restitution"][row] * normal, slip, slope)
         time, x = time + contact + flight, x + in_contact + way
-
-
-def test_a_rock_that_slides_off_the_beam_is_gone():
-    rebounds = {"most": 50, "least_speed": "1 mm/s"}
-    found = record(one_rock(inclination="10 deg", rebounds=rebounds, **on_beam(0.5, "2 m")))[1]
-    longer = record(one_rock(inclination="10 deg", rebounds=rebounds, **on_beam(0.5, "20 m")))[1]
-    assert 1 < found["time"].size < longer["time"].size
-    assert found["impact_x"][-1] <= 2 < longer["impact_x"][found["time"].size]
-    np.testing.assert_array_equal(found["time"], longer["time"][: found["time"].size])
 
 
 def test_when_a_rock_is_followed_no_further():
@@ -297,15 +252,6 @@ def test_overlaps_and_distances_against_every_pair():
     assert 0.1 < found["overlapping"].mean() < 0.9
     np.testing.assert_allclose(found["next_impact"][:-1], np.diff(start), rtol=1e-12)
     assert np.isnan(found["next_impact"][-1])
-
-
-def test_bandwidth_filters_every_pulse():
-    scene = varied(scene_of(duration="0.5 s", arrivals={"rate": "60 Hz"}), bandwidth="3 kHz")
-    clean = record(varied(scene, bandwidth=None), dtype="float64")[0].samples
-    found = record(scene, dtype="float64")[0].samples
-    # The filter of the whole recording is circular, so its ends are left out.
-    wanted = scene.sensor.limit_band(clean, RATE)
-    assert np.abs(found - wanted)[1000:-1000].max() < 1e-5 * clean.max()
 
 
 ACCELERATION = {"quantity": "acceleration", "anti_alias": {"frequency": "8 kHz", "order": 6}}

@@ -75,21 +75,6 @@ def test_a_definition_states_the_constants_of_its_measurement(name, said):
     assert said in FEATURES[name].definition
 
 
-def test_names_build_no_column(monkeypatch):
-    def fail(bank, name):
-        raise AssertionError(f"{name} of {bank.name} is built")
-
-    monkeypatch.setattr(Bank, "column", fail)
-    assert len(Table(FEATURES.entries)) == len(list(FEATURES)) == len(set(FEATURES)) > 900
-    assert len(choose(None, "window")) > 500
-    assert choose(None, "pulse") == tuple(name for name in FEATURES if name in choose(None, "pulse"))
-
-
-def test_every_name_leads_to_its_own_feature():
-    assert all(FEATURES[name].name == name for name in FEATURES)
-    assert {entry.name for entry in FEATURES.entries}.isdisjoint(name for name in FEATURES if "*" in name)
-
-
 @pytest.mark.parametrize("name", ["mel_*_hz", "mel_1001_hz", "mel__hz", "level_1000_hz ", "", "mel_delay_hz"])
 def test_other_names_are_unknown(name):
     assert name not in FEATURES

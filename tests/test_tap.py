@@ -15,7 +15,6 @@ from cgid.shipped import scene_path
 from cgid.site import tap_test
 from cgid.site.matching import matched
 from cgid.site.poles import poles_of
-from cgid.site.tapping import read_times
 from tests.tapped import DAMPING, FREQUENCY, PARTICIPATION, taps
 
 RATE = 25_600.0
@@ -182,21 +181,6 @@ def test_command_with_a_scene_and_one_tap(tmp_path, capsys, monkeypatch):
     text = scene_path("tail_beam").read_text().replace("[tail_beam]\n", '[tail_beam]\nlearned = "learned.csv"\n')
     (tmp_path / "site.toml").write_text(text)
     assert beam_modes(load_scene(tmp_path / "site.toml")).frequency.size == 188
-
-
-def test_tables_of_taps(tmp_path):
-    path = tmp_path / "times.csv"
-    for text, match in (("time\n1\n", "time_s"), ("time [s]\nsoon\n", "line 2"), ("time [s]\n-1\n", "line 2")):
-        path.write_text(text)
-        with pytest.raises(BadData, match=match):
-            read_times(path)
-
-
-def test_a_stream_of_impacts_is_refused_as_taps_before_modes_are_sought(monkeypatch):
-    monkeypatch.setattr("cgid.site.tapping.poles_of", None)
-    response, _, _ = taps(12, gap=0.04, seed=5)
-    with pytest.raises(BadData, match="apart"):
-        tap_test(response[None], RATE, source="stream.csv")
 
 
 def test_a_hammer_without_a_tap_and_a_tap_that_is_cut_off_are_refused():

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from benchmarks.bit_flips import Flip, everything_in, is_same, small_scene, some, subjects
+from benchmarks.bit_flips import Flip, small_scene, some, subjects
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.scene import generate, parse_scene
@@ -214,39 +214,6 @@ def test_shards_are_made_again_byte_for_byte(made: Path, copies: Path, name: str
     assert contents(folder) == contents(made / name)
 
 
-@pytest.mark.parametrize(("name", "dataset", "row"), [("one.h5", "signals", 70), ("recording.h5", "samples", 70_000)])
-def test_of_a_file_by_itself_the_command_is_given(copies: Path, name: str, dataset: str, row: int) -> None:
-    path = copies / name
-    whole = path.read_bytes()
-    flip(path, place_of(path, dataset, row))
-    before = contents(path)
-    with pytest.raises(BadData) as told:
-        repair(verify(path))
-    assert contents(path) == before
-    words = str(told.value).partition("cgid generate ")[2].split()
-    options = dict(zip(words[1::2], words[2::2], strict=False))
-    make = {"one.h5": (generate, SCENE), "recording.h5": (generate_recordings, STREAM)}[name]
-    again: Any = make[0](make[1], options["-o"], int(options["-n"]), int(options["--seed"]), overwrite=True)  # type: ignore[operator]
-    assert words[0] == make[1].name and words[-1] == "--overwrite"
-    assert again.read_bytes() == whole
-
-
-@pytest.mark.parametrize("damage", ["flip", "cut", "gone"])
-def test_a_description_is_written_again_by_the_command_that_made_it(made: Path, copies: Path, damage: str) -> None:
-    folder = copies / "folder"
-    file, times = folder / "description.json", {file: file.stat().st_mtime_ns for file in folder.glob("*.h5")}
-    if damage == "flip":
-        flip(file, file.read_bytes().index(b'"seed": ') + 8)
-    elif damage == "cut":
-        file.write_bytes(file.read_bytes()[:200])
-    else:
-        file.unlink()
-    assert verify(folder).damage and not mended(folder)
-    generate(SCENE, folder, N, 7, shard_signals=IN_SHARD, resume=True)
-    assert contents(folder) == contents(made / "folder")
-    assert {file: file.stat().st_mtime_ns for file in folder.glob("*.h5")} == times
-
-
 @pytest.mark.parametrize("change", ["flip", "another folder", "gone"])
 def test_sums_that_are_wrong_make_nothing_again(made: Path, copies: Path, change: str) -> None:
     folder = copies / "folder"
@@ -289,16 +256,6 @@ def test_shards_of_another_dataset_than_the_description_are_never_replaced(
         shard.unlink()
     assert mended(folder)
     assert contents(folder) == contents(copies / "other")
-
-
-def test_what_has_been_replaced_since_it_was_verified_is_left_alone(copies: Path) -> None:
-    folder = copies / "folder"
-    (folder / "shard-00001.h5").unlink()
-    found = verify(folder)
-    generate(SCENE, folder, N, 8, shard_signals=IN_SHARD, overwrite=True)
-    before = contents(folder)
-    repair(found)
-    assert contents(folder) == before
 
 
 def changed(path: Path, name: str, row: int) -> None:
@@ -344,25 +301,6 @@ def test_damaged_sums_are_found_and_written_again(made: Path, copies: Path, name
         assert contents(copies / name) == contents(made / name)
 
 
-def test_a_recording_with_sound_checksums_and_another_sum_is_found(copies: Path) -> None:
-    folder = copies / "recordings"
-    changed(folder / "recording-00001.h5", "samples", 5)
-    (finding,) = verify(folder).findings
-    assert "SHA256SUMS" in finding.what
-
-
-def test_recordings_of_an_earlier_version_have_sums_and_no_description(copies: Path) -> None:
-    folder = copies / "recordings"
-    (folder / "description.json").unlink()
-    lines = (folder / "SHA256SUMS").read_text().splitlines(keepends=True)
-    (folder / "SHA256SUMS").write_text("".join(lines[1:]))
-    assert not verify(folder).findings
-    flip(folder / "recording-00000.h5", 5000)
-    (folder / "recording-00001.h5").unlink()
-    assert problems(folder) == {"recording-00000.h5": "damaged", "recording-00001.h5": "missing"}
-    assert not mended(folder)
-
-
 def test_a_recorded_background_is_read_from_beside_the_scene_that_is_given(tmp_path: Path) -> None:
     """A file from a stranger must not have others opened for it."""
     np.savetxt(tmp_path / "hum.csv", np.sin(np.arange(5000)), header="force [N]", comments="")
@@ -386,19 +324,6 @@ def test_a_recorded_background_is_read_from_beside_the_scene_that_is_given(tmp_p
 
 
 # ---- export ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["folder", "packed", "one.h5", "folder/shard-00001.h5"])
-def test_an_export_is_the_same_dataset(made: Path, tmp_path: Path, name: str) -> None:
-    path = export(made / name, tmp_path / "all.h5")
-    expected = everything_in(made / name)
-    del expected["attributes"]["description_sha256"]
-    assert is_same(everything_in(path), expected)
-    assert not verify(path).findings
-    assert [file.name for file in tmp_path.iterdir()] == ["all.h5"]
-    with h5py.File(path) as file:
-        assert file["signals"].fletcher32 and file["signals"].compression is None
-        np.testing.assert_array_equal(file["labels"].asstr()[:], everything_in(made / name)["labels"])
 
 
 def test_an_export_of_what_is_damaged_leaves_nothing(copies: Path, tmp_path: Path) -> None:
