@@ -26,7 +26,6 @@ EXACT = ("peak_force", "contact_duration", "restitution")
 
 
 def exact(scene: Scene, n: int, seed: int, drop_height: bool) -> np.ndarray:
-    """Return the logarithms of the parameters that no measurement knows exactly."""
     names = (*EXACT, "velocity") if drop_height else EXACT
     return np.concatenate(
         [np.log(np.stack([b.parameters[name] for name in names], axis=1)) for b in synthesise(scene, n, seed)]

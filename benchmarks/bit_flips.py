@@ -27,6 +27,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -46,28 +48,10 @@ SOUND = frozenset(("same", "refused"))
 Damage = Callable[[bytes], bytes]
 
 
-@dataclass(frozen=True)
-class Flip:
-    """One flipped bit."""
-
-    bit: int
-
-    def __call__(self, content: bytes) -> bytes:
-        """Return the damaged content."""
-        damaged = bytearray(content)
-        damaged[self.bit // 8] ^= 1 << self.bit % 8
-        return bytes(damaged)
-
-
-@dataclass(frozen=True)
-class Cut:
-    """A file cut to its beginning."""
-
-    length: int
-
-    def __call__(self, content: bytes) -> bytes:
-        """Return the damaged content."""
-        return content[: self.length]
+def flipped(content: bytes, bit: int) -> bytes:
+    damaged = bytearray(content)
+    damaged[bit // 8] ^= 1 << bit % 8
+    return bytes(damaged)
 
 
 def some(numbers: int, wanted: int | None, seed: int = 2018) -> Iterable[int]:
@@ -77,15 +61,14 @@ def some(numbers: int, wanted: int | None, seed: int = 2018) -> Iterable[int]:
 
 
 def flips(file: Path, wanted: int | None = None) -> list[Damage]:
-    return [Flip(bit) for bit in some(8 * file.stat().st_size, wanted)]
+    return [partial(flipped, bit=bit) for bit in some(8 * file.stat().st_size, wanted)]
 
 
 def cuts(file: Path, wanted: int | None = None) -> list[Damage]:
-    return [Cut(length) for length in some(file.stat().st_size, wanted)]
+    return [itemgetter(slice(length)) for length in some(file.stat().st_size, wanted)]
 
 
 def small_scene(samples: int = 16) -> Any:
-    """Return a scene with a short text and short signals."""
     rock = {"youngs_modulus": 3e9, "poisson_ratio": 0.3, "restitution": 0.5, "drop_height": 1, "radius": 0.02}
     return parse_scene(
         {
@@ -98,7 +81,6 @@ def small_scene(samples: int = 16) -> Any:
 
 
 def everything_in(path: Path) -> dict[str, Any]:
-    """Return everything that a dataset gives to its readers."""
     dataset = Dataset(path)
     batches = list(dataset.batches())
     found = {name: np.concatenate([getattr(b, name) for b in batches]) for name in ("signals", "labels", "specimen")}
@@ -109,7 +91,6 @@ def everything_in(path: Path) -> dict[str, Any]:
 
 
 def is_same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
-    """Return whether two readings are equal to the last bit."""
     if found.keys() != expected.keys():
         return False
     for name, value in expected.items():
@@ -178,7 +159,6 @@ def _outcome(read: Callable[[], dict[str, Any]], expected: dict[str, Any]) -> st
 
 
 def verified(path: Path) -> dict[str, Any]:
-    """Verify a dataset and return nothing."""
     damage = verify(path).damage
     if damage:
         raise BadData(damage[0].what)
@@ -199,10 +179,6 @@ class Subject:
     read: Callable[[], dict[str, Any]]
     damages: list[Damage]
     sound: frozenset[str] = SOUND
-
-    def outcomes(self) -> Counter[str]:
-        """Count the outcomes."""
-        return judge(self.file, self.read, self.damages)
 
 
 def subjects(
@@ -235,7 +211,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         for subject in subjects(Path(folder), sizes.bits, sizes.lengths, sizes.large_bits, sizes.verified_bits):
             size, start = subject.file.stat().st_size, time.perf_counter()
-            outcomes = subject.outcomes()
+            outcomes = judge(subject.file, subject.read, subject.damages)
             failed += sum(count for name, count in outcomes.items() if name not in subject.sound)
             told = ", ".join(f"{name} {outcomes[name]}" for name in OUTCOMES if outcomes[name])
             seconds = time.perf_counter() - start

@@ -63,7 +63,6 @@ def print_counts() -> None:
 
 
 def print_times(n_signals: int) -> None:
-    """Print the times of different requests for the same impacts."""
     scene = load_scene(shipped.scene_path("reference"))
     questions: dict[str, Callable[[], object]] = {
         "parameters": lambda: _exhaust(columns_of(plan(scene, "parameters"), n_signals)),

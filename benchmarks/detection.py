@@ -23,7 +23,6 @@ BLOCK = 65_536
 
 
 def onsets(samples: np.ndarray, sampling_rate: float) -> np.ndarray:
-    """Return the detected onsets in a recording of one channel."""
     detector = ImpactDetector(sampling_rate, kind="vibration")
     events = []
     for start in range(0, samples.size, BLOCK):

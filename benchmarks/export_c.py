@@ -69,7 +69,6 @@ def rows_of(model: Model, scene: str, n: int) -> np.ndarray:
 
 
 def in_training(model: Model, n: int) -> np.ndarray:
-    """Return rows scattered around the training of a model whose features need its beam."""
     rng = np.random.default_rng(11)
     places = rng.normal(0, 1, (n, len(model.inputs)))
     rows = np.array([model._standardiser.at(place) for place in places])

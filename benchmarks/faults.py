@@ -281,7 +281,6 @@ def sweep(trial: Trial, fault: str, calls: Sequence[int]) -> tuple[int, list[str
 
 @contextmanager
 def inputs(server: Server, folder: Path) -> Iterator[Path]:
-    """Yield a folder with the inputs of the commands."""
     scenes = ROOT / "datasets"
     folder.mkdir()
     reference = (scenes / "reference.toml").read_text()

@@ -34,7 +34,6 @@ EDGES = (2, 3, 4, 5, 6, 8)
 
 
 def impact(sphere: int, velocity: float, elements: int) -> FiniteElementImpact:
-    """Return an impact of a sphere of Table 2."""
     return FiniteElementImpact(
         sphere=Sphere(material=YANG2018_SPHERES[sphere], radius=0.025),
         plate=ElasticPlate(material=STEEL, thickness=0.008, radius=0.229, lower_face="fixed"),

@@ -32,7 +32,6 @@ DAMAGED = 40
 
 
 def row_of(specimen: Specimen, folder: Path, n_samples: int) -> tuple[str, ...]:
-    """Return the row of one format."""
     path = folder / f"whole{specimen.suffix}"
     samples = blows(20_000)
     specimen.write(path, samples, RATE)

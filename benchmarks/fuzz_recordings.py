@@ -71,7 +71,6 @@ def read(path: Path, options: dict[str, Any]) -> tuple[np.ndarray, tuple[str, ..
 
 
 def judge(path: Path, specimen: Specimen, expected: np.ndarray) -> Outcome:
-    """Return the outcome of a file that a separate process reads."""
     reading, writing = os.pipe()
     floor = _resident()
     started = time.perf_counter()

@@ -159,7 +159,6 @@ def imports(tree: ast.AST, known: set[str]) -> set[str]:
 
 
 def at_import(tree: ast.Module) -> Iterator[ast.stmt]:
-    """Yield the statements that run when a module is imported."""
     for node in tree.body:
         typing_only = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
         if not typing_only and not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
@@ -192,7 +191,6 @@ def n_long_functions(tree: ast.Module) -> int:
 
 
 def figures(checkout: Path) -> dict[str, str]:
-    """Return every figure of one checkout."""
     trees = modules(checkout)
     known = set(trees)
     texts = [path.read_text(encoding="utf-8") for path in sorted((checkout / "cgid").rglob("*.py"))]

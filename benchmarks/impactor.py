@@ -82,7 +82,6 @@ def ratio(found: ImpactorEstimates, name: str, rows: Any = slice(None)) -> float
 
 
 def bound(scene: Scene, truth: dict[str, Floats], n: int) -> MeasuredPulses:
-    """Return the true pulses with the errors of Cramer and Rao."""
     if scene.tail_beam is not None:
         errors = BeamErrors(scene)
         unknowns = np.concatenate([errors.drawn(SEEDS[0], block).unknowns for block in range(-(-n // BLOCK))])[:n]
@@ -196,7 +195,6 @@ WIDTHS: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
 
 
 def widths(name: str, n: int = 2048) -> None:
-    """Print the widths of a scene asked with its own population."""
     scene, pulses, truth, _ = measured(name, N_OF[name])
     n = min(n, len(pulses))
     exact = bound(scene, truth, n)
@@ -272,7 +270,6 @@ def recorded(scene: Scene, seed: int) -> tuple[MeasuredPulses, dict[str, Any], N
 
 
 def masses(n: int, name: str = "caving") -> None:
-    """Print the distribution of masses of recordings beside the truth."""
     scene = load_scene(name)
     start = time.process_time()
     population, detection = population_of(scene), detection_of(scene)

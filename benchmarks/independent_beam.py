@@ -164,7 +164,6 @@ def rocks(n: int, rng: np.random.Generator) -> Rocks:
 
 
 def chain(s: Complex) -> Complex:
-    """Return the transfer of mounting and anti-alias filter."""
     angular, ratio = 2 * np.pi * _MOUNTING[0], _MOUNTING[1]
     out = angular**2 / (s**2 + 2 * ratio * angular * s + angular**2)
     for k in range(_ORDER):
@@ -249,26 +248,9 @@ def generate(
 ) -> dict[str, Any]:
     """Return n recorded impacts; equal seeds give equal rocks, places and touches, whatever the variant.
 
-    Parameters
-    ----------
-    n, seed : int
-    variant : str or Variant
-        A name of `VARIANTS`, or one of your own.
-    noise : float
-        Factor of the noise; 0 leaves out noise and converter.
-    sensors : points (x, y) [m]
-    beam : Beam, optional
-        Sizes and elements; its ribs are those of the variant.
-    given : Rocks, optional
-        What falls, in place of rocks of the scene.
-
-    Returns
-    -------
-    dict
-        `acceleration` float32 (n, 2048) [m/s^2], or (n, n_sensors, 2048); `sampling_rate` [Hz], `pre_trigger`;
-        per impact `labels`, `onset` [s], `impact_x`, `impact_y` [m], `peak_force` [N], `contact_duration` and
-        `end_of_contact` [s] of first and last separation, `restitution` (rebound over speed), `material_restitution`,
-        `velocity` [m/s], `radius` [m], `mass` [kg].
+    The factor `noise` 0 leaves out noise and converter; `sensors` are points (x, y) [m]; `beam` has the ribs of the
+    variant; `given` falls in place of rocks of the scene. `acceleration` [m/s^2] is (n, 2048) or (n, n_sensors, 2048);
+    durations are those to the first and the last separation [s].
     """
     variant = VARIANTS[variant] if isinstance(variant, str) else variant
     modes = modes_for(variant, beam)

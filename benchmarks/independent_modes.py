@@ -265,7 +265,6 @@ class _Unknowns:
         self.size = 0
 
     def field(self, *shape: int) -> NDArray[np.intp]:
-        """Return the numbers of a new field."""
         numbers = self.size + np.arange(int(np.prod(shape))).reshape(shape)
         self.size += numbers.size
         return numbers

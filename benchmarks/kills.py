@@ -234,12 +234,10 @@ class Trials:
             time.sleep(1e-4)
 
     def _reap(self, process: int) -> None:
-        """End the workers that have outlived a run."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process, signal.SIGKILL)
 
     def _faults(self) -> list[str]:
-        """Return the faults after a kill."""
         if not self.output.exists():
             return []
         there, sound = content(self.output), (self.whole, self.older)

@@ -110,7 +110,6 @@ def answers(file: Path, model: Path, vote: float) -> list[dict[str, Any]]:
 
 
 def told(rows: list[dict[str, Any]], truth: str) -> Told:
-    """Return the answers for the windows of one recording."""
     return Told(
         np.array([row["label"] != "unknown" for row in rows]),
         np.array([max(row["probabilities"].values(), default=0.0) for row in rows]),

@@ -62,7 +62,6 @@ class Run:
 
 
 def timed(arguments: list[str], stdin: int | None = None) -> Run:
-    """Run Python with arguments and return the cost."""
     begun = time.perf_counter()
     with tempfile.TemporaryFile() as out:
         process = subprocess.Popen([sys.executable, *arguments], stdin=stdin, stdout=out, stderr=out, env=_ENVIRONMENT)
@@ -115,7 +114,6 @@ def stream(folder: Path, n_channels: int, duration: int) -> float:
 
 
 def live(folder: Path, n_channels: int, duration: int) -> None:
-    """Print the delay of the answers to a stream in real time."""
     content = (folder / f"{n_channels}.raw").read_bytes()
     size = STREAM_RATE * n_channels * 2
     reading, writing = os.pipe()

@@ -27,7 +27,6 @@ SHOCKS = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
 
 
 def judged(model: Model, n: int) -> None:
-    """Print calibration and coverage on the reference scene."""
     labels, probabilities = [], []
     for batch in synthesise(load_scene(shipped.scene_path("reference")), n, SEED):
         features = extract_array(
@@ -69,7 +68,6 @@ def judged(model: Model, n: int) -> None:
 
 
 def strangers(model: Model, n: int) -> None:
-    """Print the share flagged for every kind of impact."""
     rows = []
     for scene in ("reference", "strangers", "lookalikes"):
         answers = defaultdict(list)

@@ -209,7 +209,6 @@ def population(name: str) -> Mapping[str, Spec]:
 
 
 def draw(spec: Spec, rng: np.random.Generator, n: int) -> Floats:
-    """Return n values of a distribution as scene files write it."""
     number = {name: _number(value) for name, value in spec.items() if name != "distribution"}
     match spec["distribution"]:
         case "uniform":
@@ -278,7 +277,6 @@ class Pulses(NamedTuple):
 
 
 def pulses(rock: Rocks) -> Pulses:
-    """Return the pulses of rocks."""
     stiffness = 4 / 3 * rock.modulus * np.sqrt(rock.radius)
     depth = (rock.mass * rock.speed**2 / stiffness) ** 0.4
     unit_time, unit_force = depth / rock.speed, rock.mass * rock.speed**2 / depth

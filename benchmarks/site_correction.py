@@ -39,7 +39,6 @@ SEED = 777
 
 
 def batches(stiffer: tuple[float, float], livelier: tuple[float, float], gain: float, n: int) -> Iterator[Batch]:
-    """Yield impacts of the beam of tail_beam with other rocks."""
     scene: dict[str, Any] = tomllib.loads(shipped.path_of("datasets", "tail_beam.toml").read_text())
     for rocks, factor, more in zip(scene["populations"], stiffer, livelier, strict=True):
         modulus = float(rocks["youngs_modulus"]["median"].split()[0])
@@ -50,7 +49,6 @@ def batches(stiffer: tuple[float, float], livelier: tuple[float, float], gain: f
 
 
 def draws(rows: Rows, n: int, seeds: int) -> Iterator[NDArray[np.bool_]]:
-    """Yield masks of n labelled impacts of both labels."""
     for seed in range(seeds):
         chosen = np.zeros(len(rows.labels), bool)
         chosen[np.random.default_rng((n, seed)).permutation(len(chosen))[:n]] = True
@@ -59,7 +57,6 @@ def draws(rows: Rows, n: int, seeds: int) -> Iterator[NDArray[np.bool_]]:
 
 
 def judged(model: Model, rows: Rows) -> tuple[float, float]:
-    """Return accuracy and log loss."""
     probabilities = model.probabilities(rows.columns(model.features))
     truth = np.array([model.labels.index(label) for label in rows.labels])
     own = probabilities[np.arange(len(truth)), truth]

@@ -105,7 +105,6 @@ def changed(share: float) -> Scene:
 
 
 def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> str:
-    """Return the row of constant shares."""
     errors = [share.share - truth for stream in streams for share, truth in stream.shares(model, DURATION)]
     windows = [pair for stream in streams for pair in stream.shares(model, 10.0)]
     held = np.mean([share.low <= truth <= share.high for share, truth in windows])
@@ -181,7 +180,6 @@ def rising(model: Model, n: int, seed: int, picture: Path | None) -> Iterator[st
 
 
 def picture_of(stream: Stream, model: Model) -> bytes:
-    """Return the operators' curve of a stream as PNG."""
     figure = plots.require_matplotlib()(figsize=(9, 4.2), layout="constrained")
     axes, times = figure.subplots(), np.array([answer.time for answer in stream.answers])
     blue, red, *_ = plots.COLOURS

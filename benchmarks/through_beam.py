@@ -128,7 +128,6 @@ def together(points: Sequence[tuple[float, float]], n: int) -> Iterator[Batch]:
 
 
 def several(model: Model, n: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the answers from accelerometers at other points of the beam."""
     scene = changed()
     for name, points in SENSORS.items():
         through = replace(model)
@@ -193,7 +192,6 @@ def slow_rocks() -> Scene:
 
 
 def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
-    """Return what a model answers for labelled batches."""
     assert model.beam is not None
     found: list[Any] = []
     spent = 0.0
@@ -234,7 +232,6 @@ def judged(model: Model, batches: Iterator[Batch]) -> dict[str, Any]:
 
 
 def calibration(sure: Any, hit: Any) -> float:
-    """Return the expected calibration error over ten bins of the confidence."""
     number = np.clip(((sure - 0.5) * 20).astype(int), 0, 9)
     bins = [number == k for k in range(10) if (number == k).any()]
     return float(sum(abs(hit[own].mean() - sure[own].mean()) * own.mean() for own in bins))
@@ -273,7 +270,6 @@ def independent(model: Model, n: int, variants: Sequence[str]) -> Iterator[tuple
 
 
 def batches_of(made: dict[str, Any]) -> Iterator[Batch]:
-    """Yield the impacts of an independent beam as batches."""
     names = ("impact_x", "impact_y", "peak_force")
     for first in range(0, len(made["labels"]), _CHUNK):
         part = slice(first, first + _CHUNK)
@@ -290,7 +286,6 @@ def batches_of(made: dict[str, Any]) -> Iterator[Batch]:
 
 
 def printed(rows: list[tuple[str, dict[str, Any]]]) -> None:
-    """Print the table."""
     print(
         "| impacts | number | accuracy | answered | unknown | calibration error | place, median | far off | "
         "peak, median | us |"

@@ -97,7 +97,6 @@ def percentage(flags: list[bool]) -> str:
 
 
 def report(name: str, world: World) -> None:
-    """Print the tables of one model."""
     own, alarms = world.answers(1.0), []
     for size in SIZES:
         warned = world.warned(own, size)
