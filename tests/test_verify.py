@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from benchmarks.bit_flips import Flip, small_scene, some, subjects
+from benchmarks.bit_flips import flipped, judge, small_scene, some, subjects
 from cgid.cli.main import run
 from cgid.errors import BadData, CannotCreate, NoInput
 from cgid.scene import generate, parse_scene
@@ -92,7 +92,7 @@ def test_no_flipped_bit_and_no_length_is_a_silent_change(tmp_path: Path, monkeyp
     """The long form: python benchmarks/bit_flips.py."""
     monkeypatch.setattr("benchmarks.bit_flips.TIME_LIMIT", 300.0)  # however busy the machine is
     for subject in subjects(tmp_path, bits=80, lengths=20, large_bits=25, verified_bits=20):
-        outcomes = subject.outcomes()
+        outcomes = judge(subject.file, subject.read, subject.damages)
         assert outcomes.total() == len(subject.damages)
         assert set(outcomes) <= subject.sound, subject.name
         assert outcomes["refused"] > 5
@@ -120,7 +120,7 @@ def test_a_flipped_bit_of_a_table(tmp_path: Path, name: str) -> None:
     end = content.index(b"\n") if name == "table.csv" else len(content)
     found = 0
     for damage in some(8 * end, 120):
-        path.write_bytes(Flip(damage)(content))
+        path.write_bytes(flipped(content, damage))
         try:
             table = read_table(path)
         except BadData:
