@@ -39,7 +39,7 @@ from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of
 from cgid.site import calibrate
-from cgid.site.calibration import mean_evidence, prepare_blows, uncertain
+from cgid.site.calibration import mean_evidence, prepare_impacts, uncertain
 from cgid.site.learning import learn
 
 #: Modes that a 10 kHz anti-alias filter passes [Hz].
@@ -194,7 +194,7 @@ def from_its_modes(
     deviation = np.array([error, min(10 * error, 0.3), 0.2 if apart else 0.0])
     off = rng.normal(size=(3, n)) * deviation[:, None]
     off[2] = 0
-    begun, blows = corrected(told, off), prepare_blows(*recorded)
+    begun, blows = corrected(told, off), prepare_impacts(*recorded)
     clock = time.process_time()
     with threadpool_limits(1):
         found = learn(begun, blows, np.broadcast_to(deviation[:, None], (3, n)).copy())

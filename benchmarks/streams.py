@@ -188,7 +188,7 @@ def picture_of(stream: Stream, model: Model) -> bytes:
     plots.draw_drawn(axes, *truth, colour=red, title="in truth", width=1.2, says_times=False)
     shares = [one for one in stream.watched(model, share_step=1.0) if isinstance(one, Share)]
     shut = [turn.time for turn in stream.turns(model) if turn.shut]
-    plots.draw_drawn(axes, times, plots.gangue_at(times, shares), shut, colour=blue, title="by the answers")
+    plots.draw_drawn(axes, times, plots.gangue_at(times, shares), shut, colour=blue, title="predicted")
     plots.finish_drawn(axes)
     return plots.png(figure)
 

@@ -2,8 +2,8 @@
 
 It is the accuracy of Bayes' rule on many synthetic signals. The probability of a signal under a population is the
 integral of its likelihood over the population's pulses: by quadrature along the shape, by Laplace's approximation over
-peak, duration and (if unknown) onset. Where this does not cover a scene, a learner on measured signals bounds its limit
-from below. Coloured noise, acceleration and bounds from above are in `studies/ceilings`.
+peak, duration and (if unknown) onset. For other scenes, a learner on measured signals bounds the limit from below.
+Coloured noise, acceleration and bounds from above are in `studies/ceilings`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from cgid.validation import Floats
 
 __all__ = ["Ceiling", "Learner", "ceiling", "learner"]
 
-#: Maximum number of signals to judge or train on: they take hours, and give the accuracy to 1e-4.
+#: Maximum number of signals to evaluate or train on: they take hours, and give the accuracy to 1e-4.
 MAX_SIGNALS = 10_000_000
 #: Draws for the density of one population.
 PRIOR_DRAWS = 1 << 19
@@ -57,7 +57,7 @@ MIN_TRAINING = 100
 #: Blocks of 256 impacts from which to estimate noise and contacts.
 _BLOCKS = 8
 
-#: Returns the likelihood of a scene's signals along the shape between two bounds, at a number of nodes.
+#: Function that returns the likelihood of a scene's signals along the shape at some nodes between two bounds.
 Along = Callable[[Scene, Batch, float, float, int], Profile]
 
 
@@ -79,7 +79,7 @@ class Ceiling:
 
     @property
     def accuracy(self) -> float:
-        """Expected share of right answers: the mean probability of the most probable label."""
+        """Expected accuracy: the mean probability of the most probable label."""
         return float(self.probabilities.max(axis=1).mean())
 
     @property
@@ -89,7 +89,7 @@ class Ceiling:
 
     @property
     def hits(self) -> NDArray[np.bool_]:
-        """Whether the most probable label is the true one, (n,); their share must agree with the accuracy."""
+        """Whether the most probable label is correct, (n,); the mean must agree with the accuracy."""
         return np.asarray(np.array(self.labels)[self.probabilities.argmax(axis=1)] == self.truth)
 
     @property
@@ -179,17 +179,17 @@ def ceilings(
     """Return the limits of the same signals for each value of `drop_height_known`; otherwise as `ceiling`."""
     # The likelihoods take almost all of the time and do not depend on the drop height.
     validation.whole("n_signals", n_signals, 2, MAX_SIGNALS)  # one signal has no standard error
-    known = [
+    drop_heights_known = [
         [_Knowledge.of(scene, index, height) for index in range(len(scene.populations))] for height in drop_height_known
     ]
     weights = np.log([population.weight for population in scene.populations])
     truth: list[NDArray[np.str_]] = []
-    evidence: list[list[Floats]] = [[] for _ in known]
+    evidence: list[list[Floats]] = [[] for _ in drop_heights_known]
     for batch in _joined(synthesise(scene, n_signals, seed), n_rows):
         truth.append(batch.labels)
         log_speed = np.log(batch.parameters["velocity"])[:, None]
-        profiles = _profiles(scene, batch, along or _in_white_noise, known[0], n_nodes)
-        for part, knowledge in zip(evidence, known, strict=True):
+        profiles = _profiles(scene, batch, along or _in_white_noise, drop_heights_known[0], n_nodes)
+        for part, knowledge in zip(evidence, drop_heights_known, strict=True):
             columns = [k.evidence(p, batch, log_speed) for k, p in zip(knowledge, profiles, strict=True)]
             part.append(np.stack(columns, axis=1) + weights)
         if progress is not None:
@@ -201,7 +201,7 @@ def require_supported(scene: Scene) -> None:
     """Raise `InvalidValue` if a scene has no ceiling of any kind: no single impacts, or a single label."""
     problems = (
         (scene.stream is not None, "a frame for each impact, this one is a stream; take [stream] out"),
-        (scene.taps, "a scene of impacts alone, this one has taps"),
+        (scene.taps, "a scene without taps"),
         (len(scene.labels) < 2, f"at least 2 labels, got {', '.join(scene.labels)}"),
     )
     for wrong, rule in problems:
@@ -210,32 +210,32 @@ def require_supported(scene: Scene) -> None:
 
 
 def uncovered(scene: Scene) -> str:
-    """Return what the integration needs that a scene does not have."""
+    """Return the requirements of the integration that a scene does not meet."""
     sensor = scene.sensor
     if sensor.coloured or scene.background is not None or sensor.offset or sensor.drift:
-        return "white noise alone: take noise_exponent, noise_spectrum, [background], offset and drift out"
+        return "white noise only: take noise_exponent, noise_spectrum, [background], offset and drift out"
     return uncovered_pulses(scene, noisy=bool(_noise_level(scene, np.ones(1)).any()))
 
 
 def uncovered_pulses(scene: Scene, *, noisy: bool) -> str:
-    """Return what the integration needs of pulses and sensor, whatever the colour of the noise."""
+    """Return the requirements for pulses and sensor, for noise of any colour."""
     sensor = scene.sensor
     problems = (
         (
             scene.tail_beam is not None or sensor.quantity != "force",
-            "the force itself: what a beam makes of it is no member of the family",
+            "the force itself: behind a beam it is not a member of the family",
         ),
-        (bool(sensor.filters), "the force itself: what a filter makes of it is no member of the family"),
+        (bool(sensor.filters), "the force itself: filtered it is not a member of the family"),
         (sensor.relative_range is not None, "a full scale that does not follow each peak: give sensor.range"),
-        (scene.impact.gravity is not None, "impacts without gravity, which the family leaves out"),
+        (scene.impact.gravity is not None, "impacts without gravity, which the family omits"),
         (scene.randomise is not None, "a scene without [randomise]: vary it setting by setting"),
-        (not noisy, "noise: without it every pulse is told exactly"),
+        (not noisy, "noise: without it every pulse is determined exactly"),
         (
             getattr(scene.impact.target, "thickness", None) is not None,
             "a half space or a rigid wall: on a plate the pulses are another family",
         ),
         (scene.mixes_laws, "one law of loss for all populations"),
-        ("elastic" in scene.dissipations, "hunt-crossley dissipation: elastic pulses have no shape to be told"),
+        ("elastic" in scene.dissipations, "hunt-crossley dissipation: elastic pulses have no shape to estimate"),
         (
             set(scene.dissipations) != {"hunt-crossley"},
             f"hunt-crossley dissipation: {', '.join(sorted(set(scene.dissipations)))} pulses are another family",
@@ -249,7 +249,7 @@ def uncovered_pulses(scene: Scene, *, noisy: bool) -> str:
 
 
 def untrusted(scene: Scene) -> str:
-    """Return why Laplace's approximation fails in a scene."""
+    """Return why Laplace's approximation fails for a scene."""
     sampled = [one.parameters for one in draws(scene, 0, _BLOCKS)]
     peak, duration = (np.concatenate([d[name] for d in sampled]) for name in ("peak_force", "contact_duration"))
     rate = scene.sampling.sampling_rate
@@ -271,12 +271,12 @@ class _Knowledge:
 
     @classmethod
     def of(cls, scene: Scene, index: int, drop_height_known: bool) -> _Knowledge:
-        drawn = _draws(_population_alone(scene, index), PRIOR_DRAWS)
-        log_peak, log_duration = np.log(drawn["peak_force"]), np.log(drawn["contact_duration"])
+        sampled = _draws(_population_alone(scene, index), PRIOR_DRAWS)
+        log_peak, log_duration = np.log(sampled["peak_force"]), np.log(sampled["contact_duration"])
         if not drop_height_known:
-            return cls(Prior.from_draws(log_peak, log_duration, drawn["restitution"]), None)
-        log_speed = np.log(drawn["velocity"])
-        prior = Prior.from_draws(log_peak - 1.2 * log_speed, log_duration + 0.2 * log_speed, drawn["restitution"])
+            return cls(Prior.from_draws(log_peak, log_duration, sampled["restitution"]), None)
+        log_speed = np.log(sampled["velocity"])
+        prior = Prior.from_draws(log_peak - 1.2 * log_speed, log_duration + 0.2 * log_speed, sampled["restitution"])
         counts, edges = np.histogram(log_speed, bins=200)
         return cls(prior, (np.asarray(edges, np.float64), counts / counts.sum() / np.diff(edges)))
 
@@ -392,12 +392,12 @@ def onset_and_response(scene: Scene, n: int) -> tuple[Floats | None, tuple[float
 
 
 def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: Floats) -> Ceiling:
-    # Without evidence, use the shares of the populations.
+    # Without evidence, use the fractions of the populations.
     evidence = np.where(np.isfinite(evidence).all(axis=1, keepdims=True), evidence, weights)
     top = evidence.max(axis=1, keepdims=True)
-    share = np.exp(evidence - top)
+    posterior = np.exp(evidence - top)
     of_population = np.array([population.label for population in scene.populations])
-    columns = [share[:, of_population == label].sum(axis=1) for label in scene.labels]
+    columns = [posterior[:, of_population == label].sum(axis=1) for label in scene.labels]
     probabilities = np.stack(columns, axis=1)
     return Ceiling(scene.labels, truth, probabilities / probabilities.sum(axis=1, keepdims=True))
 
@@ -407,14 +407,14 @@ def _by_label(scene: Scene, truth: NDArray[np.str_], evidence: Floats, weights: 
 
 @dataclass(frozen=True)
 class Learner:
-    """The result of a learner, which bounds the limit of a scene from below.
+    """The result of a learner, a lower bound of the limit of a scene.
 
     Attributes
     ----------
     n_training : int
         Training signals.
     hits : ndarray of bool, (n,)
-        Whether it was right.
+        Whether the prediction was correct.
     """
 
     n_training: int
@@ -422,7 +422,7 @@ class Learner:
 
     @property
     def accuracy(self) -> float:
-        """Fraction of right answers."""
+        """Fraction of correct predictions."""
         return float(self.hits.mean())
 
     @property
@@ -440,7 +440,7 @@ def learner(
     drop_height_known: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> Learner:
-    """Return how often boosted trees on all features of a pulse are right on a scene of force.
+    """Return the accuracy of boosted trees on all features of a pulse for a scene of force.
 
     Parameters
     ----------
@@ -448,7 +448,7 @@ def learner(
     n_training : int
         Training signals, of the next seed.
     n_signals, seed, drop_height_known, progress
-        As in `ceiling`, whose signals it answers.
+        As in `ceiling`, with the same signals.
 
     Returns
     -------

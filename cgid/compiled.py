@@ -1,7 +1,7 @@
 """Compilation of kernels: the same options for all, and a cache on disk.
 
-numba's own cache breaks when two processes compile at once, misses edits in other files, and unpickles files that
-others may have written. Here every compiled kernel is one file in a folder that nobody else can write to. Its name
+numba's own cache breaks when two processes compile at once, misses edits in other files, and unpickles files that other
+users may have written. Here every compiled kernel is one file in a folder that only the user can write to. Its name
 contains a hash of everything it depends on (sources in cgid, versions of Python, numpy, numba and llvmlite), and it
 begins with the SHA-256 of its content. A file that cannot be read is compiled again; one that cannot be written stays
 in memory. The folder is `kernels-<digest>` in `NUMBA_CACHE_DIR` or the user's cache folder (`XDG_CACHE_HOME`).
@@ -123,7 +123,7 @@ class KernelCache(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the function compiled for these types of arguments, None if it is not in the cache."""
         target_context.refresh()
-        # Whatever is wrong with the file or the disk, compiling helps.
+        # Whatever is wrong with the file or the disk, the kernel is compiled.
         with contextlib.suppress(Exception):
             payload = read_payload(self._file(sig, target_context.codegen()))
             if payload is not None:
@@ -149,12 +149,12 @@ class KernelCache(NullCache):
 
 @cache
 def kernel_folder() -> Path | None:
-    """Return the folder of this version's compiled kernels, created if needed; None if none can be trusted."""
+    """Return the folder of this version's compiled kernels, created if needed; None if it cannot be trusted."""
     try:
-        wanted, usual = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
-        if not wanted and not usual.is_absolute():  # there is no home folder
+        configured, default = getattr(numba.config, "CACHE_DIR", ""), Path(AppDirs("cgid", False).user_cache_dir)
+        if not configured and not default.is_absolute():  # there is no home folder
             return None
-        folder = (Path(wanted).absolute() if wanted else usual) / f"kernels-{digest(_PACKAGE)}"
+        folder = (Path(configured).absolute() if configured else default) / f"kernels-{digest(_PACKAGE)}"
         if not folder.exists():
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             _clear_forgotten(folder)
@@ -166,10 +166,10 @@ def kernel_folder() -> Path | None:
 def digest(package: Path) -> str:
     """Return a digest of the kernels' sources in a folder and the libraries' versions: 16 hexadecimal digits."""
     versions = (sys.implementation.cache_tag, np.__version__, numba.__version__, llvmlite.__version__)
-    found = hashlib.sha256(repr(versions).encode())
+    hash_ = hashlib.sha256(repr(versions).encode())
     for name in SOURCES:
-        found.update(hashlib.sha256((package / name).read_bytes()).digest())
-    return found.hexdigest()[:16]
+        hash_.update(hashlib.sha256((package / name).read_bytes()).digest())
+    return hash_.hexdigest()[:16]
 
 
 def _private(status: os.stat_result) -> bool:

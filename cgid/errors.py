@@ -1,6 +1,6 @@
 """Errors that a user can cause, each with the exit code of the command line.
 
-Every message gives the object, the rule, the value with its unit, and the remedy.
+Every message gives the object, the rule, the value with its unit, and a hint.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class MissingExtra(CgidError, ImportError):
     exit_code = 69
 
 
-def optional(module: str, needs: str, extra: str, *, name: str = "", cure: str = "") -> Any:
-    """Return a library that an extra of cgid installs; `MissingExtra` says how to install it."""
+def optional(module: str, needs: str, extra: str, *, name: str = "", hint: str = "") -> Any:
+    """Return a library that an extra of cgid installs; `MissingExtra` explains how to install it."""
     try:
         return import_module(module)
     except (ImportError, OSError):
         raise MissingExtra(
-            f"{needs} {name or module}, which is not installed: pip install 'cgid[{extra}]'{cure}"
+            f"{needs} {name or module}, which is not installed: pip install 'cgid[{extra}]'{hint}"
         ) from None
 
 

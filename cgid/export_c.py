@@ -1,6 +1,6 @@
-"""A model as one C99 file: features in, answer out, for controllers and programs without Python.
+"""A model as one C99 file from features to a prediction, for controllers and programs without Python.
 
-The file depends on the C library alone, allocates nothing, and has no state. Its caller measures the features.
+The file depends only on the C library, allocates nothing, and has no state. Its caller measures the features.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["c_source"]
 MAX_NUMBERS = 1 << 20
 #: Largest and smallest constants of a file that may be compiled with single precision.
 _SINGLE = (1e-37, 1e37)
-#: Standard deviations from the middle of the training of the rows that a file tests itself with.
+#: Rows of the self-test, in standard deviations from the mean of the training.
 _TESTED = (-1.5, -0.75, 0.0, 0.75, 1.5)
 _MAX_LINE_LENGTH = 116
 #: Tables that stay double in single precision.
@@ -43,7 +43,7 @@ _ALWAYS_DOUBLE = ("cgid_coverages", "set_limits", "test_probabilities", "band_ed
 
 
 def c_source(model: Model) -> str:
-    """Return a C99 file that answers like the model.
+    """Return a C99 file that predicts like the model.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def c_source(model: Model) -> str:
     Raises
     ------
     InvalidValue
-        The model has more numbers than a controller could hold.
+        The model has too many numbers for a controller.
 
     Examples
     --------
@@ -84,17 +84,17 @@ def c_source(model: Model) -> str:
 
 
 def require_small(model: Model) -> None:
-    """Raise `InvalidValue` if a model has more numbers than an exported file may hold."""
+    """Raise `InvalidValue` if a model has too many numbers for an exported file."""
     names = ("family.", "neighbourhood.", Contrast.PREFIX)
     n_numbers = sum(array.size for name, array in model.arrays.items() if name.startswith(names))
     if n_numbers > MAX_NUMBERS:
         raise InvalidValue(
-            f"the model must hold at most {MAX_NUMBERS} numbers to be exported, got {n_numbers} for "
+            f"the model must have at most {MAX_NUMBERS} numbers to be exported, got {n_numbers} for "
             f"{len(model.inputs)} inputs; train one on fewer features (--features)"
         )
 
 
-# -- the parts that follow from the model -----------------------------------------------------------------
+# -- parts of the file ------------------------------------------------------------------------------------
 
 
 def _values(model: Model) -> list[tuple[str, str, str]]:
@@ -135,7 +135,7 @@ def _heading(model: Model) -> str:
 
 
 def _missing(model: Model) -> Iterable[str]:
-    """Yield what is not in the file."""
+    """Yield comments about what the file does not contain."""
     if _bands(model) is not None:
         yield "Not in this file: finding the impacts in a recording. cgid_measure measures a frame of one impact."
         return
@@ -249,13 +249,13 @@ def _set_limits(model: Model) -> Floats:
 
 def _tests(model: Model) -> dict[str, Floats]:
     """Return rows and their probabilities for the self-test."""
-    rows = np.array([Standardiser.from_arrays(model.arrays, STANDARDISER).at(place) for place in _TESTED])
+    rows = np.array([Standardiser.from_arrays(model.arrays, STANDARDISER).at(row) for row in _TESTED])
     guards = np.broadcast_to(np.array(model.guard_limits) / 2, (len(rows), len(model.guards)))
     return {"test_values": np.hstack([rows, guards]), "test_probabilities": model.probabilities(rows)}
 
 
 def _single(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the refusal of single precision, for a model whose numbers exceed it."""
+    """Return the error of single precision for a model whose numbers exceed it."""
     small, large = _SINGLE
     numbers = [np.abs(array[array != 0]) for array in arrays.values() if array.dtype.kind == "f"]
     if all(((some > small) & (some < large)).all() for some in numbers):
@@ -305,7 +305,7 @@ def _parts() -> dict[str, str]:
 
 
 def _comment(text: str) -> str:
-    """Return a line for a comment: ASCII, and nothing that would end it or that a compiler warns of."""
+    """Return a line for a comment: ASCII, without anything that ends it or causes a warning of compilers."""
     plain = text.encode("ascii", "backslashreplace").decode()
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
@@ -335,8 +335,8 @@ def _type_of(name: str, array: NDArray[Any]) -> str:
     """Return the C type of a table: the smallest that holds whole numbers; sets and tests stay double."""
     if array.dtype.kind == "f":
         return "double" if name in _ALWAYS_DOUBLE else "cgid_real"
-    most = int(array.max())
-    return "unsigned char" if most < 1 << 8 else "unsigned short" if most < 1 << 16 else "unsigned long"
+    largest = int(array.max())
+    return "unsigned char" if largest < 1 << 8 else "unsigned short" if largest < 1 << 16 else "unsigned long"
 
 
 def _number(value: float) -> str:

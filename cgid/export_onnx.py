@@ -1,4 +1,4 @@
-"""A model as an ONNX graph: features in, answer out, in double precision, by standard operators alone."""
+"""A model as an ONNX graph from features to a prediction, in double precision, with standard operators only."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cgid.identification.families import Network, Standardiser
 from cgid.identification.model import Model
 from cgid.identification.model_file import STANDARDISER
 
-#: Version of the operators, and of the format: old enough for the run times of some years.
+#: Version of the operators and of the format: old enough for runtimes of several years.
 _OPSET, _IR = 17, 8
 
 
@@ -56,7 +56,7 @@ class _Graph:
 
 
 def onnx_bytes(model: Model) -> bytes:
-    """Return an ONNX file that predicts like the model; its metadata hold labels, names, unit and digest."""
+    """Return an ONNX file that predicts like the model; its metadata are labels, names, unit and digest."""
     # Input: `values`, float64 (n, n_values), those of `Model.inputs`, then the guards. Outputs: `probabilities` (n,
     # n_labels), `novelty` (n,) and `label`, int64 (n,), the number of the label, or -1 for unknown.
     optional("onnx", "ONNX needs", "onnx")
@@ -98,12 +98,12 @@ def _answer(graph: _Graph, model: Model) -> None:
         scores = graph("Concat", graph("Mul", scores, 0.0), scores, axis=1)
     probabilities = graph("Softmax", scores, axis=1, name="probabilities")
     novelty = _novelty(graph, model, x)
-    # Infinity times zero is no number, either.
+    # Infinity times zero is nan, too.
     sums = graph.sums(graph("Concat", "values", probabilities, axis=1))
     finite = graph("Not", graph("IsNaN", graph("Mul", sums, 0.0)))
-    known = graph("And", graph("Squeeze", finite, graph.integer([1])), graph("LessOrEqual", novelty, 1.0))
+    is_known = graph("And", graph("Squeeze", finite, graph.integer([1])), graph("LessOrEqual", novelty, 1.0))
     best = graph("ArgMax", probabilities, axis=1, keepdims=0)
-    graph("Where", known, best, graph.integer(-1), name="label")
+    graph("Where", is_known, best, graph.integer(-1), name="label")
 
 
 def _standardised(graph: _Graph, values: str, standardiser: Standardiser) -> str:
@@ -137,7 +137,7 @@ def _novelty(graph: _Graph, model: Model, x: str) -> str:
             graph("Exp", graph("Min", graph("Div", graph("Sub", score, contrast.limit), contrast.SCALE), 100.0))
         )
         doubtful.append(parts[-1])
-    # Run times differ in the largest of numbers and nan.
+    # Runtimes differ in the maximum of numbers and nan.
     odd = graph("IsNaN", graph("Sum", *doubtful) if len(doubtful) > 1 else doubtful[0])
     largest = graph("Max", *parts) if len(parts) > 1 else parts[0]
     return graph("Squeeze", graph("Where", odd, np.inf, largest), graph.integer([1]), name="novelty")
@@ -191,7 +191,7 @@ def _boosting(graph: _Graph, x: str, model: Model) -> str:
 
 
 def _depth(a: dict[str, NDArray[Any]]) -> int:
-    """Return the longest way from a root to a leaf."""
+    """Return the depth of the deepest tree."""
     level, depth = a["roots"], -1
     while level.size:
         inner = level[a["left"][level] != level]

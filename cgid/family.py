@@ -27,13 +27,13 @@ MIN_RESTITUTION, MAX_RESTITUTION = 0.05, 1.0
 INTERVALS, ORDERS = 16, 9
 #: Segments of sigma in either half of a pulse, and coefficients of the polynomial on each (an even number).
 SEGMENTS, POWERS = 4, 18
-#: Columns behind the coefficients of both halves: contact time and the time of the cut.
+#: Columns after the coefficients of both halves: contact time and the time of the cut.
 CONTACT, CUT = 2 * SEGMENTS * POWERS, 2 * SEGMENTS * POWERS + 1
 
 
 @dataclass(frozen=True)
 class FamilyTable:
-    """Coefficients of polynomials in the place within an interval of ln e (-1 to 1), lowest order first."""
+    """Coefficients of polynomials in the position within an interval of ln e (-1 to 1), lowest order first."""
 
     # `force` and `displacement` (INTERVALS, ORDERS, CUT + 1): local polynomials from onset and from separation, segment
     # by segment, then contact time and time of the cut. `times` (INTERVALS, n_time_orders, 3): contact time, time of
@@ -58,7 +58,7 @@ def in_table(restitution: ArrayLike) -> NDArray[np.bool_]:
 
 
 def coordinate(restitution: ArrayLike) -> Floats:
-    """Return the place of a restitution in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
+    """Return the position of a restitution in the table: 0 at 1, `INTERVALS` at the lowest, evenly in ln e."""
     e = np.asarray(restitution, dtype=np.float64)
     return np.asarray(np.clip(np.log(e) * (INTERVALS / np.log(MIN_RESTITUTION)), 0, INTERVALS))
 
@@ -81,9 +81,9 @@ def displacement(tau: ArrayLike, restitution: ArrayLike) -> Floats:
 
 def _at(columns: Floats, restitution: ArrayLike) -> Floats:
     """Return the columns of a table at these restitutions, shape `(*restitution.shape, n_columns)`."""
-    place = coordinate(restitution)
-    interval = np.minimum(place.astype(np.intp), INTERVALS - 1)
-    u = (2 * (place - interval) - 1)[..., None]
+    position = coordinate(restitution)
+    interval = np.minimum(position.astype(np.intp), INTERVALS - 1)
+    u = (2 * (position - interval) - 1)[..., None]
     value = columns[interval, -1]
     for order in range(columns.shape[1] - 2, -1, -1):
         value = value * u + columns[interval, order]

@@ -24,7 +24,7 @@ from cgid.errors import BadData, CannotCreate, CgidError, NoInput, WriteFailed
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 #: Errors of file systems without hard links.
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL}
-#: A temporary file that nobody has written to for this long was left by a killed process [s].
+#: A temporary file unchanged for this long was left by a killed process [s].
 STALE = 3600.0
 #: Limit of parts in a dotted TOML key: time and memory of Python's parser grow with their square.
 _MAX_PARTS = 16
@@ -43,7 +43,7 @@ def write_whole(
     overwrite: bool = True,
     check: Callable[[], object] | None = None,
 ) -> None:
-    """Write a file atomically: its name has the old content or all of the new. Raises as `whole_file`."""
+    """Write a file atomically: it has the old content or all of the new. Raises as `whole_file`."""
     with whole_file(path, overwrite=overwrite, check=check) as temporary, temporary.open("wb") as stream:
         stream.write(content)
 
@@ -81,9 +81,9 @@ def whole_file(
                 f"{path}: was created in the meantime; choose another name or give --overwrite"
             ) from None
         if isinstance(error, OSError):
-            hint = "free some space" if error.errno in {*FULL, None} else "choose another place, or see to the disk"
+            hint = "free some space" if error.errno in {*FULL, None} else "choose another folder, or check the disk"
             raise WriteFailed(
-                f"{path}: writing failed ({error.strerror or error}); nothing was left behind, {hint}"
+                f"{path}: writing failed ({error.strerror or error}), no partial file remains; {hint}"
             ) from None
         raise
     sync_folder(path.parent)
@@ -124,7 +124,7 @@ def half_written(name: str) -> str:
 
 
 def clear_half_written(path: Path) -> None:
-    """Remove the temporary files of killed processes for this name: those that nobody has written to for an hour."""
+    """Remove the temporary files of killed processes for this name: those unchanged for an hour."""
     pattern = re.compile(half_written(re.escape(path.name)))
     with contextlib.suppress(OSError):
         for left in path.parent.iterdir():
@@ -158,7 +158,7 @@ def write_together(contents: Mapping[Path, bytes], *, overwrite: bool = True) ->
 def _restored(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
     """Keep an existing file, and restore it if an error follows its replacement by the file in `made`."""
     old = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-    had, is_kept = path.is_file(), False
+    had, is_restorable = path.is_file(), False
     try:
         if had:
             _second_name(path, old)
@@ -169,10 +169,10 @@ def _restored(path: Path, made: Mapping[Path, int]) -> Iterator[None]:
             if path.stat().st_ino == made.get(path):
                 old.replace(path) if had else path.unlink()
         except OSError:
-            is_kept = had  # keep the old file if it cannot be restored
+            is_restorable = had  # keep the old file if it cannot be restored
         raise
     finally:
-        if not is_kept:
+        if not is_restorable:
             _remove(old)
 
 
@@ -184,15 +184,15 @@ def _second_name(path: Path, other: Path) -> None:
             shutil.copy2(path, other)
         except OSError as error:
             raise WriteFailed(
-                f"{path}: cannot be kept while it is replaced ({error.strerror}); it is as it was, free some space"
+                f"{path}: cannot be backed up while it is replaced ({error.strerror}); it is unchanged, free some space"
             ) from None
 
 
-# ---- checks before work is done --------------------------------------------------------------------------------------
+# ---- checks before any work ------------------------------------------------------------------------------------------
 
 
 def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: bool = False) -> Path:
-    """Return the path if a file may be created there; run before any work is done."""
+    """Return the path if a file may be created there; call this before any work."""
     if path.suffix.lower() not in endings:
         raise CannotCreate(
             f"{path}: the name of {what} must end in {' or '.join(endings)}, got {path.suffix or 'no ending'!r}"
@@ -201,7 +201,7 @@ def check_new(path: Path, what: str, endings: Collection[str], *, overwrite: boo
         if not path.parent.is_dir():
             raise CannotCreate(f"{path}: the folder {path.parent} must exist; make it first")
         if path.is_dir() or (path.exists() and not overwrite):
-            raise CannotCreate(f"{path}: exists already; choose another name or say --overwrite")
+            raise CannotCreate(f"{path}: exists already; choose another name or give --overwrite")
     return path
 
 
@@ -218,12 +218,12 @@ def looking_at(path: Path) -> Iterator[None]:
         raise CannotCreate(f"{path}: cannot be accessed ({error.strerror}); choose another name") from None
 
 
-def require_room(path: Path, folder: Path, needed: int, what: str, cure: str) -> None:
+def require_room(path: Path, folder: Path, needed: int, what: str, hint: str) -> None:
     """Raise `CannotCreate` if the disk of `folder` has less than `needed` [bytes] free."""
     free = shutil.disk_usage(folder).free
     if needed > free:
         raise CannotCreate(
-            f"{path}: the disk must have room for {needed / 1e9:.3g} GB of {what}, {free / 1e9:.3g} GB are free; {cure}"
+            f"{path}: the disk must have {needed / 1e9:.3g} GB free for {what}, got {free / 1e9:.3g} GB; {hint}"
         )
 
 
@@ -245,7 +245,7 @@ def require_regular(path: str | Path, what: str, largest: int) -> int:
     return about.st_size
 
 
-def read_regular(path: str | Path, what: str, largest: int, cure: str = "check the name") -> bytes:
+def read_regular(path: str | Path, what: str, largest: int, hint: str = "check the name") -> bytes:
     """Return the content of a regular file; raises `BadData` as `require_regular`, and `NoInput` for other errors."""
     try:
         size = require_regular(path, what, largest)
@@ -255,7 +255,7 @@ def read_regular(path: str | Path, what: str, largest: int, cure: str = "check t
         raise
     except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
         reason = getattr(error, "strerror", None) or error
-        raise NoInput(f"{path}: {what} cannot be read ({reason}); {cure}") from None
+        raise NoInput(f"{path}: {what} cannot be read ({reason}); {hint}") from None
 
 
 def read_cells(path: str | Path, what: str, largest: int) -> list[tuple[int, list[str]]]:
@@ -273,19 +273,19 @@ def read_cells(path: str | Path, what: str, largest: int) -> list[tuple[int, lis
     ]
 
 
-def parse_toml(text: str, most_keys: int) -> dict[str, Any]:
+def parse_toml(text: str, max_keys: int) -> dict[str, Any]:
     """Parse TOML; raise `ValueError` if it is invalid or has too many keys or levels."""
     import tomllib
 
     n_keys = text.count("=") + f"\n{text}".count("\n[")
-    if n_keys > most_keys:
-        raise ValueError(f"it must have at most {most_keys} keys and tables, got {n_keys}")
-    # This also searches strings and comments: telling them apart would need another parser.
+    if n_keys > max_keys:
+        raise ValueError(f"it must have at most {max_keys} keys and tables, got {n_keys}")
+    # This also searches strings and comments: distinguishing them would need another parser.
     if long := re.search(f"(?:{_PART}){{{_MAX_PARTS}}}", text):
         line = text.count("\n", 0, long.start()) + 1
         raise ValueError(f"a dotted key must have at most {_MAX_PARTS} parts, that of line {line} has more")
     # Python refuses a decimal of thousands of digits as well, after hundreds of times the memory of the text.
-    # Only the start of a run is tried: else each of its digits would cost a search through a thousand others.
+    # Only the start of a run is matched: otherwise each of its digits would cost a search through a thousand others.
     if re.search(f"(?<![0-9A-Fa-f_])[0-9A-Fa-f_]{{{_MAX_DIGITS}}}", text):
         raise ValueError(f"a number must have fewer than {_MAX_DIGITS} digits")
     try:

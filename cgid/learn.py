@@ -1,4 +1,4 @@
-"""For those who build their own learners: a scikit-learn transformer, scenes as endless training data, xarray."""
+"""Tools for your own learners: a scikit-learn transformer, scenes as endless training data, xarray."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ __all__ = ["TrainingStream", "from_xarray", "to_xarray"]
 #: A batch of a training stream: signals (n_signals, n_samples), numbers of the labels (n_signals,), and parameters,
 #: each (n_signals,).
 TrainingBatch = tuple[NDArray[Any], NDArray[np.int64], dict[str, Floats]]
-#: Signals that one worker makes at a time. Those of 256 share the addresses of their random numbers.
+#: Signals that one worker makes at a time. Random numbers are addressed by blocks of 256.
 _AT_ONCE = 1024
 
 
 class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
-    """Measures the features of impacts: rows of samples in, a table of features out.
+    """Transform rows of samples, one impact each, into a table of features.
 
-    Each row is measured by itself, so nothing of the training rows is kept but their number of samples.
+    Each row is measured by itself; of the training rows only the number of samples is stored.
 
     Parameters
     ----------
@@ -57,20 +57,20 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         [Hz]; by default that of `scene`.
     features : str or iterable of str, optional
         Names of features or banks, such as `"mel_*_hz"`; by default all features of pulses, or with `scene` those that
-        `cgid train` takes for vibrations of its beam.
+        `cgid train` uses for vibrations of its beam.
     pre_trigger : int, optional
         Samples before onset, as in `cgid.extract`.
     remove_baseline : bool
         Whether to subtract the baseline before measuring.
     detection_limit : float
-        Least height of a pulse over the standard deviation of the noise.
+        Minimum height of a pulse over the standard deviation of the noise.
     invalid : {"nan", "raise"}
         Treatment of a row that cannot be measured: it has no impact, is cut off or too short. A row of nan keeps the
         rows of a table together; imputers and histogram gradient boosting accept it. Samples that are not finite are
         always an error.
     scene : Scene, Dataset, str or Path, optional
-        With a tail beam that the rows are vibrations of: a scene, its name or file, or a dataset made of it. Features
-        such as `beam_peak_force` then estimate the contact force through its modes.
+        A scene with the tail beam whose vibrations the rows are: a scene, its name or file, or a dataset made from it.
+        Features such as `beam_peak_force` then estimate the contact force through its modes.
 
     Attributes
     ----------
@@ -126,22 +126,22 @@ class ImpactFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Raises
         ------
         InvalidValue
-            A setting breaks its rule, or a feature needs longer rows or another sampling rate; the scene has no beam
-            whose modes lead to the contact force.
+            A setting breaks its rule, a feature needs longer rows or another sampling rate, or the scene has no beam
+            for the contact force.
         """
         self._beam, rate = None, self.sampling_rate
         if self.scene is not None:
             source = self.scene if isinstance(self.scene, Scene | Dataset) else load_scene(self.scene)
             beam, why = shared_beam([source])
             if beam is None:
-                raise InvalidValue(f"scene must have a beam to look through, got {why}; leave it out")
+                raise InvalidValue(f"scene must have a beam, got {why}; leave it out")
             self._beam, rate = ThroughBeam(beam), beam.sampling_rate if rate is None else rate
         if rate is None:
             raise InvalidValue("sampling_rate must be given [Hz], such as ImpactFeatures(sampling_rate=200e3)")
         self._rate = rate
         validation.choice("invalid", self.invalid, ("nan", "raise"))
         if isinstance(self.features, Iterator):
-            raise InvalidValue("features must be names that can be read again, got an iterator; make a list of it")
+            raise InvalidValue("features must be a list of names, got an iterator")
         names = BEAM_FEATURES if self._beam is not None and self.features is None else choose(self.features)
         frames = self._frames(X, reset=True)
         self._measured(frames[:0], names)
@@ -213,7 +213,7 @@ class TrainingStream:
     scene : Scene
     batch_size, seed, workers, first : int
     n_signals : int or None
-        Of all batches, the last of which may be smaller; None: without end.
+        Of all batches, the last of which may be smaller; None: unlimited.
     shard : tuple of int
         Number of this part, and number of all parts.
     """
@@ -234,14 +234,14 @@ class TrainingStream:
     def __iter__(self) -> Iterator[TrainingBatch]:
         part, n_parts = self.shard
         signals = self.batch_size * max(_AT_ONCE // self.batch_size, 1)
-        places: Iterator[int] = (place * signals for place in count(part, n_parts))
+        starts: Iterator[int] = (start * signals for start in count(part, n_parts))
         if self.n_signals is not None:
             n = self.n_signals
-            places = takewhile(lambda place: place < n, places)
+            starts = takewhile(lambda start: start < n, starts)
         # More processes than processors would only cost memory.
         with (
             executor(min(self.workers, os.cpu_count() or 1)) as pool,
-            closing(pool.each_in_step(_batches, self, places)) as made,
+            closing(pool.each_in_step(_batches, self, starts)) as made,
         ):
             for batches in made:
                 yield from batches
@@ -257,7 +257,7 @@ def stream(
     first: int = 0,
     shard: tuple[int, int] = (0, 1),
 ) -> TrainingStream:
-    """Return batches of fresh signals for a training loop, without a file between.
+    """Return batches of new signals for a training loop, without a file.
 
     Signal k of a seed is always the same, and equals signal k of `cgid.synthesise` and of `cgid generate`: neither the
     size of the batches nor the number of workers or shards changes it.
@@ -267,15 +267,15 @@ def stream(
     scene : Scene, str or Path
         A scene, a scene file, or a shipped scene.
     batch_size : int
-        Signals of a batch.
+        Number of signals of a batch.
     seed : int
         From 0 to 2^63 - 1.
     workers : int
-        Processes that make signals, no more than processors; 1 is this process.
+        Number of processes, at most that of processors; 1 is this process.
     n_signals : int, optional
-        Signals of all shards together; by default without end.
+        Number of signals of all shards together; by default unlimited.
     first : int
-        Number of the first signal, to go on where an earlier stream has ended.
+        Number of the first signal, to continue an earlier stream.
     shard : tuple of int
         Number of this part and number of all parts, such as those of a data loader's worker: each batch of 1024 or
         fewer signals belongs to exactly one shard.
@@ -316,7 +316,7 @@ def stream(
 
 
 def _batches(settings: TrainingStream, place: int) -> list[TrainingBatch]:
-    """Return the batches that one worker makes at a time, from the signal at this place of the stream on."""
+    """Return the batches that one worker makes at a time, from this signal of the stream on."""
     size = settings.batch_size
     n = size * max(_AT_ONCE // size, 1)
     if settings.n_signals is not None:
@@ -334,7 +334,7 @@ def _batches(settings: TrainingStream, place: int) -> list[TrainingBatch]:
 
 # -- xarray ------------------------------------------------------------------------------------------------
 
-#: Largest deviation of a step of the time coordinate from the mean step, over that.
+#: Maximum relative deviation of a step of the time coordinate from the mean step.
 _UNEVEN = 1e-3
 
 
@@ -345,12 +345,12 @@ def to_xarray(data: Signal | pandas.DataFrame, unit: str = "1") -> xarray.DataAr
     ----------
     data : Signal or DataFrame
     unit : str
-        Unit of the signals that the features of a table were measured on.
+        Unit of the signals from which the features of a table were measured.
 
     Returns
     -------
     xarray.DataArray or xarray.Dataset
-        Units stand in `attrs["units"]`, as CF conventions have it.
+        Units are in `attrs["units"]`, as in the CF conventions.
 
     Raises
     ------
@@ -434,10 +434,10 @@ def _units(column: str, unit: str) -> dict[str, str]:
     """Return the attribute of a column: the unit of its feature, or that of its title, such as `time_s`."""
     if column in FEATURES:
         return {"units": FEATURES[column].unit_for(unit)}
-    # Products and powers cannot be read off a title: look for the feature and the unit of samples that give it.
+    # Products and powers cannot be parsed from a title: search the feature and the unit of samples that give it.
     features = [feature for name, feature in FEATURES.items() if column.startswith(f"{name}_")]
-    known = [one for spellings in UNITS.values() for one in spellings]
-    units = [(feature.name, feature.unit_for(one)) for feature in features for one in known]
+    units_known = [one for spellings in UNITS.values() for one in spellings]
+    units = [(feature.name, feature.unit_for(one)) for feature in features for one in units_known]
     stated = next((one for name, one in units if column_title(name, one) == column), column_unit(column))
     return {} if stated is None else {"units": stated}
 

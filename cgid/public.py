@@ -25,10 +25,10 @@ from cgid.files import looking_at, write_whole
 
 __all__ = ["PublicData", "fetch"]
 
-#: Waiting time for an answer [s], and rate from which on the rest must arrive [bytes/s].
-PATIENCE, MIN_RATE = 30.0, 5e3
+#: Timeout of a response [s], and minimum rate of a download [bytes/s].
+TIMEOUT, MIN_RATE = 30.0, 5e3
 _HINT = "check the connection, or give --mirror with the address of a copy"
-#: Where GitHub serves files of a commit.
+#: Address at which GitHub serves files of a commit.
 _GITHUB = "https://raw.githubusercontent.com"
 
 
@@ -52,7 +52,7 @@ class PublicData:
         On GitHub.
     licence : str
     content, good_for : str
-        What it holds, and what it is good for.
+        What it contains and its uses.
     """
 
     name: str
@@ -64,7 +64,7 @@ class PublicData:
 
     @property
     def base(self) -> str:
-        """The address that paths of files follow."""
+        """Address before the paths of files."""
         return f"{_GITHUB}/{self.repository}/{self.commit}"
 
     @property
@@ -86,7 +86,7 @@ _ALL = (
         "hui30319/Analysis-of-Impact-Echo-Time-Signals-by-Deep-Learning",
         "f3230a1a271a7249f9a494840facc533ed04a55c",
         "MIT",
-        "99 blows of steel balls of 6 and 10 mm on concrete: displacement beside the blow, 625 kHz, 5 ms",
+        "99 impacts of steel balls of 6 and 10 mm on concrete: displacement near the impact, 625 kHz, 5 ms",
         "contact times and sizes of impactors on real signals (benchmarks/steel_balls.py)",
     ),
     PublicData(
@@ -117,18 +117,18 @@ def fetch(
     mirror: str | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Path:
-    """Download a public dataset; files that are there already are checked and kept.
+    """Download a public dataset; existing files are checked and kept.
 
     Parameters
     ----------
     name : str
         One of `PUBLIC`.
     folder : str or Path
-        Where a folder of this name is made.
+        Parent of the new folder of this name.
     mirror : str, optional
-        Address to take the place of the one of the commit, such as that of an own server.
+        Address to use instead of that of the commit, such as that of your own server.
     progress : callable, optional
-        Is called with the size of each file done [bytes].
+        Called with the size of each finished file [bytes].
 
     Returns
     -------
@@ -138,13 +138,13 @@ def fetch(
     Raises
     ------
     InvalidValue
-        There is no such dataset, or the mirror is no address of a web server.
+        There is no such dataset, or the mirror is not an address of a web server.
     NoInput
         A file cannot be downloaded.
     BadData
-        What arrives is cut off, or not what it was.
+        The download is truncated or has another checksum.
     CannotCreate
-        Another file is in the way, or the folder cannot be made.
+        Another file has the name, or the folder cannot be created.
     WriteFailed
         The disk is full.
     """
@@ -173,7 +173,7 @@ def fetch(
 
 
 def _require_address(base: str) -> None:
-    """Raise `InvalidValue` if a mirror is no address of a web server, or tells a password that would not be used."""
+    """Raise `InvalidValue` if a mirror is not a web address, or contains a password, which would not be used."""
     try:
         address = urlsplit(base)
         scheme, host, user = address.scheme, address.hostname, address.username
@@ -200,7 +200,7 @@ def _sum(content: bytes) -> str:
 
 def _downloaded(address: str, file: PublicFile) -> bytes:
     """Return a file, or raise `NoInput` if it takes too long: a server may send a byte now and then for days."""
-    timeout = PATIENCE + file.size / MIN_RATE
+    timeout = TIMEOUT + file.size / MIN_RATE
     results: list[bytes | Exception] = []
 
     def transfer() -> None:
@@ -213,14 +213,14 @@ def _downloaded(address: str, file: PublicFile) -> bytes:
     thread.start()
     thread.join(timeout)
     if not results:
-        raise NoInput(f"{address}: {file.size} bytes must arrive within {timeout:.3g} s, they do not; {_HINT}")
+        raise NoInput(f"{address}: {file.size} bytes must arrive within {timeout:.3g} s, and did not; {_HINT}")
     if isinstance(results[0], Exception):
         raise results[0]
     return results[0]
 
 
 class _Redirects(HTTPRedirectHandler):
-    """Redirects within the web only."""
+    """Follows redirects to web addresses only."""
 
     def redirect_request(self, req: Request, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> Request | None:
         is_web = urlsplit(newurl).scheme in ("http", "https")
@@ -229,10 +229,8 @@ class _Redirects(HTTPRedirectHandler):
 
 def _transferred(address: str, file: PublicFile) -> bytes:
     try:
-        with build_opener(_Redirects).open(
-            Request(address, headers={"User-Agent": "cgid"}), timeout=PATIENCE
-        ) as answer:
-            content = bytes(answer.read(file.size + 1))  # no more, whatever a server sends
+        with build_opener(_Redirects).open(Request(address, headers={"User-Agent": "cgid"}), timeout=TIMEOUT) as answer:
+            content = bytes(answer.read(file.size + 1))  # no more than that, whatever a server sends
     except HTTPError as error:
         error.close()
         answer = f"the server answers {error.code} {validation.cut(str(error.reason))}"
@@ -243,10 +241,10 @@ def _transferred(address: str, file: PublicFile) -> bytes:
         reason = getattr(error, "reason", None) or error
         raise NoInput(f"{address}: cannot be downloaded: {validation.cut(str(reason))}; {_HINT}") from None
     if len(content) < file.size:
-        raise BadData(f"{address}: must hold {file.size} bytes, {len(content)} arrived: cut off; run the command again")
+        raise BadData(f"{address}: must have {file.size} bytes, got {len(content)}; run the command again")
     if len(content) != file.size or _sum(content) != file.sha256:
         raise BadData(
-            f"{address}: is not what it was, its SHA-256 must begin with {file.sha256[:12]}, got {_sum(content)[:12]}; "
-            "nothing was written, give --mirror with the address of a sound copy"
+            f"{address}: has changed, its SHA-256 must begin with {file.sha256[:12]}, got {_sum(content)[:12]}; "
+            "nothing was written, give --mirror with the address of an intact copy"
         )
     return content

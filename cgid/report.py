@@ -59,14 +59,14 @@ class Report:
         return sorted({answer.label for answer in self.answers}, key=lambda label: (label == UNKNOWN, label))
 
     def tiles(self) -> Iterator[tuple[str, str]]:
-        """Yield the numbers of the summary and their captions."""
+        """Yield the figures of the summary and their captions."""
         n = len(self.answers)
         yield f"{n}", self.unit_of_decision + ("" if n == 1 else "s")
         counts = Counter(answer.label for answer in self.answers)
         for label in self.labels:
             yield f"{counts[label]}", f"{label} ({counts[label] / n:.0%})"
         outside = sum(not answer.in_training_range for answer in self.answers)
-        yield f"{outside}", "outside of the training"
+        yield f"{outside}", "out of distribution"
         overlapping = sum(answer.overlapping for answer in self.answers)
         if overlapping:
             yield f"{overlapping}", "overlapping another"
@@ -78,16 +78,16 @@ class Report:
 
     @property
     def has_time_history(self) -> bool:
-        """Whether the share of some channel is known at two or more times."""
+        """Whether the gangue fraction of some channel is available at two or more times."""
         return bool(self._followed)
 
     @property
     def _followed(self) -> list[str]:
-        known = Counter(share.channel for share in self.shares if share.n_impacts)
-        return [channel for channel, count in known.items() if count > 1]
+        counted_by = Counter(share.channel for share in self.shares if share.n_impacts)
+        return [channel for channel, count in counted_by.items() if count > 1]
 
     def times_of_shares(self) -> dict[str, NDArray[np.float64]]:
-        """Return the times of the answers of channels whose share has a course, if they are enough for a decision."""
+        """Return the times of the predictions of channels with several gangue fractions, if enough for a decision."""
         times = {name: np.array([one.time for one in self.answers if one.channel == name]) for name in self._followed}
         return {name: one for name, one in times.items() if len(one) >= MIN_IMPACTS}
 
@@ -98,16 +98,17 @@ def recording_facts(recording: RecordingFile, overview: Overview, channels: Sequ
         "file": recording.source,
         "format": recording.format,
         "sampling rate": hertz(recording.sampling_rate),
-        "length": f"{overview.duration:.6g} s ({counted(overview.n_samples, 'sample')} a channel)",
+        "length": f"{overview.duration:.6g} s ({counted(overview.n_samples, 'sample')} per channel)",
     }
     if recording.start_time is not None:
         facts["started"] = recording.start_time.isoformat(sep=" ")
     if len(channels) < len(recording.channels):
-        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are drawn here"
+        facts["channels"] = f"{len(recording.channels)}, of which {len(channels)} are shown here"
     for k, channel in enumerate(channels):
         facts[f"channel {channel.name}"] = (
             f"{channel.quantity or 'signal'} [{written(channel.unit)}], from {overview.lowest[k].min():.4g} to "
-            f"{overview.highest[k].max():.4g}, mean {overview.mean[k]:.3g}, deviation {overview.deviation[k]:.3g}"
+            f"{overview.highest[k].max():.4g}, mean {overview.mean[k]:.3g}, standard deviation "
+            f"{overview.deviation[k]:.3g}"
         )
     return facts
 
@@ -126,7 +127,7 @@ def model_facts(model: Model, name: str) -> dict[str, str]:
     metrics = model.training.get("metrics", {})
     if metrics.keys() >= {"accuracy", "accuracy_interval_95"}:
         low, high = metrics["accuracy_interval_95"]
-        facts["accuracy in its test"] = f"{metrics['accuracy']:.3f} (95 % interval {low:.3f} to {high:.3f})"
+        facts["test accuracy"] = f"{metrics['accuracy']:.3f} (95 % interval {low:.3f} to {high:.3f})"
     return facts
 
 
@@ -194,7 +195,7 @@ def _section(report: Report) -> Iterator[str]:
 
 
 def _next_steps(report: Report) -> Iterator[str]:
-    """Yield the box that says why most answers are unknown."""
+    """Yield the box that explains why most predictions are unknown."""
     if report.hint is None:
         return
     hint = report.hint
@@ -202,7 +203,7 @@ def _next_steps(report: Report) -> Iterator[str]:
     yield f'<div class="hint"><strong>Next steps</strong><p>{_text(hint.reason + where)}.</p>'
     yield f"<p>To go on, {_text(hint.advice)}.</p>"
     for number, way in enumerate(filter(None, (hint.commands, hint.instead))):
-        # A step in words, such as filling in a table, is no code.
+        # A step in words, such as filling in a table, is not code.
         steps = (f"<code>{_text(step)}</code>" if step.startswith("cgid ") else _text(step) for step in way)
         yield "<p>Or:</p>" * number + "<ol>" + "".join(f"<li>{step}</li>" for step in steps) + "</ol>"
     yield "</div>"
@@ -212,13 +213,12 @@ def _switches(report: Report) -> Iterator[str]:
     many = len({share.channel for share in report.shares}) > 1
     for switch in report.turns:
         where = f", channel {switch.share.channel}" if many else ""
-        what, side = ("Shut the window", "above") if switch.shut else ("Going on pays again", "below")
+        what, side = ("Shut the window", "above") if switch.shut else ("Continuing pays again", "below")
         limit = "" if report.threshold is None else f" that it is {side} the limit of {report.threshold:.0%}"
         text = (
-            f"{what} at {switch.time:.2f} s{where}: share of gangue {switch.share.share:.0%} "
-            f"({switch.share.low:.0%} to {switch.share.high:.0%}), {switch.evidence:.1%} sure{limit}; going on is "
-            "expected "
-            f"to cost {switch.cost:+.2g} coal a rock"
+            f"{what} at {switch.time:.2f} s{where}: gangue fraction {switch.share.share:.0%} "
+            f"({switch.share.low:.0%} to {switch.share.high:.0%}), {switch.evidence:.1%} sure{limit}; continuing is "
+            f"expected to cost {switch.cost:+.2g} coal per rock"
         )
         yield f'<p class="turn">{_text(text)}</p>'
 
@@ -235,18 +235,17 @@ def _pictures(report: Report) -> Iterator[str]:
     yield _figure(figure, f"{what} of each channel." if len(report.channels) > 1 else f"{what}.")
     if report.has_time_history:
         shares = share_figure(report.shares, report.turns, report.overview.duration, threshold=report.threshold)
-        yield _figure(shares, "Share of gangue over a sliding window, with its interval.")
+        yield _figure(shares, "Gangue fraction over a sliding window, with its interval.")
     times = report.times_of_shares()
     if times:
         yield _figure(
             drawn_figure(times, report.shares, report.turns),
-            "What is drawn until the window is shut: gangue in all against recovered coal, each answer "
-            "counted as a rock, of the share above.",
+            "Operators' curve: cumulative gangue fraction against recovered coal, each prediction counted as a rock.",
         )
 
 
 def _marks(report: Report) -> Iterator[Mark]:
-    """Yield a mark for each answer about a drawn channel, or about all channels together."""
+    """Yield a mark for each prediction of a shown channel, or of all channels together."""
     names = [channel.name for channel in report.channels]
     together = "+".join(names)
     for answer in report.answers:
@@ -265,7 +264,7 @@ def _figure(figure: Any, caption: str) -> str:
 
 
 def _table(report: Report) -> Iterator[str]:
-    """Yield the table of answers, without the columns that do not apply to this recording."""
+    """Yield the table of predictions, without columns that do not apply to this recording."""
     answers = report.answers[:MAX_ROWS]
     has_ends = any(answer.end == answer.end for answer in answers)
     has_sets = any(answer.prediction_set is not None for answer in answers)

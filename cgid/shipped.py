@@ -11,7 +11,7 @@ from typing import Literal
 
 from cgid.errors import NoInput
 
-#: Maximum number of files of a folder that are looked at for a suggestion.
+#: Maximum number of files of a folder searched for a suggestion.
 _MAX_FILES = 10_000
 _PACKAGE = Path(__file__).parent
 DEFAULT_MODEL = "default.npz"
@@ -40,29 +40,29 @@ def path_of(kind: Literal["datasets", "models"], name: str) -> Path:
     for folder in (_PACKAGE / "shipped" / kind, _PACKAGE.parent / kind):
         if (folder / name).is_file():
             return folder / name
-    raise NoInput(f"{kind}/{name}: must come with cgid and is missing: install it again")
+    raise NoInput(f"{kind}/{name}: must be part of cgid and is missing: install it again")
 
 
 def scene_path(scene: str | Path) -> Path:
     """Return the path of a scene: a file, or a shipped scene such as "reference"."""
-    return _chosen(scene, "datasets", SCENES, ".toml", "scene", "cgid check --list names those that come with cgid")
+    return _resolve(scene, "datasets", SCENES, ".toml", "scene", "cgid check --list names the shipped ones")
 
 
 def model_path(model: str | Path) -> Path:
     """Return the path of a model: a file, or a shipped model such as "default"; raises as `scene_path`."""
-    return _chosen(model, "models", MODELS, ".npz", "model", f"those that come with cgid are {', '.join(MODELS)}")
+    return _resolve(model, "models", MODELS, ".npz", "model", f"those that come with cgid are {', '.join(MODELS)}")
 
 
 def scene_descriptions() -> dict[str, str]:
-    """Return what each shipped scene says about itself, in one line."""
+    """Return the one-line description of each shipped scene."""
     import tomllib
 
     texts = {name: path_of("datasets", f"{name}.toml").read_text(encoding="utf-8") for name in SCENES}
     return {name: tomllib.loads(text)["description"] for name, text in texts.items()}
 
 
-def _chosen(
-    given: str | Path, kind: Literal["datasets", "models"], names: tuple[str, ...], ending: str, what: str, cure: str
+def _resolve(
+    given: str | Path, kind: Literal["datasets", "models"], names: tuple[str, ...], ending: str, what: str, hint: str
 ) -> Path:
     from cgid import validation
 
@@ -73,9 +73,9 @@ def _chosen(
     try:
         if path.exists():
             return path
-        there = [str(path.with_name(one.name)) for one in islice(path.parent.iterdir(), _MAX_FILES)]
-    except (OSError, ValueError):  # anyone who opens it says what is wrong
+        siblings = [str(path.with_name(one.name)) for one in islice(path.parent.iterdir(), _MAX_FILES)]
+    except (OSError, ValueError):  # opening the path will report the error
         return path
-    others = [name for name in there if name.endswith(ending)]
-    hint = validation.suggestion(path.stem, names) or validation.suggestion(str(path), others)
-    raise NoInput(f"{path}: no such {what}{hint or f'; {cure}'}")
+    others = [name for name in siblings if name.endswith(ending)]
+    similar = validation.suggestion(path.stem, names) or validation.suggestion(str(path), others)
+    raise NoInput(f"{path}: no such {what}{similar or f'; {hint}'}")

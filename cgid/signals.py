@@ -39,7 +39,7 @@ class Signal:
     start_time : datetime or None
         Time of the first sample, if known.
     warnings : tuple of str
-        Damaged parts of the source that were left out.
+        Damaged parts of the source that were skipped.
 
     Raises
     ------
@@ -180,7 +180,7 @@ class Batch:
     pre_trigger : int
         Number of samples before onset.
     specimen : ndarray of uint64, (n_signals,)
-        Number of the particle; all impacts of a particle belong on the same side of a split.
+        Number of the rock; all impacts of a rock must be on the same side of a split.
     parameters : dict of ndarray, each (n_signals,)
         Values from which the signals were made, if known.
     source : str

@@ -39,8 +39,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "level": {"FS": 1.0},
 }
 
-#: What no sensor gives, in the SI unit of each quantity: some times the range of the largest sensor that is sold, such
-#: as 2e6 m/s^2 (200,000 g) or 5e7 N. Of full scale, the count of 32 bits, since a float may hold counts.
+#: Limits of samples in the SI unit of each quantity: several times the range of the largest commercial sensor, such as
+#: 2e6 m/s^2 (200,000 g) or 5e7 N. For full scale, the counts of 32 bits, since a float may be a count.
 LARGEST: Mapping[str, float] = {
     "force": 1e8,
     "acceleration": 3e6,
@@ -117,10 +117,10 @@ def quantity_of(unit: str) -> str:
     for quantity, units in UNITS.items():
         if isinstance(unit, str) and unit in units:
             return quantity
-    known = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
+    listed = "; ".join(f"{quantity}: {', '.join(units)}" for quantity, units in UNITS.items())
     meant = known_unit(str(unit))
     hint = suggestion(str(unit), sorted(KNOWN_UNITS)) if meant is None else f"; did you mean {meant!r}?"
-    raise InvalidValue(f"unit must be one of the known ones, got {shown(unit)} ({known}){hint}")
+    raise InvalidValue(f"unit must be a known one, got {shown(unit)} ({listed}){hint}")
 
 
 def plain_unit(text: str) -> str:
@@ -133,7 +133,7 @@ def plain_unit(text: str) -> str:
 
 
 def known_unit(text: str) -> str | None:
-    """Return the unit of samples that a text names, None if it names none.
+    """Return the unit of samples named by a text, None if there is none.
 
     >>> known_unit("[kN]"), known_unit("Volts"), known_unit("counts")
     ('kN', 'V', None)
@@ -201,10 +201,10 @@ def parse(value: Any, dimension: str) -> float:
             raise ValueError(f"must be a number with a unit such as '1 {next(iter(units))}', got {shown(value)}")
         unit = match[3]
         if unit not in units:
-            known = ", ".join(name or "no unit" for name in units)
+            listed = ", ".join(name or "no unit" for name in units)
             article = "an" if dimension[0] in "aeiou" else "a"
             hint = suggestion(unit, units)
-            raise ValueError(f"must be {article} {dimension} in {known}, got {shown(value)}{hint}")
+            raise ValueError(f"must be {article} {dimension} in {listed}, got {shown(value)}{hint}")
         # Powers of ten go into the exponent, to avoid a second rounding: "136.51 GPa" equals 136.51e9.
         factor, exponent = units[unit], int(match[2] or 0)
         power = round(math.log10(factor))
@@ -238,9 +238,9 @@ def column_unit(title: str) -> str | None:
     """
     if title.endswith("]") and " [" in title:
         return title.rpartition(" [")[2].removesuffix("]")
-    known = [unit for units in UNITS.values() for unit in units] + ["s", "Hz", "kg"]
-    spelled = {column_title("", unit): unit for unit in reversed(known)}
+    listed = [unit for units in UNITS.values() for unit in units] + ["s", "Hz", "kg"]
+    spelled = {column_title("", unit): unit for unit in reversed(listed)}
     ends = (title[place:] for place, sign in enumerate(title) if sign == "_" and place)
     end = next((end for end in ends if end in spelled and not title.startswith("p_")), None)
-    # Behind another unit it is the end of a product, as in `impulse_N_s`.
+    # After another unit it is the end of a product, as in `impulse_N_s`.
     return None if end is None or column_unit(title.removesuffix(end)) else spelled[end]

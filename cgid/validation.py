@@ -20,7 +20,7 @@ _T = TypeVar("_T")
 #: Limits of sampling rates [Hz]: no recorder exceeds them, and beyond them squares of times leave the range of floats.
 RATES = (1e-6, 1e12)
 
-#: Answer of models for signals of no known class; not allowed as a label.
+#: Prediction of models for out-of-distribution signals; not allowed as a label.
 UNKNOWN = "unknown"
 #: Longest label [characters].
 MAX_LABEL_LENGTH = 100
@@ -35,7 +35,7 @@ class Rule:
     >>> Rule(0, 1, without="ends")("damping_ratio", [0.1, 1.2])
     Traceback (most recent call last):
         ...
-    cgid.errors.InvalidValue: damping_ratio must lie between 0 and 1 (exclusive), got 1.2 at index 1
+    cgid.errors.InvalidValue: damping_ratio must be between 0 and 1 (exclusive), got 1.2 at index 1
     """
 
     lowest: float = -math.inf
@@ -66,7 +66,7 @@ class Rule:
 
     @property
     def limited(self) -> bool:
-        """Whether it asks for more than finite numbers."""
+        """Whether it requires more than finite numbers."""
         return self.lowest > -math.inf or self.highest < math.inf
 
     def holds(self, numbers: Floats) -> NDArray[np.bool_]:
@@ -86,7 +86,7 @@ class Rule:
         elif self.without == "highest":
             text = f"lie from {low} and below {high}{unit}"
         else:
-            text = f"lie between {low} and {high}{unit}" + " (exclusive)" * (self.without == "ends")
+            text = f"be between {low} and {high}{unit}" + " (exclusive)" * (self.without == "ends")
         return text + self.note
 
 
@@ -97,8 +97,8 @@ rates = Rule(*RATES, unit="Hz")
 #: The range of stable isotropic solids.
 poisson_ratio = Rule(-1, 0.5, without="ends")
 #: Oscillations that decay.
-damping_ratio = Rule(0, 1, without="ends", note=", where a mode rings")
-#: Shares of a whole, and coefficients of restitution; at a restitution of 0 the damping would be infinite.
+damping_ratio = Rule(0, 1, without="ends", note=", so that a mode oscillates")
+#: Fractions, and coefficients of restitution; at a restitution of 0 the damping would be infinite.
 share = restitution = Rule(0, 1, without="lowest")
 
 
@@ -123,8 +123,8 @@ def plain(name: str, value: Any) -> NDArray[Any]:
 
 
 def _masked(value: Any) -> int:
-    """Return how many numbers are masked in an array, or in lists of arrays."""
-    ma = sys.modules.get("numpy.ma")  # NumPy loads it on first use: without it, nothing is masked
+    """Return the number of masked values in an array, or in lists of arrays."""
+    ma = sys.modules.get("numpy.ma")  # NumPy loads it on first use: if not loaded, nothing is masked
     if ma is not None and isinstance(value, ma.MaskedArray):
         return int(np.count_nonzero(ma.getmaskarray(value)))
     if ma is not None and isinstance(value, list | tuple):
@@ -135,15 +135,15 @@ def _masked(value: Any) -> int:
 def _first(wrong: NDArray[np.bool_], numbers: Floats, unit: str) -> str:
     """Return the first wrong number with its unit, and its index in an array."""
     index = int(np.flatnonzero(wrong)[0])
-    place = f" at index {index}" if numbers.size > 1 else ""
-    return f"{numbers.ravel()[index]:g}{' ' + unit if unit else ''}{place}"
+    where = f" at index {index}" if numbers.size > 1 else ""
+    return f"{numbers.ravel()[index]:g}{' ' + unit if unit else ''}{where}"
 
 
 def number(name: str, value: ArrayLike, unit: str = "", rule: Callable[[str, ArrayLike, str], Floats] = real) -> float:
     """Return `value` as one float that meets a rule, such as `positive`; raise `InvalidValue` also for an array."""
     checked = rule(name, value, unit)
     if checked.ndim:
-        raise InvalidValue(f"{name} must be one number, got an array of shape {checked.shape}; take one out of it")
+        raise InvalidValue(f"{name} must be one number, got an array of shape {checked.shape}; select one")
     return float(checked)
 
 
@@ -180,34 +180,36 @@ def choice(name: str, value: str, allowed: tuple[str, ...] | dict[str, Any]) -> 
     return value
 
 
-def suggestion(given: Any, known: Iterable[str]) -> str:
-    """Return "; did you mean ...?" for the known name most like an unknown one, or nothing.
+def suggestion(given: Any, names: Iterable[str]) -> str:
+    """Return "; did you mean ...?" with the known name most similar to an unknown one, or nothing.
 
     >>> suggestion("Gange", ["coal", "gangue"]), suggestion("steel", ["coal", "gangue"])
     ("; did you mean 'gangue'?", '')
     """
-    matches = similar(given, known) if isinstance(given, str) else []
+    matches = similar(given, names) if isinstance(given, str) else []
     return f"; did you mean {matches[0]!r}?" if matches else ""
 
 
-def similar(given: str, known: Iterable[str], n: int = 1, cutoff: float = 0.7) -> list[str]:
-    """Return up to `n` known names that are most like a given one, in upper or lower case; see `difflib`."""
+def similar(given: str, names: Iterable[str], n: int = 1, cutoff: float = 0.7) -> list[str]:
+    """Return up to `n` known names most similar to a given one, in upper or lower case; see `difflib`."""
     import difflib
 
-    by_case = {name.lower(): name for name in known}
+    by_case = {name.lower(): name for name in names}
     return [by_case[name] for name in difflib.get_close_matches(given[:80].lower(), by_case, n, cutoff)]
 
 
 def label(name: str, value: Any) -> str:
     """Return `value` if it is a valid label of a class, or raise `InvalidValue`."""
     letters = "".join(sign for sign in value if sign not in _LABEL_SIGNS) if isinstance(value, str) else ""
-    # After its first letter, an identifier may hold letters, combining marks and digits.
+    # After its first letter, an identifier may contain letters, combining marks and digits.
     if not letters or len(value) > MAX_LABEL_LENGTH or value != value.strip() or not f"a{letters}".isidentifier():
         raise InvalidValue(
             f"{name} must be 1 to {MAX_LABEL_LENGTH} letters, digits, blanks, _, . or -, got {value!r}; rename it"
         )
     if value == UNKNOWN:
-        raise InvalidValue(f"{name} must not be {UNKNOWN!r}, which is what models answer strangers with; rename it")
+        raise InvalidValue(
+            f"{name} must not be {UNKNOWN!r}, the prediction of models for out-of-distribution impacts; rename it"
+        )
     return str(value)
 
 
@@ -239,7 +241,7 @@ def hold(owner: Any, *names: str) -> None:
 
 
 def unchecked(kind: type[_T], **fields: Any) -> _T:
-    """Return a frozen dataclass of numbers that are known to be sound, without its checks and copies."""
+    """Return a frozen dataclass of valid numbers without its checks and copies."""
     made = object.__new__(kind)
     vars(made).update(fields)
     return made

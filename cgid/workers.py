@@ -24,13 +24,13 @@ from cgid import validation
 from cgid.errors import ClusterFailed, InvalidValue, optional
 
 #: The scheduler must answer and have a worker within this time [s].
-PATIENCE = 10.0
+TIMEOUT = 10.0
 #: Wait this long without any worker [s]: a dead one may be restarted.
 DESERTED = 60.0
 #: Maximum number of processes on this machine.
 MAX_JOBS = 1024
-#: Up to this size the common data go with each part and survive the loss of any worker; larger data are sent once to
-#: each worker [bytes].
+#: Up to this size, the common data are sent with each part and survive the loss of any worker; larger data are sent
+#: once to each worker [bytes].
 _SMALL = 1 << 20
 #: Libraries that affect the last digits of a result or its transport.
 _LIBRARIES = ("cgid", "numpy", "scipy", "numba", "h5py", "scikit-learn", "joblib", "distributed")
@@ -49,7 +49,7 @@ class Workers:
     client: Any = None  # `distributed.Client` of a cluster, or None
 
     @property
-    def alone(self) -> bool:
+    def is_serial(self) -> bool:
         """Whether this process does all the work itself."""
         return self.jobs == 1 and self.client is None
 
@@ -66,9 +66,9 @@ class Workers:
         >>> list(Workers().each(pow, 2, [1, 2, 3]))
         [2, 4, 8]
         """
-        # Closing the generator cancels the rest; parts already running on a cluster finish, and their results are
+        # Closing the generator cancels the other parts; those running on a cluster finish, and their results are
         # dropped.
-        if self.alone:
+        if self.is_serial:
             for part in parts:
                 yield function(common, part)
             return
@@ -80,12 +80,12 @@ class Workers:
             executor = {"backend": _cluster_backend(self.client)}
             versions, given = _versions(), self._sent(common)
         failures: list[BaseException] = []
-        # A list goes with its part; other arguments joblib may leave on one worker, with which they would be lost.
+        # A list is sent with its part; joblib may leave other arguments on one worker, with which they would be lost.
         tasks = (joblib.delayed(_do)([versions, function, given, part]) for part in _until_failure(parts, failures))
         way = "generator" if ordered else "generator_unordered"
         results = joblib.Parallel(batch_size=1, return_as=way, **executor)(tasks)
         try:
-            for result in results:  # noqa: UP028 - `yield from` would pass an interruption on before the warning is off
+            for result in results:  # noqa: UP028 - `yield from` would pass on an interruption before the warning is off
                 yield result
             if failures:
                 raise failures[0]
@@ -99,7 +99,7 @@ class Workers:
                 results.close()
 
     def _sent(self, common: Any) -> Any:
-        """Return what stands for the common data in each part of a cluster's work."""
+        """Return a reference to the common data for each part of a cluster's work."""
         import cloudpickle
 
         if len(cloudpickle.dumps(common)) <= _SMALL:
@@ -111,8 +111,8 @@ class Workers:
         self, function: Callable[[Common, Part], Result], common: Common, parts: Iterable[Part]
     ) -> Generator[Result, None, None]:
         """Yield as `each` does, in order, but start at most two parts a process ahead of the reader; local only."""
-        # So `parts` may be endless, and a slow reader does not fill the memory.
-        if self.alone:
+        # So `parts` may be unlimited, and a slow reader does not fill the memory.
+        if self.is_serial:
             yield from self.each(function, common, parts)
             return
         from concurrent.futures import Future
@@ -140,7 +140,7 @@ class Workers:
 
 
 def _cluster_backend(client: Any) -> Any:
-    """Return joblib's backend for dask, repaired: alone it waits for ever for a part that dask has given up."""
+    """Return joblib's backend for dask, which unpatched waits forever for a part that dask has given up."""
     import asyncio
     from concurrent.futures import CancelledError
 
@@ -170,7 +170,7 @@ def _cluster_backend(client: Any) -> Any:
             future = super().submit(func, callback)
             self.waiting.add(future)
             future.add_done_callback(self.waiting.discard)
-            # joblib passes on what a part returns or raises, but not that dask has given it up.
+            # joblib passes on the result or error of a part, but not that dask has given it up.
             future.add_done_callback(lambda done: callback(done.exception()) if done.exception() else None)
             return future
 
@@ -184,28 +184,28 @@ def _cluster_backend(client: Any) -> Any:
 
 
 def _cluster_failed(error: Exception) -> ClusterFailed | None:
-    """Return what the loss of workers or of a scheduler means; None for the error of a part."""
+    """Return the error for a loss of workers or of a scheduler; None for the error of a part."""
     from concurrent.futures import BrokenExecutor, CancelledError
 
     if isinstance(error, BrokenExecutor):
-        reason = "jobs: a worker process was ended from outside, as they are where memory is short; take fewer jobs"
+        reason = "jobs: a worker process was killed, perhaps for lack of memory; use fewer jobs"
     elif type(error).__name__ == "KilledWorker":  # dask is an extra
         reason = (
-            "cluster: several workers have died of the same part, as they do where memory is short; give them more of "
-            "it, fewer threads, or ask for smaller shards"
+            "cluster: several workers died on the same part, perhaps for lack of memory; give them more memory, fewer "
+            "threads or smaller shards"
         )
     elif isinstance(error, CancelledError):
         reason = (
             f"cluster: the scheduler or all workers are lost ({getattr(error, 'reason', error)}); start some, and "
-            "go on with --resume"
+            "continue with --resume"
         )
     else:
         return None
     return ClusterFailed(reason)
 
 
-#: The executor that uses only this process.
-ALONE = Workers()
+#: The executor of this process alone.
+SERIAL = Workers()
 
 
 @contextmanager
@@ -220,15 +220,15 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     dask = optional("distributed", "a cluster needs", "cluster", name="dask.distributed")
     if scheduler.startswith("tls") and dask.Security().get_connection_args("client")["ssl_context"] is None:
         raise InvalidValue(
-            f"scheduler {scheduler}: tls:// needs certificates, which dask's configuration must name "
-            "(distributed.comm.tls), and does not; give them, or an address tcp://..."
+            f"scheduler {scheduler}: tls:// needs certificates in dask's configuration (distributed.comm.tls), there "
+            "are none; add them, or give an address tcp://..."
         )
     with _quiet():
         try:
-            client = dask.Client(scheduler, timeout=PATIENCE, set_as_default=False)
+            client = dask.Client(scheduler, timeout=TIMEOUT, set_as_default=False)
         except (OSError, ValueError, RuntimeError):
             raise ClusterFailed(
-                f"{scheduler}: a dask scheduler must answer there within {PATIENCE:g} s, none does; start one (dask "
+                f"{scheduler}: a dask scheduler must answer there within {TIMEOUT:g} s, none does; start one (dask "
                 "scheduler), or correct the address"
             ) from None
         try:
@@ -242,24 +242,24 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
 def _require_workers(client: Any, scheduler: str) -> None:
     """Raise `ClusterFailed` unless there is a worker and all have the library versions of this process."""
     try:
-        client.wait_for_workers(1, timeout=PATIENCE)
+        client.wait_for_workers(1, timeout=TIMEOUT)
     except TimeoutError:
         raise ClusterFailed(
-            f"{scheduler}: must have workers, none came within {PATIENCE:g} s; start some (dask worker {scheduler})"
+            f"{scheduler}: must have workers, none came within {TIMEOUT:g} s; start some (dask worker {scheduler})"
         ) from None
     for worker, found in client.run(_versions, on_error="return").items():
-        _require_alike(_versions(), found, worker)
+        _require_same_versions(_versions(), found, worker)
 
 
-def _require_alike(expected: dict[str, str], found: Any, worker: str) -> None:
-    if isinstance(found, Exception):
-        raise ClusterFailed(f"worker {worker}: must have cgid {expected['cgid']}, and cannot load it ({found})")
-    for name, here in expected.items():
-        there = found.get(name)
-        if there != here:
+def _require_same_versions(expected: dict[str, str], versions: Any, worker: str) -> None:
+    if isinstance(versions, Exception):
+        raise ClusterFailed(f"worker {worker}: must have cgid {expected['cgid']}, and cannot load it ({versions})")
+    for name, expected_version in expected.items():
+        got = versions.get(name)
+        if got != expected_version:
             raise ClusterFailed(
-                f"worker {worker}: must have {name} {here} as this process, for the same results, got "
-                f"{there or 'none'}; install alike"
+                f"worker {worker}: must have {name} {expected_version} like this process, for equal results, got "
+                f"{got or 'none'}; install the same version"
             )
 
 
@@ -274,7 +274,7 @@ def _versions() -> dict[str, str]:
 
 
 def _until_failure(parts: Iterable[Part], failures: list[BaseException]) -> Iterator[Part]:
-    """Yield the parts until producing one fails; keep the error, which joblib would lose as it iterates in threads."""
+    """Yield the parts until producing one fails; keep the error, which joblib would lose by iterating in threads."""
     try:
         yield from parts
     except Exception as error:
@@ -287,11 +287,11 @@ def _do(task: list[Any]) -> Any:
 
     versions, function, common, part = task
     if versions is not None:
-        _require_alike(versions, _versions(), platform.node())
+        _require_same_versions(versions, _versions(), platform.node())
     # Ctrl-C reaches every process of the group; only the parent handles it.
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with joblib.parallel_config(backend="sequential"):  # a part is not spread over the cluster once more
+    with joblib.parallel_config(backend="sequential"):  # a part is not itself spread over the cluster
         return function(common, part)
 
 
@@ -299,8 +299,8 @@ def _do(task: list[Any]) -> Any:
 def _quiet() -> Iterator[None]:
     """Silence the logs of dask and its libraries; errors that matter are raised."""
     # Set each logger: dask gives some of them their own levels and handlers.
-    chosen = re.compile(r"(distributed|tornado|asyncio)(\..+)?")
-    logs = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if chosen.fullmatch(name)]
+    pattern = re.compile(r"(distributed|tornado|asyncio)(\..+)?")
+    logs = [logging.getLogger(name) for name in list(logging.root.manager.loggerDict) if pattern.fullmatch(name)]
     before = [log.level for log in logs]
     for log in logs:
         log.setLevel(logging.CRITICAL + 1)

@@ -31,7 +31,7 @@ from cgid.identification.model import Model
 from cgid.identification.rows import Rows, linear_columns, measure
 from cgid.scene import load_scene, synthesise
 from cgid.validation import Floats
-from cgid.workers import ALONE, Workers, workers
+from cgid.workers import SERIAL, Workers, workers
 
 #: A later family must be better by this accuracy.
 MARGIN = 0.003
@@ -90,7 +90,7 @@ def select(
     n_folds: int = 5,
     seed: int = 0,
     progress: Callable[[str], object] | None = None,
-    crew: Workers = ALONE,
+    crew: Workers = SERIAL,
 ) -> list[dict[str, Any]]:
     """Compare families by cross-validation; return one row for each, as plain numbers for JSON.
 

@@ -1,4 +1,4 @@
-"""Every kind of bad input as one case: arguments, expected exit code, and the name that the error line must hold.
+"""Every kind of bad input as one case: arguments, expected exit code, and the name that the error line must contain.
 
 `tests/test_cli.py` runs them; `python -m tests.bad_input` prints them as a table with the messages.
 """
@@ -581,7 +581,7 @@ _COMMANDS = r"""
 65 | calibrate other_beam.csv --scene taps.toml -o new.toml --dimension-error '3 %' | dimension_error
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error 'ribs.height = 3 %' | ribs.depth
 65 | calibrate few_blows.csv --scene tail_beam -o new.toml --dimension-error '20 %' | --dimension-error
-65 | calibrate other_beam.csv --scene taps.toml -o new.toml | must explain the blows
+65 | calibrate other_beam.csv --scene taps.toml -o new.toml | must explain the impacts
 65 | calibrate other_beam.csv --scene taps_on_node.toml -o new.toml | sensor_point
 65 | calibrate other_beam.csv --scene fast.toml -o new.toml | sampling.sampling_rate
 65 | calibrate good.csv --scene tail_beam -o new.toml | acceleration
@@ -594,7 +594,7 @@ _COMMANDS = r"""
 65 | tap silent_taps.csv -o new.csv | silent_taps.csv
 65 | tap double_taps.csv -o new.csv | double tap
 65 | tap clipped_taps.csv -o new.csv | 2 clipped
-65 | tap short_taps.csv -o new.csv | too near the end
+65 | tap short_taps.csv -o new.csv | too close to the end
 65 | tap nan_taps.csv -o new.csv | nan_taps.csv
 65 | tap good.csv -o new.csv | --hammer
 66 | tap gone.wav -o new.csv | gone.wav
@@ -666,7 +666,7 @@ _COMMANDS = r"""
 65 | generate reference.toml -o truncated.h5 --resume | truncated.h5
 65 | generate caving.toml -o two.h5 --resume | two.h5
 73 | generate reference.toml -o unfinished | unfinished
-73 | generate reference.toml -o . --overwrite | other things in it
+73 | generate reference.toml -o . --overwrite | other files in it
 65 | generate reference.toml -o new --scheduler here | 'here'
 2 | generate reference.toml -o new --jobs 2 --scheduler tcp://127.0.0.1:1 | --jobs
 2 | foretell | foretell

@@ -20,9 +20,9 @@ from cgid.scene.impacts import beam_modes
 from cgid.scene.sections import rows_of
 from cgid.scene.through_beam import beam_of, through_modes
 from cgid.site import calibrate
-from cgid.site.calibration import check_scene, count_crossings, prepare_blows, table_beside, uncertain, usable_impacts
+from cgid.site.calibration import check_scene, count_crossings, prepare_impacts, table_beside, uncertain, usable_impacts
 from cgid.site.dimensions import dimension_errors, learn_dimensions, with_dimensions
-from cgid.site.learning import Blows, System, search_valleys
+from cgid.site.learning import ImpactFrames, System, search_valleys
 from tests.plan_scenes import toml
 
 RATE, BEFORE = 6400.0, 64
@@ -95,7 +95,7 @@ def test_unlabelled_blows_teach_the_modes(known, found):
     assert np.median(np.abs(damping[heard])) < 0.2 * np.median(np.abs(error[1, heard]))
     # Its own deviations are right: normal errors rarely pass three.
     assert np.mean(np.abs(after[heard]) < 3 * found.learned.deviation[0][heard]) > 0.85
-    assert found.at_rest and found.n_impacts == 60
+    assert found.has_converged and found.n_impacts == 60
 
 
 @pytest.mark.long
@@ -114,7 +114,7 @@ def test_dimensions_are_learned():
     scene, names = panel(), ["length", "width", "thickness", "sensor_point.x", "sensor_point.y", "damping_ratio"]
     off = np.array([0.025, -0.03, 0.02, -0.04, 0.03, 0.2])
     truth = with_dimensions(scene, names, off)
-    blows, beam = prepare_blows(frames(truth, 60, seed=5), RATE, BEFORE), exact(beam_of(scene))
+    blows, beam = prepare_impacts(frames(truth, 60, seed=5), RATE, BEFORE), exact(beam_of(scene))
     own, found = learn_dimensions(scene, beam, blows, dimension_errors(scene, 0.03))
     told = {one.name: one for one in found}
     assert sorted(told) == sorted(names)
@@ -195,10 +195,10 @@ def test_pull_is_that_of_the_projected_misfit(known, monkeypatch):
     scene, _, _, blows = known
     monkeypatch.setattr(System, "level", lambda self, row: 1e12)
     beam = beam_of(scene)
-    system = System(beam, prepare_blows(blows[:1], RATE, BEFORE), np.full(1, 100.0))
+    system = System(beam, prepare_impacts(blows[:1], RATE, BEFORE), np.full(1, 100.0))
     pulls, _ = system.equations(system.by_modes(np.array([0, 1])))
     assert system.nuisance(0)[3] == 1.0  # no error of the model above this noise
-    start = np.array([system.found.x[0], system.found.y[0]])
+    start = np.array([system.inverted.x[0], system.inverted.y[0]])
 
     def cost(correction):
         own = corrected(beam, correction)
@@ -230,7 +230,7 @@ def test_a_mode_in_a_wrong_valley_is_found(known):
     wrong = np.zeros((3, len(beam.poles)))
     mode = int(np.argmax((beam.participation**2).mean(axis=(1, 2)) * (np.abs(beam.poles) < 2 * np.pi * 1500)))
     wrong[0, mode] = 0.09
-    own = prepare_blows(blows[:40], RATE, BEFORE)
+    own = prepare_impacts(blows[:40], RATE, BEFORE)
     deviation = np.stack([np.full(len(beam.poles), spread) for spread in (0.05, 0.3, 0.0)])
     system = System(corrected(beam, wrong), own, np.ones(40))
     moved = search_valleys(beam, wrong, deviation, system)
@@ -255,9 +255,9 @@ def test_drawn_modes_have_their_deviations(known):
     modes = known[1].tail_beam.learned_modes
     own = replace(modes, deviation=np.outer([0.02, 0, 0], np.ones(modes.frequency.size)))
     uniform = np.random.default_rng(0).random((400, 3, modes.frequency.size))
-    drawn = np.log([own.drawn(ndtri(numbers)).frequency for numbers in uniform]) - np.log(modes.frequency)
+    drawn = np.log([own.sampled(ndtri(numbers)).frequency for numbers in uniform]) - np.log(modes.frequency)
     assert np.std(drawn) == pytest.approx(0.02, rel=0.03) and abs(np.mean(drawn)) < 1e-3
-    assert np.array_equal(own.drawn(ndtri(uniform[0])).damping_ratio, modes.damping_ratio)
+    assert np.array_equal(own.sampled(ndtri(uniform[0])).damping_ratio, modes.damping_ratio)
 
 
 def test_the_command_writes_a_scene_that_trains(known, tmp_path, capsys):
@@ -371,7 +371,7 @@ def test_blows_in_coloured_noise_teach(known):
     heard = beam_modes(scene).frequency < 2000
     assert np.median(np.abs(after[heard])) < 0.1 * np.median(np.abs(error[0, heard]))
     assert np.mean(np.abs(after[heard]) < 3 * found.learned.deviation[0][heard]) > 0.85
-    assert found.at_rest and abs(found.after - found.expected) < 0.05
+    assert found.has_converged and abs(found.after - found.expected) < 0.05
 
 
 def test_weights_whiten_the_noise():
@@ -388,7 +388,7 @@ def test_weights_whiten_the_noise():
     level = np.full(400, noise.std())
     colour = ARNoise(np.tile(own, (400, 1)), np.full(400, 3.0))
     part = noise[:, 1000 : 1000 + inversion.n_samples]
-    blows = Blows(part, np.zeros((400, 2), np.intp), level, colour)
+    blows = ImpactFrames(part, np.zeros((400, 2), np.intp), level, colour)
     power = np.square(inversion.transformed(part / level[:, None])).mean(axis=0)
     weighed = power * blows.weight(inversion)[0]
     half = weighed.size // 2

@@ -291,7 +291,7 @@ BAD = {
         motion=tap.motion, force=tap.force, impact_point=(1.0,)
     ),
     "impact_point must be given": lambda tap: calibrated(panel_scene(), panel_blows(1, points=False)),
-    "impact_point must lie on the beam, y between 0 and 0.8 m, got 0.9": lambda tap: calibrated(
+    "impact_point must be on the beam, y between 0 and 0.8 m, got 0.9": lambda tap: calibrated(
         panel_scene(), [CalibrationImpact(motion=tap.motion, force=tap.force, impact_point=(0.5, 0.9))]
     ),
     "gain must be left out for a force": lambda tap: varied(BEFORE, quantity="force", gain=2.0),

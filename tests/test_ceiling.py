@@ -150,7 +150,7 @@ def test_lumps_change_the_prior_alone():
     assert abs(difference.mean()) < 3 * difference.std() / np.sqrt(len(difference))
 
 
-# -- what must hold whatever the scene ----------------------------------------------------------------------------
+# -- what must contain whatever the scene ----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -208,20 +208,20 @@ THIN = {"density": 7850, "youngs_modulus": "210 GPa", "poisson_ratio": 0.3, "thi
 @pytest.mark.parametrize(
     ("scene", "said"),
     [
-        (tapped(), "a scene of impacts alone, this one has taps"),
+        (tapped(), "a scene without taps"),
         (
             content(randomise={"relative_noise": {"distribution": "uniform", "lowest": 0.01, "highest": 0.02}}),
             "randomise",
         ),
-        (content(), "noise: without it every pulse is told exactly"),
+        (content(), "noise: without it every pulse is determined exactly"),
         (content(sensor={"relative_noise": 0.01, "noise_exponent": 1}), "white noise"),
-        (content(sensor={"relative_noise": 0.01, "anti_alias": {"frequency": 2e4}}), "what a filter makes of it"),
+        (content(sensor={"relative_noise": 0.01, "anti_alias": {"frequency": 2e4}}), "filtered it is not a member"),
         (content(populations__0__dissipation="walton-braun", sensor__relative_noise=0.01), "one law of loss"),
         (content(sensor__relative_noise=0.01, sensor__relative_range=2), "give sensor.range"),
         (content(populations__1__label="coal", sensor__relative_noise=0.01), "at least 2 labels, got coal"),
         (content(impact__target=THIN, sensor__relative_noise=0.01), "a half space or a rigid wall"),
         (content(impact__dissipation="elastic", populations__0__restitution=None, populations__1__restitution=None,
-                 sensor__relative_noise=0.01), "elastic pulses have no shape to be told"),
+                 sensor__relative_noise=0.01), "elastic pulses have no shape to estimate"),
         (content(populations__0__clipped_at=0.5, sensor__relative_noise=0.01), "single hits that no sensor cuts off"),
         (content(populations__0__second_hit={"delay": 1e-3, "ratio": 0.5}, sensor__relative_noise=0.01),
          "single hits that no sensor cuts off"),

@@ -24,7 +24,7 @@ from cgid.scene import Scene, generate
 from cgid.scene import generation as shards
 from cgid.store import Dataset
 from cgid.validation import positive
-from cgid.workers import ALONE, Workers, workers
+from cgid.workers import SERIAL, Workers, workers
 from tests.mortal import fatal
 
 #: Quick to measure, and with a signal's share of the folds that calibrate.
@@ -103,7 +103,7 @@ def test_groups_are_judged_alike_whoever_leaves_them_out(address: str) -> None:
         return [judged.probabilities.tolist(), judged.chosen, choice, limit]
 
     with workers(scheduler=address) as far:
-        assert learned(ALONE) == learned(far)
+        assert learned(SERIAL) == learned(far)
 
 
 @pytest.mark.long
@@ -171,7 +171,7 @@ def test_other_versions_are_refused_before_anything_is_written(
 ) -> None:
     versions = {**cluster._versions(), "numpy": "1.0"}
     monkeypatch.setattr(cluster, "_versions", lambda: versions)
-    with pytest.raises(ClusterFailed, match=r"must have numpy 1\.0 as this process, for the same results, got \d"):
+    with pytest.raises(ClusterFailed, match=r"must have numpy 1\.0 like this process, for equal results, got \d"):
         generate(reference_scene, tmp_path / "data", 512, scheduler=address)
     assert not (tmp_path / "data").exists()
 
@@ -186,7 +186,7 @@ def test_a_scheduler_without_workers(nobody: str, monkeypatch: pytest.MonkeyPatc
 def test_no_scheduler_at_all(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(cluster, "TIMEOUT", 0.5)
     assert run(["generate", "reference", "-o", str(tmp_path / "d"), "--scheduler", "tcp://127.0.0.1:9"]) == 69
     error = capsys.readouterr().err
     assert re.fullmatch(r"cgid: error: tcp://127\.0\.0\.1:9: a dask scheduler must answer there within .*\n", error)
@@ -221,7 +221,7 @@ def test_ctrl_c_on_a_cluster_leaves_whole_shards_alone(reference_scene: Scene, a
 @pytest.mark.long
 def test_a_process_that_dies_is_told(tmp_path: Path) -> None:
     with workers(2) as crew:
-        with pytest.raises(ClusterFailed, match=r"^jobs: a worker process was ended from outside"):
+        with pytest.raises(ClusterFailed, match=r"^jobs: a worker process was killed"):
             list(crew.each(fatal, f"{tmp_path}|1", range(6)))
         assert list(crew.each(fatal, f"{tmp_path}|1", range(3))) == [0, 1, 2]  # others have taken its place
 
@@ -238,7 +238,7 @@ def test_a_part_that_kills_its_workers_is_given_up(two_workers: Any, address: st
     two_workers.scheduler.allowed_failures = 0
     with (
         workers(scheduler=address) as crew,
-        pytest.raises(ClusterFailed, match="several workers have died of the same"),
+        pytest.raises(ClusterFailed, match="several workers died on the same"),
     ):
         list(crew.each(fatal, f"{tmp_path}|99", range(6)))
     two_workers.scheduler.allowed_failures = 3

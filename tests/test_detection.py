@@ -417,7 +417,7 @@ def test_what_is_no_block_is_refused():
         with pytest.raises(InvalidValue, match=r"shape \(2, n\)"):
             detector.feed(block)
     for value in (np.nan, np.inf, 1e200):
-        with pytest.raises(BadData, match="must be finite and lie within"):
+        with pytest.raises(BadData, match="must be finite and within"):
             detector.feed(np.array([[0.0, 1.0], [2.0, value]]))
     detector.finish()
     with pytest.raises(InvalidValue, match="the recording is over"):

@@ -410,7 +410,7 @@ def test_every_command_of_a_hint_works(
             after=0,
             expected=0,
             crossings=0,
-            at_rest=True,
+            has_converged=True,
         )
 
     def run_one(arguments: list[str]) -> int:

@@ -188,7 +188,7 @@ _BROKEN = [
     ({"noise": -1.0}, "noise"),
     ({"clip_level": 0.0}, "clip_level"),
     ({"bandwidth": 2e5}, "bandwidth"),
-    *(({"onset": touch}, "onset must lie between 0 and .* s, got") for touch in (-1e-5, 1.0, 1e300)),
+    *(({"onset": touch}, "onset must be between 0 and .* s, got") for touch in (-1e-5, 1.0, 1e300)),
 ]
 
 
@@ -413,10 +413,10 @@ def test_the_strongest_run_is_the_pulse(contact):
     """10 dB: the peak is three times the noise, and single samples of 2000 are as high."""
     noise = 10**-0.5
     frames, touch = frames_of(0.5, contact, noise, n=200, seed=22, after=8)
-    peak, width, place = strongest_run(frames, np.zeros(200))
+    peak, width, peak_time = strongest_run(frames, np.zeros(200))
     lead, length = relative_times(shape_of(0.5))[1][0], relative_times(shape_of(0.5))[0][0]
     true_width = contact / length
-    near = np.abs(place - touch - lead * true_width) < true_width
+    near = np.abs(peak_time - touch - lead * true_width) < true_width
     assert near.mean() >= (0.97 if contact > 20 else 0.9)
     assert np.median(width[near]) == pytest.approx(true_width, rel=0.25)
     assert np.median(peak[near]) == pytest.approx(1, rel=0.15)

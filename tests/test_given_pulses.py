@@ -183,5 +183,5 @@ def test_touch_and_points_of_impact_are_drawn_where_they_are_not_known():
         np.testing.assert_array_equal(batch.parameters[name][others], drawn.parameters[name][others])
     np.testing.assert_array_equal(batch.signals[others], drawn.signals[others])
     assert (batch.signals[2] != drawn.signals[2]).any()
-    with pytest.raises(InvalidValue, match=r"impact_y must lie on the beam, between 0 and 0.36 m, got 1 m at index 0"):
+    with pytest.raises(InvalidValue, match=r"impact_y must be on the beam, between 0 and 0.36 m, got 1 m at index 0"):
         next(synthesise_given(scene, pulses, labels, {"impact_y": np.ones(5)}))

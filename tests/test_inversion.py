@@ -247,7 +247,7 @@ def test_what_is_told_of_the_force_has_the_place_marginalised() -> None:
     assert found.evidence[0] * inversion.n_samples == pytest.approx(gained, rel=1e-3)
 
 
-def sought(colour: ARNoise, noise: np.ndarray) -> Observations:
+def observations(colour: ARNoise, noise: np.ndarray) -> Observations:
     return Observations(np.zeros((len(noise), 1)), noise, colour.coefficients, colour.innovation).by_sensor()
 
 
@@ -260,7 +260,7 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     known = ARNoise(np.zeros((1, ORDER)), np.ones(1))
     known.coefficients[0, 0] = rho
     noise = np.array([1 / np.sqrt(1 - rho**2)])
-    weight, exponent = inversion.weights(sought(known, noise))
+    weight, exponent = inversion.weights(observations(known, noise))
     np.testing.assert_allclose(np.repeat(noise[0] ** 2 / true, 2), weight[0], rtol=1e-5)
     assert (exponent[0] > 0) == (rho > 0)
     # One that is estimated: the weighted coefficients of fresh noise have deviation 1.
@@ -269,13 +269,13 @@ def test_coloured_noise_weighs_by_its_spectrum(rho: float) -> None:
     quiet, fresh = frames[:, 200:712], frames[:, -640:]
     colour = ar_noise_of(quiet, np.full(n, 512.0), np.zeros(n))
     sizes = np.std(quiet, axis=1)
-    weight, _ = inversion.weights(sought(colour, sizes))
+    weight, _ = inversion.weights(observations(colour, sizes))
     white = inversion.transformed(fresh / sizes[:, None]) * np.sqrt(weight)
     by_frequency = np.sqrt(np.mean(white**2, axis=0))
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.1)
     assert np.abs(by_frequency - 1).mean() < 0.12
     white_noise = ARNoise(np.zeros((1, ORDER)), np.ones(1))
-    assert (inversion.weights(sought(white_noise, np.ones(1)))[0] == 1).all()
+    assert (inversion.weights(observations(white_noise, np.ones(1)))[0] == 1).all()
 
 
 # -- modes that are not known exactly -------------------------------------------------------------------------------

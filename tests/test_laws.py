@@ -374,7 +374,7 @@ def test_a_restitution_that_a_heavy_sphere_jumps_over_is_refused(wanted):
 
 def test_restitutions_that_no_plate_gives_are_named():
     on_plate = coal_on(PLATE, HuntCrossley(restitution=0.6))
-    with pytest.raises(InvalidValue, match=r"restitution must lie between \S+e-0\d and 0\.6, .* got 0\.7"):
+    with pytest.raises(InvalidValue, match=r"restitution must be between \S+e-0\d and 0\.6, .* got 0\.7"):
         plate_thickness(0.7, on_plate)
     with pytest.raises(InvalidValue, match=r"and 0\.6, .* got 1e-09"):
         plate_thickness(1e-9, on_plate)

@@ -496,7 +496,7 @@ def test_page_loads_nothing_from_elsewhere() -> None:
 
 def test_file_of_the_page_replaces_none_but_its_own(outputs, tmp_path) -> None:
     (tmp_path / "mine.html").write_text("my diary")
-    with pytest.raises(CannotCreate, match="no live page"):
+    with pytest.raises(CannotCreate, match="not a live page"):
         PlantOutputs(live=str(tmp_path / "mine.html"), warn=print)
     with pytest.raises(CannotCreate, match=r"p\.html"):
         PlantOutputs(live=str(tmp_path / "none" / "p.html"), warn=print)

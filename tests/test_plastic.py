@@ -153,7 +153,7 @@ def test_yield_pressure_gives_the_wanted_restitution():
     assert coal(Thornton(yield_pressure=pressure), velocity=[2.0, 5.0]).restitution == pytest.approx(
         np.broadcast_to(wanted, (4, 2)), rel=1e-11
     )
-    with pytest.raises(InvalidValue, match="restitution must lie between"):
+    with pytest.raises(InvalidValue, match="restitution must be between"):
         yield_pressure(1.0, ELASTIC)
     with pytest.raises(InvalidValue, match="target must be"):
         yield_pressure(0.5, coal(Elastic(), target=ThinPlate(material=STEEL, thickness=0.01)))

@@ -278,7 +278,7 @@ def test_a_scene_of_crushing_rocks_becomes_one_that_also_damps():
 @pytest.mark.parametrize(
     ("impact", "population", "says"),
     [
-        ("thornton", {**CRUSHED, "viscous_restitution": 0}, "viscous_restitution: must lie between 0.05 and 1"),
+        ("thornton", {**CRUSHED, "viscous_restitution": 0}, "viscous_restitution: must be between 0.05 and 1"),
         ("thornton", {**CRUSHED, "restitution": 0.5}, "thornton; for viscous loss beside crushing give viscous_restit"),
         ("hunt-crossley", BOTH, "left out when dissipation is hunt-crossley; give restitution, which is viscous"),
         ("elastic", {"restitution": None, **BOTH}, "must be left out when dissipation is elastic; leave it out"),

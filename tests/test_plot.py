@@ -114,7 +114,7 @@ def test_the_picture_of_shares_shows_interval_threshold_and_turn() -> None:
     band = axes.collections[0].get_paths()[0].vertices
     assert band[:, 1].min() == min(one.low for one in shares) and band[:, 1].max() == max(one.high for one in shares)
     assert set(threshold.get_ydata()) == {0.25} and set(turn.get_xdata()) == {turns[0].time}
-    assert axes.get_ylabel() == "share of gangue" and axes.texts[0].get_text() == "shut"
+    assert axes.get_ylabel() == "gangue fraction" and axes.texts[0].get_text() == "shut"
 
 
 def test_the_curve_of_the_operators_is_that_of_a_slow_count() -> None:

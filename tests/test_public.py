@@ -79,9 +79,9 @@ def test_files_are_written_and_kept(one, server, tmp_path):
 @pytest.mark.parametrize(
     ("change", "error", "says"),
     [
-        ({"data/6mm/a b.txt": b"other " * 400}, BadData, "is not what it was, its SHA-256 must begin with"),
-        ({"data/6mm/a b.txt": b"first " * 401}, BadData, "is not what it was"),
-        ({"data/6mm/a b.txt": b"first " * 40, "cut": b""}, BadData, "must hold 2400 bytes, 240 arrived: cut off"),
+        ({"data/6mm/a b.txt": b"other " * 400}, BadData, "has changed, its SHA-256 must begin with"),
+        ({"data/6mm/a b.txt": b"first " * 401}, BadData, "has changed"),
+        ({"data/6mm/a b.txt": b"first " * 40, "cut": b""}, BadData, "must have 2400 bytes, got 240"),
         ({"data/6mm/a b.txt": 404}, NoInput, "the server answers 404 Not Found"),
         ({"data/6mm/a b.txt": 503}, NoInput, "the server answers 503"),
     ],
@@ -97,7 +97,7 @@ def test_what_arrives_is_checked(one, server, tmp_path, change, error, says):
 
 @pytest.mark.parametrize("dripped", ["head", "body"])
 def test_server_that_drips_is_given_up(one, tmp_path, monkeypatch, dripped):
-    monkeypatch.setattr(public, "PATIENCE", 0.3)
+    monkeypatch.setattr(public, "TIMEOUT", 0.3)
     monkeypatch.setattr(public, "MIN_RATE", 1e9)
     ended = threading.Event()
 
@@ -131,7 +131,7 @@ def test_another_file_is_not_replaced(one, server, tmp_path):
 
 
 def test_no_redirect_leaves_the_web(one, server, tmp_path, monkeypatch):
-    monkeypatch.setattr(public, "PATIENCE", 1.0)
+    monkeypatch.setattr(public, "TIMEOUT", 1.0)
     address, answers, _ = server
     with socket.create_server(("127.0.0.1", 0)) as other:
         answers["data/6mm/a b.txt"] = f"ftp://127.0.0.1:{other.getsockname()[1]}/a"

@@ -203,13 +203,13 @@ def test_components_tell_other_laws_from_the_family():
 
 def test_tables_are_what_their_maker_makes():
     assert np.load(TEMPLATE_PATH) == pytest.approx(make_shapes.template(), abs=1e-6)
-    place, width = make_shapes.coordinates()
+    peak_time, width = make_shapes.coordinates()
     with np.load(SHAPES_PATH) as stored:
         assert stored["times"] == pytest.approx(make_shapes.times(), abs=1e-6)
         # An optimisation finds them, on another processor to 2e-12.
-        assert stored["place"] == pytest.approx(place, abs=1e-10)
+        assert stored["place"] == pytest.approx(peak_time, abs=1e-10)
         assert stored["width"] == pytest.approx(width, rel=1e-10)
-        assert stored["tangents"] == pytest.approx(make_shapes.tangents_at(NODES, place, width), abs=1e-9)
+        assert stored["tangents"] == pytest.approx(make_shapes.tangents_at(NODES, peak_time, width), abs=1e-9)
 
 
 @pytest.mark.long

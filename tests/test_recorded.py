@@ -499,8 +499,8 @@ def test_model_of_windows_survives_its_file(model: Model, recorded: Rows, tmp_pa
     ("change", "says"),
     [
         ({"window_time": 0.0}, "must be above 0"),
-        ({"hop_time": 1e9}, "hop_time must lie between 0.01 of a window and 10 s"),
-        ({"hop_time": 1e-9}, "hop_time must lie between 0.01 of a window and 10 s"),
+        ({"hop_time": 1e9}, "hop_time must be between 0.01 of a window and 10 s"),
+        ({"hop_time": 1e-9}, "hop_time must be between 0.01 of a window and 10 s"),
         ({"window_time": 1e9}, "window_time must be at most 10 s"),
         ({"n_channels": 2}, "must have shape"),
         ({"sensors": ("a",)}, "reference.spectra must be there"),

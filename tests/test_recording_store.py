@@ -140,7 +140,7 @@ def test_what_is_measured_is_what_the_truth_says(made):
 @pytest.mark.parametrize("count", [99_999, 100_001])
 def test_a_recording_must_have_all_its_samples_and_no_more(tmp_path, count):
     with (
-        pytest.raises(BadData, match=f"100000 samples was given {count}"),
+        pytest.raises(BadData, match=f"100000 samples received {count}"),
         writing(tmp_path / "x.h5", plan_of()) as writer,
     ):
         writer.add(np.zeros(count, np.float32))

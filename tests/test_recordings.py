@@ -288,10 +288,10 @@ def test_uneven_first_column_without_header_is_a_channel():
         ("1;2\n// 5\n# remark\n3;4", ["line 2", "sample 1", "'// 5'"]),
         ("# remark\n\n0,1\n1,2,3\n", ["sample 1", "line 4", "2 fields", "has 3"]),
         ("0,1\n1,2\n2,1e", ["sample 2", "line 3", "cut off"]),
-        ("0,1\n1,2\n2,1 \x00", ["neither text nor of another format"]),
-        ("\x02\x03junk", ["neither text nor of another format"]),
+        ("0,1\n1,2\n2,1 \x00", ["neither text nor of a known format"]),
+        ("\x02\x03junk", ["neither text nor of a known format"]),
         ("force (N)\n3,5\n4,5\n", ["comma", "decimal"]),
-        ("t\n0\n1\n", ["channel beside time"]),
+        ("t\n0\n1\n", ["channel besides time"]),
         ("time,F\n0,1\n1,2\n1,3\n", ["increase", "sample 2", "1 s"]),
         ("time,F\n0.00002,1\n0.00004,2\n0.00008,3\n0.0001,3\n", ["even", "sample 2", "resample"]),
         ("time,F\n-1.5e308,1\n1.5e308,1\n", ["finite time"]),
@@ -337,7 +337,7 @@ def test_inputs_that_cannot_be_opened(tmp_path, monkeypatch):
             read_recording(tmp_path / "locked.csv")
     (tmp_path / "large.csv").write_text("1\n2\n")
     with monkeypatch.context() as patch:
-        patch.setattr(RecordingFile, "_whole", lambda _: (_ for _ in ()).throw(MemoryError()))
+        patch.setattr(RecordingFile, "_all_samples", lambda _: (_ for _ in ()).throw(MemoryError()))
         with pytest.raises(BadData, match="memory"):
             read_recording(tmp_path / "large.csv", sampling_rate=1)
     monkeypatch.setattr(sys, "stdin", None)

@@ -98,9 +98,15 @@ def test_attributes_of_results() -> None:
             assert getattr(sizes, old) == old
     with pytest.warns(FutureWarning, match="n_impacts"):
         assert site.n_blows == 7
+    object.__setattr__(site, "has_converged", True)
+    with pytest.warns(FutureWarning, match="has_converged"):
+        assert site.at_rest
 
 
 def test_attribute() -> None:
+    recording = cgid.open_recording(ROOT / "datasets" / "sample.csv")
+    with pytest.warns(FutureWarning, match="messages"):
+        assert recording.said == recording.messages
     answer = Answer(time=1.0, label="coal", probabilities={"coal": 1.0}, novelty=0.1, impactor={"mass": 2.0})
     with pytest.warns(FutureWarning, match="impactor"):
         assert answer.striker == {"mass": 2.0}

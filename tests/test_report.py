@@ -135,7 +135,14 @@ def test_the_page_holds_everything(report: Report) -> None:
     assert seen.rows[3] == ["4", "0.0480", "2", "10", "coal", "0.960", "0.040", "0.5", "in", ""]
     assert seen.rows[29] == ["30", "0.4900", "1", "-", "unknown", "-", "-", "-", "out", "cut; too <short>"]
     text = " ".join(seen.texts)
-    for told in ("coal (43%)", "gangue (53%)", "unknown (3%)", "the last frame was cut off", "mine.npz", "25.6 kHz"):
+    for told in (
+        "coal (43%)",
+        "gangue (53%)",
+        "unknown (3%)",
+        "the last frame was cut off",
+        "mine.npz",
+        "25.6 kHz",
+    ):
         assert told in text
     (turn,) = re.findall(r"Shut the window at (\d\.\d\d) s", text)
     assert float(turn) == pytest.approx(report.turns[0].time, abs=0.006)

@@ -268,7 +268,7 @@ BAD = {
     ),
     "got velocity without modes": lambda: Response(sampling_rate=RATE, quantity="velocity", filters=CHAIN),
     "filters must be at least 1": lambda: Response(sampling_rate=RATE, quantity="force"),
-    "tolerance must lie": lambda: Response(sampling_rate=RATE, quantity="force", filters=CHAIN, tolerance=0.0),
+    "tolerance must be": lambda: Response(sampling_rate=RATE, quantity="force", filters=CHAIN, tolerance=0.0),
     "a 65536th of a sample": lambda: frames_of(
         Response(sampling_rate=0.01, quantity="force", filters=(LowPass(frequency=0.001),)),
         Impact(

@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 def test_files_are_found_in_a_checkout() -> None:
     assert shipped.path_of("models", shipped.DEFAULT_MODEL) == ROOT / "models" / "default.npz"
     assert shipped.scene_path("reference") == ROOT / "datasets" / "reference.toml"
-    with pytest.raises(NoInput, match="must come with cgid"):
+    with pytest.raises(NoInput, match="must be part of cgid"):
         shipped.path_of("models", "nothing.npz")
 
 

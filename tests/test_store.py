@@ -1,4 +1,4 @@
-"""Datasets: what comes back, what a file must hold, and damage of every kind."""
+"""Datasets: what comes back, what a file must contain, and damage of every kind."""
 
 import errno
 import functools
@@ -306,7 +306,7 @@ def test_unsound_attributes_of_the_signals(copy, name, value):
         del file["signals"].attrs[name]
         if value is not None:
             file["signals"].attrs[name] = value
-    refused(copy, f"sound attribute {name}")
+    refused(copy, f"valid attribute {name}")
 
 
 # ---- writing ---------------------------------------------------------------------------------------------------------

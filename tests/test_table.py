@@ -61,14 +61,14 @@ def test_every_row_of_the_descriptions_is_measured():
     [
         ("strong_rms", f"until {100 * vibration.STRONG_SHARE:g} %"),
         ("level_total", f"exp(-t/{1e3 * vibration.WINDOW_TIME:g} ms)"),
-        ("second_frequency", f"{vibration.APART:g} Hz"),
+        ("second_frequency", f"{vibration.MIN_SEPARATION:g} Hz"),
         ("time_to_first_maximum", f"{100 * vibration.ONSET_OVER_PEAK:g} % of the peak"),
         ("early_level_0_500_hz", f"first {1e3 * vibration.EARLY_TIME:g} ms"),
         ("window_mel_1000_hz", f"frames of {1e3 * windows.FRAME_TIME:g} ms"),
         ("window_flux", f"{1e3 * windows.FRAME_TIME:g} ms"),
         ("window_second_frequency", f"{2 / windows.FRAME_TIME:g} Hz"),
         ("window_envelope_variation", f"{1e3 * windows.ENVELOPE_TIME:g} ms"),
-        ("window_blow_rate", f"within {1e3 * windows.BLOW_TIME:g} ms and above {windows.BLOW_OVER_MEAN:g} times"),
+        ("window_blow_rate", f"within {1e3 * windows.IMPACT_TIME:g} ms and above {windows.IMPACT_OVER_MEAN:g} times"),
     ],
 )
 def test_a_definition_states_the_constants_of_its_measurement(name, said):

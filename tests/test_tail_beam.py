@@ -292,11 +292,11 @@ def test_bad_beams(changes, message):
 def test_points_off_the_beam_and_absurd_bands():
     beam = beam_of(ribs=RIBS)
     modes = beam.modes(1000.0)
-    with pytest.raises(InvalidValue, match=r"x must lie on the beam, from 0 to 1.6 m, got 1.7 m at index 1"):
+    with pytest.raises(InvalidValue, match=r"x must be on the beam, from 0 to 1.6 m, got 1.7 m at index 1"):
         modes.shape([0.1, 1.7], 0.2)
-    with pytest.raises(InvalidValue, match=r"y must lie on the beam, from 0 to 1.4 m, got -0.1 m"):
-        modes.heard_at(0.2, -0.1)
-    with pytest.raises(InvalidValue, match="y must lie on the beam"):
+    with pytest.raises(InvalidValue, match=r"y must be on the beam, from 0 to 1.4 m, got -0.1 m"):
+        modes.measured_at(0.2, -0.1)
+    with pytest.raises(InvalidValue, match="y must be on the beam"):
         beam.echo_time(0.1, 1.5, 1000.0)
     for edges, number in (("simply-supported", "20000 modes.* means about 131739;"), ("clamped", "1000 modes")):
         with pytest.raises(InvalidValue, match=number):

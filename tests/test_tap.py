@@ -97,7 +97,7 @@ def test_flawed_taps_are_left_out_and_named():
         test = tap_test(response[None], RATE, hammer=hammer, band=(90.0, 150.0))
         flaws = {round(tap.time, 1): tap.flaw for tap in test.taps}
         assert any("double tap" in flaw for flaw in flaws.values())
-        assert any("too near the next tap" in flaw for flaw in flaws.values())
+        assert any("too close to the next tap" in flaw for flaw in flaws.values())
         assert any(flaw == "clipped" for flaw in flaws.values())
         assert np.abs(np.log(test.modes.frequency[:1] / FREQUENCY[0])).max() < 1e-3
 

@@ -108,7 +108,7 @@ def test_features_of_a_pulse_are_numbers_at_the_slowest_and_the_fastest_rate(rat
         (lambda: validation.real("x", np.array([["a"] * 50] * 50)), r"got array\(.{0,80}\.\.\.$"),
         (lambda: fft_filter(PULSE, RATE, high=[1e4, 2e4]), "high must be one number"),
         (lambda: fft_filter(PULSE, RATE, taper=np.array([0.5])), "taper must be one number"),
-        (lambda: fft_filter(PULSE, RATE, taper=1.5), "taper must lie between 0 and 1, got 1.5"),
+        (lambda: fft_filter(PULSE, RATE, taper=1.5), "taper must be between 0 and 1, got 1.5"),
         (lambda: ImpactDetector(RATE, kind="pulse", dead_time=np.array([1e-3, 2e-3])), "dead_time must be one number"),
         (lambda: Signal(samples=PULSE, sampling_rate=RATE, pre_trigger=-1), "pre_trigger .* between 0 and 399, got -1"),
     ],

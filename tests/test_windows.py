@@ -160,7 +160,7 @@ def test_a_row_is_the_same_whatever_else_is_in_the_batch(rustle):
 
 @pytest.mark.parametrize("value", [0.0, 1.0, -7.5e30, 1e-300])
 def test_a_window_without_signal_is_refused(value):
-    with pytest.raises(BadData, match="a window must hold a signal, all its samples are"):
+    with pytest.raises(BadData, match="a window must contain a signal, all its samples are"):
         extract_array(np.full(N_SAMPLES, value), RATE, NAMES)
 
 
@@ -171,7 +171,7 @@ def test_good_windows_are_measured_beside_bad_ones(rustle):
     assert np.isnan(found[[0, 17, 39]]).all()
     good = np.setdiff1d(np.arange(40), [0, 17, 39])
     np.testing.assert_array_equal(found[good], extract_array(rustle, RATE, NAMES)[good])
-    with pytest.raises(BadData, match=r"signal 0: a window must hold a signal.*\(3 of 40 signals"):
+    with pytest.raises(BadData, match=r"signal 0: a window must contain a signal.*\(3 of 40 signals"):
         extract_array(spoilt, RATE, NAMES)
 
 

@@ -138,7 +138,7 @@ def make(output: Path, *, private: int | None = None, most: int | None = None) -
     """
     if private is not None and not MIN_PRIVATE <= private < 2**63 - 100:
         raise InvalidValue(
-            f"--private: must lie between 2^40 and 2^63 - 101, as smaller seeds can be guessed, got {private}; leave "
+            f"--private: must be between 2^40 and 2^63 - 101, as smaller seeds can be guessed, got {private}; leave "
             "the number out to draw one"
         )
     if most is not None and most < 1:

@@ -223,7 +223,7 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         },
         "evidence": {"before": found.before, "after": found.after, "expected": found.expected},
         "crossings": found.crossings,
-        "at_rest": found.at_rest,
+        "at_rest": found.has_converged,
     }
     if as_json:
         print_json(content)
@@ -243,5 +243,5 @@ def _say(found: SiteCalibration, path: Path, as_json: bool) -> None:
         say(f"evidence a sample: {found.before:.3g} before, {found.after:.3g} after, {found.expected:.3g} expected")
     if found.crossings:
         warn(f"{counted(found.crossings, 'pair')} of neighbouring modes changed places")
-    if not found.at_rest:
+    if not found.has_converged:
         warn("the modes still moved in the last round; more impacts help, or calibrate again")

@@ -117,7 +117,7 @@ class Reading:
         if self.milliseconds is None:
             return None
         if not 0 <= self.milliseconds <= MAX_DEAD_TIME:
-            raise InvalidValue(f"--dead-time must lie between 0 and {MAX_DEAD_TIME:g} ms, got {self.milliseconds:g} ms")
+            raise InvalidValue(f"--dead-time must be between 0 and {MAX_DEAD_TIME:g} ms, got {self.milliseconds:g} ms")
         return self.milliseconds * 1e-3
 
     def of_manifest(self, *, strict: bool) -> ManifestReading:

@@ -190,7 +190,7 @@ def _require_order(begin: float, end: float | None) -> None:
 
     validation.not_negative("--from", begin, "s")
     if end is not None and not validation.real("--to", end, "s") > begin:
-        raise InvalidValue(f"--to must lie after --from ({begin:g} s), got {end:g} s")
+        raise InvalidValue(f"--to must be after --from ({begin:g} s), got {end:g} s")
 
 
 def _between(recording: RecordingFile, begin: float, end: float | None) -> Iterator[NDArray[Any]]:
@@ -201,7 +201,7 @@ def _between(recording: RecordingFile, begin: float, end: float | None) -> Itera
     last = None if end is None else round(end * recording.sampling_rate)
     if last is not None and last <= first:
         raise InvalidValue(
-            f"{recording.source}: at least one sample must lie between --from and --to, got {begin:g} to {end:g} s at "
+            f"{recording.source}: at least one sample must be between --from and --to, got {begin:g} to {end:g} s at "
             f"{recording.sampling_rate:g} Hz; set them further apart"
         )
     passed = 0
@@ -214,7 +214,7 @@ def _between(recording: RecordingFile, begin: float, end: float | None) -> Itera
             return
     if passed <= first:
         raise InvalidValue(
-            f"{recording.source}: --from must lie within the recording of {passed / recording.sampling_rate:g} s, got "
+            f"{recording.source}: --from must be within the recording of {passed / recording.sampling_rate:g} s, got "
             f"{begin:g} s"
         )
 

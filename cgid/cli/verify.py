@@ -140,7 +140,7 @@ def _verify_foreign(path: str, reading: Reading, as_json: bool) -> None:
         _tell(path, "recording", 1, [_line(source, "unreadable", str(error))], False, as_json, f"{_NO_SUM}unreadable")
         raise
     damage = recording.damage
-    lines = [_line(source, "damaged" if text in damage else "remark", text) for text in recording.said]
+    lines = [_line(source, "damaged" if text in damage else "remark", text) for text in recording.messages]
     channels = counted(len(recording.channels), "channel")
     content = f"{recording.format} of {channels}, {counted(n_samples, 'sample')} each"
     state = "damaged" if damage else "readable"
@@ -193,10 +193,10 @@ def _verify_data(path: str, repair: bool, scene: Any, as_json: bool) -> None:
     _tell(path, found.kind, found.n_files, lines, not left, as_json)
     if left:
         files = f"{len(left)} of its files are" if len(left) > 1 else f"{left[0].file.name} is"
-        cure = "see above how to make them again" if repair else "cgid verify --repair makes again what can be"
+        hint = "see above how to make them again" if repair else "cgid verify --repair makes again what can be"
         if all(finding.problem == "unfinished" for finding in left):
-            cure = "go on with cgid generate ... --resume"
-        raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {cure}")
+            hint = "go on with cgid generate ... --resume"
+        raise BadData(f"{path}: must be whole, {files} damaged, missing or unfinished; {hint}")
 
 
 def _line(file: Path, problem: str, what: str) -> dict[str, Any]:

@@ -338,7 +338,7 @@ def _identified(
 ) -> list[Answer]:
     """Return one answer for each frame; `known` are the inputs of the model beside the features."""
     if frames.shape[-1] < MINIMUM_FRAME:
-        short = f"a frame must hold at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
+        short = f"a frame must contain at least {MINIMUM_FRAME} samples, got {frames.shape[-1]}"
         return [unmeasured(short)] * len(frames)
     values, problems = measured(
         frames.reshape(-1, frames.shape[-1]),

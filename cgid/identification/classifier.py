@@ -26,7 +26,7 @@ from cgid import validation
 from cgid.deprecated import renamed_arguments
 from cgid.identification.families import Contrast, Linear, Neighbourhood, Network, Standardiser, softmax, squares
 from cgid.validation import Floats
-from cgid.workers import ALONE, Workers
+from cgid.workers import SERIAL, Workers
 
 #: Maximum number of rows of either side that a contrast learns from, and its iterations.
 _MAX_CONTRASTED, _CONTRAST_ITERATIONS = 100_000, 300
@@ -235,7 +235,7 @@ class ImpactClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
     @renamed_arguments(crew="workers")
     def fit(
-        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, workers: Workers = ALONE
+        self, X: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None, *, workers: Workers = SERIAL
     ) -> ImpactClassifier:
         """Fit to features (n_impacts, n_features) and labels (n_impacts,).
 

@@ -34,7 +34,7 @@ class Conformal:
         if labels.dtype.kind != "i" or (labels < 0).any() or (labels >= self.n_labels).any():
             raise BadData(f"calibration labels must be whole numbers between 0 and {self.n_labels - 1}")
         if scores.dtype.kind != "f" or not ((scores >= 0) & (scores <= 1)).all():
-            raise BadData("calibration scores must lie between 0 and 1")
+            raise BadData("calibration scores must be between 0 and 1")
 
     @classmethod
     def fit(cls, probabilities: Floats, truth: NDArray[np.intp]) -> Conformal:
@@ -46,7 +46,7 @@ class Conformal:
     def thresholds(self, coverage: float, *, class_conditional: bool = False) -> Floats:
         """Return the largest score of each label in a set, (n_labels,)."""
         if not 0 < coverage < 1:
-            raise InvalidValue(f"coverage must lie between 0 and 1 (exclusive), got {coverage:g}")
+            raise InvalidValue(f"coverage must be between 0 and 1 (exclusive), got {coverage:g}")
         if not class_conditional:
             return np.full(self.n_labels, _threshold(self.scores, coverage))
         return np.array([_threshold(self.scores[self.labels == k], coverage) for k in range(self.n_labels)])

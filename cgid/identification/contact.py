@@ -30,9 +30,9 @@ from cgid.validation import Floats
 #: its transform.
 _SHAPES = np.linspace(np.log(0.06), 1.2, 41)
 _POINTS, _LENGTH = 96, 1 << 14
-#: Least and largest width [s] (impulse over peak), and how far touch may lie outside of its slack [samples].
+#: Least and largest width [s] (impulse over peak), and how far the onset may lie outside of its slack [samples].
 _WIDTHS, _BEYOND = (25e-6, 1.6e-3), 2.0
-#: Pulses of the table by ln width, shape and touch; every so many are tried first.
+#: Pulses of the table by ln width, shape and onset; every so many are tried first.
 _NODES, _FIRST = (48, _SHAPES.size, 45), (2, 5, 2)
 #: The best of this many shapes take few steps, and the best of these takes more, all between the pulses of the table; a
 #: step that gains less of the logarithm of the likelihood is the last.
@@ -43,14 +43,14 @@ _MIN_VARIANCE = 1e-20
 _SHAPE_PRIOR, _TOUCH_PRIOR = (-0.9, 1.5), (TOUCH / 2, TOUCH / 2)
 #: Rows at a time.
 _ROWS = 64
-#: Touch lies at most so long before the first sample that rises above the noise [s]: waves take that long.
+#: The onset lies at most so long before the first sample that rises above the noise [s]: waves take that long.
 REACH = 1.2e-3
 #: Recorders within this share have the same sampling rate; of others the band up to this share of the lower rate tells.
 _SAME_RATE, _TOP = 1e-6, 0.41
 _MAX_RATIO = 1000
-#: A touch within this of the ends of the table of forces is sought so much further on [samples].
+#: A onset within this of the ends of the table of forces is sought so much further on [samples].
 _EDGE, _BESIDE = 0.35, 4
-#: Where more than this share of the energy is unexplained, and the misfit is above this, touch is sought so much
+#: Where more than this share of the energy is unexplained, and the misfit is above this, onset is sought so much
 #: later [samples].
 _MUCH, _LATER = (0.01, 1.3), (4, 8, 12, -6, 20)
 #: In a stream: the share of energy that a foreign beam leaves unexplained, of so many impacts in the median; by so many
@@ -210,7 +210,7 @@ class ContactFit:
         return Contact(peak * estimate.noise, np.exp(at[:, 0]), at[:, 1], at[:, 2], covariance, own, misfit)
 
     def _fit(self, information: Floats, vector: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return ln width, shape and touch [samples]; peak over noise, coefficients, and covariance as in `Contact`."""
+        """Return ln width, shape and onset [samples]; peak over noise, coefficients, and covariance as in `Contact`."""
         starts = self._starts(information, vector)
         rows = np.repeat(np.arange(len(starts)), _KEPT)
         at, products = self._descended(starts.reshape(-1, 3), information[rows], vector[rows], _FEW)
@@ -291,7 +291,7 @@ class ContactFit:
             return least_squares(at.copy(), equations, moved, small, n_steps)[:2]
 
 
-#: Lowest and highest ln width, shape and touch [samples]; middle and precision of their prior.
+#: Lowest and highest ln width, shape and onset [samples]; middle and precision of their prior.
 _LIMITS = (
     np.array([np.log(_WIDTHS[0]), _SHAPES[0], -_BEYOND]),
     np.array([np.log(_WIDTHS[1]), _SHAPES[-1], TOUCH + _BEYOND]),
@@ -302,7 +302,7 @@ LOWEST, HIGHEST = tuple(_LIMITS[0][:2].tolist()), tuple(_LIMITS[1][:2].tolist())
 _POWERS = np.linalg.inv(np.vander(np.arange(4.0), increasing=True))
 _POWERS = np.concatenate([_POWERS, np.arange(1, 5)[:, None] * np.roll(_POWERS, -1, axis=0)], axis=1)
 _POWERS[3, 4:] = 0
-#: Whether the weights of an axis (ln width, shape, touch) are slopes, in the value and in each of the three slopes.
+#: Whether the weights of an axis (ln width, shape, onset) are slopes, in the value and in each of the three slopes.
 _IS_SLOPE = np.eye(4, dtype=np.intp)[1:]
 _MIDDLE, _PRIOR = np.array([0.0, _SHAPE_PRIOR[0], _TOUCH_PRIOR[0]]), np.array([0, _SHAPE_PRIOR[1], _TOUCH_PRIOR[1]])
 _PRIOR[1:] **= -2
@@ -458,7 +458,7 @@ class ThroughBeam:
     def _prepared(
         self, vibrations: VibrationBatch, filters: float, rows: NDArray[np.intp]
     ) -> tuple[Observations, NDArray[np.intp]]:
-        """Return what the inversion needs of some impacts, and where touch may lie."""
+        """Return what the inversion needs of some impacts, and where the onset may lie."""
         if rows.size < len(vibrations.samples) // self.n_sensors:
             vibrations = vibrations.rows(np.add.outer(rows * self.n_sensors, np.arange(self.n_sensors)).ravel())
         frames = vibrations.samples - vibrations.offset[:, None]

@@ -136,7 +136,7 @@ def require_known(model: Model, rows: Rows) -> None:
 
 def _too_few_known(n_known: int, n: int) -> BadData:
     return BadData(
-        f"labelled impacts must lie within the training of the model, {MIN_LUMPS} at least, got {n_known} of {n}; "
+        f"labelled impacts must be within the training of the model, {MIN_LUMPS} at least, got {n_known} of {n}; "
         "calibrate the beam (cgid calibrate RECORDING --channel CHANNEL) or train without --from"
     )
 

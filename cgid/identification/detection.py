@@ -207,19 +207,19 @@ class ImpactDetector:
                 f"no impact: it is clipped throughout, at {lowest:.3g} and {highest:.3g}{own}; record with a larger "
                 "range"
             )
-        cure, onsets = "record nearer or with less noise", self._onsets
+        hint, onsets = "record closer to the impact or with less noise", self._onsets
         if isinstance(onsets, VibrationOnsets):
             steepest = onsets.steepest[channel] / RISE
             return (
                 f"no impact: the energy must rise at once to {RISE_OVER_NOISE:g} times that of the noise, it rises to "
-                f"{RISE_OVER_NOISE * steepest:.2g} times at most; {cure}"
+                f"{RISE_OVER_NOISE * steepest:.2g} times at most; {hint}"
             )
         rise, fall, noise = onsets.rise[channel], onsets.fall[channel], onsets.noise[channel]
         if self.is_upside_down(channel):
-            cure = TURN_OVER
+            hint = TURN_OVER
         return (
             f"no impact: a sample must rise {THRESHOLD_OVER_NOISE:g} times the noise ({noise:.3g}{own}) above the "
-            f"baseline, the highest rises {rise:.3g}{own}, the deepest falls {fall:.3g}{own}; {cure}"
+            f"baseline, the highest rises {rise:.3g}{own}, the deepest falls {fall:.3g}{own}; {hint}"
         )
 
     def _checked(self, block: ArrayLike) -> NDArray[Any]:
@@ -252,7 +252,7 @@ class ImpactDetector:
             # The comparison is also false for nan.
             if not -LARGEST <= least <= most <= LARGEST:
                 raise BadData(
-                    f"samples must be finite and lie within +-{LARGEST:g}, they reach from {least:.3g} to {most:.3g}; "
+                    f"samples must be finite and within +-{LARGEST:g}, they reach from {least:.3g} to {most:.3g}; "
                     "was the file read in the right format?"
                 )
             self._limits.lowest = np.minimum(self._limits.lowest, lowest)

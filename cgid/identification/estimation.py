@@ -112,7 +112,7 @@ class Posterior:
         ndarray, (n,)
         """
         if not 0 < validation.number("share", share) < 1:
-            raise InvalidValue(f"share must lie between 0 and 1 (exclusive), got {share:g}")
+            raise InvalidValue(f"share must be between 0 and 1 (exclusive), got {share:g}")
         # Half of a node's probability lies on either side of it.
         below = np.cumsum(self.weight, axis=1) - 0.5 * self.weight
         rows = np.arange(len(below))
@@ -286,7 +286,7 @@ def posterior(
         if not (level > 0).all():
             raise InvalidValue(
                 f"noise must be above 0 for a posterior, got 0 in signal {first + int(np.argmin(level > 0))}; "
-                "record some samples before touch, or say what the noise is"
+                "record some samples before onset, or say what the noise is"
             )
         fit = fit_pulses(
             pulses.samples,

@@ -273,10 +273,7 @@ class FrameCutter:
         framing = self._framing
         if began_cut:
             cut_by = f"a gap before sample {begin}" if begin else "its start (sample 0)"
-            return (
-                f"the impact must begin inside the recording, it is cut off by {cut_by}: record some samples before "
-                "touch"
-            )
+            return f"the impact must begin inside the recording, it is cut off by {cut_by}: record samples before it"
         if ended_cut and framing.pre_trigger is None:
             return f"the pulse must end inside the recording, it is cut off by {by}: record a longer frame"
         if recorded < framing.shortest:  # Even if it is over: what comes then tells one structure from another.

@@ -276,16 +276,16 @@ class Boosting(Family):
             self._require(name, (n_nodes,))
         for name in self.INDICES:
             if a[name].dtype.kind != "i":
-                raise BadData(f"array {name} must hold whole numbers, got {a[name].dtype}")
+                raise BadData(f"array {name} must contain whole numbers, got {a[name].dtype}")
         self._require("baseline", (self.n_scores,))
         self._require("columns", a["roots"].shape)
         roots = a["roots"]
         if not len(roots) or roots[0] != 0 or (np.diff(roots) <= 0).any() or roots[-1] >= n_nodes:
             raise BadData("array roots must rise from 0 and stay below the number of nodes")
         if (a["columns"] < 0).any() or (a["columns"] >= self.n_scores).any():
-            raise BadData(f"array columns must lie between 0 and {self.n_scores - 1}")
+            raise BadData(f"array columns must be between 0 and {self.n_scores - 1}")
         if (a["feature"] < 0).any() or (a["feature"] >= self.n_features).any():
-            raise BadData(f"array feature must lie between 0 and {self.n_features - 1}")
+            raise BadData(f"array feature must be between 0 and {self.n_features - 1}")
         if len(roots) > _MAX_TREES:
             raise BadData(f"array roots must name at most {_MAX_TREES} trees, got {len(roots)}")
         node_index = np.arange(n_nodes)

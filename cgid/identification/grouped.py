@@ -35,7 +35,7 @@ from cgid.identification.model import MIN_GROUPS
 from cgid.identification.rows import Rows, Sets, adapted, linear_columns
 from cgid.identification.windows import CLEAR, VOTE_TIME, RunningVote, independent_windows
 from cgid.validation import Floats
-from cgid.workers import ALONE, Workers
+from cgid.workers import SERIAL, Workers
 
 #: Maximum number of folds: up to this number of groups each is a fold; more groups share this many folds.
 MAX_FOLDS = 20
@@ -98,7 +98,7 @@ def require_groups(labels: NDArray[np.str_], group: NDArray[np.integer]) -> None
         )
     if len(np.unique(group)) < 2:
         raise BadData(
-            "recordings must lie in at least 2 groups, one to train and one to judge, got 1; add recordings, name "
+            "recordings must be in at least 2 groups, one to train and one to judge, got 1; add recordings, name "
             "groups in the manifest (recording, day, support), or label more of a single recording: from some 16 "
             "impacts on, blocks of its time judge each other"
         )
@@ -155,7 +155,7 @@ def leave_groups_out(labels: NDArray[np.str_], group: NDArray[np.integer], seed:
         yield left_out
 
 
-def choose_candidate(training_set: TrainingSet, workers: Workers = ALONE) -> Selection:
+def choose_candidate(training_set: TrainingSet, workers: Workers = SERIAL) -> Selection:
     """Return the best candidate for held-out groups, and its temperature (the inner loop)."""
     rows = training_set.rows
     labels, truth = np.unique(rows.labels, return_inverse=True)
@@ -231,7 +231,7 @@ def warnings_of_few(counts: Mapping[str, int]) -> list[str]:
 
 
 def cross_validate(
-    training_set: TrainingSet, progress: Callable[[int], object] | None = None, workers: Workers = ALONE
+    training_set: TrainingSet, progress: Callable[[int], object] | None = None, workers: Workers = SERIAL
 ) -> CrossValidation:
     """Return the probabilities for each group by the candidate chosen and trained on the others (the outer loop)."""
     rows = training_set.rows
@@ -251,7 +251,7 @@ def cross_validate(
     return CrossValidation(probabilities[rows.is_recorded], tuple(selected))
 
 
-def final(training_set: TrainingSet, selection: Selection, workers: Workers = ALONE) -> ImpactClassifier:
+def final(training_set: TrainingSet, selection: Selection, workers: Workers = SERIAL) -> ImpactClassifier:
     """Return the chosen candidate trained on all rows; its novelty limit comes from held-out groups."""
     only = replace(training_set, candidates=(training_set.candidates[selection.best],))
     folds = list(leave_groups_out(training_set.rows.labels, training_set.rows.group, training_set.seed))
@@ -263,7 +263,7 @@ def final(training_set: TrainingSet, selection: Selection, workers: Workers = AL
     return classifier
 
 
-def noise_guard(training_set: TrainingSet, selection: Selection, workers: Workers = ALONE) -> Contrast | None:
+def noise_guard(training_set: TrainingSet, selection: Selection, workers: Workers = SERIAL) -> Contrast | None:
     """Return the novelty of windows drowned in noise; None without noisy copies."""
     # Its limit keeps recorded windows, and copies whose label is still recognised.
     if not np.isfinite(training_set.rows.snr).any():

@@ -32,7 +32,7 @@ from cgid.measure.features import FEATURES, choose, extract_array, kind_for, kin
 from cgid.measure.table import Kind
 from cgid.recordings import MAX_STREAM, RecordingFile, open_recording
 from cgid.recordings.chain import Statement, require_measured
-from cgid.recordings.recording import told
+from cgid.recordings.recording import clear_errors
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 
@@ -90,7 +90,7 @@ class AnnotatedFile:
         last, rate = self.annotations[-1], self.recording.sampling_rate
         if n_samples is not None and last.start * rate >= n_samples:
             raise BadData(
-                f"{last.name}: start must lie inside the recording, which lasts {n_samples / rate:g} s, got "
+                f"{last.name}: start must be inside the recording, which lasts {n_samples / rate:g} s, got "
                 f"{last.start:g} s; correct it, or the path"
             )
 
@@ -173,7 +173,7 @@ def _by_channels(annotations: Sequence[Annotation]) -> list[tuple[Annotation, ..
 
 def _opened(annotations: tuple[Annotation, ...], reading: Reading) -> AnnotatedFile:
     first = annotations[0]
-    with told(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
+    with clear_errors(str(first.path)):  # a manifest may name anything, even a pipe, which would be copied
         require_regular(first.path, "a recording of a manifest", MAX_STREAM)
     recording = open_recording(
         first.path,
@@ -310,7 +310,7 @@ def record(
     if not any(np.isfinite(part).all(axis=1).any() for _, parts in measured for _, _, part, _ in parts):
         first_failure = "".join(f"; {error}" for error in failures[:1])
         raise BadData(
-            f"{manifest.source}: recordings must hold a {slicing.by} with a label, there is none{first_failure}; "
+            f"{manifest.source}: recordings must contain a {slicing.by} with a label, there is none{first_failure}; "
             f"correct start and end, or give --by {'impact' if slicing.by == 'window' else 'window'}"
         )
     for failure in failures[n_reported:]:

@@ -213,7 +213,7 @@ def contradictions(annotations: Sequence[Annotation]) -> list[str]:
     for path, of_file in by_file.items():
         groups = sorted({one.group for one in of_file if not one.reference})
         if len(groups) > 1:
-            mistakes.append(f"{path}: a recording must lie in one group as a whole, got {' and '.join(groups[:2])}")
+            mistakes.append(f"{path}: a recording must be in one group as a whole, got {' and '.join(groups[:2])}")
         of_file.sort(key=lambda one: (str(one.channels), one.start))
         for before, after in pairwise(of_file):
             for column, name in _OF_RECORDINGS.items():
@@ -465,7 +465,7 @@ def recordings_in(folder: Path) -> list[Path]:
     files = [file for file in all_files if file not in hidden and not is_manifest(file)]
     if not files:
         what = "its files have other endings" if any(folder.iterdir()) else "it is empty"
-        raise BadData(f"{folder}: a folder must hold recordings ({', '.join(ENDINGS)}), {what}; choose another one")
+        raise BadData(f"{folder}: a folder must contain recordings ({', '.join(ENDINGS)}), {what}; choose another one")
     return files
 
 

@@ -61,7 +61,7 @@ def arrays_of(content: bytes) -> Iterator[tuple[str, NDArray[Any]]]:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
             if len(entries) > MAX_ENTRIES or len({entry.filename for entry in entries}) != len(entries):
-                raise BadData(f"its archive must hold at most {MAX_ENTRIES} arrays, each once")
+                raise BadData(f"its archive must contain at most {MAX_ENTRIES} arrays, each once")
             for entry in entries:
                 # Nothing unpacked can exceed the file then.
                 if entry.compress_type or entry.flag_bits & 1 or entry.file_size > len(content):
@@ -82,10 +82,10 @@ def _array(stored: bytes, name: str) -> NDArray[Any]:
     # With Python's integers the product cannot overflow.
     size = math.prod(map(int, shape)) * dtype.itemsize
     if dtype.str not in _TYPES or size != len(stored) - stream.tell() or 0 in shape or len(shape) > _MAX_AXES:
-        raise BadData(f"array {name} must hold numbers (float64, int32, int64 or bool), as many as its shape says")
+        raise BadData(f"array {name} must contain numbers (float64, int32, int64 or bool), as many as its shape says")
     array: NDArray[Any] = np.load(io.BytesIO(stored), allow_pickle=False)
     if dtype.kind == "b" and (array.view(np.uint8) > 1).any():
-        raise BadData(f"array {name} must hold truth values, bytes 0 and 1")
+        raise BadData(f"array {name} must contain truth values, bytes 0 and 1")
     array.flags.writeable = False
     return array
 
@@ -341,7 +341,7 @@ def _check_arrays(model: Model) -> None:
         plain = array.dtype.kind in kinds and array.size > 0
         # Without np.abs, which would copy a large array. False for nan.
         if not plain or not (array.min() >= -_MAX_NUMBER and array.max() <= _MAX_NUMBER):
-            raise BadData(f"array {name} must hold finite numbers, got {array.dtype}")
+            raise BadData(f"array {name} must contain finite numbers, got {array.dtype}")
     if n_classes != 2 and any(name.startswith(Confusion.PREFIX) for name in arrays):
         raise BadData(f"arrays of a share must be left out, they are for two labels, got {n_classes}")
     Standardiser.from_arrays(arrays, STANDARDISER)  # checks its scale and floor
@@ -352,7 +352,7 @@ def _check_arrays(model: Model) -> None:
 def _check_windows(model: Model) -> None:
     """Raise unless windows, channels and reference spectra are consistent."""
     if isinstance(model.n_channels, bool) or not 1 <= model.n_channels <= MAX_CHANNELS:
-        raise BadData(f"n_channels must lie between 1 and {MAX_CHANNELS}, got {model.n_channels}")
+        raise BadData(f"n_channels must be between 1 and {MAX_CHANNELS}, got {model.n_channels}")
     if model.n_channels > 1 and (model.guards or model.known):
         raise BadData("guards and known quantities must be left out in a model of several channels")
     if model.kind == "window":

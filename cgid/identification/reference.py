@@ -70,7 +70,9 @@ class MeanSpectrum:
     @property
     def _mean(self) -> Floats:
         if not self.n_windows:
-            raise BadData("a reference run must hold a window of signal, it has none: check the sensor and its cable")
+            raise BadData(
+                "a reference run must contain a window of signal, it has none: check the sensor and its cable"
+            )
         return np.maximum(self._sum / self.n_windows, np.finfo(np.float64).tiny)
 
     def _for_all_bands(self, values: Floats) -> Floats:

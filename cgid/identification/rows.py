@@ -29,7 +29,7 @@ from cgid.measure.vibration import EARLY_BANDS
 from cgid.signals import KNOWN, Batch
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
-from cgid.workers import ALONE, Workers
+from cgid.workers import SERIAL, Workers
 
 __all__ = ["Rows", "measure"]
 
@@ -296,7 +296,7 @@ def measure(
     *,
     known: tuple[str, ...] = (),
     beam: Beam | None = None,
-    workers: Workers = ALONE,
+    workers: Workers = SERIAL,
 ) -> Rows:
     """Return the rows of labelled batches; memory holds one batch of signals, or a few for each worker.
 
@@ -384,7 +384,7 @@ def _known_of(batch: Batch) -> Floats:
     heights = batch.drop_heights()
     if heights is None:
         raise BadData(
-            "the data must hold drop_height or velocity among its parameters, it has "
+            "the data must contain drop_height or velocity among its parameters, it has "
             f"{', '.join(batch.parameters) or 'none'}; train without --drop-height"
         )
     return heights[:, None]

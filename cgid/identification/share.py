@@ -104,7 +104,7 @@ class NoConfusion:
 
     def __post_init__(self) -> None:
         if not 0 < self.trained_share < 1:
-            raise InvalidValue(f"trained_share must lie between 0 and 1 (exclusive), got {self.trained_share:g}")
+            raise InvalidValue(f"trained_share must be between 0 and 1 (exclusive), got {self.trained_share:g}")
 
     def ratios(self, logits: Floats) -> Floats:
         """Return how many times as likely gangue is as coal to get such answers, (n,)."""
@@ -151,7 +151,7 @@ class ShareWindow:
         self.length = validation.number("window", length, "s", validation.positive)
         self.channel = channel
         if not 0 < weight <= 1:
-            raise InvalidValue(f"weight must lie above 0 and up to 1, got {weight:g}")
+            raise InvalidValue(f"weight must be above 0 and up to 1, got {weight:g}")
         self._answers, self._threshold = answers or NoConfusion(), threshold
         self._weight = weight / self._answers.overdispersion
         self._blur = _blur(self._answers.scatter)

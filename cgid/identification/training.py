@@ -60,7 +60,7 @@ from cgid.measure.pulses import MAX_UNEXPLAINED
 from cgid.signals import Batch
 from cgid.units import quantity_of
 from cgid.validation import Floats
-from cgid.workers import ALONE, Workers
+from cgid.workers import SERIAL, Workers
 
 __all__ = ["Training", "train"]
 
@@ -131,7 +131,7 @@ def train(
     beam: Beam | None = None,
     shuffle_labels: bool = False,
     progress: Callable[[int], object] | None = None,
-    workers: Workers = ALONE,
+    workers: Workers = SERIAL,
 ) -> Training:
     """Train a model on labelled impacts or windows and judge it on unseen specimens or groups.
 
@@ -308,7 +308,7 @@ def hold_out(
 ) -> NDArray[np.bool_]:
     """Return a mask of the impacts to hold out: complete specimens, the same fraction of each label."""
     if not 0 < share < 1:
-        raise InvalidValue(f"test share must lie between 0 and 1, got {share:g}")
+        raise InvalidValue(f"test share must be between 0 and 1, got {share:g}")
     generator = np.random.default_rng(seed)
     left_out: list[NDArray[np.integer]] = []
     for label in np.unique(labels):
@@ -331,7 +331,7 @@ def set_apart(
 ) -> NDArray[np.bool_]:
     """Return a mask of calibration impacts: specimens outside the test, the same fraction of each label."""
     if not 0 <= share < 1:
-        raise InvalidValue(f"calibration share must lie between 0 and 1, got {share:g}")
+        raise InvalidValue(f"calibration share must be between 0 and 1, got {share:g}")
     apart = np.zeros(len(labels), bool)
     counts = [len(np.unique(specimen[labels == label])) for label in np.unique(labels)]
     if share * min(counts) < MIN_CALIBRATION_SPECIMENS:

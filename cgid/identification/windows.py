@@ -46,7 +46,7 @@ def require_times(window_time: float, hop_time: float) -> None:
         raise InvalidValue(f"window_time must be at most {MAX_WINDOW:g} s, got {window_time:g} s")
     if not FINEST_HOP * window_time <= hop_time <= MAX_WINDOW:
         raise InvalidValue(
-            f"hop_time must lie between {FINEST_HOP:g} of a window and {MAX_WINDOW:g} s, got {hop_time:g} s for "
+            f"hop_time must be between {FINEST_HOP:g} of a window and {MAX_WINDOW:g} s, got {hop_time:g} s for "
             f"windows of {window_time:g} s"
         )
 

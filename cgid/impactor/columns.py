@@ -1,4 +1,4 @@
-"""The impactor as `cgid predict --impactor` asks for it: columns beside the answers, and the sizes of a recording."""
+"""Output of `cgid predict --impactor`: columns next to the predictions, and the sizes in a recording."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from cgid.validation import Floats
 
 #: Probability of the intervals.
 COVERAGE = 0.9
-#: Seed of the simulated recordings, and the distance at which an impact was found [s].
+#: Seed of the simulated recordings, and the maximum distance of a detected impact from the true one [s].
 _SEED, _MATCH_TIME = 0x5EED_0004, 2e-3
 
 
 class ImpactorColumns:
-    """Say the impactor beside each answer of a model: the `impactors` of the settings.
+    """Estimate the impactor of each prediction of a model: the `impactors` of the settings.
 
     Parameters
     ----------
     scene : Scene
-        What can have struck.
+        Possible impactors.
     keep : bool
-        Whether to keep the pulses of all impacts, for their sizes.
+        Whether to store the pulses of all impacts, for their sizes.
 
     Raises
     ------
     InvalidValue
-        The scene has no population to tell impactors by.
+        The scene has no population of impactors.
     """
 
     def __init__(self, scene: Scene, *, keep: bool = False) -> None:
@@ -48,18 +48,20 @@ class ImpactorColumns:
         self._pulses: list[MeasuredPulses] = []
 
     def check(self, model: Model) -> None:
-        """Raise `InvalidValue` if the answers of a model do not show the force of each impact."""
+        """Raise `InvalidValue` if a model does not give the force of each impact."""
         if model.kind == "window":
-            raise InvalidValue("impactor must be left out for a model of windows, which hold any number of impacts")
+            raise InvalidValue("impactor must be left out for a model of windows, which contain any number of impacts")
         if model.kind == "vibration" and model.beam is None:
             raise InvalidValue(
-                "impactor needs the force: this model does not look through its beam to it; take one that does, such "
-                "as default-acceleration, or train one on a scene with a beam"
+                "impactor needs the contact force, which this model does not estimate; use one that does, such as "
+                "default-acceleration, or train one on a scene with a beam"
             )
         if model.beam is not None and model.together > 1:
-            raise InvalidValue("impactor needs a model of one sensor, this one looks through several together")
+            raise InvalidValue("impactor needs a model of one sensor, this one uses several together")
         if model.kind == "pulse" and model.quantity != "force":
-            raise InvalidValue(f"impactor needs the force [N], this model takes {model.quantity} [{model.unit}]")
+            raise InvalidValue(
+                f"impactor needs the force [N], the input of this model is {model.quantity} [{model.unit}]"
+            )
 
     def __call__(
         self,
@@ -89,7 +91,7 @@ class ImpactorColumns:
         ]
 
     def sizes(self, quantity: str = "mass") -> SizeDistribution:
-        """Return the distribution of all impacts so far, corrected for what the scene says is not found.
+        """Return the distribution of all impacts so far, corrected for those not detected in simulations of the scene.
 
         Raises
         ------
@@ -102,7 +104,7 @@ class ImpactorColumns:
 
 
 def detection_of(scene: Scene, seed: int = _SEED) -> Detection:
-    """Return how probably an impact in a recording of a scene is found, by its peak force.
+    """Return the probability of detection of an impact in a recording of a scene, by its peak force.
 
     Parameters
     ----------
@@ -113,7 +115,7 @@ def detection_of(scene: Scene, seed: int = _SEED) -> Detection:
     Returns
     -------
     Detection
-        Impacts hidden by others count as not found.
+        Impacts hidden by others count as undetected.
     """
     signal, truth = record(scene, seed)
     kind: ImpactKind = "pulse" if signal.quantity == "force" else "vibration"

@@ -1,4 +1,4 @@
-"""Fitted pulses as the posterior of an impactor takes them, from forces or from the acceleration of a beam."""
+"""Fitted pulses as input of the posterior of an impactor, from forces or from the acceleration of a beam."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from cgid.measure.pulses import PulseBatch
 from cgid.measure.template import MAX_SHAPE, MIN_SHAPE, relative_times
 from cgid.validation import Floats
 
-#: A pulse of more than this peak, over the level where it is cut off, minus 1, is a guess.
+#: A pulse whose peak, over the clipping level, minus 1, exceeds this is a guess.
 OVERLOAD_LIMIT = 1.0
-#: Above this misfit nothing of the family is left, and no widening makes it an estimate.
+#: Above this misfit a pulse is not of the family, and widening cannot make it an estimate.
 HOPELESS = 400.0
-#: What ln peak, ln width and shape of pulses of the laws of Thornton, Walton and Kuwabara are, less those of the damped
-#: Hertz pulse of the same sphere and speed: mean and deviation in scene `rock` (`benchmarks/impactor.py`). Peak and
+#: ln peak, ln width and shape of pulses of the laws of Thornton, Walton and Kuwabara, minus those of the damped Hertz
+#: pulse of the same sphere and speed: mean and standard deviation in scene `rock` (`benchmarks/impactor.py`). Peak and
 #: width vary together, because their product is the impulse, `(1 + e) m v`: with this correlation.
 OTHER_LAWS, OTHER_DEVIATIONS, OTHER_CORRELATION = (-0.51, 0.49, 0.99), (0.44, 0.39, 0.40), -0.98
-#: Smallest and largest standard deviation of the logarithms that are believed.
+#: Smallest and largest accepted standard deviation of the logarithms.
 _FINEST, _COARSEST = 1e-4, 3.0
-#: Standard deviations of ln peak, ln width and shape by which pulses fitted through a beam differ from the closest
-#: ones of the family where the beam's own waves come back during contact (`benchmarks/impactor.py`).
+#: Standard deviations of ln peak, ln width and shape by which pulses fitted through a beam differ from the closest ones
+#: of the family when waves of the beam return during contact (`benchmarks/impactor.py`).
 _BEHIND_BEAM = (0.005, 0.01, 0.08)
-#: Error of ln peak for what the beam leaves unexplained, over the root of its share of the energy, the largest, those
-#: of ln peak, ln width and shape over it, and from which on it is told: so that the intervals of scene `caving` cover.
-_UNEXPLAINED, _MAX_ERROR, _SHARES, _MIN_INFORMATION = 4.0, 1.2, (1.0, 0.6, 0.8), 0.2
+#: Error of ln peak due to the unexplained energy, over the root of its fraction; its maximum; errors of ln peak, ln
+#: width and shape over it; and the fraction from which on it is reported. With these the intervals of scene `caving`
+#: have their coverage.
+_UNEXPLAINED, _MAX_ERROR, _ERROR_RATIOS, _MIN_INFORMATION = 4.0, 1.2, (1.0, 0.6, 0.8), 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPulses:
-    """Fitted pulses, one row an impact.
+    """Fitted pulses, one row per impact.
 
     Attributes
     ----------
@@ -49,11 +50,11 @@ class MeasuredPulses:
     covariance : ndarray, (n, 3, 3)
         Of these; widened by the misfit where that is above 1.
     problem : ndarray of str, (n,)
-        Why a pulse says nothing or less than it could; else empty.
+        Why a pulse is uninformative or less informative; else empty.
     usable : ndarray of bool, (n,)
-        Whether a pulse says anything.
+        Whether a pulse is informative.
     strange : ndarray of bool, (n,)
-        Whether the samples show that the pulse is not of the family.
+        Whether the pulse is not of the family.
     """
 
     log_peak: Floats
@@ -68,7 +69,7 @@ class MeasuredPulses:
         return len(self.shape)
 
     def blocks(self, n_rows: int) -> Iterator[MeasuredPulses]:
-        """Yield the pulses so many at a time."""
+        """Yield the pulses in blocks."""
         for first in range(0, len(self), n_rows):
             yield self.rows(slice(first, first + n_rows))
 
@@ -90,17 +91,14 @@ class MeasuredPulses:
         return cls(nothing, nothing, nothing, covariance, np.array(reasons, np.str_), never, never)
 
     def without(self, failed: dict[int, str]) -> MeasuredPulses:
-        """Return the pulses, of which some rows are not usable, for these reasons."""
+        """Return the pulses with some rows marked as unusable, for these reasons."""
         problem, usable = self.problem.astype(object), self.usable.copy()
         for row, why in failed.items():
             problem[row], usable[row] = why, False
         return replace(self, problem=problem.astype(np.str_), usable=usable)
 
     def widened(self) -> MeasuredPulses:
-        """Return the pulses as a population of the family alone must see them.
-
-        Those that are not of the family become the damped Hertz pulses that other laws may stand for, and wide.
-        """
+        """Return the pulses for a population of the family; other laws become damped Hertz pulses with wide errors."""
         wide = np.diag(np.square(OTHER_DEVIATIONS))
         wide[0, 1] = wide[1, 0] = OTHER_CORRELATION * OTHER_DEVIATIONS[0] * OTHER_DEVIATIONS[1]
         log_peak, log_width, shape = (
@@ -114,7 +112,7 @@ class MeasuredPulses:
     def of_estimates(cls, estimates: Estimates) -> MeasuredPulses:
         """Return pulses fitted by `cgid.identification.estimation.estimate` to forces [N].
 
-        The covariance times the misfit: what the family leaves of other laws of loss is an error like noise (Birge
+        The covariance is multiplied by the misfit: the deviation of other laws of loss is treated like noise (Birge
         1932, Phys. Rev. 40, 207).
         """
         return cls._of_fit(estimates.contact_duration, np.log(estimates.restitution), estimates, estimates.overload, {})
@@ -138,7 +136,7 @@ class MeasuredPulses:
         covariance = fit.covariance[:, keep][:, :, keep].copy()
         # From ln(duration) to ln(width).
         slope_ratio = slope / relative
-        with np.errstate(invalid="ignore"):  # what is not finite is refused below
+        with np.errstate(invalid="ignore"):  # non-finite values are refused below
             covariance[:, 1] -= slope_ratio[:, None] * covariance[:, 2]
             covariance[:, :, 1] -= slope_ratio[:, None] * covariance[:, :, 2]
         problem = np.full(len(shape), "", object)
@@ -149,8 +147,8 @@ class MeasuredPulses:
             (hopeless, "the pulse is not of the family (misfit {0:.3g}, {3:g} is the limit)"),
             (
                 saturated,
-                "saturated: the fitted peak is {1:.3g} times above the level where samples are cut off; raise the "
-                "range of the recorder",
+                f"saturated: the fitted peak exceeds the clipping level {1:.3g} times; increase the range of the "
+                "recorder",
             ),
             (~fit.converged, "the fit of the pulse failed"),
         ):
@@ -164,9 +162,9 @@ class MeasuredPulses:
 
     @classmethod
     def of_contact(cls, contact: Contact, inverted: ForceEstimate) -> MeasuredPulses:
-        """Return pulses fitted to forces behind a beam, which are widened by their misfit already.
+        """Return pulses fitted to forces through a beam, whose covariance already includes the misfit.
 
-        What the beam leaves unexplained beyond the noise, such as another impact, is an error of the pulse, too.
+        Energy beyond the noise that the beam does not explain, such as another impact, is an error of the pulse, too.
         """
         n = len(contact.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -174,13 +172,13 @@ class MeasuredPulses:
             strange = inverted.unexplained * np.clip(1 - 1 / inverted.misfit, 0.0, 1.0)
         error = np.minimum(_UNEXPLAINED * np.sqrt(np.nan_to_num(strange)), _MAX_ERROR)
         covariance = contact.covariance + np.diag(np.square(_BEHIND_BEAM))
-        covariance += np.square(error)[:, None, None] * np.diag(np.square(_SHARES))
+        covariance += np.square(error)[:, None, None] * np.diag(np.square(_ERROR_RATIOS))
         problem = np.full(n, "", object)
         for row in np.flatnonzero(error > _MIN_INFORMATION):
             problem[row] = f"wide: the beam leaves {100 * strange[row]:.2g} % of the vibration unexplained"
-        # Place and force of what is no likelier than noise alone are arbitrary.
+        # Location and force of an event no likelier than noise are arbitrary.
         seen = inverted.evidence > 0
-        problem[~seen] = "no blow anywhere on the beam explains the vibration better than noise does"
+        problem[~seen] = "no impact anywhere on the beam explains the vibration better than noise"
         return cls._checked(log_peak, log_width, contact.shape, covariance, problem, seen, np.zeros(n, bool))
 
     @classmethod
@@ -194,13 +192,13 @@ class MeasuredPulses:
         usable: NDArray[np.bool_],
         strange: NDArray[np.bool_],
     ) -> MeasuredPulses:
-        """Return pulses; what is not finite, or uninformative, is replaced and not usable."""
+        """Return pulses; non-finite or uninformative ones are replaced and marked as unusable."""
         diagonal = covariance[:, range(3), range(3)]
         sound = np.isfinite(log_peak) & np.isfinite(log_width) & np.isfinite(shape)
         sound &= np.isfinite(covariance).all(axis=(1, 2)) & (diagonal >= 0).all(axis=1)
         vague = sound & (diagonal[:, :2] > _COARSEST**2).any(axis=1)
         problem[~sound & usable] = "the fit of the pulse failed"
-        problem[vague & (problem == "")] = "the pulse tells neither peak nor width"
+        problem[vague & (problem == "")] = "the pulse determines neither peak nor width"
         usable = usable & sound & ~vague
         bad = ~(sound & ~vague)
         covariance[bad] = np.eye(3)

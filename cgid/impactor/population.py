@@ -1,4 +1,4 @@
-"""The population of a scene: draws of its impacts, each with the pulse that it gives."""
+"""The population of a scene: random draws of its impacts with their pulses."""
 
 from __future__ import annotations
 
@@ -25,30 +25,29 @@ from cgid.scene.rocks import Rocks, arrivals_of, arriving, thrown_back
 from cgid.scene.through_beam import beam_of, full_beam
 from cgid.validation import Floats
 
-#: Draws of a scene whose pulses follow from a formula, of one whose pulses are fitted, and of one with a beam.
+#: Number of draws if pulses follow from a formula, if pulses are fitted, and for a scene with a beam.
 _MANY, _FEW, _MIN_DRAWS = 1 << 17, 1 << 15, 1 << 14
-#: Samples of a contact, before it and in all, at which pulses are fitted; noise over the peak; any sampling rate [Hz].
+#: Samples of fitted pulses during contact, before it and in total; noise over the peak; arbitrary sampling rate [Hz].
 _SAMPLES, _BEFORE, _FRAME, _NOISE, _RATE = 64, 32, 192, 1e-3, 1e5
 #: Seed of these draws, unlikely to be chosen for the signals.
 _SEED = 0x5EED_0003_C9D1
-#: Populations kept (some 10 MB each), and beams (24 MB).
-_N_KEPT = 4
-#: Places of a beam at which draws are measured, fractions that fill its sides evenly (Roberts 2018), and their energy
-#: over that of the noise.
+#: Number of cached populations (some 10 MB each) and beams (24 MB).
+_CACHE_SIZE = 4
+#: Locations on a beam at which draws are measured, fractions that fill its sides evenly (Roberts 2018), and their
+#: energy over that of the noise.
 _PLACES, _EVENLY, _ENERGY = 64, (0.7548776662, 0.5698402910), 1e8
 
 
-@lru_cache(maxsize=_N_KEPT)
+@lru_cache(maxsize=_CACHE_SIZE)
 def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulation:
-    """Return the population of a scene, as the impactor is sought among.
+    """Return the population of a scene, the prior of an impactor.
 
     Parameters
     ----------
     scene : Scene
-        Of a stream, all its impacts count: rebounds, too.
+        In a stream all impacts count, including rebounds.
     n_draws : int, optional
-        By default 131,072 where a formula gives the pulses, else 32,768, behind a
-        beam 16,384.
+        By default 131,072 if a formula gives the pulses, else 32,768, with a beam 16,384.
 
     Returns
     -------
@@ -60,14 +59,14 @@ def population_of(scene: Scene, n_draws: int | None = None) -> ImpactorPopulatio
         The scene has no impacts of spheres, or draws its rig.
     """
     if scene.randomise is not None:
-        raise InvalidValue(f"scene {scene.name}: must be one rig to tell impactors by; take [randomise] out")
+        raise InvalidValue(f"scene {scene.name}: must have fixed settings to estimate impactors; take [randomise] out")
     if not scene.populations:
-        raise InvalidValue(f"scene {scene.name}: must have populations to tell impactors by, it has taps alone")
+        raise InvalidValue(f"scene {scene.name}: must have populations to estimate impactors, it has only taps")
     of_family = set(scene.dissipations) <= {"hunt-crossley", "elastic"}
-    # Nothing but the sphere has a size or a time of its own.
+    # Only the sphere has a length or time scale.
     similar = scene.tail_beam is None and scene.impact.gravity is None
     similar &= getattr(scene.impact.target, "thickness", None) is None
-    # Each pulse is then one of the family, with the stored peak, duration and restitution.
+    # Each pulse is then a member of the family, with the stored peak, duration and restitution.
     plain = of_family and similar and scene.stream is None
     beam = beam_behind(scene) if is_behind_beam(scene) else None
     n_required = n_draws or (_MANY if plain else _FEW if scene.tail_beam is None else _MIN_DRAWS)
@@ -98,13 +97,13 @@ _Pulses = list[tuple[NDArray[np.intp], Impact | ModalImpact]]
 def _frames(scene: Scene) -> Iterator[tuple[Mapping[str, Any], _Pulses]]:
     """Yield the impacts of frames, block by block, and their pulses."""
     labels = {label: k for k, label in enumerate(scene.labels)}
-    for blows in draws(scene, _SEED):
-        group = np.array([labels[str(one)] for one in blows.labels])
-        values = {**blows.parameters, "group": group}
+    for impacts in draws(scene, _SEED):
+        group = np.array([labels[str(one)] for one in impacts.labels])
+        values = {**impacts.parameters, "group": group}
         is_impact = np.isfinite(values["radius"])
         pulses: _Pulses = [
             (one.rows, one.pulses)
-            for one in blows.strikes
+            for one in impacts.strikes
             if one.ratio is None and isinstance(one.pulses, Impact | ModalImpact)
         ]
         values["struck"] = is_impact
@@ -157,7 +156,7 @@ def _described(values: Mapping[str, Any], pulses: _Pulses | None, beam: ThroughB
 
 
 def _fitted(pulses: Impact | ModalImpact, lasts: Floats, peak: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return what the fit to forces measures of pulses: ln peak over their own, ln width, and shape."""
+    """Return the result of the fit to forces of pulses: ln peak over the true one, ln width, and shape."""
     force = np.zeros((peak.size, _FRAME))
     pulses.add_to_frames(force, _SAMPLES / lasts, _BEFORE * lasts / _SAMPLES)
     estimates = estimate(force / peak[:, None], _RATE, pre_trigger=_BEFORE, noise=_NOISE)
@@ -167,9 +166,9 @@ def _fitted(pulses: Impact | ModalImpact, lasts: Floats, peak: Floats) -> tuple[
 
 
 def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBeam) -> tuple[Floats, Floats, Floats]:
-    """Return what the fit behind a beam measures of pulses, as `_fitted`."""
-    # Waves of the beam that come back during contact take the pulses of heavy rocks out of the family; the closest
-    # pulse of the family then depends on which frequencies the beam lets through.
+    """Return the result of the fit through a beam, as `_fitted`."""
+    # Waves of the beam that return during contact change the pulses of heavy rocks; the closest pulse of the family
+    # then depends on the frequencies that the beam transmits.
     rate, shapes = beam.beam.sampling_rate, beam.inversion.forces
     order = np.arange(peak.size)
     force = np.zeros((peak.size, shapes.shape[1]))
@@ -185,9 +184,9 @@ def fit_through_beam(pulses: Impact | ModalImpact, peak: Floats, beam: ThroughBe
     return np.log(fitted.peak), np.log(fitted.width), fitted.shape
 
 
-@lru_cache(maxsize=_N_KEPT)
+@lru_cache(maxsize=_CACHE_SIZE)
 def _information(beam: ThroughBeam) -> Floats:
-    """Return what the samples of a beam tell of forces at places all over it, (_PLACES, n_shapes, n_shapes)."""
+    """Return the information of samples about forces at locations all over a beam, (_PLACES, n_shapes, n_shapes)."""
     inversion, region = beam.inversion, beam.beam.region.reshape(2, 2)
     table = inversion.transformed(respond(beam.beam, inversion.forces, inversion.n_samples))
     even = np.outer(_EVENLY, np.arange(1, _PLACES + 1)) % 1
@@ -201,7 +200,7 @@ def is_behind_beam(scene: Scene) -> bool:
     return scene.tail_beam is not None and scene.sensor.quantity != "force"
 
 
-@lru_cache(maxsize=_N_KEPT)
+@lru_cache(maxsize=_CACHE_SIZE)
 def beam_behind(scene: Scene) -> ThroughBeam:
-    """Return the beam of a scene to look through, where rocks bounce, too; raises `InvalidValue` as `beam_of`."""
+    """Return the beam of a scene, with the region where rocks bounce; raises `InvalidValue` as `beam_of`."""
     return ThroughBeam(beam_of(scene) if scene.stream is None else full_beam(scene))

@@ -26,38 +26,38 @@ from cgid.impactor.measured import MeasuredPulses
 from cgid.measure.template import dimensionless_logarithms
 from cgid.validation import Floats
 
-#: What is asked of an impactor, and its units.
+#: Estimated quantities of an impactor and their units.
 QUANTITIES = {"mass": "kg", "radius": "m", "speed": "m/s"}
-#: Probabilities whose quantiles are kept.
+#: Probabilities of the stored quantiles.
 LEVELS = np.array([0.005, 0.01, 0.025, *np.arange(0.05, 0.951, 0.05), 0.975, 0.99, 0.995])
 #: Powers of the speed in P0 / T0^2 and in T0.
 SPEED_POWER, TIME_POWER = 1.6, -0.2
-#: Nodes along the shape, and draws looked at from each; where size is no similarity, fewer of these count.
+#: Nodes along the shape, and draws used from each; if size is not a similarity, fewer draws have weight.
 _NODES, _DRAWS, _MORE_DRAWS = 12, 48, 96
-#: Extent of the nodes [standard deviations], and distance at which a draw could not have given the pulse.
+#: Extent of the nodes and cut-off distance of draws [standard deviations].
 _REACH, _BEYOND = 3.5, 4.0
-#: Minimum number of draws to a shape, and fewest and most shapes.
+#: Minimum number of draws per shape, and minimum and maximum number of shapes.
 _PER_SHAPE, _MIN_SHAPES, _MAX_SHAPES = 1024, 8, 96
-#: Widest kernel of draws along ln(P0 / T0^2), and along ln(size) where size is no similarity.
+#: Widest kernel of draws along ln(P0 / T0^2), and along ln(size) if size is not a similarity.
 _WIDEST, _ALIKE = 0.25, 0.3
 #: Cells of ln(P0 / T0^2), of ln(radius), and of a posterior.
 _CELLS, _RADII, _POSTERIOR = 512, 256, 160
-#: Smallest width of a population's radii and speeds: equal ones are spread by this share.
+#: Minimum relative width of a population's radii and speeds: equal ones are spread by this fraction.
 _NARROWEST = 0.01
-#: Impacts at once: more leave the cache.
+#: Impacts processed at once: more exceed the cache.
 _ROWS = 128
 
 
 @dataclass(frozen=True, eq=False)
 class ImpactorEstimates:
-    """The impactor, one row an impact.
+    """The impactor, one row per impact.
 
     Attributes
     ----------
     quantiles : dict of ndarray, (n, n_levels)
-        Of mass [kg], radius [m] and speed [m/s], at `LEVELS`; nan where nothing is known.
+        Of mass [kg], radius [m] and speed [m/s], at `LEVELS`; nan without an estimate.
     reason : ndarray of str, (n,)
-        Why there is no interval or a wide one; else empty.
+        Why there is no interval, or a wide one; else empty.
     """
 
     quantiles: dict[str, Floats]
@@ -69,14 +69,14 @@ class ImpactorEstimates:
     def quantile(self, quantity: str, probability: float) -> Floats:
         """Return a quantile (.005 to .995) of the mass [kg], radius [m] or speed [m/s] of each impact, (n,).
 
-        It is nan where nothing is known.
+        It is nan without an estimate.
         """
         validation.choice("quantity", quantity, QUANTITIES)
         at = float(validation.between("probability", probability, LEVELS[0], LEVELS[-1]))
         after = int(np.clip(np.searchsorted(LEVELS, at), 1, LEVELS.size - 1))
-        share = (at - LEVELS[after - 1]) / (LEVELS[after] - LEVELS[after - 1])
+        fraction = (at - LEVELS[after - 1]) / (LEVELS[after] - LEVELS[after - 1])
         low, high = self.quantiles[quantity][:, after - 1], self.quantiles[quantity][:, after]
-        return np.asarray(low ** (1 - share) * high**share)
+        return np.asarray(low ** (1 - fraction) * high**fraction)
 
     def median(self, quantity: str) -> Floats:
         """Return the median of each impact, (n,), as `quantile`."""
@@ -99,7 +99,7 @@ class ImpactorEstimates:
 
     @classmethod
     def unknown(cls, reason: NDArray[np.str_]) -> ImpactorEstimates:
-        """Return impactors of which nothing is known."""
+        """Return impactors without estimates."""
         return cls({name: np.full((reason.size, LEVELS.size), np.nan) for name in QUANTITIES}, reason)
 
 
@@ -111,8 +111,8 @@ class ImpactorPopulation:
     ----------
     log_peak, log_width, shape : of the pulse: ln of the peak [N] and of impulse over peak [s], and s = ln e
     log_radius, log_speed, log_mass : of the impactor [m], [m/s], [kg]
-    group : number of its part of the population; within a part the radius does not depend on the rest
-    similar : whether an impactor twice as large gives the same pulse, twice as long
+    group : number of its part of the population; within a part the radius is independent of other quantities
+    similar : whether doubling the size of an impactor doubles the length of its pulse and changes nothing else
     of_family : whether all pulses are damped-Hertz pulses
     name : of the population
     """
@@ -130,17 +130,17 @@ class ImpactorPopulation:
 
     def __post_init__(self) -> None:
         if self.shape.size < _PER_SHAPE:
-            raise InvalidValue(f"{self.name}: must hold at least {_PER_SHAPE} draws, got {self.shape.size}")
+            raise InvalidValue(f"{self.name}: must have at least {_PER_SHAPE} draws, got {self.shape.size}")
 
     # -- the posterior ------------------------------------------------------------------------------------
 
     def posterior(self, pulses: MeasuredPulses) -> ImpactorEstimates:
-        """Return the impactor."""
+        """Return the posterior of the impactor."""
         parts = [self._posterior(part) for part in self._seen(pulses).blocks(_ROWS)]
         return ImpactorEstimates.joined(parts) if parts else ImpactorEstimates.unknown(np.empty(0, np.str_))
 
     def draws(self, pulses: MeasuredPulses) -> Iterator[tuple[dict[str, Floats], Floats]]:
-        """Yield the logarithms of mass, radius and speed of weighted draws of the posterior, some impacts at a time.
+        """Yield the logarithms of mass, radius and speed of weighted draws of the posterior, block by block.
 
         All are (n, n_draws). The weights of a row sum to 1, or to 0 where the population excludes the pulse.
         """
@@ -157,7 +157,7 @@ class ImpactorPopulation:
         return ImpactorEstimates(quantiles, pulses.without(excluded).problem)
 
     def _moved(self, pulses: MeasuredPulses) -> tuple[dict[str, Floats], Floats, dict[int, str]]:
-        """Return logarithms of draws moved onto pulses and their weights, (n, n_draws), and why some have none."""
+        """Return logarithms of draws moved onto pulses, their weights, (n, n_draws), and reasons for missing ones."""
         table = self._table
         shape, density, given = table.nodes(pulses)
         given_shape = _given_shape(pulses, shape)
@@ -167,7 +167,7 @@ class ImpactorPopulation:
         half = np.abs(distance).max(axis=2, keepdims=True)
         kernel = np.minimum(0.4 * half, _WIDEST) ** 2
         wide = spread**2 + kernel
-        # Draws from farther away than the error of the pulse are moved towards it.
+        # Draws more distant than the error of the pulse are moved towards it.
         moved = distance * (spread / np.sqrt(wide))
         faster = (moved - distance) / SPEED_POWER
         log_speed = table.log_speed[rows] + faster
@@ -179,7 +179,7 @@ class ImpactorPopulation:
             log_weight -= 0.5 * (growth / _ALIKE) ** 2
         reached = log_weight > -0.5 * _BEYOND**2
         fits = table.radii(table.group[rows], log_radius)
-        # Where all speeds are equal, the error of the pulse moves them apart; it must not where they have bounds.
+        # If all speeds are equal, the error of the pulse spreads them, but not across their bounds.
         margin = _NARROWEST + _REACH / SPEED_POWER * np.minimum(spread, 2 * _NARROWEST)
         fits *= (log_speed >= table.speeds[0] - margin) & (log_speed <= table.speeds[1] + margin)
         weight = np.exp(log_weight) * reached * fits
@@ -206,17 +206,17 @@ class ImpactorPopulation:
             high = size_free[row].mean() > np.median(self._table.size_free)
             rule = f"its peak is too {'high' if high else 'low'} for its width"
         else:
-            rule = "it would be of another size or speed"
+            rule = "its size or speed would be different"
         return (
-            f"{self.name} has no impactor with a pulse of {peak:.3g} N and {width * 1e6:.3g} us (impulse over peak): "
-            f"{rule}; take a population that has"
+            f"{self.name} contains no impactor with a pulse of {peak:.3g} N and {width * 1e6:.3g} us (impulse over "
+            f"peak): {rule}; use a population that does"
         )
 
     @cached_property
     def _table(self) -> _Table:
         return _Table(self)
 
-    # -- what is known beforehand ---------------------------------------------------------------------------
+    # -- prior ----------------------------------------------------------------------------------------------
 
     def prior(self, quantity: str) -> Floats:
         """Return the draws of a quantity without a measurement, (n,), in its unit of `QUANTITIES`."""
@@ -260,33 +260,33 @@ class _Table:
         self._radii(population.similar)
 
     def _radii(self, similar: bool) -> None:
-        """Make the weight of a moved draw by its radius: the density there, over that of what was moved to it."""
+        """Tabulate the weight of a moved draw by its radius: the prior density there over that of the moved draws."""
         low, high = self.log_radius.min(), self.log_radius.max()
         margin = max(0.02 * (high - low), 5 * _NARROWEST)
         self.smallest, self.ring = low - margin, (high - low + 2 * margin) / _RADII
         places = ((self.log_radius - self.smallest) / self.ring).astype(np.intp)
         n_groups = int(self.group.max()) + 1
         counts = np.bincount(self.group * _RADII + places, minlength=n_groups * _RADII).reshape(n_groups, _RADII)
-        # Smooth enough to have no noise of draws.
+        # Smooth enough to suppress the noise of draws.
         blur = max(1.5, _NARROWEST / self.ring)
         kernel = np.exp(-0.5 * (np.arange(-int(4 * blur), int(4 * blur) + 1) / blur) ** 2)
         smooth = np.stack([np.convolve(row, kernel / kernel.sum(), mode="same") for row in counts.astype(np.float64)])
         density = smooth / np.maximum(smooth.sum(axis=1, keepdims=True), 1e-300)
         if not similar:
-            apart = (np.arange(_RADII)[:, None] - np.arange(_RADII)) * self.ring / _ALIKE
-            density = density / np.maximum(density @ np.exp(-0.5 * apart**2), 1e-300)
+            separation = (np.arange(_RADII)[:, None] - np.arange(_RADII)) * self.ring / _ALIKE
+            density = density / np.maximum(density @ np.exp(-0.5 * separation**2), 1e-300)
         self._weight = np.pad(density, ((0, 0), (1, 1))).astype(np.float32)
 
     def radii(self, group: NDArray[np.intp], log_radius: Floats) -> Floats:
         """Return the weight of moved draws by their radius."""
-        place = np.clip((log_radius - self.smallest) / self.ring + 1, 0, _RADII + 1).astype(np.intp)
-        return np.asarray(self._weight.reshape(-1)[group * (_RADII + 2) + place])
+        position = np.clip((log_radius - self.smallest) / self.ring + 1, 0, _RADII + 1).astype(np.intp)
+        return np.asarray(self._weight.reshape(-1)[group * (_RADII + 2) + position])
 
     def _shape_of(self, shape: Floats) -> NDArray[np.intp]:
         return np.asarray(np.clip((shape - self.lowest) / self.step, 0, self.n_shapes - 1), np.intp)
 
     def nodes(self, pulses: MeasuredPulses) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Return nodes of the shape and the prior times the likelihood there, (n, n_nodes), and if there are any."""
+        """Return nodes of the shape, prior times likelihood there, (n, n_nodes), and whether there are any."""
         deviation = np.sqrt(pulses.covariance[:, 2, 2])
         low = np.maximum(pulses.shape - _REACH * deviation, self.lowest)
         high = np.minimum(pulses.shape + _REACH * deviation, self.highest)
@@ -298,7 +298,7 @@ class _Table:
         return shape, likely * given[:, None], given
 
     def around(self, shape: Floats, size_free: Floats, spread: Floats) -> tuple[NDArray[np.intp], Floats]:
-        """Return the draws around points, (n, n_nodes, n_draws), and how many each of them stands for."""
+        """Return the draws around points, (n, n_nodes, n_draws), and the number that each of them represents."""
         shape_index = self._shape_of(shape)
         n_draws = self.jitter.size
         counted = self.count[shape_index]
@@ -313,15 +313,15 @@ class _Table:
         return np.minimum(rows, self.size_free.size - 1), np.where(counted > 0, each, 0.0)
 
     def _rank(self, shape_index: NDArray[np.intp], size_free: Floats) -> Floats:
-        place = np.clip((size_free - self.origin) / self.cell, 0, _CELLS - 1e-6)
-        cell = place.astype(np.intp)
+        position = np.clip((size_free - self.origin) / self.cell, 0, _CELLS - 1e-6)
+        cell = position.astype(np.intp)
         flat, start = self.ranks.reshape(-1), shape_index * (_CELLS + 1) + cell
         below = flat[start]
-        return np.asarray(below + (place - cell) * (flat[start + 1] - below))
+        return np.asarray(below + (position - cell) * (flat[start + 1] - below))
 
 
 def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return size-free scale, ln T0, and the first's deviation, slope and rest, if the shape were that of nodes."""
+    """Return size-free scale, ln T0, and the std, slope and remainder of the former, at the nodes' shapes."""
     c, offset = pulses.covariance, shape - pulses.shape[:, None]
     slope = c[:, :2, 2] / c[:, 2:, 2]
     left = c[:, :2, :2] - slope[:, :, None] * c[:, None, :2, 2]
@@ -339,30 +339,30 @@ def _given_shape(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats,
 
 
 def _normal(n: int) -> Floats:
-    """Return n evenly likely numbers of a standard normal distribution."""
+    """Return n equally likely numbers of a standard normal distribution."""
     return np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
 
 
 def _quantiles(values: dict[str, Floats], weight: Floats) -> dict[str, Floats]:
     """Return quantiles of weighted rows, each (n, n_levels), by histograms; nan for rows without weight."""
-    n, most = len(weight), weight.max(axis=1, initial=0.0)
-    counted = weight > np.where(most > 0, 1e-4 * most, np.inf)[:, None]
+    n, max_weight = len(weight), weight.max(axis=1, initial=0.0)
+    counted = weight > np.where(max_weight > 0, 1e-4 * max_weight, np.inf)[:, None]
     n_counted = counted.sum(axis=1)
-    known = np.flatnonzero(n_counted)
-    row = np.repeat(np.arange(known.size), n_counted[known])
-    first = np.searchsorted(row, np.arange(known.size))
+    has_weight = np.flatnonzero(n_counted)
+    row = np.repeat(np.arange(has_weight.size), n_counted[has_weight])
+    first = np.searchsorted(row, np.arange(has_weight.size))
     heavy, start = weight[counted], row * _POSTERIOR
     quantiles = {}
     for name, column in values.items():
         quantiles[name] = np.full((n, LEVELS.size), np.nan)
-        if known.size:
+        if has_weight.size:
             selected = column[counted]
             low, high = np.minimum.reduceat(selected, first), np.maximum.reduceat(selected, first)
             cell = np.maximum(high - low, 1e-9) / (_POSTERIOR - 1)
-            place = ((selected - low[row]) / cell[row] + 0.5).astype(np.intp)
-            mass = np.bincount(start + np.minimum(place, _POSTERIOR - 1), heavy, known.size * _POSTERIOR)
+            position = ((selected - low[row]) / cell[row] + 0.5).astype(np.intp)
+            mass = np.bincount(start + np.minimum(position, _POSTERIOR - 1), heavy, has_weight.size * _POSTERIOR)
             at = _crossed(np.asarray(mass.reshape(-1, _POSTERIOR), np.float64))
-            quantiles[name][known] = low[:, None] + cell[:, None] * (at - 0.5)
+            quantiles[name][has_weight] = low[:, None] + cell[:, None] * (at - 0.5)
     return quantiles
 
 

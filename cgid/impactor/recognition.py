@@ -1,6 +1,6 @@
-"""The impactor, from samples: forces, or vibrations of a beam.
+"""The impactor from samples of forces or vibrations of a beam.
 
-Where the material is known, Hertz' two scales give radius and speed, without a population.
+If the material is given, Hertz' two scales yield radius and speed without a population.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from cgid.physics.materials import STEEL, Material
 from cgid.scene import Scene, load_scene
 from cgid.validation import Floats, require_rate
 
-#: Vibrations looked at at once.
+#: Vibrations processed at once.
 _ROWS = 256
-#: Step of the shape for slopes.
+#: Step of the shape for finite differences.
 _STEP = 1e-3
 
 
@@ -43,30 +43,29 @@ def estimate_impactors(
     pre_trigger: int | None = None,
     **options: Any,
 ) -> ImpactorEstimates:
-    """Tell mass, radius and speed of the impactor, with intervals.
+    """Estimate mass, radius and speed of the impactor, with intervals.
 
-    A pulse alone leaves radius, speed and modulus undetermined in one direction; what can have struck fills it.
+    A pulse does not determine radius, speed and modulus in one direction; the possible impactors determine it.
 
     Parameters
     ----------
     samples : array_like, (n_samples,) or (n_signals, n_samples)
-        One impact a row: forces [N]; or, among the rocks of a scene with a beam and a sensor of motion, what this
-        sensor measures, in its SI unit.
+        One impact per row: forces [N], or for a scene with a beam and a sensor of motion its samples in the SI unit.
     sampling_rate : float
         [Hz].
     among : str, Path, Scene, StrikerPopulation or Material
-        What can have struck: a scene (a shipped one or a file), draws, or spheres of one material.
+        Possible impactors: a scene (a shipped one or a file), draws, or spheres of one material.
     target : HalfSpace or RIGID
-        What a sphere of one material struck; a scene states it.
+        Target of a sphere of one material; a scene specifies it.
     pre_trigger : int, optional
         Samples before onset, as in `cgid.identification.estimation.estimate`.
     **options
-        More arguments of `estimate`, for forces: noise, clip_level, bandwidth and others.
+        Other arguments of `estimate`, for forces: noise, clip_level, bandwidth and others.
 
     Returns
     -------
     ImpactorEstimates
-        Nan, with the reason, where nothing is known: the fit failed, the pulse is saturated, or the population has no
+        Nan, with the reason, without an estimate: the fit failed, the pulse is saturated, or the population contains no
         such impactor.
 
     Raises
@@ -74,7 +73,7 @@ def estimate_impactors(
     BadData
         Samples are not finite rows of numbers, or a force has no impact.
     InvalidValue
-        A number breaks its rule, or the scene has no population to tell impactors by.
+        A number breaks its rule, or the scene has no population.
 
     Examples
     --------
@@ -94,9 +93,7 @@ def estimate_impactors(
     if isinstance(among, Scene):
         if is_behind_beam(among):
             if options:
-                raise InvalidValue(
-                    f"{min(options)} is for forces, scene {among.name} looks through its beam; leave it out"
-                )
+                raise InvalidValue(f"{min(options)} is for forces, scene {among.name} has a beam; leave it out")
             frames = frames_of(samples, pre_trigger).astype(np.float64, copy=False)
             return population_of(among).posterior(through_beam(frames, sampling_rate, pre_trigger, beam_behind(among)))
         among = population_of(among)
@@ -125,7 +122,7 @@ def through_beam(
         part = np.asarray(frames[first : first + _ROWS], np.float64)
         batch = VibrationBatch(part, rate, pre_trigger, detection_limit=detection_limit)
         failed = batch.problems()
-        # A frame of nothing would fail in the inversion: any other stands in for it.
+        # An empty frame would fail in the inversion: any other stands in for it.
         sound = np.delete(np.arange(len(part)), np.fromiter(failed, np.intp))
         if sound.size and failed:
             filled = part.copy()
@@ -190,20 +187,22 @@ def _scales(material: Material, target: HalfSpace | RigidWall) -> tuple[float, f
     """Return ln of 4/3 E* and of 4/3 pi rho."""
     if not isinstance(target, HalfSpace | RigidWall):
         raise InvalidValue(
-            f"target must be a HalfSpace or RIGID to tell radius and speed by, got a {type(target).__name__}; "
-            "take a population with this target"
+            f"target must be a HalfSpace or RIGID to estimate radius and speed, got a {type(target).__name__}; "
+            "use a population with this target"
         )
     compliance = np.asarray(material.plane_strain_compliance, np.float64)
     density = np.asarray(material.density, np.float64)
     if compliance.size != 1 or density.size != 1:
-        raise InvalidValue(f"material must be one material, got {max(compliance.size, density.size)}; take one by one")
+        raise InvalidValue(
+            f"material must be one material, got {max(compliance.size, density.size)}; estimate one by one"
+        )
     if target is not RIGID and isinstance(target, HalfSpace):
         compliance = compliance + np.asarray(target.material.plane_strain_compliance, np.float64)
     return float(np.log(4 / 3 / compliance).ravel()[0]), float(np.log(4 / 3 * np.pi * density).ravel()[0])
 
 
 def _observed(pulses: MeasuredPulses, shape: Floats) -> tuple[Floats, Floats]:
-    """Return ln(P0 / T0^2) and ln T0 of pulses, if this were their shape."""
+    """Return ln(P0 / T0^2) and ln T0 of pulses for a given shape."""
     log_peak, log_width = dimensionless_logarithms(shape, "peak", "width")
     time = pulses.log_width - log_width
     return pulses.log_peak - log_peak - 2 * time, time

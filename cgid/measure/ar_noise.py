@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 
 from cgid.validation import Floats
 
-#: Coefficients, fewest samples for them, and most samples that are looked at.
-ORDER, FEWEST, MOST = 16, 40, 512
+#: Number of coefficients, minimum number of samples to fit them, and maximum number of samples used.
+ORDER, MIN_SAMPLES, MAX_SAMPLES = 16, 40, 512
 #: Highest order of an autoregression of any colour.
 _FREE_ORDER = 4
-#: By how much twice the ln(likelihood) of any colour must rise beyond Schwarz's criterion.
+#: Increase of twice the log-likelihood, beyond Schwarz's criterion, that an autoregression of any colour needs.
 _MARGIN = 6.0
 #: Autocorrelations that are tested, and the sum of their squares times the samples from which noise may be coloured:
 #: white noise exceeds it once in twenty times.
 _TESTED, _SUSPICION = 4, 9.5
-#: Exponents, shares of white noise, and samples to a period of the slowest noise.
+#: Exponents, fractions of white noise, and samples per period of the slowest noise.
 _EXPONENTS, _WHITE, _PERIOD = np.arange(0.25, 2.01, 0.25), np.array([0.0, 0.1, 0.3, 0.6]), 4096
 
 
 @dataclass(frozen=True, eq=False)
 class ARNoise:
-    """Autoregression of the noise of some rows."""
+    """Autoregressive model of the noise of some rows."""
 
     coefficients: Floats  # (n, ORDER), 0 for white noise
     innovation: Floats  # (n,), standard deviation of what earlier samples do not predict
@@ -42,7 +42,7 @@ class ARNoise:
         return np.flatnonzero(self.coefficients.any(axis=1))
 
     def of(self, rows: NDArray[np.intp]) -> ARNoise:
-        """Return that of some rows."""
+        """Return the models of some rows."""
         return ARNoise(self.coefficients[rows], self.innovation[rows])
 
     def power(self, frequency: Floats) -> Floats:
@@ -68,10 +68,10 @@ def ar_noise_of(samples: NDArray[np.floating], n_quiet: Floats, floor: Floats, r
     n_samples = samples.shape[1]
     stop = np.minimum(n_quiet.astype(np.intp), n_samples)
     # Rows with the same number of samples go together, so that a row does not depend on its neighbours.
-    for length in sorted(set(np.minimum(stop // run, MOST).tolist())):
-        if length < FEWEST:
+    for length in sorted(set(np.minimum(stop // run, MAX_SAMPLES).tolist())):
+        if length < MIN_SAMPLES:
             continue
-        rows = np.flatnonzero(np.minimum(stop // run, MOST) == length)
+        rows = np.flatnonzero(np.minimum(stop // run, MAX_SAMPLES) == length)
         first = rows * n_samples + stop[rows] - length * run
         seen = samples.ravel().take(first[:, None] + np.arange(length * run)).astype(np.float64)
         if run > 1:
@@ -95,10 +95,10 @@ def _coloured(seen: Floats, white: Floats) -> tuple[Floats, Floats]:
     lagged -= lagged.mean(axis=2, keepdims=True)
     gram = lagged @ np.swapaxes(lagged, 1, 2) / count
     gram[:, np.arange(ORDER + 1), np.arange(ORDER + 1)] += white[:, None]
-    known = _power_laws()
-    left = np.einsum("nmj,mj->nm", np.matmul(known, gram), known)
+    candidates = _power_laws()
+    left = np.einsum("nmj,mj->nm", np.matmul(candidates, gram), candidates)
     best = np.argmin(left, axis=1)
-    coefficients, left = -known[best, 1:], left[np.arange(n), best]
+    coefficients, left = -candidates[best, 1:], left[np.arange(n), best]
     criterion = count * np.log(left / gram[:, 0, 0]) + np.log(count)
     for order in range(1, _FREE_ORDER + 1):
         inner = slice(1, order + 1)
@@ -115,14 +115,14 @@ def _coloured(seen: Floats, white: Floats) -> tuple[Floats, Floats]:
 
 @cache
 def _power_laws() -> Floats:
-    """Return what filters noise of power laws on white noise to white: 1 and minus the coefficients, (n, ORDER + 1)."""
+    """Return the filters that whiten power-law noise on white noise: 1 and minus the coefficients, (n, ORDER + 1)."""
     frequency = np.fft.rfftfreq(_PERIOD)
     frequency[0] = frequency[1]
-    apart = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
+    lag_table = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
     filters = []
     for exponent in _EXPONENTS:
         lags = np.fft.irfft(frequency**-exponent)[: ORDER + 1]
         for white in _WHITE:
             correlation = (1 - white) * lags / lags[0] + white * (np.arange(ORDER + 1) == 0)
-            filters.append(np.append(1.0, -np.linalg.solve(correlation[apart], correlation[1:])))
+            filters.append(np.append(1.0, -np.linalg.solve(correlation[lag_table], correlation[1:])))
     return np.array(filters)

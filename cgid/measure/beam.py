@@ -18,22 +18,22 @@ from cgid.errors import BadData
 from cgid.measure.modes import CORRECTED, Modes, NodeShapes, lagrange, phi, residues
 from cgid.validation import Floats
 
-#: Places of an average over the error of a frequency.
+#: Quadrature nodes of an average over the error of a frequency.
 _DRAWS = 5
-#: Points of a contact force to a sample, and length of a table of forces [s].
+#: Points of a contact force per sample, and length of a table of forces [s].
 FINE, FORCE_TIME = 16, 3.9e-3
-#: Samples at the start of a table of forces, within which touch lies.
+#: Samples at the start of a table of forces, within which the onset lies.
 TOUCH = 7
-#: How long the response to an impact is compared [s].
+#: Length of the compared part of a response [s].
 SPAN_TIME = 25e-3
-#: Distance of the places of the grid [m].
+#: Spacing of the grid of locations [m].
 GRID = 0.025
 #: Sampling rates [Hz]: a table of forces has 14 samples or more, a response at most 12,500.
 RATES = (2 * TOUCH / FORCE_TIME, 5e5)
-#: Maximum number of modes, places of the grid, and samples of all responses together (a quarter of a gigabyte in single
+#: Maximum number of modes, grid locations, and samples of all responses together (a quarter of a gigabyte in single
 #: precision).
 MAX_MODES, MAX_PLACES, MAX_NUMBERS = 1024, 1 << 14, 1 << 26
-#: Maximum number of sensors; least and largest share of a participation that a sensor measures best.
+#: Maximum number of sensors; smallest and largest fraction of a participation that a sensor measures.
 MAX_SENSORS, _SHARES = 16, (1e-6, 1e6)
 #: Maximum number of shapes, poles of filters, and nodes in a direction.
 _MAX_SHAPES, _MAX_FILTERS, _MAX_NODES = 64, 32, 512
@@ -52,7 +52,7 @@ class Beam:
     OPTIONAL: ClassVar = ("sensors", "errors")
     ARRAYS: ClassVar = ("scalars", "poles", "participation", "region", "filters", "shapes", "deviations", *OPTIONAL)
 
-    sampling_rate: float  # of the recorder whose anti-alias filter `filters` describes [Hz]
+    sampling_rate: float  # sampling rate of the recorder with the anti-alias filter `filters` [Hz]
     #: shapes at nodes where rocks fall, times that at the best sensor and a gain [1/kg]; fractions by sensor
     modes: Modes
     #: (n_filter_poles,), poles of the sensor chain, in the upper half-plane and on the real axis [rad/s]
@@ -94,7 +94,7 @@ class Beam:
 
     @property
     def n_sensors(self) -> int:
-        """Number of sensors, whose samples are looked at together."""
+        """Number of sensors; their samples are inverted together."""
         return len(self.shares)
 
     def with_shapes(self, participation: Floats) -> Beam:
@@ -110,10 +110,10 @@ class Beam:
         """Number of samples of a response to an impact."""
         return round(SPAN_TIME * self.sampling_rate)
 
-    def grid(self, apart: float) -> tuple[Floats, Floats, Singles]:
-        """Return x and y of a grid of places in the region, each (n_places,) [m], and their weights as in `weights`."""
+    def grid(self, spacing: float) -> tuple[Floats, Floats, Singles]:
+        """Return x and y of a grid in the region, each (n_places,) [m], and their weights as in `weights`."""
         sides, axes = [], []
-        for axis, n in enumerate(sides_of(self.region, apart)):
+        for axis, n in enumerate(sides_of(self.region, spacing)):
             low, high = self.region[2 * axis : 2 * axis + 2].tolist()
             sides.append(np.linspace(low, high, n))
             axes.append(lagrange(self.participation.shape[axis + 1], low, high, sides[-1])[0])
@@ -122,7 +122,7 @@ class Beam:
         return x, y, np.ascontiguousarray(at.T, dtype=np.float32)
 
     def weights(self, x: Floats, y: Floats) -> tuple[Singles, Singles, Singles]:
-        """Return the participation of the modes at places (n,) [m] and its slopes in x and y, each (n, n_modes)."""
+        """Return the participation of the modes at locations (n,) [m] and its slopes in x and y, each (n, n_modes)."""
         n_modes, n_x, n_y = self.participation.shape
         along, along_slope = lagrange(n_x, self.region[0], self.region[1], x)
         across, across_slope = lagrange(n_y, self.region[2], self.region[3], y)
@@ -142,7 +142,7 @@ class Beam:
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The beam as arrays for a model file."""
-        found = {
+        arrays = {
             "beam.scalars": np.array([self.sampling_rate, float(self.derivatives)]),
             "beam.poles": np.stack([self.poles.real, self.poles.imag]),
             "beam.participation": self.participation,
@@ -152,11 +152,11 @@ class Beam:
             "beam.deviations": self.deviations,
         }
         if self.n_sensors > 1:
-            found["beam.sensors"] = self.shares
+            arrays["beam.sensors"] = self.shares
         if self.errors is not None:
-            found["beam.errors"] = self.errors
-        # A file holds no empty array.
-        return {name: array for name, array in found.items() if array.size}
+            arrays["beam.errors"] = self.errors
+        # A file contains no empty array.
+        return {name: array for name, array in arrays.items() if array.size}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Beam | None:
@@ -175,7 +175,7 @@ class Beam:
             raise BadData(f"beam.scalars must be sampling rate and derivatives, got shape {stored['scalars'].shape}")
         poles, sensors = _complex("poles", stored["poles"]), stored.get("sensors")
         if not (poles.imag > 0).all():
-            raise BadData("beam.poles must lie in the upper half-plane; train the model again")
+            raise BadData("beam.poles must be in the upper half-plane; train the model again")
         size = np.abs(poles)
         beam = cls(
             sampling_rate=float(stored["scalars"][0]),
@@ -225,8 +225,8 @@ class Beam:
         if not sound:
             raise BadData("the arrays of a beam must fit each other, with poles that decay; train the model again")
         counts = (n_shapes, len(self.filters), *self.participation.shape[1:], self.n_sensors)
-        most = (_MAX_SHAPES, _MAX_FILTERS, _MAX_NODES, _MAX_NODES, MAX_SENSORS)
-        few = all(one <= limit for one, limit in zip(counts, most, strict=True))
+        limits = (_MAX_SHAPES, _MAX_FILTERS, _MAX_NODES, _MAX_NODES, MAX_SENSORS)
+        few = all(one <= limit for one, limit in zip(counts, limits, strict=True))
         if not few or not bounded(n_modes, n_shapes, self.n_sensors * self.n_samples, self.region):
             n_samples, sides = n_modes * n_shapes * self.n_sensors * self.n_samples, np.diff(self.region)[::2]
             raise BadData(
@@ -238,14 +238,14 @@ class Beam:
 
 
 def bounded(n_modes: int, n_shapes: int, n_samples: int, region: Floats) -> bool:
-    """Return whether the tables of a beam have a size that a computer can hold."""
+    """Return whether the tables of a beam fit in memory."""
     along, across = sides_of(region, GRID)
     return n_modes <= MAX_MODES and n_modes * n_shapes * n_samples <= MAX_NUMBERS and along * across <= MAX_PLACES
 
 
-def sides_of(region: Floats, apart: float) -> tuple[int, int]:
-    """Return the number of places of a grid in either direction."""
-    along, across = (int(np.ceil((high - low) / apart)) + 1 for low, high in region.reshape(2, 2).tolist())
+def sides_of(region: Floats, spacing: float) -> tuple[int, int]:
+    """Return the number of grid points in either direction."""
+    along, across = (int(np.ceil((high - low) / spacing)) + 1 for low, high in region.reshape(2, 2).tolist())
     return along, across
 
 
@@ -315,25 +315,27 @@ def respond(beam: Beam, forces: Floats, n_samples: int) -> Floats:
 def corrected(beam: Beam, correction: Floats) -> Beam:
     """Return a beam with corrections (3, n_modes) of ln frequency, ln damping ratio and ln participation."""
     of_poles = np.concatenate([correction[:2], np.zeros_like(correction[2:])])
-    found = replace(beam, modes=beam.modes.corrected(of_poles))
-    return found.with_shapes(beam.participation * np.exp(correction[2])[:, None, None])
+    result = replace(beam, modes=beam.modes.corrected(of_poles))
+    return result.with_shapes(beam.participation * np.exp(correction[2])[:, None, None])
 
 
 def respond_on_average(beam: Beam, forces: Floats, n_samples: int) -> tuple[Floats, list[Floats]]:
-    """Return the mean of `respond` over the errors of the modes, and deviations whose squares sum to its variance."""
+    """Return the mean of `respond` over the errors of the modes, and terms whose squares sum to its variance."""
     # The error of a frequency turns a response by radians, so it needs Gauss-Hermite quadrature; for damping and
     # participation slopes suffice.
     errors = beam.errors
     if errors is None:
         return respond(beam, forces, n_samples), []
 
-    def off(row: int, deviations: float) -> Floats:
+    def off(row: int, n_std: float) -> Floats:
         correction = np.zeros((len(CORRECTED), len(beam.poles)))
-        correction[row] = deviations * errors[row]
+        correction[row] = n_std * errors[row]
         return respond(corrected(beam, correction), forces, n_samples)
 
-    places, shares = np.polynomial.hermite_e.hermegauss(_DRAWS)
-    drawn = [off(0, place) for place in places.tolist()]
-    mean = np.tensordot(shares / shares.sum(), drawn, 1)
-    found = [np.sqrt(share) * (one - mean) for share, one in zip(shares / shares.sum(), drawn, strict=True)]
-    return mean, [*found, (off(1, 1.0) - off(1, -1.0)) / 2, errors[2][:, None, None] * mean]
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_DRAWS)
+    responses = [off(0, node) for node in nodes.tolist()]
+    mean = np.tensordot(weights / weights.sum(), responses, 1)
+    deviations = [
+        np.sqrt(weight) * (one - mean) for weight, one in zip(weights / weights.sum(), responses, strict=True)
+    ]
+    return mean, [*deviations, (off(1, 1.0) - off(1, -1.0)) / 2, errors[2][:, None, None] * mean]

@@ -32,11 +32,12 @@ __all__ = ["FEATURES", "choose", "extract"]
 BLOCK_SAMPLES, _ROWS = 1 << 21, 1024
 #: Maximum number of samples of windows measured at once: their overlapping frames fit in the processor's cache.
 _WINDOWED_SAMPLES = 1 << 17
-#: How far windows extend after onset, in contact durations and in samples: for quantities read off the samples (the
+#: Extent of windows after onset, in contact durations and in samples: for quantities read off the samples (the
 #: run above 10 %, once more after its end), and for the fit (its bins and windows).
 _READ, _FITTED = (2.0, 6), (2.25, 54)
-#: Features that look through a beam need this many standard deviations less over the noise before a vibration: the
-#: modes find an impact where the samples alone do not show it, as in the ringing of an earlier one.
+#: The detection limit of features inverted through a beam is lower by this many standard deviations of the noise before
+#: the vibration: the modes detect an impact that the samples alone do not show, such as one during the ring-down of
+#: another.
 BEAM_LEAD = 2.0
 #: Signals by kind.
 Batches = Mapping[Kind, PulseBatch | VibrationBatch | WindowBatch]
@@ -108,8 +109,8 @@ def choose(features: Iterable[str] | None, kind: Kind = "pulse") -> tuple[str, .
 def require_known(name: str) -> None:
     """Raise `InvalidValue` for an unknown feature; the message lists similar names."""
     if not isinstance(name, str) or name not in FEATURES:
-        known = [*FEATURES, *(entry.name for entry in FEATURES.entries if "*" in entry.name)]
-        likely = validation.similar(str(name), known, n=5, cutoff=0.3)
+        names = [*FEATURES, *(entry.name for entry in FEATURES.entries if "*" in entry.name)]
+        likely = validation.similar(str(name), names, n=5, cutoff=0.3)
         raise InvalidValue(
             f"feature must be one of the {len(FEATURES)} that `cgid features --list` describes, got {name!r}; most "
             f"like it are {', '.join(likely) or 'none'}"
@@ -269,15 +270,15 @@ def measured(
     beam: Beam | None = None,
     channel: NDArray[np.intp] | None = None,
 ) -> tuple[Floats, dict[int, str]]:
-    """Return the features of checked frames, nan where a signal cannot be measured, and signal -> why not."""
-    # The frames of the sensors of a signal follow each other; it has a problem where none of them can be measured. A
+    """Return the features of checked frames, nan where a signal cannot be measured, and a dict of signal -> reason."""
+    # The frames of the sensors of a signal are adjacent; the signal has a problem if none of them can be measured. A
     # `beam` that learns from the channels of a recording gets the `channel` of each signal.
     each = 1 if beam is None else beam.n_sensors
     features = [FEATURES[name] for name in names]
     values = np.full((len(frames) // each, len(names)), np.nan)
     problems: dict[int, str] = {}
-    most = _WINDOWED_SAMPLES if any(feature.kind == "window" for feature in features) else BLOCK_SAMPLES
-    n_rows = max(min(most // frames.shape[1], _ROWS), 1)
+    max_samples = _WINDOWED_SAMPLES if any(feature.kind == "window" for feature in features) else BLOCK_SAMPLES
+    n_rows = max(min(max_samples // frames.shape[1], _ROWS), 1)
     how = (sampling_rate, features, pre_trigger, remove_baseline, detection_limit, beam)
     for first in range(0, len(values), n_rows):
         part = frames[first * each : (first + n_rows) * each]
@@ -347,7 +348,7 @@ def _batches(
     how = (frames, sampling_rate, pre_trigger, remove_baseline, detection_limit)
     batches: dict[Kind, PulseBatch | VibrationBatch | WindowBatch] = {}
     for kind in {feature.kind for feature in features}:
-        if kind == "window":  # has no touch
+        if kind == "window":  # has no onset
             batches[kind] = WindowBatch(frames, sampling_rate, remove_baseline)
         else:
             batches[kind] = PulseBatch(*how) if kind == "pulse" else VibrationBatch(*how)
@@ -357,7 +358,7 @@ def _batches(
 
 
 def _problems(batches: Batches, features: Sequence[Feature]) -> dict[int, str]:
-    """Return the problems by row; a fit demands less of a pulse than quantities read off the samples."""
+    """Return the problems by row; a fit requires less of a pulse than quantities read off the samples."""
     problems: dict[int, str] = {}
     fitted = {feature.fitted for feature in features if feature.kind == "pulse"}
     for batch in batches.values():
@@ -376,10 +377,10 @@ def allow_truncation(names: Iterable[str]) -> bool:
     return not any(FEATURES[name].whole_frame for name in names)
 
 
-def samples_needed(names: Iterable[str], touch: Floats, duration: Floats) -> NDArray[np.intp]:
-    """Return the lengths of truncated frames that hold all windows of typical pulses, (n,); arguments in samples."""
+def samples_needed(names: Iterable[str], onset: Floats, duration: Floats) -> NDArray[np.intp]:
+    """Return the lengths of truncated frames that contain all windows of typical pulses, (n,); arguments in samples."""
     contacts, more = _FITTED if any(FEATURES[name].fitted for name in names) else _READ
-    return np.ceil(touch + contacts * duration + more).astype(np.intp)
+    return np.ceil(onset + contacts * duration + more).astype(np.intp)
 
 
 def extract_truncated(
@@ -389,7 +390,7 @@ def extract_truncated(
     pre_trigger: int,
     highest_after: Floats,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the features of pulses in truncated frames, nan where not measurable, and where they are certain."""
+    """Return the features of pulses in truncated frames, nan where not measurable, and a mask of the certain ones."""
     # Certain: no missing sample (at most `highest_after`, (n_signals,)) can exceed the peak, and no window extends past
     # the end. These equal those of the complete frame to the last bit.
     table, certain = np.full((len(samples), len(names)), np.nan), np.zeros(len(samples), bool)

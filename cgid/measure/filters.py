@@ -86,7 +86,7 @@ def fft_filter(
     given = validation.plain("samples", samples)
     values: NDArray[np.floating] = given if given.dtype == np.float32 else validation.real("samples", given)
     if values.ndim == 0 or values.shape[-1] < 2:
-        raise InvalidValue(f"samples must hold at least 2 samples along the last axis, got shape {values.shape}")
+        raise InvalidValue(f"samples must contain at least 2 samples along the last axis, got shape {values.shape}")
     if not np.isfinite(values).all():
         raise InvalidValue(f"samples must be finite, {np.sum(~np.isfinite(values))} of {values.size} are not")
     rate = require_rate(sampling_rate)
@@ -137,8 +137,8 @@ def filter_gain(frequency: Floats, sampling_rate: float, low: float | None, high
 def _below(frequency: Floats, edge: float, taper: float) -> Floats:
     if taper == 0:
         return np.asarray(frequency <= edge, np.float64)
-    place = np.clip((frequency - edge) / (taper * edge), -0.5, 0.5)
-    return np.asarray(0.5 - 0.5 * np.sin(np.pi * place))
+    position = np.clip((frequency - edge) / (taper * edge), -0.5, 0.5)
+    return np.asarray(0.5 - 0.5 * np.sin(np.pi * position))
 
 
 def low_pass_response(sampling_rate: float, edge: float) -> Floats:
@@ -158,8 +158,8 @@ def mixing_matrix(response: Floats, n_samples: int) -> Floats:
     """Return the matrix (n_samples, n_samples) that applies a symmetric impulse response to rows of samples."""
     if n_samples > _MAX_MIXED:
         raise InvalidValue(
-            f"a pulse seen through a bandwidth must last at most {_MAX_MIXED} samples with what rings beside it, got "
-            f"{n_samples}; leave the bandwidth out, which so long a pulse hardly feels, or take fewer samples"
+            f"a low-passed pulse must last at most {_MAX_MIXED} samples with the ringing of its filter, got "
+            f"{n_samples}; leave the bandwidth out, which hardly changes such a long pulse, or use fewer samples"
         )
     lags = np.zeros(2 * n_samples - 1)
     truncated = response[:n_samples]
@@ -192,14 +192,14 @@ class Equalisation:
             raise InvalidValue(f"gains must be one number for each of {len(MEL_BANDS)} bands, got shape {gains.shape}")
         if np.abs(gains).max() > MAX_GAIN:
             raise InvalidValue(
-                f"gains must lie within {MAX_GAIN:g} dB of none, got {gains[np.argmax(np.abs(gains))]:g} dB: check "
+                f"gains must be within {MAX_GAIN:g} dB of none, got {gains[np.argmax(np.abs(gains))]:g} dB: check "
                 "the sensor, its cable and its reference run"
             )
         object.__setattr__(self, "gains", gains)
 
     @classmethod
-    def between(cls, heard: ArrayLike, meant: ArrayLike) -> Equalisation:
-        """Return the equalisation of a sensor (`measured`) to another one (`meant`).
+    def between(cls, measured: ArrayLike, target: ArrayLike) -> Equalisation:
+        """Return the equalisation of a sensor (`measured`) to another one (`target`).
 
         Both are mean spectra of reference runs, log10 of the mean square per band, (n_bands,).
 
@@ -209,7 +209,7 @@ class Equalisation:
         >>> float((Equalisation.between(quiet, loud).apply(samples, 1e4).std() / samples.std()).round(4))
         1.9953
         """
-        return cls(gains=10.0 * (validation.real("meant", meant) - validation.real("heard", heard)))
+        return cls(gains=10.0 * (validation.real("meant", target) - validation.real("heard", measured)))
 
     def gain(self, frequency: Floats) -> Floats:
         """Return the gain [dB] at frequencies [Hz]."""

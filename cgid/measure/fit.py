@@ -16,25 +16,25 @@ from cgid.measure.fit_samples import Rows, rows_of, windows
 from cgid.measure.frames import constant_signal
 from cgid.measure.optimum import Optimum, Problems, search_nearby
 from cgid.measure.profile import PARABOLIC, Profiled, binned, exact, gaussian_restitution, parabolic
-from cgid.measure.search import Found, around, last_bin, search
+from cgid.measure.search import SearchResult, around, last_bin, search
 from cgid.measure.template import relative_times
 from cgid.validation import Floats
 
 #: Rows fitted at once.
 _ROWS = 2048
-#: Extent of the samples that the search looks at, over what the pulse of the start would need.
+#: Extent of the samples that the search uses, over that of the initial pulse.
 _REACH = 2.0
-#: Samples of the unit of the search from which its bins tell as much as the samples.
+#: Unit of the search [samples] above which its bins contain as much information as the samples.
 _WELL_BINNED = 12.0
 #: Highest fitted shape for which the likelihood is profiled.
 _MAX_PROFILED = 0.3
 #: Smallest noise over the peak: the accuracy of the template.
 _NOISE_FLOOR = 1e-5
-#: Deviations of this share of the peak count as noise in the misfit.
+#: Deviations below this fraction of the peak count as noise in the misfit.
 MODEL_ERROR = 1e-3
-#: Samples outside the pulse of this share of the peak are nothing strange: hum, the ringing of a filter.
+#: Samples outside the pulse may reach this fraction of the peak: hum, or the ringing of a filter.
 STRAY = 0.03
-#: Column of the frame that stands for any beyond it.
+#: Column of the frame that represents any beyond it.
 _FAR = 1e9
 #: A deviation of this many standard deviations outside the window counts as a misfit of 1.
 _OUTLIER = 5.5
@@ -47,20 +47,20 @@ EVIDENCE = 40.0
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Start of the search: peak, width (impulse over peak) [samples] and place (column of the peak), each (n,)."""
+    """Start of the search: peak, width (impulse over peak) and time of the peak [samples], each (n,)."""
 
     peak: Floats
     width: Floats
-    place: Floats
+    peak_time: Floats
 
-    def rows(self, chosen: Rows) -> Start:
+    def rows(self, selected: Rows) -> Start:
         """Return some of the rows."""
-        return Start(self.peak[chosen], self.width[chosen], self.place[chosen])
+        return Start(self.peak[selected], self.width[selected], self.peak_time[selected])
 
 
 @dataclass(frozen=True, eq=False)
 class PulseFit:
-    """Fitted pulses; each attribute (n,) unless stated, times in samples of the frame."""
+    """Fitted pulses; each attribute is (n,) unless noted, times are in samples of the frame."""
 
     peak: Floats  # above the baseline, in the unit of the signal
     duration: Floats
@@ -92,13 +92,13 @@ class PulseFit:
             *(none,) * 6, np.empty((0, 5, 5)), *(none,) * 5, *(np.empty(0, kind) for kind in (int, float, bool, int))
         )
 
-    def spread(self, places: NDArray[np.intp], n: int) -> PulseFit:
-        """Return n rows with these at `places`; the others are nan, not clipped and not converged."""
+    def spread(self, rows: NDArray[np.intp], n: int) -> PulseFit:
+        """Return n rows with these fits at `rows`; the others are nan, not clipped and not converged."""
         spread = {}
         for f in fields(self):
-            held = getattr(self, f.name)
-            spread[f.name] = np.full((n, *held.shape[1:]), np.nan if held.dtype.kind == "f" else 0, held.dtype)
-            spread[f.name][places] = held
+            values = getattr(self, f.name)
+            spread[f.name] = np.full((n, *values.shape[1:]), np.nan if values.dtype.kind == "f" else 0, values.dtype)
+            spread[f.name][rows] = values
         return PulseFit(**spread)
 
     @property
@@ -109,20 +109,20 @@ class PulseFit:
 
 def without_impact(samples: NDArray[np.floating], fit: PulseFit) -> dict[int, str]:
     """Map each row whose fitted pulse may be chance to the broken rule, its value and the remedy."""
-    found: dict[int, str] = {}
+    problems: dict[int, str] = {}
     for row in np.flatnonzero(~(fit.evidence > EVIDENCE) | ~(fit.peak > 0)):
         explained = np.nan_to_num(fit.evidence[row])
-        found[int(row)] = (
+        problems[int(row)] = (
             f"no impact: a pulse must explain {EVIDENCE:g} times the variance of the noise, the best one explains "
             f"{explained:.3g} times; if the pulse points downwards, invert the signal"
         )
         if fit.peak[row] < 0:
-            found[int(row)] = (
+            problems[int(row)] = (
                 f"no impact: a pulse must point upwards, the best one reaches {fit.peak[row]:.3g}; invert the signal"
             )
         if np.ptp(samples[row]) == 0:
-            found[int(row)] = constant_signal(samples[row, 0])
-    return found
+            problems[int(row)] = constant_signal(samples[row, 0])
+    return problems
 
 
 # -- the fit ------------------------------------------------------------------------------------------
@@ -173,11 +173,11 @@ def _fit_block(
     # In units of its first peak, every pulse is of order 1.
     unit, n = start.peak, len(samples)
     noise_over_peak = np.maximum(noise / unit, _NOISE_FLOOR)
-    guess, reach, found_of = np.empty((n, 5)), np.zeros(n), []
-    for rows, window_block in around(samples, start.place, start.width, offset, clip_level, _REACH):
-        found = search(window_block, start.place[rows], start.width[rows], fit_baseline)
-        found_of.append((rows, found))
-        guess[rows], reach[rows] = found.start(), window_block.reach
+    guess, reach, results = np.empty((n, 5)), np.zeros(n), []
+    for rows, window_block in around(samples, start.peak_time, start.width, offset, clip_level, _REACH):
+        nearby = search(window_block, start.peak_time[rows], start.width[rows], fit_baseline)
+        results.append((rows, nearby))
+        guess[rows], reach[rows] = nearby.start(), window_block.reach
     parts, sigma = [], noise_over_peak.copy()
     floor = MODEL_ERROR * unit
     colour = None if n_quiet is None else ar_noise_of(samples, n_quiet, floor)
@@ -196,42 +196,42 @@ def _fit_block(
     guess[:, [0, 4]] /= unit[:, None]
     problems = Problems(parts, onset)
     best = search_nearby(problems, guess, sigma / np.sqrt(problems.averaged), np.arange(n))
-    return _report(problems, best, sigma, noise_over_peak, unit, Found.joined(found_of), reach)
+    return _report(problems, best, sigma, noise_over_peak, unit, SearchResult.joined(results), reach)
 
 
 def _report(
-    problems: Problems, best: Optimum, sigma: Floats, noise: Floats, unit: Floats, found: Found, reach: Floats
+    problems: Problems, best: Optimum, sigma: Floats, noise: Floats, unit: Floats, result: SearchResult, reach: Floats
 ) -> PulseFit:
     """Return the fitted pulses; `sigma`, `noise` and the parameters are in units of the start's peak."""
     variance = sigma**2 / problems.averaged
-    # A better recorder cannot know more than the model of the pulse is worth.
+    # The accuracy of the pulse model limits the fit, however good the recorder.
     believed = variance + (MODEL_ERROR * best.parameters[:, 0]) ** 2 / problems.averaged
     covariance = parabolic(problems, best, believed)
     shape = best.parameters[:, 3]
     restitution = gaussian_restitution(shape, covariance[:, 3, 3])
-    doubt = (covariance[:, 3, 3] > PARABOLIC**2) | found.in_doubt(shape, believed * problems.averaged * unit**2)
+    doubt = (covariance[:, 3, 3] > PARABOLIC**2) | result.in_doubt(shape, believed * problems.averaged * unit**2)
     doubt &= shape < _MAX_PROFILED
-    well = (found.unit >= _WELL_BINNED) & ~problems.coloured
+    well = (result.unit >= _WELL_BINNED) & ~problems.coloured
     for profiled, some in ((binned, well), (exact, ~well)):
         rows = np.flatnonzero(doubt & some)
         if rows.size:
-            profile = profiled(problems, found.rows(rows), unit[rows], rows)
+            profile = profiled(problems, result.rows(rows), unit[rows], rows)
             tops = _improve(problems, best, profile, believed, rows)
             covariance[rows], restitution[:, rows] = profile.moments(tops, believed[rows], problems)
-    peak, log_width, place, shape, baseline = best.parameters.T
+    peak, log_width, peak_time, shape, baseline = best.parameters.T
     width = np.exp(log_width)
     duration, lead, _, _ = relative_times(shape)
     covariance[:, 4] *= unit[:, None]
     covariance[:, :, 4] *= unit[:, None]
-    each = [(window.elsewhere, window.reach, *window.counts()) for window in problems.windows]
-    elsewhere, end, clipped, counted = (problems.gathered(part) for part in zip(*each, strict=True))
-    reach = np.maximum(np.maximum(end, reach), last_bin(place, width, shape))
+    each = [(window.largest_outside, window.reach, *window.counts()) for window in problems.windows]
+    outside, end, clipped, counted = (problems.gathered(part) for part in zip(*each, strict=True))
+    reach = np.maximum(np.maximum(end, reach), last_bin(peak_time, width, shape))
     freedom = np.maximum(counted - clipped - len(problems.free), 1)
-    strange = (elsewhere / _OUTLIER) ** 2
+    strange = (outside / _OUTLIER) ** 2
     return PulseFit(
         peak=peak * unit,
         duration=width * duration,
-        onset=place - lead * width,
+        onset=peak_time - lead * width,
         width=width,
         shape=shape,
         baseline=baseline * unit,
@@ -251,17 +251,17 @@ def _report(
 def _improve(
     problems: Problems, best: Optimum, profile: Profiled, variance: Floats, rows: NDArray[np.intp]
 ) -> list[Optimum]:
-    """Search again from the second-best shape of some rows; keep the better in place, return both."""
+    """Search again from the second-best shape of some rows; replace the worse results in place, return both."""
     tops = [best.rows(rows), best.rows(rows)]
     guess, likely = profile.second(tops[0], variance[rows])
     again = np.flatnonzero(likely)
     if again.size:
-        found = search_nearby(problems, guess[again], np.sqrt(variance[rows[again]]), rows[again])
-        better = found.cost < tops[0].cost[again]
-        tops[1].put(again[~better], found.rows(~better))
-        tops[0].put(again[better], found.rows(better))
-        best.put(rows[again[better]], found.rows(better))
+        nearby = search_nearby(problems, guess[again], np.sqrt(variance[rows[again]]), rows[again])
+        better = nearby.cost < tops[0].cost[again]
+        tops[1].put(again[~better], nearby.rows(~better))
+        tops[0].put(again[better], nearby.rows(better))
+        best.put(rows[again[better]], nearby.rows(better))
     if profile.binned:
-        tops = [replace(top, cost=profile.found.depth_near(top.parameters[:, 3]) * profile.scale) for top in tops]
+        tops = [replace(top, cost=profile.result.depth_near(top.parameters[:, 3]) * profile.scale) for top in tops]
     tops[1].cost[~likely] = np.inf
     return tops

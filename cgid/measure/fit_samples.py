@@ -38,7 +38,7 @@ class Window:
 
     # A `run` of columns makes a point. `levels` (3, n): an offset, the sensor's limit, and a divisor of the samples.
     # Attributes: `rows` (n,) of the frames; `values` and `times` (n, n_points), times in samples of the frame;
-    # `averaged` (n,) samples per point; `outside` and `clipped` (n, n_points) or None; `elsewhere` (n,), largest
+    # `averaged` (n,) samples per point; `outside` and `clipped` (n, n_points) or None; `largest_outside` (n,), largest
     # magnitude outside the window; `reach` (n,), its last column; `free`, columns of the fitted parameters; `colour` of
     # the noise or None.
 
@@ -57,7 +57,7 @@ class Window:
         (n, n_samples), (offset, clip_level, unit) = (len(rows), samples.shape[1]), levels
         self.rows, self.run, self.averaged, self.reach = rows, run, np.full(n, float(run)), first + length - 1
         self.fit_baseline, self.onset, self.free = fit_baseline, onset, free_parameters(onset is not None, fit_baseline)
-        self.elsewhere = _largest_elsewhere(samples, rows, first, length, offset) / unit
+        self.largest_outside = _largest_elsewhere(samples, rows, first, length, offset) / unit
         self.times = first[:, None] + (0.5 * (run - 1) + run * np.arange(length // run, dtype=np.float64))
         columns = first[:, None] + np.arange(length)
         beyond = None
@@ -91,7 +91,7 @@ class Window:
         return clipped, self.values.shape[1] - outside
 
     def tied(self, parameters: Floats) -> Floats:
-        """Return the parameters, with the place that follows from a known onset."""
+        """Return the parameters, with the peak time that follows from a known onset."""
         return tied(parameters, self.onset)
 
     def residual(self, parameters: Floats) -> tuple[Floats, Floats]:
@@ -111,7 +111,7 @@ class Window:
         np.subtract(self.values[rows], residual, out=residual)
         if self.fit_baseline:
             residual -= parameters[:, 4:]
-        # Points outside the frame count nothing, nor do clipped samples below the curve.
+        # Points outside the frame have no weight, nor do clipped samples below the curve.
         ignored = rows_of(self.outside, rows)
         if self.clipped is not None:
             above = self.clipped[rows] & (residual < 0)
@@ -122,7 +122,7 @@ class Window:
 
 
 def tied(parameters: Floats, onset: Floats | None) -> Floats:
-    """Return the parameters (n, 5), with the place that follows from a known onset, (n,), in place."""
+    """Return the parameters (n, 5), with the peak time that follows from a known onset (n,), changed in place."""
     if onset is not None:
         parameters[:, 2] = onset + relative_times(parameters[:, 3])[1] * np.exp(parameters[:, 1])
     return parameters
@@ -141,7 +141,7 @@ def windows(
     before: int = 0,
     among: NDArray[np.intp] | None = None,
 ) -> Iterator[Window]:
-    """Yield windows around pulses (peak, ln width, place, shape, baseline), grouped by similar length."""
+    """Yield windows around pulses (peak, ln width, peak time, shape, baseline), grouped by similar length."""
     # Values are divided by `unit`; `offset` and `clip_level` are in the unit of the samples. Each window begins
     # `before` points earlier than the pulse needs. With a sensor's response samples are not averaged.
     levels = np.stack([np.broadcast_to(value, len(guess)) for value in (offset, clip_level, unit)])
@@ -158,37 +158,37 @@ def windows(
         yield Window(samples, selected, first[rows] - before * run, length, run, levels[:, rows], *curve)
 
 
-def by_length(wanted: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:
+def by_length(required: Floats) -> Iterator[tuple[NDArray[np.intp], int]]:
     """Yield rows of similar lengths (n,), and a length that is enough for all of them."""
     # Lengths come in steps, so that a row's window does not depend on the other rows.
-    step = np.ceil(np.log(np.maximum(wanted, 1.0)) / np.log(_STEP)).astype(np.intp)
-    for chosen in sorted(set(step.tolist())):
-        yield np.flatnonzero(step == chosen), int(np.ceil(_STEP**chosen))
+    step = np.ceil(np.log(np.maximum(required, 1.0)) / np.log(_STEP)).astype(np.intp)
+    for exponent in sorted(set(step.tolist())):
+        yield np.flatnonzero(step == exponent), int(np.ceil(_STEP**exponent))
 
 
 def _largest_elsewhere(
     samples: NDArray[np.floating], rows: NDArray[np.intp], first: NDArray[np.intp], length: int, offset: Floats
 ) -> Floats:
     """Return the largest magnitude of the samples outside windows, (n,)."""
-    rest = samples[rows]
+    outside = samples[rows]
     columns = np.minimum(np.maximum(first[:, None] + np.arange(length), 0), samples.shape[1] - 1)
     columns += (np.arange(len(rows)) * samples.shape[1])[:, None]
     # The window is filled with a sample from outside it, if there is one.
     before, after = first > 0, first + length < samples.shape[1]
-    spare = np.where(before, rest[:, 0], np.where(after, rest[:, -1], offset))
-    rest.ravel()[columns] = spare[:, None]
-    away = np.maximum(rest.max(axis=1) - offset, offset - rest.min(axis=1))
+    spare = np.where(before, outside[:, 0], np.where(after, outside[:, -1], offset))
+    outside.ravel()[columns] = spare[:, None]
+    away = np.maximum(outside.max(axis=1) - offset, offset - outside.min(axis=1))
     return np.where(before | after, away, 0.0)
 
 
 def strongest_run(samples: NDArray[np.floating], offset: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return peak, width [samples] and place [samples] of the most significant running mean, each (n,)."""
+    """Return peak, width [samples] and centre [samples] of the most significant running mean, each (n,)."""
     # A box is within 6 % of the matched filter for these pulses, and running sums make boxes of all lengths cheap.
     n, n_samples = samples.shape
     total = np.zeros((n, n_samples + 1))
     np.cumsum(samples - offset[:, None], axis=1, dtype=np.float64, out=total[:, 1:])
     best = np.full(n, -np.inf)
-    run, place = np.ones(n), np.zeros(n)
+    run, peak_time = np.ones(n), np.zeros(n)
     rows = np.arange(n)
     length = _SHORTEST
     while length <= max(_MAX_SHARE * n_samples, _SHORTEST):
@@ -196,6 +196,6 @@ def strongest_run(samples: NDArray[np.floating], offset: Floats) -> tuple[Floats
         top = np.argmax(strength, axis=1)
         better = strength[rows, top] > best
         best = np.where(better, strength[rows, top], best)
-        run, place = np.where(better, length, run), np.where(better, top + 0.5 * (length - 1), place)
+        run, peak_time = np.where(better, length, run), np.where(better, top + 0.5 * (length - 1), peak_time)
         length = max(int(length * _GROWTH), length + 1)
-    return best / np.sqrt(run) / _MEAN_OVER_PEAK, run / _RUN_OVER_WIDTH, place
+    return best / np.sqrt(run) / _MEAN_OVER_PEAK, run / _RUN_OVER_WIDTH, peak_time

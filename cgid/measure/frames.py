@@ -34,7 +34,7 @@ def frames_of(samples: ArrayLike, pre_trigger: int | None = None) -> NDArray[Any
     if frames.size and not -LARGEST <= float(frames.min()) <= float(frames.max()) <= LARGEST:  # also false for nan
         row, column = np.argwhere(~(np.abs(frames, dtype=np.float64) <= LARGEST))[0]
         where = f"signal {row} sample {column}" if len(frames) > 1 else f"sample {column}"
-        rule = f"lie within +-{LARGEST:g}" if np.isfinite(frames[row, column]) else "be finite"
+        rule = f"be within +-{LARGEST:g}" if np.isfinite(frames[row, column]) else "be finite"
         raise BadData(f"samples must {rule}, {where} is {frames[row, column]}: cut or repair the recording there")
     if pre_trigger is not None:
         validation.whole("pre_trigger", pre_trigger, 0, frames.shape[1] - 1)
@@ -60,15 +60,15 @@ class Frames:
     detection_limit: float = DETECTION_LIMIT
 
     def rows(self, rows: NDArray[np.intp]) -> Self:
-        """Return some of the rows; what is known of these stays known."""
+        """Return some of the rows with their computed quantities."""
         if np.array_equal(rows, np.arange(len(self.samples))):
             return self
         part = replace(self, samples=self.samples[rows])
-        for name, known in vars(self).items():
-            arrays = known if isinstance(known, tuple) else (known,)
+        for name, cached in vars(self).items():
+            arrays = cached if isinstance(cached, tuple) else (cached,)
             if all(isinstance(array, np.ndarray) and len(array) == len(self.samples) for array in arrays):
                 selected = tuple(array[rows] for array in arrays)
-                part.__dict__[name] = selected if isinstance(known, tuple) else selected[0]
+                part.__dict__[name] = selected if isinstance(cached, tuple) else selected[0]
         return part
 
     @cached_property

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from cgid.validation import Floats
 
-#: First damping, and the least after a failed step: less would not change the step.
+#: Initial damping, and the minimum after a failed step: less would not change the step.
 _FIRST_DAMPING, _FELT = 1e-6, 0.6
 #: A search ends at this damping.
 _STUCK = 1e4
-#: Fraction of the promised gain from which a step was good.
-_KEPT = 0.7
+#: Minimum fraction of the predicted gain of a good step.
+_MIN_GAIN = 0.7
 
 
 def least_squares(
@@ -23,19 +23,19 @@ def least_squares(
     moved: Callable[[Floats, Floats, NDArray[np.intp]], Floats],
     small: Floats,
     n_steps: int,
-    held: Callable[[Floats, Floats], NDArray[np.bool_]] | None = None,
+    at_bound: Callable[[Floats, Floats], NDArray[np.bool_]] | None = None,
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return parameters of least squares near `start` (n, ...), the products there, and which rows have converged."""
     # `equations` returns products (n, k + 1, k + 1) of the model's slopes and, last, the residual; `moved` takes steps
-    # (n, k) within bounds; `held` (n, k) is what stays where it is. `small` (n,) are gains of the squared residual that
-    # end a row's search: the last step is not evaluated, so it may gain as much undamped, a quarter of it after
-    # damping.
+    # (n, k) within bounds; `at_bound` (n, k) are parameters that stay at their bounds. `small` (n,) are gains of the
+    # squared residual that end a row's search: the last step is not evaluated, so it may gain as much undamped, a
+    # quarter of it after damping.
     parameters, n = start, len(start)
     products = equations(parameters, np.arange(n))
     damping, active, converged = np.full(n, _FIRST_DAMPING), np.arange(n), np.zeros(n, bool)
     for _ in range(n_steps):
         information, gradient = products[active, :-1, :-1], products[active, :-1, -1]
-        if held is not None and (out := held(parameters[active], gradient)).any():
+        if at_bound is not None and (out := at_bound(parameters[active], gradient)).any():
             gradient[out] = 0.0
             information[out[:, :, None] | out[:, None]] = 0.0
             information += np.eye(out.shape[1]) * out[:, None]
@@ -55,9 +55,9 @@ def least_squares(
         better = gained >= 0
         taken = active[better]
         parameters[taken], products[taken] = tried[better], new[better]
-        # A step that gains much less than promised has overshot; the next would come back.
+        # A step that gains much less than predicted has overshot; the next would come back.
         raised = np.maximum(np.where(better, 2.0, 10.0) * damping[active], _FELT)
-        damping[active] = np.where(gained > _KEPT * promise, 0.1 * damping[active], raised)
+        damping[active] = np.where(gained > _MIN_GAIN * promise, 0.1 * damping[active], raised)
         # Where even a tiny step goes uphill, the minimum is at a kink (a sample at onset).
         stuck = damping[active] > _STUCK
         converged[active[stuck]] = True

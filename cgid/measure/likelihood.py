@@ -38,7 +38,7 @@ from cgid.validation import Floats, rates
 _ROWS, _SAMPLES = 64, 1 << 20
 #: Maximum number of samples of a contact: with more, the bound only falls as one over the square root of their number.
 MAX_SAMPLES = 1_000_000
-#: Extent of the band-limited pulse beyond touch and separation, in contact durations.
+#: Extent of the band-limited pulse beyond onset and separation, in contact durations.
 _RINGING = 1.0
 #: Extent of a profile's grid to either side, in standard deviations of the shape.
 _REACH = 6.5
@@ -60,8 +60,8 @@ class Bound:
     restitution: Floats  # (...), of the pulse
 
     def _deviation(self, name: str) -> Floats:
-        place = PARAMETERS.index(name)
-        return np.sqrt(self.covariance[..., place, place])
+        index = PARAMETERS.index(name)
+        return np.sqrt(self.covariance[..., index, index])
 
     @property
     def peak_deviation(self) -> Floats:
@@ -144,7 +144,7 @@ def cramer_rao_bound(
     s = np.log(e).ravel()
     if not ((s >= MIN_SHAPE - 1e-12) & (s <= MAX_SHAPE + 1e-12)).all():
         low, high = np.exp(MIN_SHAPE), np.exp(MAX_SHAPE)
-        raise InvalidValue(f"restitution must lie between {low:g} and {high:g}, got {e.min():g} to {e.max():g}")
+        raise InvalidValue(f"restitution must be in [{low:g}, {high:g}], got {e.min():g} to {e.max():g}")
     response = None
     if bandwidth is not None:
         if np.ptp(rate) > 0:
@@ -256,7 +256,7 @@ def profile(
     whitened: Whitened | None = None,
 ) -> Profile:
     """Return the likelihood along the shape of pulses in samples (n, n_samples)."""
-    # `near` (n, 5) holds pulses near the most likely ones: (peak, ln width, place, s, baseline). The prior is zero
+    # `near` (n, 5) holds pulses near the most likely ones: (peak, ln width, peak time, s, baseline). The prior is zero
     # outside `lowest` and `highest`, and outside `onset_between` [samples] if given. With `n_quiet` (n,), the offset is
     # only known as the mean of this many samples. `noise` (n,) is above 0; other arguments are as in `fit_pulses`.
     # Where the noise is not white, `whitened` replaces samples, offset, onset, limit and response, and `noise` is the
@@ -296,8 +296,8 @@ def _fill(
     onset_between: tuple[float, float] | None,
 ) -> None:
     for node in range(out.shape.shape[1]):
-        found = _at(problem, guess, out.shape[rows, node], sigma, hold, onset_between)
-        for part, value in zip(fields(Profile)[1:], found, strict=True):
+        solution = _at(problem, guess, out.shape[rows, node], sigma, hold, onset_between)
+        for part, value in zip(fields(Profile)[1:], solution, strict=True):
             getattr(out, part.name)[rows, node] = value
 
 
@@ -329,11 +329,11 @@ def _at(
     parameters = guess.copy()
     parameters[:, 3] = shape
     parameters = problem.tied(parameters)
-    kept = [k for k, column in enumerate(problem.free) if column != 3]
-    columns = [problem.free[k] for k in kept]
+    indices = [k for k, column in enumerate(problem.free) if column != 3]
+    columns = [problem.free[k] for k in indices]
     for iteration in range(_ITERATIONS):
         residual, slopes = problem.residual(parameters)
-        squared, information, gradient = normal_equations(residual, slopes[:, kept])
+        squared, information, gradient = normal_equations(residual, slopes[:, indices])
         if hold is not None:
             information[:, -1, -1] += hold
             gradient[:, -1] -= hold * parameters[:, 4]
@@ -347,7 +347,7 @@ def _at(
     duration, lead, _, _ = relative_times(shape)
     peak, log_width = parameters[:, 0], parameters[:, 1]
     information = information / sigma[:, None, None] ** 2
-    # In terms of ln(peak), ln(duration) and the place, which at a given shape moves with the onset.
+    # In terms of ln(peak), ln(duration) and the peak time, which at a given shape moves with the onset.
     sign, determinant = np.linalg.slogdet(information)
     log_likelihood = -0.5 * squared / sigma**2 - 0.5 * (determinant + 2 * np.log(peak))
     units = (np.broadcast_to(unit, gradient.shape) for unit in np.eye(gradient.shape[1])[:2])
@@ -378,7 +378,7 @@ def _inside(
     """Return ln probability, mean shift and covariance vector (n, n_free) of an onset between two times."""
     width = np.exp(parameters[:, 1])
     onset = parameters[:, 2] - lead * width
-    # Slope of onset in (peak, ln width, place, ...): it moves with the width and the place.
+    # Slope of onset in (peak, ln width, peak time, ...): it moves with the width and the peak time.
     slope = np.zeros(information.shape[:2])
     slope[:, 1], slope[:, 2] = -lead * width, 1.0
     spread = solve_scaled(information, slope, 1e-12)

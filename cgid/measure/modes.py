@@ -22,7 +22,7 @@ from cgid.validation import Complex, Floats
 
 __all__ = ["Modes", "read_modes"]
 
-#: What may be wrong about a mode, in logarithms.
+#: Corrected parameters of a mode; corrections are logarithms.
 CORRECTED = ("frequency", "damping_ratio", "participation")
 #: Columns of a table of measured modes, with their units.
 COLUMNS = {"frequency": "Hz", "damping_ratio": "1", "modal_mass": "kg", "shape_impact": "1", "shape_sensor": "1"}
@@ -52,12 +52,12 @@ class Modes:
 
     Under a force F mode r obeys `q_r'' + 2 damping_ratio_r w_r q_r' + w_r^2 q_r = at_impact_r F`, with `w_r = 2 pi
     frequency_r`; a sensor moves by the sum of `at_sensor_r q_r`. Shapes are divided by the square root of the modal
-    mass. Those at impact and sensor are kept apart: a contact needs `at_impact^2`, a response the product.
+    mass. Those at impact and sensor are separate: a contact needs `at_impact^2`, a response the product.
 
     Parameters
     ----------
     frequency : ndarray, (n_modes,) [Hz]
-        Undamped natural frequencies; ascending, except where impacts have taught that two have changed places.
+        Undamped natural frequencies; ascending, unless modes learned from impacts have swapped.
     damping_ratio : ndarray, (n_modes,)
     at_impact : ndarray, (n_modes,), or function of x and y [1/sqrt(kg)]
         Shapes where the force acts: at one point, or anywhere.
@@ -133,7 +133,7 @@ class Modes:
             return self.at_impact(x, y)
         return np.broadcast_to(self.at_impact, (*np.broadcast_shapes(np.shape(x), np.shape(y)), self.frequency.size))
 
-    def heard_at(self, x: ArrayLike, y: ArrayLike) -> Modes:
+    def measured_at(self, x: ArrayLike, y: ArrayLike) -> Modes:
         """Return the modes with a sensor at another point, or with several at several."""
         return replace(self, at_sensor=self.shape(x, y))
 
@@ -180,12 +180,12 @@ class Modes:
             at_sensor=None if self.at_sensor is None else self.at_sensor * np.exp(correction[2]),
         )
 
-    def drawn(self, normal: Floats) -> Modes:
-        """Return exact modes, drawn from uncertain ones for standard normal numbers (3, n_modes)."""
+    def sampled(self, normal: Floats) -> Modes:
+        """Return exact modes sampled from uncertain ones for standard normal numbers (3, n_modes)."""
         return self if self.deviation is None else replace(self.corrected(self.deviation * normal), deviation=None)
 
     def as_learned(self, table: Modes) -> Modes:
-        """Return a beam's own modes as impacts have taught them: a table of `relative` ones."""
+        """Return a beam's modes corrected by a table of `relative` ones learned from impacts."""
         at_sensor = None if self.at_sensor is None else self.at_sensor * table.participation()
         learned = replace(
             self,
@@ -249,21 +249,21 @@ class NodeShapes:
 
 
 def nodes(n: int, lowest: float, highest: float) -> Floats:
-    """Return n Chebyshev nodes between two places, ascending; of one node, the middle."""
+    """Return n Chebyshev nodes between two ends, ascending; a single node is the middle."""
     return (lowest + highest) / 2 - (highest - lowest) / 2 * np.cos(np.pi * (np.arange(n) + 0.5) / n)
 
 
-def lagrange(n: int, lowest: float, highest: float, place: Floats) -> tuple[Floats, Floats]:
-    """Return the weights of n Chebyshev nodes at places (n_places,) and their slopes, each (n_places, n)."""
+def lagrange(n: int, lowest: float, highest: float, x: Floats) -> tuple[Floats, Floats]:
+    """Return the weights of n Chebyshev nodes at points (n_points,) and their slopes, each (n_points, n)."""
     # `f(t) = sum_j c_j T_j(t)`, with `c_j` a cosine transform of the values at the nodes.
     half = (highest - lowest) / 2
     if n == 1 or half == 0:
-        return np.full((place.size, n), 1 / n), np.zeros((place.size, n))
+        return np.full((x.size, n), 1 / n), np.zeros((x.size, n))
     angle = np.pi * (np.arange(n) + 0.5) / n
     order = np.arange(n)
     transform = np.cos(np.outer(order, np.pi - angle)) * (2 / n)
     transform[0] /= 2
-    t = np.clip((place - (lowest + highest) / 2) / half, -1 + 1e-12, 1 - 1e-12)
+    t = np.clip((x - (lowest + highest) / 2) / half, -1 + 1e-12, 1 - 1e-12)
     theta = np.arccos(t)
     values = np.cos(np.outer(theta, order))
     slopes = order * np.sin(np.outer(theta, order)) / np.sin(theta)[:, None] / half
@@ -320,8 +320,8 @@ def rows_of_table(path: str | Path, columns: Mapping[str, str]) -> list[dict[str
     lines = read_cells(path, "the table of modes", _MAX_FILE_SIZE)
     if len(lines) < 2:
         raise BadData(f"{path}: a table of modes must have a line of column names and a line a mode, got {len(lines)}")
-    places = _places(path, lines[0][1], columns)
-    rows = [(number, _row(f"{path}, line {number}", cells, places)) for number, cells in lines[1:]]
+    indices = _column_indices(path, lines[0][1], columns)
+    rows = [(number, _row(f"{path}, line {number}", cells, indices)) for number, cells in lines[1:]]
     for (number, row), (_, before) in zip(rows[1:], rows[:-1], strict=True):
         if columns is COLUMNS and row["frequency"] < before["frequency"]:
             raise BadData(
@@ -339,30 +339,30 @@ def text_of_table(columns: Mapping[str, Floats]) -> str:
     return "\n".join((titles, *rows)) + "\n"
 
 
-def _places(path: str | Path, titles: list[str], columns: Mapping[str, str]) -> dict[str, int]:
+def _column_indices(path: str | Path, titles: list[str], columns: Mapping[str, str]) -> dict[str, int]:
     """Return the cell index of each column."""
-    wanted = {name: f"{name} [{unit}]" for name, unit in columns.items()}
-    for name, title in wanted.items():
+    titles_by_name = {name: f"{name} [{unit}]" for name, unit in columns.items()}
+    for name, title in titles_by_name.items():
         if titles.count(title) != 1:
             # A scene may name any file that its user can read: quote only a table of modes.
-            is_table = any(other in titles for other in wanted.values())
+            is_table = any(other in titles for other in titles_by_name.values())
             others = f"only {', '.join(map(repr, titles))}" if is_table else "none of the columns of a table of modes"
-            found = "twice" if title in titles else others
-            raise BadData(f"{path}: the column {title!r} must be there once, got {found}; {name} needs its unit, too")
-    return {name: titles.index(title) for name, title in wanted.items()}
+            count = "twice" if title in titles else others
+            raise BadData(f"{path}: the column {title!r} must appear once, got {count}; write {name} with its unit")
+    return {name: titles.index(title) for name, title in titles_by_name.items()}
 
 
-def _row(place: str, cells: list[str], places: Mapping[str, int]) -> dict[str, float]:
-    """Return the numbers of one mode, or raise `BadData` that names the place."""
+def _row(line: str, cells: list[str], indices: Mapping[str, int]) -> dict[str, float]:
+    """Return the numbers of one mode, or raise `BadData` that names the line."""
     row = {}
-    for name, index in places.items():
+    for name, index in indices.items():
         cell = cells[index] if index < len(cells) else ""
         try:
             row[name] = float(_require_rule(name, float(cell)))
         except InvalidValue as error:
-            raise BadData(f"{place}: {error}") from None
+            raise BadData(f"{line}: {error}") from None
         except ValueError:
-            raise BadData(f"{place}: {name} must be a number, got {cell!r}") from None
+            raise BadData(f"{line}: {name} must be a number, got {cell!r}") from None
     return row
 
 

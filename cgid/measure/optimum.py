@@ -14,11 +14,11 @@ from cgid.measure.least_squares import least_squares
 from cgid.measure.template import MAX_SHAPE, MIN_SHAPE
 from cgid.validation import Floats
 
-#: Largest steps of ln(width), of the place over the width, and of s.
+#: Largest steps of ln(width), of the peak time over the width, and of s.
 MAX_STEPS = (0.4, 0.5, 0.7)
 _ITERATIONS = 8
-#: A step is the last, and not evaluated, when it promises to reduce the squared residual by less than this fraction of
-#: the noise variance (what it leaves is of higher order).
+#: The last step, which is not evaluated, is one predicted to reduce the squared residual by less than this fraction of
+#: the noise variance (the remaining error is of higher order).
 _LAST = 0.03
 #: Points of curves that are computed at once: they stay in the processor's cache.
 _BLOCK = 16384
@@ -33,9 +33,9 @@ class Problems:
         self.windows, self.onset = windows, onset
         self.free, self.fit_baseline = windows[0].free, windows[0].fit_baseline
         n = sum(len(window.rows) for window in windows)
-        self._window, self._place = np.zeros(n, np.intp), np.arange(n)
+        self._window, self._row = np.zeros(n, np.intp), np.arange(n)
         for number, window in enumerate(windows):
-            self._window[window.rows], self._place[window.rows] = number, np.arange(len(window.rows))
+            self._window[window.rows], self._row[window.rows] = number, np.arange(len(window.rows))
         self.coloured = np.array([window.colour is not None for window in windows])[self._window]
         self.averaged = self.gathered([window.averaged for window in windows])
 
@@ -47,13 +47,13 @@ class Problems:
         return out
 
     def tied(self, parameters: Floats, rows: Rows = slice(None)) -> Floats:
-        """Return the parameters, with the place that follows from a known onset."""
+        """Return the parameters, with the peak time that follows from a known onset."""
         return tied(parameters, rows_of(self.onset, rows))
 
     def equations(self, parameters: Floats, rows: NDArray[np.intp]) -> Floats:
         """Return the products (n, n_free + 1, n_free + 1) of slopes and, last, the residual at parameters (n, 5)."""
         out = np.empty((len(rows), len(self.free) + 1, len(self.free) + 1))
-        number, place = self._window[rows], self._place[rows]
+        number, place = self._window[rows], self._row[rows]
         for k, window in enumerate(self.windows):
             selected = np.flatnonzero(number == k) if len(self.windows) > 1 else np.arange(len(rows))
             step = max(_BLOCK // window.values.shape[1], 1)
@@ -90,11 +90,11 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
         new = parameters.copy()
         new[:, free] += bounded(step, free, np.exp(parameters[:, 1]))
         new[:, 3] = np.minimum(np.maximum(new[:, 3], MIN_SHAPE), MAX_SHAPE)
-        # Where nothing was seen a step may be nan: no step, then.
+        # Without any samples a step may be nan, which counts as no step.
         return problems.tied(np.where(np.isfinite(new), new, parameters), rows[some])
 
-    def held(parameters: Floats, gradient: Floats) -> NDArray[np.bool_]:
-        """Return which shapes are at a bound that they would leave."""
+    def at_bound(parameters: Floats, gradient: Floats) -> NDArray[np.bool_]:
+        """Return which shapes are at a bound that the step would cross."""
         out = np.zeros(gradient.shape, bool)
         shape, pull = parameters[:, 3], gradient[:, column]
         out[:, column] = ((shape <= MIN_SHAPE) & (pull < 0)) | ((shape >= MAX_SHAPE) & (pull > 0))
@@ -106,7 +106,7 @@ def search_nearby(problems: Problems, guess: Floats, sigma: Floats, rows: NDArra
         moved,
         _LAST * sigma**2,
         _ITERATIONS,
-        held,
+        at_bound,
     )
     return Optimum(parameters, products[:, -1, -1], products[:, :-1, :-1], converged)
 

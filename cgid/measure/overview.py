@@ -96,7 +96,7 @@ class OverviewStream:
         """Return the overview of the samples so far; more may follow. Raise `BadData` without samples."""
         n_samples = self._lowest.taken
         if not n_samples:
-            raise BadData(f"{self._source}: a picture needs at least one sample, there is none; record it again")
+            raise BadData(f"{self._source}: the recording must have at least one sample, got none; record it again")
         spectra = self._spectra
         if spectra is None:
             spectra = _Spectra(self._rate, self._n_channels, segment_length(self._rate, n_samples))
@@ -124,7 +124,7 @@ class OverviewStream:
         largest = max(samples.max(), -samples.min())
         if not largest <= _LARGEST:
             raise BadData(
-                f"{self._source}: samples must lie within +-{_LARGEST:g} to be drawn, got {largest:.3g}; was the file "
+                f"{self._source}: samples must be within +-{_LARGEST:g} to be plotted, got {largest:.3g}; was the file "
                 "read in the right format?"
             )
         self._add_moments(samples)
@@ -152,7 +152,7 @@ class OverviewStream:
 
 
 def segment_length(sampling_rate: float, n_samples: int | None) -> int:
-    """Return the samples in a segment of the spectra; 0 if the recording is too short. `n_samples` None is long."""
+    """Return the samples in a segment of the spectra, 0 for a recording that is too short; `n_samples` None is long."""
     shortest, longest = SEGMENTS
     longest = max(min(_power_of_two(sampling_rate * MAX_SEGMENT_TIME), longest), shortest)
     if n_samples is None:
@@ -171,20 +171,20 @@ class _Columns:
 
     # When all columns are full, `join` (np.minimum, np.maximum or np.add) merges pairs. Columns are the last axis.
 
-    def __init__(self, join: np.ufunc, shape: tuple[int, ...], most: int) -> None:
-        self._join, self._most = join, most
-        self._columns = np.zeros((*shape, most))
+    def __init__(self, join: np.ufunc, shape: tuple[int, ...], max_columns: int) -> None:
+        self._join, self._max_columns = join, max_columns
+        self._columns = np.zeros((*shape, max_columns))
         self.step, self.taken = 1, 0
 
     def add(self, values: Floats) -> None:
         """Add the next values, (*shape, n)."""
         while values.shape[-1]:
-            n_free = self._most * self.step - self.taken
+            n_free = self._max_columns * self.step - self.taken
             self._put(values[..., :n_free])
             values = values[..., n_free:]
-            if self.taken == self._most * self.step:
-                pairs = self._columns.reshape(*self._columns.shape[:-1], self._most // 2, 2)
-                self._columns[..., : self._most // 2] = self._join(pairs[..., 0], pairs[..., 1])
+            if self.taken == self._max_columns * self.step:
+                pairs = self._columns.reshape(*self._columns.shape[:-1], self._max_columns // 2, 2)
+                self._columns[..., : self._max_columns // 2] = self._join(pairs[..., 0], pairs[..., 1])
                 self.step *= 2
 
     def values(self) -> Floats:

@@ -1,4 +1,4 @@
-"""The likelihood of a pulse's shape where it is no parabola: deviations and expectations by a sum over shapes."""
+"""The likelihood of a pulse's shape where it is no parabola: means and standard deviations by a sum over shapes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from cgid.measure.least_squares import solve_scaled
 from cgid.measure.optimum import Optimum, Problems, bounded
-from cgid.measure.search import BIN, NODES, Found
+from cgid.measure.search import BIN, NODES, SearchResult
 from cgid.measure.template import covariance_of, relative_times
 from cgid.validation import Floats
 
 #: Shapes at which the likelihood is profiled (every other one of the search).
 _EVERY = slice(0, 20, 2)
 PROFILED = NODES[_EVERY]
-#: Distance of a shape that a second search begins from.
+#: Distance in shape at which a second search begins.
 _ANOTHER = 0.3
 #: A standard deviation of s up to which the likelihood is a parabola, if it has no second maximum.
 PARABOLIC = 0.1
@@ -28,7 +28,7 @@ WIDE_RESTITUTION = (0.5, 0.25)
 
 
 def gaussian_restitution(shape: Floats, variance: Floats) -> Floats:
-    """Return deviation, expected value and its deviation of the restitution for a Gaussian likelihood, (3, n)."""
+    """Return std, posterior mean and posterior std of the restitution for a Gaussian likelihood, (3, n)."""
     restitution = np.exp(shape)
     deviation = restitution * np.sqrt(variance)
     mean, wide = WIDE_RESTITUTION
@@ -70,17 +70,17 @@ class Profiled:
 
     parameters: Floats  # (n, n_shapes, 5)
     cost: Floats  # (n, n_shapes)
-    found: Found
+    result: SearchResult
     scale: Floats  # (n,), factor from costs of the search to squared residuals
     binned: bool  # whether costs of the search are used, as bins hold as much information as samples
 
     def second(self, best: Optimum, variance: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return parameters (n, 5) of another likely shape than the best, and which rows have one."""
-        # Whichever valley the first search did not end in.
-        away = [np.abs(self.found.shape_of(k) - best.parameters[:, 3]) for k in (0, 1)]
-        guess = np.where((away[1] < away[0])[:, None], self.found.start(), self.found.start(second=True))
-        guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.found.peak[:, 0])[:, None]
-        likely = self.found.has_second(BIN * self.found.unit * variance / self.scale)
+        """Return parameters (n, 5) of the second likely shape, and which rows have one."""
+        # The minimum that the first search did not end in.
+        away = [np.abs(self.result.shape_of(k) - best.parameters[:, 3]) for k in (0, 1)]
+        guess = np.where((away[1] < away[0])[:, None], self.result.start(), self.result.start(second=True))
+        guess[:, [0, 4]] *= (self.parameters[:, 0, 0] / self.result.peak[:, 0])[:, None]
+        likely = self.result.has_second(BIN * self.result.unit * variance / self.scale)
         if self.binned:
             return guess, likely
         far = np.where(np.abs(PROFILED - best.parameters[:, 3:4]) > _ANOTHER, self.cost, np.inf)
@@ -106,7 +106,7 @@ class Profiled:
             squares.append(
                 np.where(narrow, top.cost[:, None] / variance[:, None] - 2 * np.log(width * _HERMITE[1]), np.inf)
             )
-            # What does not count stays finite: a shape that nothing determines would overflow as a restitution.
+            # Shapes without weight stay finite: an undetermined one would overflow as a restitution.
             steps = np.where(narrow, deviation, 0.0) * _HERMITE[0]
             shapes.append(shape + steps)
             slopes = covariance[:, None, :, 3] / covariance[:, None, 3:4, 3]
@@ -126,12 +126,12 @@ class Profiled:
         weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
         weight /= weight.sum(axis=1, keepdims=True)
         expected = np.sum(weight * e, axis=1)
-        rest = np.sqrt(np.sum(weight * (e - expected[:, None]) ** 2, axis=1))
-        return given_shape + spread, np.stack([deviation, expected, rest])
+        std_expected = np.sqrt(np.sum(weight * (e - expected[:, None]) ** 2, axis=1))
+        return given_shape + spread, np.stack([deviation, expected, std_expected])
 
 
 def _away(parameters: Floats, shape: Floats, best: Floats) -> Floats:
-    """Return how far parameters (n, k, 5) at some shapes are from the best (n, 5), as they are reported."""
+    """Return differences of parameters (n, k, 5) at some shapes from the best (n, 5), in reported quantities."""
     away = _reported(parameters, shape) - _reported(best[:, None], best[:, 3:4])
     return np.where(np.isfinite(away), away, 0.0)
 
@@ -145,34 +145,36 @@ def _reported(parameters: Floats, shape: Floats) -> Floats:
     return np.stack([log_peak, parameters[:, :, 1] + np.log(duration), onset, shape, parameters[:, :, 4]], axis=2)
 
 
-def binned(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
-    """Return what is best at each shape by the search, whose bins hold several samples each."""
-    scale = _scale(problems, found, unit, rows)
-    return Profiled(_at_shapes(found, unit), found.cost[:, _EVERY] * scale[:, None], found, scale, True)
+def binned(problems: Problems, result: SearchResult, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
+    """Return the best parameters at each shape from the search, whose bins average several samples."""
+    scale = _scale(problems, result, unit, rows)
+    return Profiled(_at_shapes(result, unit), result.cost[:, _EVERY] * scale[:, None], result, scale, True)
 
 
-def _scale(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Floats:
-    """Return what makes costs of the search squared residuals of the windows of some rows, (n,)."""
-    return np.asarray(found.unit * BIN / problems.averaged[rows] / unit**2)
+def _scale(problems: Problems, result: SearchResult, unit: Floats, rows: NDArray[np.intp]) -> Floats:
+    """Return the factor from costs of the search to squared residuals of the windows of some rows, (n,)."""
+    return np.asarray(result.unit * BIN / problems.averaged[rows] / unit**2)
 
 
-def _at_shapes(found: Found, unit: Floats) -> Floats:
-    """Return the parameters found by the search at each of `PROFILED`, (n, n_shapes, 5)."""
-    peak, width, place, baseline = (a[:, _EVERY] for a in (found.peak, found.width, found.place, found.baseline))
+def _at_shapes(result: SearchResult, unit: Floats) -> Floats:
+    """Return the parameters of the search at each of `PROFILED`, (n, n_shapes, 5)."""
+    peak, width, peak_time, baseline = (
+        a[:, _EVERY] for a in (result.peak, result.width, result.peak_time, result.baseline)
+    )
     shape = np.broadcast_to(PROFILED, peak.shape)
-    return np.stack([peak / unit[:, None], np.log(width), place, shape, baseline / unit[:, None]], axis=2)
+    return np.stack([peak / unit[:, None], np.log(width), peak_time, shape, baseline / unit[:, None]], axis=2)
 
 
-def exact(problems: Problems, found: Found, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
-    """Return what is best at each shape, by one step of Gauss and Newton from the results of the search."""
-    n, n_shapes, scale = len(rows), PROFILED.size, _scale(problems, found, unit, rows)
+def exact(problems: Problems, result: SearchResult, unit: Floats, rows: NDArray[np.intp]) -> Profiled:
+    """Return the best parameters at each shape, by one Gauss-Newton step from the results of the search."""
+    n, n_shapes, scale = len(rows), PROFILED.size, _scale(problems, result, unit, rows)
     each = np.repeat(rows, n_shapes)
-    flat = problems.tied(_at_shapes(found, unit).reshape(-1, 5), each)
-    kept = [k for k, column in enumerate(problems.free) if column != 3]
-    columns = [problems.free[k] for k in kept]
+    flat = problems.tied(_at_shapes(result, unit).reshape(-1, 5), each)
+    indices = [k for k, column in enumerate(problems.free) if column != 3]
+    columns = [problems.free[k] for k in indices]
     products = problems.equations(flat, each)
-    information, gradient, cost = products[:, kept][:, :, kept], products[:, kept, -1], products[:, -1, -1]
+    information, gradient, cost = products[:, indices][:, :, indices], products[:, indices, -1], products[:, -1, -1]
     step = solve_scaled(information, gradient, 1e-9)
     cost = cost - np.sum(step * gradient, axis=1)
     flat[:, columns] += bounded(step, columns, np.exp(flat[:, 1]))
-    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), found, scale, False)
+    return Profiled(flat.reshape(n, n_shapes, 5), cost.reshape(n, n_shapes), result, scale, False)

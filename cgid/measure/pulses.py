@@ -37,13 +37,14 @@ FAINT = 12.0
 _WIDTH_OVER_HALF_WIDTH = 1.08
 #: Equal samples in a row at the top that indicate a sensor at its limit.
 _FLAT_TOP = 3
-#: A remainder that is no single impact, and a fitted peak over the level where it is clipped, minus 1, that is a guess.
+#: Residual above which a pulse is no single impact; fitted peak over clipping level, minus 1, above which it is a
+#: guess.
 MAX_UNEXPLAINED, MAX_OVERLOAD = 4.5, 1.2
-#: A force is over with the contact. What is still in ring-down is seen in differences over this time, from this time
-#: after onset on and up to that one, in contact durations; hum and drift hardly change over it. Such a share of the
-#: peak is strange.
+#: A force ends with the contact. Ring-down shows in differences over the first of these times, between the second and
+#: third time after onset (in contact durations); hum and drift hardly change over it. The last is the fraction of the
+#: peak that counts as ring-down.
 _RING_LAG, _RING_FROM, _RING_TO, MAX_RINGING = 1.5, 1.2, 11.2, 0.03
-#: Samples of a contact duration that are looked at, and the fewest differences that show ringing.
+#: Samples per contact duration that are compared, and the minimum number of differences that show ring-down.
 _RING_STEPS, _MIN_RINGING = 8, 8
 
 
@@ -58,15 +59,15 @@ class PulseBatch(Frames):
     def _surely_quiet(self) -> NDArray[np.intp]:
         """A sample certainly before onset: a fifth of the rise before the last one below 1 % of the peak."""
         # Relative to the mean of the first quarter of the samples before it, so a sensor's offset cancels.
-        place, highest = self._highest
+        peak_index, highest = self._highest
         columns = np.arange(self.samples.shape[1])
-        count = np.maximum(place // 4, 1)
+        count = np.maximum(peak_index // 4, 1)
         early = columns[: count.max()] < count[:, None]
         start = np.sum(self.samples[:, : count.max()], axis=1, where=early, dtype=np.float64) / count
         level = start + 0.01 * (highest - start)
-        low = (self.samples < level[:, None]) & (columns < place[:, None])
+        low = (self.samples < level[:, None]) & (columns < peak_index[:, None])
         foot = np.where(low, columns, 0).max(axis=1)
-        return np.asarray(np.maximum(foot - (place - foot) // 5 - 1, 0))
+        return np.asarray(np.maximum(foot - (peak_index - foot) // 5 - 1, 0))
 
     @cached_property
     def n_quiet(self) -> Floats:
@@ -79,8 +80,8 @@ class PulseBatch(Frames):
 
     @cached_property
     def _highest(self) -> tuple[NDArray[np.intp], Floats]:
-        place = np.argmax(self.samples, axis=1)
-        return place, self.samples[np.arange(len(place)), place].astype(np.float64)
+        peak_index = np.argmax(self.samples, axis=1)
+        return peak_index, self.samples[np.arange(len(peak_index)), peak_index].astype(np.float64)
 
     @cached_property
     def peak(self) -> Floats:
@@ -97,7 +98,7 @@ class PulseBatch(Frames):
     def _run_above(self, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the first and last sample of the run around the peak above a share of it."""
         n_rows, n_samples = self.samples.shape
-        # At most the largest sample: where nothing rises above the baseline, that sample is the run.
+        # If nothing rises above the baseline, the run is the largest sample.
         level = np.minimum(share * self.peak + self.offset, self._highest[1]).astype(self.samples.dtype)
         # Only a few samples are high: their flat indices form runs, separated by gaps and the ends of rows.
         high = np.flatnonzero(self.samples >= level[:, None])
@@ -155,10 +156,10 @@ class PulseBatch(Frames):
     def _crossings_at(self, level: Floats, power: float = 1.0) -> tuple[Floats, Floats]:
         """Return both crossings of a level of each row, linear in a power of the pulse between samples."""
         window, columns = self._window[0], np.arange(self._window[0].shape[1])
-        height, place = (level * self.peak)[:, None], self._peak_column[:, None]
+        height, peak_index = (level * self.peak)[:, None], self._peak_column[:, None]
         low = window < height
-        before = np.where(low & (columns < place), columns, 0).max(axis=1)
-        after = np.where(low & (columns > place), columns, columns.size - 1).min(axis=1)
+        before = np.where(low & (columns < peak_index), columns, 0).max(axis=1)
+        after = np.where(low & (columns > peak_index), columns, columns.size - 1).min(axis=1)
         rising = self._between(before, before + 1, height[:, 0], power)
         return rising, self._between(after, after - 1, height[:, 0], power)
 
@@ -187,17 +188,17 @@ class PulseBatch(Frames):
     @cached_property
     def duration(self) -> Floats:
         """Contact duration [s]."""
-        touch, separation = self.contact
-        return (separation - touch) / self.sampling_rate
+        onset, separation = self.contact
+        return (separation - onset) / self.sampling_rate
 
     @cached_property
     def time_of_peak(self) -> Floats:
         """Top of a parabola fitted around the peak to the samples above 80 % of it [samples of the window]."""
-        window, place = self._window[0], self._peak_column
+        window, peak_index = self._window[0], self._peak_column
         rising, falling = self.crossings(0.8)
-        offset = np.arange(window.shape[1]) - place[:, None]
-        in_reach = (offset >= np.minimum(rising - place, -1)[:, None]) & (
-            offset <= np.maximum(falling - place, 1)[:, None]
+        offset = np.arange(window.shape[1]) - peak_index[:, None]
+        in_reach = (offset >= np.minimum(rising - peak_index, -1)[:, None]) & (
+            offset <= np.maximum(falling - peak_index, 1)[:, None]
         )
         scale = np.maximum(falling - rising, 2.0)[:, None]
         u = np.where(in_reach, offset / scale, 0.0)
@@ -208,14 +209,14 @@ class PulseBatch(Frames):
         fit = np.linalg.solve(matrix, right[..., None])[..., 0]
         bent = fit[:, 2] < 0
         top = np.where(bent, -fit[:, 1] / (2 * np.where(bent, fit[:, 2], -1.0)), 0.0)
-        return np.asarray(place + scale[:, 0] * np.clip(top, -0.5, 0.5))
+        return np.asarray(peak_index + scale[:, 0] * np.clip(top, -0.5, 0.5))
 
     @cached_property
     def _during_contact(self) -> Floats:
         """The window, zero outside contact."""
-        touch, separation = self.contact
+        onset, separation = self.contact
         columns = np.arange(self._window[0].shape[1])
-        inside = (columns > touch[:, None]) & (columns < separation[:, None])
+        inside = (columns > onset[:, None]) & (columns < separation[:, None])
         return np.where(inside, self._window[0], 0.0)
 
     @cached_property
@@ -254,20 +255,20 @@ class PulseBatch(Frames):
     def fit_start(self) -> Start:
         """Start of the fit: the largest sample, or the strongest run of samples for a faint peak."""
         faint = np.flatnonzero(~(self.peak >= FAINT * self.noise))
-        peak, place = self.peak.copy(), self._highest[0].astype(np.float64)
+        peak, peak_index = self.peak.copy(), self._highest[0].astype(np.float64)
         width = _WIDTH_OVER_HALF_WIDTH * self._half_width()
         if faint.size:
-            peak[faint], width[faint], place[faint] = strongest_run(self.samples[faint], self.offset[faint])
+            peak[faint], width[faint], peak_index[faint] = strongest_run(self.samples[faint], self.offset[faint])
         tiny = 1e-12 + 1e-9 * np.abs(self._highest[1])
-        return Start(np.maximum(peak, tiny), np.maximum(width, 1.0), place)
+        return Start(np.maximum(peak, tiny), np.maximum(width, 1.0), peak_index)
 
     @cached_property
     def clip_level(self) -> Floats | None:
         """Level of the sensor's limit above the baseline, infinite for rows below it; None if no row reaches it."""
-        place, highest = self._highest
-        rows, flat = np.arange(len(place)), np.ones(len(place), bool)
+        peak_index, highest = self._highest
+        rows, flat = np.arange(len(peak_index)), np.ones(len(peak_index), bool)
         for step in range(1, _FLAT_TOP):
-            flat &= self.samples[rows, np.minimum(place + step, self.samples.shape[1] - 1)] == highest
+            flat &= self.samples[rows, np.minimum(peak_index + step, self.samples.shape[1] - 1)] == highest
         flat &= highest > self.offset
         return np.where(flat, highest - self.offset, np.inf) if flat.any() else None
 
@@ -280,7 +281,7 @@ class PulseBatch(Frames):
 
     @cached_property
     def residual(self) -> Residual:
-        """What the fitted pulse leaves; nan where there is no fit."""
+        """The residual of the fitted pulse; nan where there is no fit."""
         fit, n = self.fit, len(self.samples)
         rows = np.flatnonzero(np.isfinite(fit.shape) & (fit.peak > 0) & (fit.width > 0))
         level = np.full(n, np.inf) if self.clip_level is None else self.clip_level
@@ -292,14 +293,14 @@ class PulseBatch(Frames):
             pulse = (fit.peak[selected], fit.width[selected], fit.onset[selected], fit.shape[selected])
             residuals = fit_residual(samples, *pulse, noise[selected])
             components[selected], unexplained[selected] = residuals.components, residuals.unexplained
-        # Steep, so that what is clipped less, or rings less, stays as it is.
+        # Steep, so that pulses with little clipping or ring-down keep their value.
         guessed = MAX_UNEXPLAINED * np.minimum((self.overload / MAX_OVERLOAD) ** 8, 100.0)
         ringing = MAX_UNEXPLAINED * np.minimum((self.ringing / MAX_RINGING) ** 4, 100.0)
         return Residual(components, np.maximum(np.maximum(unexplained, fit.stray), np.maximum(guessed, ringing)))
 
     @cached_property
     def ringing(self) -> Floats:
-        """Root mean square of what rings after the pulse beyond twice the power of the noise, over the peak."""
+        """Root mean square of the ring-down after the pulse, above twice the power of the noise, over the peak."""
         fit, last = self.fit, self.samples.shape[1] - 1
         times = np.arange(_RING_FROM, _RING_TO, 1 / _RING_STEPS)
         at = np.nan_to_num(fit.onset[:, None] + fit.duration[:, None] * times, nan=2.0 * last)
@@ -329,9 +330,9 @@ class PulseBatch(Frames):
     @cached_property
     def spectrum(self) -> PulseSpectrum:
         """Spectrum of the contact alone."""
-        touch, separation = self.contact
-        count("spectra", len(touch))
-        return PulseSpectrum(self._during_contact, touch, separation, self.sampling_rate)
+        onset, separation = self.contact
+        count("spectra", len(onset))
+        return PulseSpectrum(self._during_contact, onset, separation, self.sampling_rate)
 
     # -- rows that cannot be measured -----------------------------------------------------------------
 
@@ -360,7 +361,7 @@ class PulseBatch(Frames):
     def _cut_off(self, by_start: bool) -> str:
         end, sample = ("start", 0) if by_start else ("end", self.samples.shape[1] - 1)
         return (
-            f"the pulse must lie inside the frame, it is cut off by its {end} (sample {sample}): record a longer frame"
+            f"the pulse must be inside the frame, it is cut off by its {end} (sample {sample}): record a longer frame"
         )
 
     def _too_short(self, samples: float, width_text: str, needed: float, recommended: float) -> str:

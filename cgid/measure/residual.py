@@ -1,4 +1,4 @@
-"""The residual of a fitted damped-Hertz pulse: principal components of other laws of loss, and the rest.
+"""The residual of a fitted damped-Hertz pulse: principal components of other laws of loss, and the unexplained part.
 
 `tests/references/make_shapes.py` makes the components, in the bins of `cgid.measure.search`.
 """
@@ -15,9 +15,9 @@ from cgid.measure.search import BIN, N_BINS, NODES, Bins, Samples, bank
 from cgid.measure.template import SHAPES_PATH, relative_times
 from cgid.validation import Floats
 
-#: Root mean square of what the components leave of pulses of other laws, over the peak.
+#: Root mean square that the components leave unexplained in pulses of other laws, over the peak.
 SHAPE_ERROR = 0.01
-#: Components that say how a pulse differs from the family, see `tests/references/make_shapes.py`.
+#: Components that describe how a pulse differs from the family, see `tests/references/make_shapes.py`.
 N_SHAPES = 4
 
 
@@ -26,9 +26,9 @@ def residual_bins(
 ) -> tuple[Bins, Floats, NDArray[np.intp]]:
     """Return samples minus fitted pulse, over its peak, in bins around it, their unit (n,), and the nearest `NODES`."""
     node = np.argmin(np.abs(NODES - shape[:, None]), axis=1)
-    bin_place, bin_width = bank().conditions(shape)
+    bin_peak_time, bin_width = bank().conditions(shape)
     unit = width / bin_width
-    origin = onset + relative_times(shape)[1] * width - bin_place * unit
+    origin = onset + relative_times(shape)[1] * width - bin_peak_time * unit
     bins = samples.bins(origin, unit, np.arange(len(peak)))
     left = bins.values / peak[:, None] - _between_nodes(shape, node)
     return Bins(left if bins.inside is None else np.where(bins.inside, left, 0.0), bins.inside), unit, node
@@ -58,16 +58,16 @@ def _components() -> tuple[Floats, Floats, Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What a fitted damped-Hertz pulse leaves of the samples."""
+    """The residual of a fitted damped-Hertz pulse."""
 
-    components: Floats  # over the peak, (n, N_SHAPES), drawn towards 0 where the noise hides them
-    unexplained: Floats  # mean square of the rest over what the noise and `SHAPE_ERROR` would leave, (n,)
+    components: Floats  # over the peak, (n, N_SHAPES), shrunk towards 0 in noise
+    unexplained: Floats  # mean square of the rest over that expected of noise and `SHAPE_ERROR`, (n,)
 
 
 def fit_residual(
     samples: Samples, peak: Floats, width: Floats, onset: Floats, shape: Floats, noise: Floats
 ) -> Residual:
-    """Return the components of what fitted pulses leave of samples; noise (n,) is its standard deviation."""
+    """Return the components of the residuals of fitted pulses; `noise` (n,) is a standard deviation."""
     bins, unit, node = residual_bins(samples, peak, width, onset, shape)
     left, partial = bins.values, bins.partial
     designs, inverses, bases, spreads = _components()
@@ -80,7 +80,7 @@ def fit_residual(
         design = designs[node[partial]] * inside[:, :, None]
         information = np.matmul(np.swapaxes(design, 1, 2), design)
         right = np.einsum("nbk,nb->nk", design, left[partial])
-        # Bins that are missing leave some of it open; it is then nothing.
+        # Missing bins leave some components undetermined; these are 0.
         prior = np.concatenate([np.full(4, 1e-9), 1e-4 / spreads**2])
         all_amplitudes = np.linalg.solve(information + np.diag(prior), right[..., None])[..., 0]
         amplitudes[partial], explained[partial] = all_amplitudes[:, 4:], np.sum(all_amplitudes * right, axis=1)

@@ -1,6 +1,6 @@
-"""The global search for a pulse: all shapes at once, each with its own peak, width and place.
+"""The global search for a pulse: all shapes at once, each with its peak, width and peak time.
 
-A bank holds the damped-Hertz pulse of each shape of `NODES`, with its slopes in place and width, in coordinates in
+A bank holds the damped-Hertz pulse of each shape of `NODES`, with its slopes in time and width, in coordinates in
 which the pulses overlap most. The samples around a pulse become bins in the same coordinates, so one product of
 matrices solves least squares for all shapes. A few repetitions with the bins moved to the best solution find the global
 optimum. The likelihood of every shape (`Found.cost`) then gives standard deviations where a parabola would not: a dull
@@ -28,29 +28,28 @@ _FIRST, _LAST, N_BINS = -1.5, 4.1, 56
 BIN = (_LAST - _FIRST) / N_BINS
 EDGES = _FIRST + BIN * np.arange(N_BINS + 1)
 MIDDLES = EDGES[:-1] + 0.5 * BIN
-#: Repetitions of the search, and its largest steps in place (over the width) and ln(width).
+#: Repetitions of the search, and its largest steps in peak time (over the width) and ln(width).
 _PASSES, _MAX_STEP = 4, 0.4
-#: Power of 2 of the fewest samples around a pulse.
+#: Base-2 logarithm of the minimum number of samples around a pulse.
 _SHORTEST = 5
 #: A row is settled when its steps are below this.
 _SETTLED = 0.02
-#: A shape is quite another beyond this distance, and surely not the true one if its cost is this many noise variances
-#: higher.
-_FAR, _SURE = 0.5, 16.0
+#: Shapes farther apart than this are different; a shape is ruled out if its cost is this many noise variances higher.
+_FAR, _MIN_COST_RISE = 0.5, 16.0
 
 
 @dataclass(frozen=True, eq=False)
 class Bank:
     """Pulses of peak 1 in common coordinates."""
 
-    # `place`, `width`: of each node's peak and of its width (impulse over peak) in common coordinates, (n_nodes,)
-    place: Floats
+    # `peak_time`, `width`: of each node's peak and of its width (impulse over peak) in common coordinates, (n_nodes,)
+    peak_time: Floats
     width: Floats
-    # pulse, slopes in place and ln(width), perhaps a constant, averaged over bins, (n_nodes, n_bins, n_free)
+    # pulse, slopes in peak time and ln(width), and optionally a constant, averaged over bins, (n_nodes, n_bins, n_free)
     basis: Floats
     products: Floats  # of the columns of the basis, (n_bins, n_nodes n_free n_free)
     inverse: Floats  # of the information of all bins, (n_nodes, n_free, n_free)
-    tangents: Floats  # how changes of peak, place, width and shape change the pulses, (n_nodes, n_bins, 4)
+    tangents: Floats  # slopes in peak, peak time, width and shape, (n_nodes, n_bins, 4)
 
     @cached_property
     def flat(self) -> Floats:
@@ -58,21 +57,21 @@ class Bank:
         return np.moveaxis(self.basis, 0, 1).reshape(N_BINS, -1)
 
     def conditions(self, shape: Floats) -> tuple[Floats, Floats]:
-        """Return place and width in common coordinates at any shapes."""
-        return np.interp(shape, NODES, self.place), np.interp(shape, NODES, self.width)
+        """Return peak time and width in common coordinates at any shapes."""
+        return np.interp(shape, NODES, self.peak_time), np.interp(shape, NODES, self.width)
 
 
 @cache
 def bank(with_baseline: bool = False) -> Bank:
     """Return the bank from its file: making it takes longer than the fit of a few pulses."""
     with np.load(SHAPES_PATH, allow_pickle=False) as stored:
-        place, width, tangents = stored["place"], stored["width"], stored["tangents"]
+        peak_time, width, tangents = stored["place"], stored["width"], stored["tangents"]
     basis = tangents[:, :, :3]
     if with_baseline:
         basis = np.concatenate([basis, np.ones((NODES.size, N_BINS, 1))], axis=2)
     products = np.einsum("kbi,kbj->bkij", basis, basis).reshape(N_BINS, -1)
     inverse = np.linalg.inv(products.sum(axis=0).reshape(NODES.size, *basis.shape[2:] * 2))
-    return Bank(place, width, basis, products, inverse, tangents)
+    return Bank(peak_time, width, basis, products, inverse, tangents)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +110,11 @@ class Samples:
         self.clips = bool(np.isfinite(clip_level).any())
         self.reach = np.zeros(n)
 
-    def bins(self, place: Floats, width: Floats, rows: NDArray[np.intp]) -> Bins:
-        """Return the bins around origins `place` [samples of the frame] of unit `width` [samples]."""
+    def bins(self, peak_time: Floats, width: Floats, rows: NDArray[np.intp]) -> Bins:
+        """Return the bins around origins `peak_time` [samples of the frame] of unit `width` [samples]."""
         last = self.last[rows]
         at = width[:, None] * EDGES
-        at += (place - self.first[rows])[:, None]
+        at += (peak_time - self.first[rows])[:, None]
         self.reach[rows] = np.maximum(self.reach[rows], at[:, -1] + self.first[rows])
         inside = None
         if not (at[:, 0].min() >= 0 and (at[:, -1] < last).all()):
@@ -147,101 +146,101 @@ class Samples:
 
 
 def around(
-    samples: NDArray[np.floating], place: Floats, width: Floats, offset: Floats, clip_level: Floats, reach: float
+    samples: NDArray[np.floating], peak_time: Floats, width: Floats, offset: Floats, clip_level: Floats, reach: float
 ) -> Iterator[tuple[NDArray[np.intp], Samples]]:
     """Yield rows of pulses of similar width, and their samples within `reach` times the extent of the bins."""
     n_samples = samples.shape[1]
-    # Lengths come in steps, and what lies beyond the frame is the last sample, so that what a row shows depends neither
-    # on the other rows nor on samples further away.
-    wanted = np.maximum(reach * (_LAST - _FIRST) * width, 2.0**_SHORTEST)
-    length = 1 << np.minimum(np.ceil(np.log2(wanted)), 40).astype(np.intp)
-    middle = place + 0.5 * (_FIRST + _LAST) * width
+    # Lengths come in steps, and the last sample repeats beyond the frame, so that a row depends neither on the other
+    # rows nor on samples further away.
+    required = np.maximum(reach * (_LAST - _FIRST) * width, 2.0**_SHORTEST)
+    length = 1 << np.minimum(np.ceil(np.log2(required)), 40).astype(np.intp)
+    middle = peak_time + 0.5 * (_FIRST + _LAST) * width
     first = np.minimum(np.maximum(np.floor(middle - 0.5 * length), 0), n_samples - 2).astype(np.intp)
-    whole = length >= 2 * n_samples
-    length[whole], first[whole] = n_samples, 0
-    for chosen in sorted(set(length.tolist())):
-        rows = np.flatnonzero(length == chosen)
-        columns = first[rows, None] + np.arange(chosen)
+    complete = length >= 2 * n_samples
+    length[complete], first[complete] = n_samples, 0
+    for n_columns in sorted(set(length.tolist())):
+        rows = np.flatnonzero(length == n_columns)
+        columns = first[rows, None] + np.arange(n_columns)
         if columns[:, -1].max() >= n_samples:
             np.minimum(columns, n_samples - 1, out=columns)
         columns += (rows * n_samples)[:, None]
-        last = np.minimum(first[rows] + chosen, n_samples) - 1
+        last = np.minimum(first[rows] + n_columns, n_samples) - 1
         yield rows, Samples(samples.ravel().take(columns), offset[rows], clip_level[rows], first[rows], last)
 
 
-def last_bin(place: Floats, width: Floats, shape: Floats) -> Floats:
-    """Return where the bins around pulses end [samples], from place and width of these [samples] and shape."""
-    own_place, own_width = bank().conditions(shape)
-    return place + (_LAST - own_place) * width / own_width
+def last_bin(peak_time: Floats, width: Floats, shape: Floats) -> Floats:
+    """Return the ends of the bins around pulses [samples], from peak time and width [samples] and shape."""
+    shape_peak_time, shape_width = bank().conditions(shape)
+    return peak_time + (_LAST - shape_peak_time) * width / shape_width
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """The result of the search, each (n, n_nodes); `unit` [samples] is (n,)."""
 
     cost: Floats  # sum over the bins of the squared residual
-    peak: Floats  # `peak`, `place`, `width`, `baseline`: the best at each shape; place and width of the pulse [samples]
-    place: Floats
+    peak: Floats  # `peak`, `peak_time`, `width`, `baseline`: the best at each shape, times in samples
+    peak_time: Floats
     width: Floats
     baseline: Floats
     unit: Floats
 
     @classmethod
-    def joined(cls, parts: list[tuple[NDArray[np.intp], Found]]) -> Found:
+    def joined(cls, parts: list[tuple[NDArray[np.intp], SearchResult]]) -> SearchResult:
         """Return the result of all rows from those of some."""
         if len(parts) == 1:
             return parts[0][1]
         order = np.argsort(np.concatenate([rows for rows, _ in parts]), kind="stable")
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for _, part in parts])[order] for f in fields(cls)})
 
-    def rows(self, chosen: NDArray[np.intp]) -> Found:
+    def rows(self, n_columns: NDArray[np.intp]) -> SearchResult:
         """Return some of the rows."""
-        return Found(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+        return SearchResult(**{one.name: getattr(self, one.name)[n_columns] for one in fields(self)})
 
     def in_doubt(self, shape: Floats, variance: Floats) -> NDArray[np.bool_]:
-        """Return which pulses of a fitted shape may have quite another, for noise of this variance, (n,)."""
+        """Return which pulses may have a very different shape, for noise of this variance, (n,)."""
         far = np.where(np.abs(NODES - shape[:, None]) > _FAR, self.cost, np.inf).min(axis=1)
         return self._likely(far, variance)
 
     def has_second(self, variance: Floats) -> NDArray[np.bool_]:
-        """Return which pulses have a second valley that may be the true one, for noise of this variance, (n,)."""
+        """Return which pulses have a second minimum that may be the true one, for noise of this variance, (n,)."""
         return self._likely(self._valleys[1][1], variance)
 
     def _likely(self, cost: Floats, variance: Floats) -> NDArray[np.bool_]:
         lowest, scale = self._valleys[1][0], self.unit * BIN / variance
-        # Of a pulse of few samples the bins are rough.
-        return np.asarray((cost - lowest) * scale < _SURE * np.maximum(lowest * scale / N_BINS, 1.0))
+        # The bins of a pulse of few samples are coarse.
+        return np.asarray((cost - lowest) * scale < _MIN_COST_RISE * np.maximum(lowest * scale / N_BINS, 1.0))
 
     def shape_of(self, valley: int) -> Floats:
-        """Return the shape of the lowest (0) or second valley, (n,)."""
+        """Return the shape of the lowest (0) or second minimum, (n,)."""
         rows, node = np.arange(len(self.cost)), self._valleys[0][valley]
         return np.asarray(NODES[node] + self._parabolas[0][rows, node])
 
     def depth_near(self, shape: Floats) -> Floats:
-        """Return the cost of the valley nearer to a shape, (n,)."""
+        """Return the cost of the minimum nearer to a shape, (n,)."""
         away = np.abs(np.stack([self.shape_of(0), self.shape_of(1)]) - shape)
         lowest, second = self._valleys[1]
         return np.asarray(np.where((away[1] < away[0]) & np.isfinite(second), second, lowest))
 
     def start(self, second: bool = False) -> Floats:
-        """Return parameters (peak, ln width, place, shape, baseline) near the best ones, or the second best, (n, 5)."""
+        """Return parameters (peak, ln width, peak time, shape, baseline) near the best, or the second best, (n, 5)."""
         rows, node, shape = np.arange(len(self.cost)), self._valleys[0][int(second)], self.shape_of(int(second))
         middle = np.clip(node, 1, NODES.size - 2)
-        share = (shape - NODES[node]) / (NODES[1] - NODES[0])  # 0 where the neighbours are not alike
+        share = (shape - NODES[node]) / (NODES[1] - NODES[0])  # 0 where the neighbours differ
         before, at, after = (
-            np.array([part[rows, k] for part in (self.peak, self.width, self.place, self.baseline)])
+            np.array([part[rows, k] for part in (self.peak, self.width, self.peak_time, self.baseline)])
             for k in (middle - 1, node, middle + 1)
         )
         for part in (before, at, after):
             np.log(part[1], out=part[1])
-        peak, log_width, place, baseline = at + np.where(
+        peak, log_width, peak_time, baseline = at + np.where(
             share == 0, 0.0, 0.5 * share * (after - before) + 0.5 * share**2 * (after - 2 * at + before)
         )
-        return np.array([peak, log_width, place, shape, baseline]).T
+        return np.array([peak, log_width, peak_time, shape, baseline]).T
 
     @cached_property
     def _parabolas(self) -> tuple[Floats, Floats]:
-        """Where between its neighbours each node's parabola is lowest [s from the node], and the cost there."""
+        """The minimum of each node's parabola between its neighbours [s from the node], and the cost there."""
         move, lowest = np.zeros(self.cost.shape), self.cost.copy()
         before, at, after = self.cost[:, :-2], self.cost[:, 1:-1], self.cost[:, 2:]
         bend, tilt = before - 2 * at + after, 0.5 * (before - after)
@@ -253,7 +252,7 @@ class Found:
 
     @cached_property
     def _valleys(self) -> tuple[NDArray[np.intp], Floats]:
-        """The nodes of the two lowest valleys and their costs, each (2, n); the second's is infinite without one."""
+        """The nodes of the two lowest minima and their costs, each (2, n); an infinite cost without a second one."""
         valley = np.ones(self.cost.shape, bool)
         falls = self.cost[:, 1:] <= self.cost[:, :-1]
         valley[:, 1:] = falls
@@ -266,18 +265,18 @@ class Found:
         return np.stack([first, second]), np.stack([deepest, depths[rows, second]])
 
 
-def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool = False) -> Found:
-    """Return the best pulses of all shapes in frames, from rough places and widths [samples], each (n,)."""
-    held = bank(with_baseline)
-    n, n_nodes = len(place), NODES.size
-    origin, unit = place.copy(), width.copy()
-    solution = np.zeros((n, n_nodes, held.basis.shape[2]))
+def search(samples: Samples, peak_time: Floats, width: Floats, with_baseline: bool = False) -> SearchResult:
+    """Return the best pulses of all shapes in frames, from approximate peak times and widths [samples], each (n,)."""
+    shapes = bank(with_baseline)
+    n, n_nodes = len(peak_time), NODES.size
+    origin, unit = peak_time.copy(), width.copy()
+    solution = np.zeros((n, n_nodes, shapes.basis.shape[2]))
     cost, best = np.full((n, n_nodes), np.inf), np.zeros(n, np.intp)
     active = np.arange(n)
     for repetition in range(_PASSES):
-        found = solve(held, samples.bins(origin[active], unit[active], active))
-        solution[active], cost[active] = found
-        best[active] = np.argmin(found[1], axis=1)
+        solved_bins = solve(shapes, samples.bins(origin[active], unit[active], active))
+        solution[active], cost[active] = solved_bins
+        best[active] = np.argmin(solved_bins[1], axis=1)
         if repetition == _PASSES - 1:
             break
         solved = solution[active, best[active]].T
@@ -292,27 +291,27 @@ def search(samples: Samples, place: Floats, width: Floats, with_baseline: bool =
     peak = np.maximum(solution[:, :, 0], 1e-300)
     # First-order moves from the common origin and unit, for each shape.
     move, stretch = (np.clip(solution[:, :, k] / peak, -_MAX_STEP, _MAX_STEP) for k in (1, 2))
-    own_unit = unit[:, None] * np.exp(stretch)
+    stretched_unit = unit[:, None] * np.exp(stretch)
     baseline = solution[:, :, 3] if with_baseline else np.zeros_like(peak)
-    return Found(
+    return SearchResult(
         cost,
         peak,
-        origin[:, None] + unit[:, None] * move + own_unit * held.place,
-        own_unit * held.width,
+        origin[:, None] + unit[:, None] * move + stretched_unit * shapes.peak_time,
+        stretched_unit * shapes.width,
         baseline,
         unit,
     )
 
 
-def solve(held: Bank, bins: Bins) -> tuple[Floats, Floats]:
+def solve(shapes: Bank, bins: Bins) -> tuple[Floats, Floats]:
     """Return the least-squares solutions for all shapes, (n, n_nodes, n_free), and their squared residuals."""
-    n, (n_nodes, _, n_free) = len(bins.values), held.basis.shape
-    # Row by row: the result of one must not depend on how many there are.
-    right = np.matmul(bins.values[:, None], held.flat).reshape(n, n_nodes, n_free)
-    solution = np.einsum("kij,nkj->nki", held.inverse, right)
+    n, (n_nodes, _, n_free) = len(bins.values), shapes.basis.shape
+    # Row by row: a result must not depend on the number of rows.
+    right = np.matmul(bins.values[:, None], shapes.flat).reshape(n, n_nodes, n_free)
+    solution = np.einsum("kij,nkj->nki", shapes.inverse, right)
     if (partial := bins.partial).size and bins.inside is not None:
         inside = bins.inside[partial][:, None].astype(np.float64)
-        information = np.matmul(inside, held.products).reshape(-1, n_nodes, n_free, n_free)
+        information = np.matmul(inside, shapes.products).reshape(-1, n_nodes, n_free, n_free)
         ridge = 1e-6 * np.einsum("nkii->nki", information) + 1e-9
         information[..., np.arange(n_free), np.arange(n_free)] += ridge
         solution[partial] = np.linalg.solve(information, right[partial][..., None])[..., 0]

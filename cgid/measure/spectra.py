@@ -146,10 +146,10 @@ class EnergySpectrum:
         return np.asarray(self._below(high) - self._below(low))
 
     def _below(self, frequency: float) -> Floats:
-        place, last = frequency / self.spacing + 0.5, self.energy.shape[1] - 1
-        n_bins = min(int(place), last)
+        position, last = frequency / self.spacing + 0.5, self.energy.shape[1] - 1
+        n_bins = min(int(position), last)
         # The first and the last bin have half a width, above 0 Hz and below half the sampling rate.
-        share = place - n_bins if 0 < n_bins < last else 2 * (place - n_bins) - (n_bins == 0)
+        share = position - n_bins if 0 < n_bins < last else 2 * (position - n_bins) - (n_bins == 0)
         before, after = self._running[:, n_bins], self._running[:, n_bins + 1]
         return np.asarray(before + min(share, 1.0) * (after - before))
 
@@ -170,9 +170,9 @@ class EnergySpectrum:
         # grows like the logarithm of the rate, the fourth in proportion to it.
         mean, deviation = self.moments
         # A line within one bin is as wide as the bin.
-        place = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
+        position = (self.frequency - mean[:, None]) / np.maximum(deviation, 0.1 * self.spacing)[:, None]
         share = self.energy / self.energy.sum(axis=1)[:, None]
-        return np.asarray(np.sum(share * place**3, axis=1)), np.asarray(np.sum(share * place**4, axis=1))
+        return np.asarray(np.sum(share * position**3, axis=1)), np.asarray(np.sum(share * position**4, axis=1))
 
     def rolloff(self, share: float) -> Floats:
         """Return the frequency below which a share of the energy lies [Hz]."""
@@ -188,13 +188,13 @@ class EnergySpectrum:
         floor = np.maximum(MIN_SHARE * mean, np.finfo(np.float64).tiny)[:, None]
         return np.asarray(np.log10(np.maximum(above, floor)).mean(axis=1) - np.log10(np.maximum(mean, floor[:, 0])))
 
-    def dominant(self, count: int, apart: float) -> Floats:
-        """Return the `count` strongest maxima [Hz] at least `apart` [Hz] apart; repeat the last if there are fewer."""
+    def dominant(self, count: int, separation: float) -> Floats:
+        """Return the `count` strongest maxima, at least `separation` apart [Hz]; repeat the last if there are fewer."""
         energy, rows = self.energy, np.arange(len(self.energy))
         padded = np.pad(energy, ((0, 0), (1, 1)), constant_values=-1.0)
         maxima = np.where((energy > padded[:, :-2]) & (energy >= padded[:, 2:]), energy, 0.0)
         out, reach = np.empty((len(energy), count)), np.arange(energy.shape[1])
-        for place in range(count):
+        for position in range(count):
             top = np.argmax(maxima, axis=1)
             has_peak = maxima[rows, top] > 0
             before, peak, after = (padded[rows, top + step] for step in range(3))
@@ -202,9 +202,9 @@ class EnergySpectrum:
             # A parabola through three bins; at the ends of the spectrum there are only two.
             inside = (bend < 0) & (before >= 0) & (after >= 0)
             shift = np.where(inside, 0.5 * (before - after) / np.where(inside, bend, -1.0), 0.0)
-            last = out[:, place - 1] if place else np.zeros(len(energy))
-            out[:, place] = np.where(has_peak, (top + shift) * self.spacing, last)
-            maxima[np.abs(reach - top[:, None]) * self.spacing < apart] = 0.0
+            last = out[:, position - 1] if position else np.zeros(len(energy))
+            out[:, position] = np.where(has_peak, (top + shift) * self.spacing, last)
+            maxima[np.abs(reach - top[:, None]) * self.spacing < separation] = 0.0
         return out
 
 
@@ -214,16 +214,16 @@ class PulseSpectrum:
     # Windows (n_signals, n_samples) are zero outside contact. The padding, at least `_ZERO_PADDING` times the row's own
     # contact, makes a row independent of the others. Power is zero beyond `n_bins` (n_signals,).
 
-    def __init__(self, windows: Floats, touch: Floats, separation: Floats, sampling_rate: float) -> None:
-        min_length = np.maximum(_ZERO_PADDING * np.ceil(separation - touch + 1), 64)
+    def __init__(self, windows: Floats, onset: Floats, separation: Floats, sampling_rate: float) -> None:
+        min_length = np.maximum(_ZERO_PADDING * np.ceil(separation - onset + 1), 64)
         lengths = np.asarray(2 ** np.ceil(np.log2(min_length)).astype(np.intp))
-        top = np.minimum(SPECTRUM_LIMIT / ((separation - touch) / sampling_rate), sampling_rate / 2)
+        top = np.minimum(SPECTRUM_LIMIT / ((separation - onset) / sampling_rate), sampling_rate / 2)
         self.n_bins = np.floor(top * lengths / sampling_rate).astype(np.intp) + 1
         power = np.zeros((len(lengths), int(self.n_bins.max())))
-        first, last = np.maximum(np.ceil(touch).astype(np.intp), 0), windows.shape[1] - 1
+        first, last = np.maximum(np.ceil(onset).astype(np.intp), 0), windows.shape[1] - 1
         for length in np.unique(lengths):
             rows = np.flatnonzero(lengths == length)
-            columns = first[rows, None] + np.arange(int(np.ceil((separation - touch)[rows].max())) + 1)
+            columns = first[rows, None] + np.arange(int(np.ceil((separation - onset)[rows].max())) + 1)
             force = np.where(columns <= last, windows[rows[:, None], np.minimum(columns, last)], 0.0)
             max_bins = int(self.n_bins[rows].max())
             power[rows, :max_bins] = np.abs(np.fft.rfft(force, n=int(length)))[:, :max_bins] ** 2
@@ -277,11 +277,11 @@ class PulseSpectrum:
         return self._below(high) - self._below(low)
 
     def _below(self, limit: float) -> Floats:
-        place, last = limit / self.frequency[:, 1], self.power.shape[1] - 1
-        before = np.minimum(place.astype(np.intp), last)
+        position, last = limit / self.frequency[:, 1], self.power.shape[1] - 1
+        before = np.minimum(position.astype(np.intp), last)
         rows, after = np.arange(len(before)), np.minimum(before + 1, last)
         low, high = self.cumulative[rows, before], self.cumulative[rows, after]
-        return np.asarray(low + (place - before).clip(0, 1) * (high - low))
+        return np.asarray(low + (position - before).clip(0, 1) * (high - low))
 
 
 def hann(length: int) -> Floats:

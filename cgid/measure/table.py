@@ -1,8 +1,8 @@
 """The table of features: entries of one feature, banks of many, and the lookup by name.
 
-An entry holds the name, unit, definition and source of a feature and how to measure it. What is to be said of them
-stands in `features.csv`, how they are measured at the end of the module that does it: `PULSE_FEATURES` in `pulses.py`,
-`VIBRATION_FEATURES` in `vibration.py`, `WINDOW_FEATURES` in `windows.py`. To add a feature, add a row::
+An entry holds the name, unit, definition and source of a feature and how to measure it. `features.csv` describes them;
+how they are measured is at the end of the module that does it: `PULSE_FEATURES` in `pulses.py`, `VIBRATION_FEATURES` in
+`vibration.py`, `WINDOW_FEATURES` in `windows.py`. To add a feature, add a row::
 
     form_factor,1,positive,peak_force times contact_duration over impulse,cgid
 
@@ -52,7 +52,7 @@ class Feature:
     highest_frequency: float = 0.0  # lower limit of half the sampling rate [Hz]
     shortest_frame: float = 0.0  # least duration of a frame [s]
     extra: str = ""  # the extra of cgid that it needs; such a feature is measured only if named
-    beam: bool = False  # read through a beam whose modes are known; the same holds
+    beam: bool = False  # inverted through a beam whose modes are given; the same is true
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -76,7 +76,7 @@ def described(measures: Mapping[str, Callable[[Any], Floats]], **about: Any) -> 
 
 
 def _described(name: str) -> dict[str, Any]:
-    """Return what `features.csv` says of a feature or a bank."""
+    """Return the row of `features.csv` of a feature or a bank."""
     row = _descriptions()[name]
     return {key: row[key] for key in ("name", "unit", "definition", "source")} | dict.fromkeys(
         row["traits"].split(), True

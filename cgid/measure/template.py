@@ -7,7 +7,7 @@ beyond e = 1, where estimates near 1 may fall.
 It is tabulated with its derivatives at `N_SHAPES` shapes and `N_CELLS` equal parts of the contact, and extrapolated
 from the nearest node to second order. `tests/references/make_shapes.py` makes the tables from `cgid.family`.
 
-The parameters of a fit, (peak, ln width, place = time of the peak, s, baseline) with width = impulse over peak, are
+The parameters of a fit, (peak, ln width, peak time, s, baseline) with width = impulse over peak, are
 nearly independent; contact duration and onset would be strongly correlated with s. `PARAMETERS` are reported.
 """
 
@@ -25,7 +25,7 @@ from cgid.validation import Floats
 
 #: Bounds of the shape s = ln e.
 MIN_SHAPE, MAX_SHAPE = float(np.log(family.MIN_RESTITUTION)), -float(np.log(family.MIN_RESTITUTION))
-#: Tables of pulses; and of their times, of the bank of `search`, and of the components of `remainder`.
+#: Tables of pulses; and of their times, of the bank of `search`, and of the components of `residual`.
 TEMPLATE_PATH, SHAPES_PATH = (Path(__file__).with_name(name) for name in ("template.npy", "shapes.npz"))
 #: Shapes of the tables, from the lowest to 0, and cells of the contact.
 N_SHAPES, N_CELLS = 129, 1024
@@ -35,8 +35,8 @@ _SPACING = -MIN_SHAPE / (N_SHAPES - 1)
 def dimensionless(shapes: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return restitution, contact time, time of the peak and peak of the dimensionless pulse, each (n,)."""
     restitution = np.minimum(np.exp(shapes), family.MAX_RESTITUTION)
-    contact, peak_time, _ = family.times(restitution)
-    return restitution, contact, peak_time, family.force(peak_time[:, None], restitution)[:, 0]
+    contact, rise_time, _ = family.times(restitution)
+    return restitution, contact, rise_time, family.force(rise_time[:, None], restitution)[:, 0]
 
 
 def dimensionless_logarithms(shape: Floats, *names: str) -> tuple[Floats, ...]:
@@ -70,20 +70,20 @@ def relative_times(shape: Floats) -> tuple[Floats, Floats, Floats, Floats]:
 
 def _near_node(shape: Floats) -> tuple[NDArray[np.intp], Floats, Floats, Floats, Floats, Floats]:
     """Return the nearest node of s (of -s above 0), the distance from it, and `relative_times`."""
-    place = (-np.abs(shape) - MIN_SHAPE) / _SPACING
+    position = (-np.abs(shape) - MIN_SHAPE) / _SPACING
     # Of nan, which a fit of no pulse may try, fmax and fmin make a node.
-    node = np.fmin(np.fmax(np.rint(place), 0), N_SHAPES - 1).astype(np.intp)
-    offset = (place - node) * _SPACING
-    held = tables()[1][node]
-    slopes = held[:, :, 1] + offset[:, None] * held[:, :, 2]
-    at = held[:, :, 0] + 0.5 * offset[:, None] * (held[:, :, 1] + slopes)
-    duration, peak_time, duration_slope, peak_slope = at[:, 0], at[:, 1], slopes[:, 0], slopes[:, 1]
+    node = np.fmin(np.fmax(np.rint(position), 0), N_SHAPES - 1).astype(np.intp)
+    offset = (position - node) * _SPACING
+    tabulated = tables()[1][node]
+    slopes = tabulated[:, :, 1] + offset[:, None] * tabulated[:, :, 2]
+    at = tabulated[:, :, 0] + 0.5 * offset[:, None] * (tabulated[:, :, 1] + slopes)
+    duration, rise_time, duration_slope, peak_slope = at[:, 0], at[:, 1], slopes[:, 0], slopes[:, 1]
     turned = shape > 0
     if turned.any():
-        peak_time = np.where(turned, duration - peak_time, peak_time)
+        rise_time = np.where(turned, duration - rise_time, rise_time)
         duration_slope = np.where(turned, -duration_slope, duration_slope)
         peak_slope = np.where(turned, duration_slope + peak_slope, peak_slope)
-    return node, offset, duration, peak_time, duration_slope, peak_slope
+    return node, offset, duration, rise_time, duration_slope, peak_slope
 
 
 def curve(fraction: Floats, shape: Floats) -> Floats:
@@ -100,7 +100,7 @@ _GRID, _POINTS = 241, 300
 
 
 def free_parameters(onset_known: bool, fit_baseline: bool) -> list[int]:
-    """Return the columns of (peak, ln width, place, shape, baseline) that are fitted."""
+    """Return the columns of (peak, ln width, peak time, shape, baseline) that are fitted."""
     return [0, 1, *([] if onset_known else [2]), 3, *([4] if fit_baseline else [])]
 
 
@@ -108,18 +108,19 @@ def slopes_and_pulse(
     parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
 ) -> Floats:
     """Return slopes in the free parameters and, last, pulses without baseline, (n, n_free + 1, n_samples)."""
-    # With a known onset, the place follows from width and shape. The error against `curve` is 1e-5 of the peak for e
-    # from .2 and 1.2e-4 at .05; within a thousandth of the contact from its ends up to 4e-5 for e from .3, 4e-4 at .05.
-    peak, log_width, place, shape, _ = parameters.T
+    # With a known onset, the peak time follows from width and shape. The error against `curve` is 1e-5 of the peak for
+    # e from .2 and 1.2e-4 at .05; within a thousandth of the contact from its ends up to 4e-5 for e from .3, 4e-4 at
+    # .05.
+    peak, log_width, peak_time, shape, _ = parameters.T
     width = np.exp(log_width)
     node, offset, duration, lead, duration_slope, lead_slope = _near_node(shape)
     turned = shape > 0
     sign = np.where(turned, -1.0, 1.0)
-    # Time in cells x is linear in time, and what the slopes need of time is linear in x.
+    # Time in cells x is linear in time, and the slopes are linear in x.
     scale = sign * N_CELLS / (width * duration)
-    shift = (lead / duration) * sign * N_CELLS + np.where(turned, N_CELLS, 0.0) - place * scale
+    shift = (lead / duration) * sign * N_CELLS + np.where(turned, N_CELLS, 0.0) - peak_time * scale
     steep = peak * scale * width
-    # z, the time from the place over the width, and the share at x = 0; with a known onset, the time from there.
+    # z: time from the peak (with a known onset, from there) over the width, at x = 0.
     first_z, first_share = turned * duration - (0.0 if onset_known else lead), turned * 1.0
     moved = 0.0 if onset_known else lead_slope
     of_rows = [
@@ -132,7 +133,7 @@ def slopes_and_pulse(
         steep * (moved - first_share * duration_slope),
         -steep * (sign / N_CELLS) * duration_slope,
     ]
-    ds, half, z0, z1, to_place, in_s, s0, s1 = np.array(of_rows, np.float32)[:, :, None]
+    ds, half, z0, z1, to_peak_time, in_s, s0, s1 = np.array(of_rows, np.float32)[:, :, None]
     n, n_points = times.shape
     out = np.empty((n, len(free_parameters(onset_known, fit_baseline)) + 1, n_points))
     x = times * scale[:, None]
@@ -142,7 +143,7 @@ def slopes_and_pulse(
     dx = (x - column).astype(np.float32)
     index = column.astype(np.intp)
     index += (node * (N_CELLS + 1))[:, None]
-    g, g_u, g_uu, g_s, g_su, g_ss = (held.take(index) for held in tables()[0])
+    g, g_u, g_uu, g_s, g_su, g_ss = (tabulated.take(index) for tabulated in tables()[0])
     x = x.astype(np.float32)
     g_uu *= dx
     slope = g_su * ds
@@ -165,7 +166,7 @@ def slopes_and_pulse(
     z1 *= slope
     out[:, 1] = z1
     if not onset_known:
-        np.multiply(slope, to_place, out=out[:, 2])
+        np.multiply(slope, to_peak_time, out=out[:, 2])
     x *= s1
     x += s0
     x *= slope
@@ -179,7 +180,7 @@ def slopes_and_pulse(
 def pulse_and_slopes(
     parameters: Floats, times: Floats, onset_known: bool = False, fit_baseline: bool = False
 ) -> tuple[Floats, Floats]:
-    """Return what `slopes_and_pulse` does apart: pulses (n, n_samples), and their slopes (n, n_free, n_samples)."""
+    """Return the parts of `slopes_and_pulse`: pulses (n, n_samples), and their slopes (n, n_free, n_samples)."""
     both = slopes_and_pulse(parameters, times, onset_known, fit_baseline)
     return both[:, -1], both[:, :-1]
 
@@ -191,16 +192,16 @@ def covariance_of(
     peak, log_width, _, shape, _ = parameters.T
     width = np.exp(log_width)
     duration, lead, duration_slope, lead_slope = relative_times(shape)
-    turn = np.zeros((len(peak), 5, 5))
-    turn[:, 0, 0] = 1 / peak
-    turn[:, 1, 1], turn[:, 1, 3] = 1.0, duration_slope / duration
+    jacobian = np.zeros((len(peak), 5, 5))
+    jacobian[:, 0, 0] = 1 / peak
+    jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, duration_slope / duration
     if not onset_known:
-        turn[:, 2, 1], turn[:, 2, 2], turn[:, 2, 3] = -lead * width, 1.0, -lead_slope * width
-    turn[:, 3, 3] = turn[:, 4, 4] = 1.0
-    turn = turn[:, :, free_parameters(onset_known, fit_baseline)]
+        jacobian[:, 2, 1], jacobian[:, 2, 2], jacobian[:, 2, 3] = -lead * width, 1.0, -lead_slope * width
+    jacobian[:, 3, 3] = jacobian[:, 4, 4] = 1.0
+    jacobian = jacobian[:, :, free_parameters(onset_known, fit_baseline)]
     scale, unit = scaled(information, 1e-12)
     inverse = np.linalg.inv(unit) / (scale[:, :, None] * scale[:, None, :])
-    return np.asarray(turn @ inverse @ np.swapaxes(turn, 1, 2))
+    return np.asarray(jacobian @ inverse @ np.swapaxes(jacobian, 1, 2))
 
 
 @cache
@@ -221,13 +222,13 @@ def _shape_deviation() -> tuple[Floats, Floats]:
 
 def shape_deviation(shape: Floats) -> Floats:
     """Return ln(standard deviation of s) of densely sampled pulses plus a constant, and two derivatives, (3, n)."""
-    grid, held = _shape_deviation()
-    place = (shape - MIN_SHAPE) / (grid[1] - grid[0])
-    node = np.clip(place.astype(np.intp), 0, _GRID - 2)
-    return np.asarray(held[:, node] + (place - node) * (held[:, node + 1] - held[:, node]))
+    grid, tabulated = _shape_deviation()
+    position = (shape - MIN_SHAPE) / (grid[1] - grid[0])
+    node = np.clip(position.astype(np.intp), 0, _GRID - 2)
+    return np.asarray(tabulated[:, node] + (position - node) * (tabulated[:, node + 1] - tabulated[:, node]))
 
 
 def parameters_of(peak: Floats, width: Floats, onset: Floats, shape: Floats) -> Floats:
-    """Return (peak, ln width, place, shape, baseline 0), (n, 5), of pulses given by their onset."""
+    """Return (peak, ln width, peak time, shape, baseline 0), (n, 5), of pulses given by their onset."""
     _, lead, _, _ = relative_times(shape)
     return np.stack([peak, np.log(width), onset + lead * width, shape, np.zeros_like(peak)], axis=1)

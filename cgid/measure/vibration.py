@@ -31,17 +31,17 @@ from cgid.validation import Floats
 
 #: Time constant of the exponential window [s]. It widens a line by 1 / (pi WINDOW_TIME) = 21 Hz.
 WINDOW_TIME = 15e-3
-#: Least distance between maxima of the spectrum [Hz]: several widths of a line.
-APART = 100.0
+#: Minimum distance between maxima of the spectrum [Hz]: several widths of a line.
+MIN_SEPARATION = 100.0
 #: Length of the frames for the delay of a band [s].
 DELAY_FRAME = 10e-3
 #: Longest event [s]: the window has then fallen to 2e-6.
 MAX_EVENT = 0.2
 #: Shortest event [s].
 MIN_EVENT = 5e-3
-#: The onset is where the deviation from the baseline first exceeds this share of its maximum,
+#: The onset is where the distance from the baseline first exceeds this fraction of its maximum,
 ONSET_OVER_PEAK = 0.05
-#: or this many standard deviations of the noise if that is more, but at most the second share of its maximum.
+#: or this many standard deviations of the noise if that is more, but at most the second fraction of its maximum.
 ONSET_OVER_NOISE, LATEST_ONSET = 5.0, 0.8
 #: Without `pre_trigger`, the quiet part ends this long before the signal first leaves its level [s].
 QUIET_MARGIN = 1e-3
@@ -64,7 +64,7 @@ class Beam(Protocol):
         ...
 
     def measured(self, vibrations: VibrationBatch) -> Mapping[str, Floats]:
-        """Return what it tells of the contact forces, by feature; the vibrations of one impact follow each other."""
+        """Return features of the contact forces; the vibrations of one impact are adjacent rows."""
 
 
 class VibrationBatch(Frames):
@@ -74,7 +74,7 @@ class VibrationBatch(Frames):
 
     #: The beam that vibrates, for the features that look through it.
     beam: Beam | None = None
-    #: Which channel of a recording each impact is from, in order of time within each; None if they are from none.
+    #: Channel of the recording of each impact, in order of time within each channel; None without a recording.
     channel: NDArray[np.intp] | None = None
 
     @cached_property
@@ -96,11 +96,11 @@ class VibrationBatch(Frames):
     def _surely_quiet(self) -> NDArray[np.intp]:
         """Number of samples up to well before the first that leaves the level before the largest deviation."""
         centre = self.samples.mean(axis=1, dtype=np.float64)
-        place = np.argmax(np.abs(self.samples - centre[:, None]), axis=1)
+        index = np.argmax(np.abs(self.samples - centre[:, None]), axis=1)
         # The first half of the samples before the largest deviation defines the quiet level.
-        mean, noise = self._moments(place // 2)
+        mean, noise = self._moments(index // 2)
         deviation = np.abs(self.samples - mean[:, None])
-        threshold = _onset_threshold(deviation[np.arange(len(place)), place], noise)
+        threshold = _onset_threshold(deviation[np.arange(len(index)), index], noise)
         first = np.argmax(deviation > threshold[:, None], axis=1)
         return np.asarray(np.maximum(first - int(np.ceil(QUIET_MARGIN * self.sampling_rate)), 0))
 
@@ -234,15 +234,15 @@ class VibrationBatch(Frames):
         size = np.abs(self.event)
         falls = size[:, 1:] < size[:, :-1]
         falls[:, -1] = True
-        place = np.argmax(falls, axis=1)
-        rows = np.arange(len(place))
+        index = np.argmax(falls, axis=1)
+        rows = np.arange(len(index))
         outside = self._deviation[rows, np.maximum(self.first - 1, 0)]
-        before = np.where(place > 0, size[rows, place - 1], outside)
-        top, after = size[rows, place], size[rows, place + 1]
+        before = np.where(index > 0, size[rows, index - 1], outside)
+        top, after = size[rows, index], size[rows, index + 1]
         bend = before - 2 * top + after
         shift = np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0)
         # A parabola must not yield a time before the onset.
-        return np.asarray(np.maximum(place + np.clip(shift, -0.5, 0.5) + self._lead, 0.05) / self.sampling_rate)
+        return np.asarray(np.maximum(index + np.clip(shift, -0.5, 0.5) + self._lead, 0.05) / self.sampling_rate)
 
     @cached_property
     def decay_time(self) -> Floats:
@@ -297,7 +297,7 @@ class VibrationBatch(Frames):
     @cached_property
     def dominant_frequencies(self) -> Floats:
         """Frequencies of the three strongest maxima of the clean spectrum [Hz], (n_signals, 3)."""
-        return self.clean_spectrum.dominant(3, APART)
+        return self.clean_spectrum.dominant(3, MIN_SEPARATION)
 
     # -- bands that overlap ---------------------------------------------------------------------------
 
@@ -343,15 +343,16 @@ class VibrationBatch(Frames):
         for row in np.flatnonzero(~(self.peak > self.detection_limit * self.noise) | ~(self.peak > MIN_PEAK)):
             problems.setdefault(
                 int(row),
-                f"no impact: the signal must leave its baseline by {self.detection_limit:g} times the noise, it does "
-                f"by {self.peak[row]:.3g} over a noise of {self.noise[row]:.3g}; record nearer or with less noise",
+                f"no impact: the peak must exceed {self.detection_limit:g} times the noise, it is "
+                f"{self.peak[row]:.3g} over a noise of {self.noise[row]:.3g}; record closer to the impact or with less "
+                "noise",
             )
         if self.pre_trigger is None:
             for row in np.flatnonzero(self.first == 0):
                 problems.setdefault(
                     int(row),
                     "the vibration must begin inside the frame, it is cut off by its start (sample 0): record some "
-                    "samples before touch",
+                    "samples before onset",
                 )
         for row in np.flatnonzero(self.samples.shape[1] - self.first < MIN_EVENT * self.sampling_rate):
             there = (self.samples.shape[1] - self.first[row]) / self.sampling_rate

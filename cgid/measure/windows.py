@@ -1,7 +1,7 @@
 """Measurements on windows of a recording, and their features (`WINDOW_FEATURES`, at the end).
 
 In a window many bodies fall, slide and overlap, so single impacts are not located. It is cut into half-overlapping
-Hann-windowed frames of `FRAME_TIME`: their mean spectrum describes the sources, the differences between frames the kind
+Hann-windowed frames of `FRAME_TIME`: their mean spectrum describes the sources, the differences between frames the type
 of sound. Features with `relative` in their names, frequencies and those without a unit do not depend on the gain.
 """
 
@@ -34,8 +34,8 @@ from cgid.validation import Floats
 FRAME_TIME = 10e-3
 #: Averaging time of the envelope, a root mean square [s].
 ENVELOPE_TIME = 1e-3
-#: An impact is a maximum of the envelope within `BLOW_TIME` [s] to either side, of at least this many times its mean.
-BLOW_TIME, BLOW_OVER_MEAN = 3e-3, 1.5
+#: An impact is a maximum of the envelope within `IMPACT_TIME` [s] to either side, of at least this many times its mean.
+IMPACT_TIME, IMPACT_OVER_MEAN = 3e-3, 1.5
 #: Smallest root mean square: the fourth power of anything less underflows.
 MIN_RMS = 1e-70
 #: Third octaves of windows [Hz]: without an exponential window they cover the audible range.
@@ -141,11 +141,13 @@ class WindowBatch:
     @cached_property
     def blow_rate(self) -> Floats:
         """Impacts per second [Hz]: local maxima of the envelope well above its mean."""
-        reach = max(round(BLOW_TIME / self._envelope_step), 1)
+        reach = max(round(IMPACT_TIME / self._envelope_step), 1)
         padded = np.pad(self.envelope, ((0, 0), (reach, reach)))
         around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1)
-        blows = (self.envelope >= around.max(axis=2)) & (self.envelope > BLOW_OVER_MEAN * self._mean_envelope[:, None])
-        return np.asarray(np.count_nonzero(blows, axis=1) / (self.envelope.shape[1] * self._envelope_step))
+        impacts = (self.envelope >= around.max(axis=2)) & (
+            self.envelope > IMPACT_OVER_MEAN * self._mean_envelope[:, None]
+        )
+        return np.asarray(np.count_nonzero(impacts, axis=1) / (self.envelope.shape[1] * self._envelope_step))
 
     # -- spectra --------------------------------------------------------------------------------------
 
@@ -227,8 +229,8 @@ class WindowBatch:
         constant = np.ptp(self.samples, axis=1) == 0
         for row in np.flatnonzero(constant | ~(self.mean_square > MIN_RMS**2)):
             problems[int(row)] = (
-                f"a window must hold a signal, all its samples are {self.samples[row, 0]:g}; check the sensor and its "
-                "cable"
+                f"a window must contain a signal, all its samples are {self.samples[row, 0]:g}; check the sensor and "
+                "its cable"
             )
         return problems
 

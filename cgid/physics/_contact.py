@@ -401,7 +401,7 @@ def _march(steps: Array, count: int, n: int, s: float, tau: float) -> tuple[int,
     row, low, high = steps[n], 0.0, 1.0
     h = row[0]
     w, past = value(row, W, s), tau - value(row, TAU, s)
-    # From touch on time goes like sigma^2 / 4.
+    # From onset on time goes like sigma^2 / 4.
     s = min(max(s + (past / w if past < 10.0 * w * w else 2.0 * math.sqrt(past)) / h, 0.0), 1.0)
     for _ in range(60):
         error = value(row, TAU, s) - tau
@@ -472,7 +472,7 @@ def add_to_frames(
 ) -> None:
     """Add one force pulse to some rows of frames (n, n_samples); only contact is touched.
 
-    onset [samples] is where touch falls on the sample grid, step is the sampling interval over T0.
+    onset [samples] is where the onset falls on the sample grid, step is the sampling interval over T0.
     """
     steps, result = np.empty((MAX_STEPS, COLUMNS)), np.empty(len(RESULTS))
     for i in rows:

@@ -386,7 +386,7 @@ def add_to_frames(
 ) -> None:
     """Add the force of all contacts to some rows of frames (n, n_samples); only contact is touched.
 
-    onset [samples] is where the first touch falls on the sample grid, step is the sampling interval over T0.
+    onset [samples] is where the first the onset falls on the sample grid, step is the sampling interval over T0.
     """
     n = (course.shape[1] - COEFFICIENTS) // 2
     n_samples = float(frames.shape[1])

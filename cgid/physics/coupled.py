@@ -27,7 +27,7 @@ _MAX_PHASE, _MAX_STEP = 16.0, 1.2
 _FEW_MODES = 256
 #: Steps per impact allocated at first, and the most steps in one block of memory.
 _USUAL_STEPS, _PIECE = 64, 16384
-#: Default window for new contacts after the first touch [T0]: about four undamped contacts.
+#: Default window for new contacts after the first onset [T0]: about four undamped contacts.
 USUAL_WINDOW = 12.0
 
 
@@ -60,7 +60,7 @@ class ModalImpact(Impact):
         `compliance / (2 pi frequency)^2` over them, or `2 / (pi Z w)` for a thin plate of impedance Z, cut at w
         [rad/s].
     window : array_like, optional [s]
-        Time after the first touch in which a new contact may begin; it is followed to its end. Default: 12 T0, about
+        Time after the first onset in which a new contact may begin; it is followed to its end. Default: 12 T0, about
         four undamped contacts on a half space.
     tolerance : float, 1e-12 to 1e-4
         Truncation error of the force polynomials over the peak force. Energies, restitution and contact duration are
@@ -205,7 +205,7 @@ class ModalImpact(Impact):
 
     @property
     def end_of_contact(self) -> Floats:
-        """Time from first touch to the end of the last contact [s]."""
+        """Time from first onset to the end of the last contact [s]."""
         return self.time_scale * self._result("end")
 
     @property

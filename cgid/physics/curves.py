@@ -236,10 +236,10 @@ class Curves:
             raise InvalidValue(
                 f"the force of a contact law must be finite, got nan or infinity ({numbers}){place}; check the law"
             )
-        cure = "lower the loss, or leave gravity out" if heavy else "lower the loss"
+        hint = "lower the loss, or leave gravity out" if heavy else "lower the loss"
         raise InvalidValue(
             f"the impact must end within {_contact.MAX_STEPS} steps of the integration and leave a rebound that double "
-            f"precision can follow, got {numbers}{place}; {cure}"
+            f"precision can follow, got {numbers}{place}; {hint}"
         )
 
     def evaluate(
@@ -486,7 +486,7 @@ def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:
 
 
 def samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
-    """Return the number of frame samples between touch and separation, both in samples."""
+    """Return the number of frame samples between onset and separation, both in samples."""
     first = np.clip(np.floor(touch) + 1, 0, n_samples)
     return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
 

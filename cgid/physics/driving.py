@@ -28,7 +28,7 @@ class Pulses(Protocol):
 
     @property
     def end_of_contact(self) -> Floats:
-        """Time from first touch to last separation [s], (n,)."""
+        """Time from first onset to last separation [s], (n,)."""
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
         """Add the forces to frames (n, n_samples), each with its own sampling rate, within an error over the peak."""

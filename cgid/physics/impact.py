@@ -146,7 +146,7 @@ class Impact:
             held = (scale > 1e-290) & (scale < 1e290)
             if not held.all():
                 raise InvalidValue(
-                    f"the {name} of the impact must lie between 1e-290 and 1e290 {unit} for double precision to hold "
+                    f"the {name} of the impact must be between 1e-290 and 1e290 {unit} for double precision to hold "
                     f"it, got {scale[~held].ravel()[0]:g} {unit}; check radius, material, velocity and loss"
                 )
 
@@ -289,22 +289,22 @@ class Impact:
 
     @property
     def contact_duration(self) -> Floats:
-        """Time from touch to separation [s]."""
+        """Time from onset to separation [s]."""
         return self.time_scale * self._shaped(self.curves.times[0])
 
     @property
     def end_of_contact(self) -> Floats:
-        """Time from first touch to last separation [s]: the contact duration, unless a `ModalImpact` touches again."""
+        """Time from first onset to last separation [s]: the contact duration, unless a `ModalImpact` touches again."""
         return self.contact_duration
 
     @property
     def time_of_peak(self) -> Floats:
-        """Time from touch to the largest force [s]."""
+        """Time from onset to the largest force [s]."""
         return self.time_scale * self._shaped(self.curves.times[1])
 
     @property
     def compression_time(self) -> Floats:
-        """Time from touch to the largest displacement [s]."""
+        """Time from onset to the largest displacement [s]."""
         return self.time_scale * self._shaped(self.curves.times[2])
 
     @property
@@ -454,7 +454,7 @@ class Impact:
         leading, index = self._broadcast_with(onset=touch, sampling_rate=rate)
         _require_frames(frames, leading)
         _output(frames.dtype, self.force_scale)
-        with np.errstate(over="ignore", divide="ignore"):  # touch or separation may lie far outside the frame
+        with np.errstate(over="ignore", divide="ignore"):  # onset or separation may lie far outside the frame
             place = np.broadcast_to(touch * rate, leading).ravel()
             step = 1 / (np.broadcast_to(rate, leading).ravel() * self.time_scale.ravel()[index])
         rows, height = frames.reshape(index.size, frames.shape[-1]), self.force_scale.ravel()[index]
@@ -525,5 +525,5 @@ def _output(dtype: DTypeLike, amplitude: Floats) -> np.dtype[Any]:
         raise InvalidValue(f"dtype must be float32 or float64, got {dtype!r}")
     # With these laws no dimensionless peak exceeds 1000.
     if wanted == np.float32 and (amplitude > 1e-3 * np.finfo(np.float32).max).any():
-        raise InvalidValue(f"float32 must hold the samples, got some near {amplitude.max():.3g}; use float64")
+        raise InvalidValue(f"float32 must contain the samples, got some near {amplitude.max():.3g}; use float64")
     return wanted

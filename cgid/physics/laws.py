@@ -409,7 +409,7 @@ class Thornton(Law):
         depth = root * root / impact.length_scale
         if not (depth > 1e-290).all():
             raise InvalidValue(
-                "the yield displacement of the impact must lie between 1e-290 and 1e290 of that of the impact for "
+                "the yield displacement of the impact must be between 1e-290 and 1e290 of that of the impact for "
                 f"double precision to hold it, got {depth.min():g}; check radius, material, velocity and loss"
             )
         return {"yield displacement": depth, "damping number": _viscous_damping(self)}

@@ -169,7 +169,7 @@ def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
     if off.size:
         index = f" at index {off[0]}" if place.ndim else ""
         raise InvalidValue(
-            f"{name} must lie on the beam, from 0 to {extent:g} m, got {place.ravel()[off[0]]:g} m{index}"
+            f"{name} must be on the beam, from 0 to {extent:g} m, got {place.ravel()[off[0]]:g} m{index}"
         )
     return place / extent
 

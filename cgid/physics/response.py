@@ -121,7 +121,7 @@ class Response:
         validation.positive("sampling_rate", self.sampling_rate, "Hz")
         validation.choice("quantity", self.quantity, ("force", *DERIVATIVES))
         if not 0 < self.tolerance <= 0.1:
-            raise InvalidValue(f"tolerance must lie above 0 and up to 0.1, got {self.tolerance:g}")
+            raise InvalidValue(f"tolerance must be above 0 and up to 0.1, got {self.tolerance:g}")
         if (self.quantity == "force") != (self.modes is None):
             raise InvalidValue(
                 f"modes must be left out for a force, and given for a motion of the beam, got {self.quantity} "

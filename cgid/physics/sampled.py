@@ -50,7 +50,7 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     coefficients = np.zeros(basis.shape[1])
     coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
     if rank < coefficients.size - 2:
-        raise InvalidValue(f"times must lie all over the contact for {knots} knots, and leave a part of it empty")
+        raise InvalidValue(f"times must be all over the contact for {knots} knots, and leave a part of it empty")
     spline = BSpline(ends, coefficients, _CUBIC)
     return np.asarray(np.maximum(spline(_angle(validation.real("shares", shares))), 0.0))
 
@@ -130,7 +130,7 @@ class SampledPulses:
 
     @property
     def end_of_contact(self) -> Floats:
-        """Time from touch to separation [s], (n,)."""
+        """Time from onset to separation [s], (n,)."""
         return self.contact_duration
 
     @cached_property

@@ -396,7 +396,7 @@ def _sought(
     unreachable = (wanted >= lossless) | (wanted <= least)
     if unreachable.any():
         raise InvalidValue(
-            f"restitution must lie between {least[unreachable][0]:.3g} and {lossless[unreachable][0]:.6g}, which the "
+            f"restitution must be between {least[unreachable][0]:.3g} and {lossless[unreachable][0]:.6g}, which the "
             f"impact has without this loss, got {wanted[unreachable][0]:g}"
         )
     found = np.asarray(elementwise.find_root(excess, (low, high), args=(wanted, rows)).x)

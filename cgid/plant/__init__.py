@@ -1,4 +1,4 @@
-"""The outputs of `cgid monitor`: its answers in the protocols that a plant speaks."""
+"""The outputs of `cgid monitor`: its predictions in the protocols of a plant."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["PlantOutputs"]
 
 
 class PlantOutputs:
-    """Everything that receives the answers of one `cgid monitor`; the context starts and ends it."""
+    """All outputs of one `cgid monitor`; the context starts and ends them."""
 
-    # Each output has threads of its own behind a queue that drops the oldest message, so answers never wait for it.
+    # Each output has its own threads and a queue that drops the oldest message, so predictions never wait for it.
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class PlantOutputs:
 
                 self._services += web_services(prometheus, live, plant, warn)
                 self._waveform = plant.waveform = None if live is None else Waveform()
-            if modbus is not None:  # after the other ports, which it must find taken
+            if modbus is not None:  # after the other ports, so that it sees them taken
                 from cgid.plant.modbus import Modbus
 
                 self._services.append(Modbus(modbus, plant, warn))
@@ -69,7 +69,7 @@ class PlantOutputs:
         self._close()
 
     def _close(self, grace: float = 3.0) -> None:
-        # First those that pass on what waits: the others show how it ended.
+        # First the outputs that send pending messages: the others show how it ended.
         for passing in (True, False):
             services = [service for service in self._services if isinstance(service, Output) is passing]
             for service in services:
@@ -87,18 +87,16 @@ class PlantOutputs:
         threshold: float | None,
         behind: Callable[[], float],
     ) -> None:
-        """Name the supports (`channels`), the rows of the blocks, and a function for the delay [s]."""
+        """Set the supports (`channels`), the rows of the blocks, and a function for the delay [s]."""
         decision = next((kind for kind, command in self._commands.items() if command is not None), None)
         if decision is not None and threshold is None:
             raise InvalidValue(
-                f"--on-{decision} needs a model that tells gangue from coal, this one has no gangue; name its labels "
-                "with "
-                "--gangue"
+                f"--on-{decision} needs a model with gangue among its labels; name the labels of gangue with --gangue"
             )
         self.plant.begin(source, channels, rows, unit, threshold, behind)
 
     def monitored_blocks(self, blocks: Iterable[NDArray[Any]], sampling_rate: float) -> Iterator[NDArray[Any]]:
-        """Yield the blocks (n_channels, n_samples); each is a beat of the heart, and a part of the waveform."""
+        """Yield the blocks (n_channels, n_samples); each is a heartbeat, and a part of the waveform."""
         for block in blocks:
             if self._waveform is not None:
                 self._waveform.add(block, sampling_rate)
@@ -106,7 +104,7 @@ class PlantOutputs:
             yield block
 
     def __call__(self, record: dict[str, Any]) -> None:
-        """Take one line of JSON; returns at once."""
+        """Queue one line of JSON; returns at once."""
         self.plant.take(record)
         for output in self._queues:
             output.put(record)

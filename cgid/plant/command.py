@@ -1,4 +1,4 @@
-"""A command that runs when a window should shut, or may open again."""
+"""A command that runs when a window should be shut or may open again."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from typing import Any
 from cgid.errors import InvalidValue
 from cgid.plant.output import Output
 
-#: A command that takes longer is ended [s]; at most this many turns wait for it.
+#: Time limit of a command [s]; maximum number of switches that wait for it.
 MAX_RUN_TIME, MAX_PENDING = 30.0, 100
-#: Descriptors that starting a command takes, with room to spare.
+#: Descriptors needed to start a command, with a margin.
 N_RESERVED = 10
 
 
 class Command(Output):
-    """Run one command at a time, without a shell; it gets the turn as JSON on stdin and in its environment."""
+    """Run one command at a time, without a shell; it gets the switch as JSON on stdin and in its environment."""
 
-    # Descriptors are kept in reserve between the runs, so that it can start even if none are left.
+    # Descriptors are reserved between the runs, so that it can start even if none are left.
 
     def __init__(self, option: str, command: str, kind: str, warn: Callable[[str], None]) -> None:
         super().__init__(option, warn, MAX_PENDING)
@@ -34,7 +34,7 @@ class Command(Output):
         if not self._words or shutil.which(self._words[0]) is None:
             word = self._words[0] if self._words else command
             raise InvalidValue(
-                f"{option} must begin with a program that can be run, got {word!r}; give its whole path (a line for a "
+                f"{option} must begin with a program that can be run, got {word!r}; give its full path (a line for a "
                 "shell: sh -c 'LINE')"
             )
         self._kind, self._longest = kind, MAX_RUN_TIME
@@ -42,7 +42,7 @@ class Command(Output):
         self.reserved: list[int] = []
 
     def put(self, record: dict[str, Any]) -> None:
-        """Let a turn wait; nothing else."""
+        """Queue a switch."""
         if record["kind"] == self._kind:
             super().put(record)
 
@@ -56,7 +56,7 @@ class Command(Output):
             os.close(self.reserved.pop())
 
     def run(self) -> None:
-        """Run the command for each turn, those that wait at the end, too."""
+        """Run the command for each switch, including those pending at the end."""
         self._reserve()
         while True:
             record = self._next()
@@ -93,5 +93,5 @@ class Command(Output):
             fault = f"failed with exit code {done.returncode}" if done.returncode else ""
         self.up, self.passed = not fault, self.passed + (not fault)
         if fault:
-            self._last_message = ""  # each turn that was missed is worth a line
+            self._last_message = ""  # each missed switch is reported
             self.report(f"the command {fault} (channel {record['channel']}, {record['time_s']:.6g} s)")

@@ -1,7 +1,7 @@
-"""Modbus TCP: the state of each support as registers, for function 3 or 4, whatever the unit identifier.
+"""Modbus TCP: the state of each support as registers, for function 3 or 4, for any unit identifier.
 
-Addresses count from 0 (30001 in the notation of some vendors is address 0). All registers are unsigned, shares are
-1/10000, ages 0.1 s; 65535 is "not known". The table is in docs/how-to/plant.md.
+Addresses count from 0 (30001 in the notation of some vendors is address 0). All registers are unsigned, fractions are
+in 1/10000, ages in 0.1 s; 65535 means "not known". The table is in docs/how-to/plant.md.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from cgid.validation import UNKNOWN
 
 #: Version of the registers.
 VERSION = 1
-#: Registers of the head and of each support; most supports.
+#: Registers of the head and of each support; maximum number of supports.
 HEAD, WIDTH, MAX_SUPPORTS = 16, 16, 256
 _SIZE = HEAD + WIDTH * MAX_SUPPORTS
 _NOT_KNOWN = 0xFFFF
-#: A client that asks nothing for this time is disconnected [s].
+#: A client without requests for this time is disconnected [s].
 TIMEOUT = 60.0
-#: Functions that are answered, most registers of an answer, most bytes of a frame after its length.
+#: Supported functions, maximum number of registers in a response, and of bytes in a frame after its length.
 _READS, _MAX_COUNT, _MAX_LENGTH = (3, 4), 125, 254
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
 
@@ -37,7 +37,7 @@ class Modbus(Server):
             server: Any
 
             def handle(self) -> None:
-                """Answer requests until the client ends, or sends what is no Modbus."""
+                """Answer requests until the client ends or sends something other than Modbus."""
                 while len(head := self.rfile.read(7)) == 7:
                     transaction, protocol, length, unit = struct.unpack(">HHHB", head)
                     if protocol or not 2 <= length <= _MAX_LENGTH:

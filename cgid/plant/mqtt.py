@@ -1,4 +1,4 @@
-"""MQTT: every line as a message, the state of each support retained, "offline" as the last will."""
+"""MQTT: every line as a message, the state of each support retained, "offline" as last will."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from cgid.plant.state import PlantState
 
 #: Maximum number of messages that the broker has not acknowledged.
 _MAX_IN_FLIGHT = 200
-#: A broker that says nothing for this time hangs [s]; pings come this often [s].
+#: A broker without messages for this time hangs [s]; interval of pings [s].
 _TIMEOUT, _KEEPALIVE = 10.0, 15
-#: At the end, time otherwise of the messages [s].
+#: Time for pending messages at the end [s].
 _GRACE = 2.0
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _LOOPBACK = re.compile(r"localhost|127\.|::1$")
 
 
 class Broker(NamedTuple):
-    """Where messages go."""
+    """Address and topic of the messages."""
 
     host: str
     port: int
@@ -43,7 +43,7 @@ class Broker(NamedTuple):
             host, port = url.hostname, url.port
             if url.username is not None or url.password is not None:
                 raise InvalidValue(
-                    "--mqtt must not hold a user or a password, which others can read there; set CGID_MQTT_USER and "
+                    "--mqtt must not contain a user or a password, which others can read there; set CGID_MQTT_USER and "
                     "CGID_MQTT_PASSWORD, or CGID_MQTT_PASSWORD_FILE"
                 )
             topic = unquote(url.path.strip("/"), errors="strict")
@@ -63,7 +63,7 @@ class Broker(NamedTuple):
 class Mqtt(Output):
     """Messages below one topic: KIND/CHANNEL for each line, state/CHANNEL and status retained."""
 
-    # Messages need an acknowledgement (QoS 1) and may come twice; their field `message` counts them.
+    # Messages need an acknowledgement (QoS 1) and may arrive twice; their field `message` counts them.
 
     def __init__(self, url: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         self._broker = broker = Broker.of(url)
@@ -71,7 +71,7 @@ class Mqtt(Output):
         paho = library("paho.mqtt.client", "--mqtt", "paho-mqtt")
         self._plant = plant
         self._number = self._on_the_way = 0
-        # Messages on the way, by paho's number: whether they count; and those acknowledged before `publish` returned.
+        # Messages in flight, by paho's number: whether they count; and those acknowledged before `publish` returned.
         self._pending: dict[int, bool] = {}
         self._early: set[int] = set()
         self._disconnected_at = time.monotonic()
@@ -89,7 +89,7 @@ class Mqtt(Output):
         if (file := os.environ.get("CGID_MQTT_PASSWORD_FILE")) and password is None:
             password = _text_of("CGID_MQTT_PASSWORD_FILE", file).rstrip("\r\n")
         if password is not None and user is None:
-            raise InvalidValue("CGID_MQTT_USER must be set beside a password, it is not")
+            raise InvalidValue("CGID_MQTT_USER must be set with a password, it is not")
         if user is not None:
             self._client.username_pw_set(user, password)
         if self._broker.secure:
@@ -98,12 +98,12 @@ class Mqtt(Output):
             self.report("the password travels unencrypted; use mqtts://")
 
     def put(self, record: dict[str, Any]) -> None:
-        """Let a message wait, with its number."""
+        """Queue a message with its number."""
         self._number += 1
         super().put(record | {"message": self._number})
 
     def run(self) -> None:
-        """Connect, and publish what waits; at the end the rest, and that we are offline."""
+        """Connect and publish pending messages; at the end publish the others and "offline"."""
         self._client.connect_async(self._broker.host, self._broker.port, _KEEPALIVE)
         self._client.loop_start()
         while not self._ending:
@@ -117,9 +117,9 @@ class Mqtt(Output):
         return self.up and self._on_the_way < _MAX_IN_FLIGHT
 
     def _end(self) -> None:
-        """Publish what waits, say goodbye, and how many messages are lost."""
+        """Publish pending messages, disconnect, and report how many messages are lost."""
         until = time.monotonic() + _GRACE
-        if self._waiting and not self._last_message:  # a short stream: the connection is just being made
+        if self._waiting and not self._last_message:  # a short stream: still connecting
             with self._changed:
                 self._changed.wait_for(lambda: self.up or self._last_message, _GRACE)
         while self.up and self._waiting and time.monotonic() < until:
@@ -137,7 +137,7 @@ class Mqtt(Output):
         self._client.loop_stop()
 
     def _publish_line(self, record: dict[str, Any]) -> None:
-        """Publish one line, and the state that follows from it."""
+        """Publish one line and the resulting state."""
         channel = record.get("channel")
         kind = record["kind"]
         self._publish(self._topic(kind, channel), json.dumps(record), ours=True)
@@ -149,7 +149,7 @@ class Mqtt(Output):
         self._publish(self._topic("state", channel), json.dumps({"channel": channel, **content}), retain=True)
 
     def _publish(self, topic: str, payload: str, *, retain: bool = False, ours: bool = False) -> None:
-        # paho acknowledges under a lock that `publish` takes, too: ours must not be held around it.
+        # paho acknowledges under a lock that `publish` also takes: do not call it while holding ours.
         with self._changed:
             self._on_the_way += 1
         number = self._client.publish(topic, payload, qos=1, retain=retain).mid

@@ -1,4 +1,4 @@
-"""What all outputs share: threads, a bounded queue, addresses, servers, and their libraries."""
+"""Common parts of all outputs: threads, a bounded queue, addresses, servers, and their libraries."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from cgid.errors import CannotCreate, InvalidValue, optional
 
 #: Maximum number of messages that wait for an output: a quarter of an hour at ten a second.
 MAX_WAITING = 10_000
-#: An output that is away is searched for after this time, then after twice as long, up to the longest [s].
+#: Time between attempts to reach an output: the first, doubling up to the longest [s].
 FIRST_PAUSE, MAX_PAUSE = 1, 30
-#: Clients of a server; after one was sent away, the next is let in after this time [s], which leaves the rest to the
-#: answers of the monitor.
+#: Maximum number of clients of a server; after one was disconnected, the next is accepted after this time [s], so that
+#: predictions keep the processor.
 MAX_CLIENTS, _PAUSE_AFTER_EVICTION = 10, 0.01
 
 
 class Service:
-    """A thread that runs until it is asked to end; its errors become warnings and never end the monitor."""
+    """A thread that runs until told to stop; its errors become warnings and never end the monitor."""
 
     def __init__(self, name: str, warn: Callable[[str], None]) -> None:
         self.name, self._warn = name, warn
@@ -42,7 +42,7 @@ class Service:
         self._thread.start()
 
     def request_end(self) -> None:
-        """Let the thread end; returns at once."""
+        """Tell the thread to stop; returns at once."""
         with self._changed:
             self._ending = True
             self._changed.notify_all()
@@ -78,7 +78,7 @@ class Output(Service):
         self.up = False
 
     def put(self, record: dict[str, Any]) -> None:
-        """Let a message wait; never blocks."""
+        """Queue a message; never blocks."""
         with self._changed:
             if len(self._waiting) >= self._most:
                 self._waiting.popleft()
@@ -87,19 +87,19 @@ class Output(Service):
             self._changed.notify_all()
 
     def status(self) -> dict[str, Any]:
-        """Return name, whether it is up, and its counts."""
+        """Return the name, whether it is up, and the counts."""
         counts = {"passed": self.passed, "dropped": self.dropped, "waiting": len(self._waiting)}
         return {"name": self.name, "up": self.up, **counts}
 
     def _next(self, ready: Callable[[], bool] = lambda: True, timeout: float = 0.5) -> dict[str, Any] | None:
-        """Return the next message as soon as the output is ready; None after a while or at the end."""
+        """Return the next message once the output is ready; None after a while or at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._ending or (self._waiting and ready()), timeout)
             return self._waiting.popleft() if self._waiting and ready() else None
 
 
 class Address(NamedTuple):
-    """Where a server listens."""
+    """Address of a server."""
 
     host: str
     port: int
@@ -120,7 +120,7 @@ class Address(NamedTuple):
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
     def bound(self, option: str) -> socket.socket:
-        """Return a socket that is bound here; raises `CannotCreate` if it cannot be."""
+        """Return a socket bound to this address; raises `CannotCreate` if impossible."""
         try:
             family = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)[0][0]
             bound_socket = socket.socket(family, socket.SOCK_STREAM)
@@ -138,7 +138,7 @@ class Address(NamedTuple):
         except OSError as error:
             raise CannotCreate(
                 f"{option} {self}: the address must be free and of this machine ({error.strerror or error}); choose "
-                "another, or end what listens there"
+                "another, or stop the program that listens there"
             ) from None
         return bound_socket
 
@@ -146,8 +146,8 @@ class Address(NamedTuple):
 class Server(Service):
     """A TCP server with a thread for each of at most `MAX_CLIENTS` clients."""
 
-    # A client without a complete request for `timeout` [s] is disconnected; one too many replaces the one that has been
-    # idle longest. `handler` reads `self.request`, and may call `self.server.completed(self.request)`.
+    # A client without a complete request for `timeout` [s] is disconnected; a new one beyond the maximum replaces the
+    # one idle for longest. `handler` reads `self.request`, and may call `self.server.completed(self.request)`.
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class Server(Service):
         self._listener = _Listener(address.bound(option), handler, timeout)
 
     def run(self) -> None:
-        """Serve until the end."""
+        """Serve until stopped."""
         self._listener.serve_forever(poll_interval=0.2)
 
     def request_end(self) -> None:
@@ -184,7 +184,7 @@ class _Listener(socketserver.ThreadingTCPServer):
         self._lock = Lock()
 
     def completed(self, request: socket.socket) -> None:
-        """Note that a client has completed a request."""
+        """Record that a client has completed a request."""
         with self._lock:
             if request in self._clients:
                 self._clients[request] = self._clients[request][0], time.monotonic()
@@ -193,7 +193,7 @@ class _Listener(socketserver.ThreadingTCPServer):
         """Accept a client."""
         try:
             return super().get_request()
-        except OSError:  # such as no descriptor left: asking again at once would keep the processor busy
+        except OSError:  # such as no descriptor left: retrying at once would keep the processor busy
             time.sleep(0.1)
             raise
 
@@ -241,7 +241,7 @@ class _Listener(socketserver.ThreadingTCPServer):
             _disconnect(one)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore clients that go away or send nonsense."""
+        """Ignore clients that disconnect or send nonsense."""
 
 
 def _disconnect(client: socket.socket) -> None:

@@ -1,4 +1,4 @@
-"""What is known now of each support: for those who ask (Modbus, Prometheus, the page) rather than listen."""
+"""The current state of each support, for outputs that are polled (Modbus, Prometheus, the page)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from cgid.plant.output import since
 if TYPE_CHECKING:
     from cgid.plant.output import Output
 
-#: States of a support; before its first share nothing is known.
+#: States of a support; unknown before its first gangue fraction.
 NOTHING, OPEN, SHUT = 0, 1, 2
 STATES = ("unknown", "open", "shut")
-#: Shares and answers that the page shows.
+#: Numbers of gangue fractions and predictions on the page.
 _SHARES, _ANSWERS = 300, 200
-#: Waveforms last this long [s], in bins of this time [s], and are kept for the first channels only.
+#: Length of waveforms [s], width of their bins [s], and maximum number of channels with waveforms.
 SHOWN_TIME, BIN_TIME, MAX_WAVEFORMS = 5.0, 0.005, 16
 #: The largest sample of a waveform is this integer.
 _PIXELS = 10_000
@@ -48,7 +48,7 @@ class Support:
     answers: deque[list[Any]] = field(default_factory=lambda: deque(maxlen=_ANSWERS))
 
     def take(self, kind: str, record: dict[str, Any]) -> None:
-        """Take an answer, a share or a turn."""
+        """Update from a prediction, a gangue fraction or a switch."""
         if kind in ("impact", "window"):
             self.labels[record["label"]] += 1
             self.answers.append([record["time_s"], record["label"]])
@@ -64,14 +64,14 @@ class Support:
             self.marks.append([record["time_s"], kind])
 
     def content(self) -> dict[str, Any]:
-        """Return the state in words, the share and the counts, for JSON."""
+        """Return the state in words, the gangue fraction and the counts, for JSON."""
         share = {"gangue_share": self.share, "low": self.low, "high": self.high}
-        known = {name: None if math.isnan(value) else value for name, value in share.items()}
-        return {"state": STATES[self.state], **known, "impacts": self.impacts, "unknown": self.unknown}
+        fields = {name: None if math.isnan(value) else value for name, value in share.items()}
+        return {"state": STATES[self.state], **fields, "impacts": self.impacts, "unknown": self.unknown}
 
 
 class PlantState:
-    """All supports of a stream by channel, and whether it is alive; several threads may read it."""
+    """All supports of a stream by channel, and whether the stream is alive; several threads may read it."""
 
     def __init__(self) -> None:
         self.supports: dict[str, Support] = {}
@@ -94,21 +94,21 @@ class PlantState:
         threshold: float | None,
         behind: Callable[[], float],
     ) -> None:
-        """Name what is followed."""
+        """Set the monitored channels."""
         with self._lock:
             self.source, self.unit, self.rows, self.threshold = source, unit, tuple(rows), threshold
             self._behind = behind
             self.supports = {name: Support() for name in channels}
 
     def beat(self, duration: float) -> None:
-        """Note that a block of this duration [s] was taken."""
+        """Record a block of this duration [s]."""
         with self._lock:
             self.beats += 1
             self.time += duration
             self._beaten_at = time.monotonic()
 
     def take(self, record: dict[str, Any]) -> None:
-        """Take one line of JSON."""
+        """Update from one line of JSON."""
         kind = record["kind"]
         if kind in ("impact", "window", "share", "shut", "open"):
             with self._lock:
@@ -116,7 +116,7 @@ class PlantState:
 
     @property
     def behind(self) -> float:
-        """Delay of the answers behind the stream [s]."""
+        """Delay of the predictions after the stream [s]."""
         return self._behind()
 
     @property
@@ -125,12 +125,12 @@ class PlantState:
         return since(self._beaten_at)
 
     def read(self, use: Callable[[dict[str, Support]], Any]) -> Any:
-        """Return what a function makes of the supports while nothing changes."""
+        """Return the result of a function of the supports, under the lock."""
         with self._lock:
             return use(self.supports)
 
     def page(self) -> dict[str, Any]:
-        """Return what the page shows, for JSON."""
+        """Return the content of the page, for JSON."""
         supports = self.read(
             lambda all_: [
                 {
@@ -160,7 +160,7 @@ class PlantState:
 
 
 class Waveform:
-    """Least and largest sample of the last seconds in short bins, for the first channels."""
+    """Smallest and largest sample of the last seconds in short bins, for the first channels."""
 
     def __init__(self) -> None:
         self._bins: deque[tuple[int, NDArray[Any], NDArray[Any]]] = deque(maxlen=round(SHOWN_TIME / BIN_TIME))
@@ -168,7 +168,7 @@ class Waveform:
         self._lock = Lock()
 
     def add(self, block: NDArray[Any], sampling_rate: float) -> None:
-        """Take the next samples (n_channels, n_samples)."""
+        """Add the next samples (n_channels, n_samples)."""
         length = max(round(BIN_TIME * sampling_rate), 1)
         shown, size = block[:MAX_WAVEFORMS], block.shape[1]
         starts = np.arange(-(self._seen % length), size, length)
@@ -177,14 +177,14 @@ class Waveform:
         borders = np.maximum(starts, 0)
         low, high = (ufunc.reduceat(shown, borders, axis=1).T for ufunc in (np.fmin, np.fmax))
         with self._lock:
-            for number, (least, most) in enumerate(zip(low, high, strict=True), start=first):
+            for number, (lowest, highest) in enumerate(zip(low, high, strict=True), start=first):
                 if self._bins and self._bins[-1][0] == number:
                     _, before_low, before_high = self._bins.pop()
-                    least, most = np.fmin(least, before_low), np.fmax(most, before_high)
-                self._bins.append((number, least, most))
+                    lowest, highest = np.fmin(lowest, before_low), np.fmax(highest, before_high)
+                self._bins.append((number, lowest, highest))
 
     def content(self, rows: Sequence[str]) -> dict[str, Any]:
-        """Return begin and width of the bins [s], and least and largest samples of each channel, as integers."""
+        """Return begin and width of the bins [s], and smallest and largest samples of each channel, as integers."""
         with self._lock:
             bins = list(self._bins)
         if not bins:

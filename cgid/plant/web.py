@@ -1,4 +1,4 @@
-"""One small HTTP server: the metrics of Prometheus, and the live page; or the page as a file."""
+"""A small HTTP server for the metrics of Prometheus and the live page; or the page as a file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cgid.files import write_whole
 from cgid.plant.output import Address, Server, Service, library
 from cgid.plant.state import SHUT, PlantState
 
-#: What a path returns: a function that makes the bytes, and their type.
+#: Response of a path: a function that returns the bytes, and their type.
 Routes = dict[str, tuple[Callable[[], bytes], str]]
-#: The page as a file is written this often [s].
+#: Interval at which the page is written to a file [s].
 _EVERY = 1.0
-#: Time for a request and its answer [s].
+#: Time for a request and its response [s].
 TIMEOUT = 10.0
 _HTML = "text/html; charset=utf-8"
-#: Nothing is loaded from elsewhere, whatever a name contains, and no other page shows this one in a frame.
+#: Nothing is loaded from other sites, whatever a name contains, and no other page may embed this one.
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
     "frame-ancestors 'none'"
@@ -82,7 +82,7 @@ class WebServer(Server):
             do_GET = do_HEAD = _answer  # noqa: N815 - names that http.server looks for
 
             def log_message(self, *_: Any) -> None:
-                """Be silent."""
+                """Log nothing."""
 
         super().__init__(option, address, Handler, TIMEOUT, warn)
 
@@ -101,24 +101,24 @@ def _is_loopback(name: str, given: str = "localhost") -> bool:
 
 
 class PageFile(Service):
-    """The page with its data in one file, which reloads itself; replaced as a whole every second."""
+    """The page with its data in one file, which reloads itself and is replaced every second."""
 
     def __init__(self, path: str, plant: PlantState, warn: Callable[[str], None]) -> None:
         super().__init__(f"live {path}", warn)
         self._path, self._plant = Path(path), plant
         if self._path.exists() and not self._path.is_file():
-            raise CannotCreate(f"--live {path}: it must be a file, it is something else; choose another name")
+            raise CannotCreate(f"--live {path}: it must be a regular file; choose another name")
         if self._path.exists():
             begin = page()[:60].encode()
             with self._path.open("rb") as file:
                 if file.read(len(begin)) != begin:
                     raise CannotCreate(
-                        f"--live {path}: the file exists already, and is no live page; choose another name"
+                        f"--live {path}: the file exists already and is not a live page; choose another name"
                     )
         self._write()
 
     def run(self) -> None:
-        """Write the page until the end, and once more then."""
+        """Write the page until stopped, and once more at the end."""
         while True:
             with self._changed:
                 ending = self._changed.wait_for(lambda: self._ending, _EVERY)
@@ -131,14 +131,14 @@ class PageFile(Service):
                 return
 
     def _write(self) -> None:
-        # Text within a script must not end it.
+        # Text within a script must not close it.
         data = _json(self._plant).replace("<", "\\u003c")
         write_whole(self._path, page().replace(_DATA, data).encode())
 
 
 @cache
 def page() -> str:
-    """Return the live page, which asks for its data."""
+    """Return the live page, which requests its data."""
     return (Path(__file__).parent / "live.html").read_text(encoding="utf-8")
 
 
@@ -147,7 +147,7 @@ def _json(plant: PlantState) -> str:
 
 
 def metrics_of(plant: PlantState) -> Callable[[], bytes]:
-    """Return what makes the text of a scrape; raises `MissingExtra` without prometheus-client."""
+    """Return a function for the text of a scrape; raises `MissingExtra` without prometheus-client."""
     client = library("prometheus_client", "--prometheus", "prometheus-client")
     core = library("prometheus_client.core", "--prometheus", "prometheus-client")
     gauge, counter = core.GaugeMetricFamily, core.CounterMetricFamily

@@ -1,4 +1,4 @@
-"""Pictures of what the answers add up to: gangue fractions, the operators' curve, distributions of sizes."""
+"""Pictures of a recording's predictions: gangue fractions, the operators' curve, distributions of sizes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cgid.validation import Floats
 if TYPE_CHECKING:
     from cgid.identification.share import Share, Switch
 
-#: Height of a panel of shares and of the title [inches].
+#: Height of a panel of gangue fractions and of the title [inches].
 _SHARE_PANEL, _SHARE_TITLE = 1.9, 0.5
 _LINE, _LIMIT = COLOURS[0], COLOURS[1]
-#: Height of the operators' curve [inches], rocks before it is drawn, and times between its marks [s].
+#: Height of the operators' curve [inches], rocks before its first point, and times between its marks [s].
 _DRAWN_HEIGHT, _FIRST_ROCKS, _STEPS = 4.2, 20, (1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
 
 
@@ -29,12 +29,12 @@ def share_figure(
     Parameters
     ----------
     shares : sequence of Share
-        At least one; only the first `MAX_CHANNELS` channels are drawn.
+        At least one; only the first `MAX_CHANNELS` channels are plotted.
     turns : sequence of Switch
     duration : float
         Duration of the recording [s].
     threshold : float, optional
-        Share above which further caving costs more than it brings.
+        Gangue fraction above which further caving costs more than it brings.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def share_figure(
                 _draw_switch(axes, switch, clock)
         if len(names) > 1:
             axes.set_title(f"channel {plain(name)}", loc="left", fontsize="medium", parse_math=False)
-        axes.set(ylim=(0, 1), ylabel="share of gangue", xlim=clock.limits)
+        axes.set(ylim=(0, 1), ylabel="gangue fraction", xlim=clock.limits)
         axes.grid(alpha=0.3)
     panels[0].legend(loc="lower left", bbox_to_anchor=(0.15, 1.0), ncols=3, fontsize="small", frameon=False)
     panels[-1].set_xlabel(f"{clock.title}, ends of the windows")
@@ -72,15 +72,15 @@ def _share(axes: Any, shares: Sequence[Share], clock: Clock) -> None:
     times = clock.of(np.array([share.time for share in shares]))
     low, mean, high = np.array([(share.low, share.share, share.high) for share in shares]).T
     axes.fill_between(times, low, high, color=_LINE, alpha=0.2, lw=0, label="95 % interval")
-    axes.plot(times, mean, color=_LINE, marker="o", ms=3, lw=1.4, label="share of gangue")
+    axes.plot(times, mean, color=_LINE, marker="o", ms=3, lw=1.4, label="gangue fraction")
 
 
 def _draw_switch(axes: Any, switch: Switch, clock: Clock) -> None:
-    (place,) = clock.of(np.array([switch.time]))
-    axes.axvline(place, color=_LIMIT, lw=1.8 if switch.shut else 1.0, ls="-" if switch.shut else ":")
+    (x,) = clock.of(np.array([switch.time]))
+    axes.axvline(x, color=_LIMIT, lw=1.8 if switch.shut else 1.0, ls="-" if switch.shut else ":")
     axes.annotate(
         "shut" if switch.shut else "open again",
-        (place, 0.97),
+        (x, 0.97),
         xytext=(-4, 0),
         textcoords="offset points",
         ha="right",
@@ -98,7 +98,7 @@ def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Se
     axes = figure.subplots()
     for name, colour in zip(names, colours_of(names).values(), strict=True):
         of_channel = [share for share in shares if share.channel == name]
-        title = f"channel {plain(name, MAX_LABEL_LENGTH)}" if len(names) > 1 else "by the answers"
+        title = f"channel {plain(name, MAX_LABEL_LENGTH)}" if len(names) > 1 else "predicted"
         shut = [switch.time for switch in turns if switch.shut and switch.share.channel == name]
         draw_drawn(axes, times[name], gangue_at(times[name], of_channel), shut, colour=colour, title=title)
     finish_drawn(axes)
@@ -107,8 +107,8 @@ def drawn_figure(times: Mapping[str, Floats], shares: Sequence[Share], turns: Se
 
 def gangue_at(times: Floats, shares: Sequence[Share]) -> Floats:
     """Return the expected gangue fraction at some times [s], between the middles of windows of one channel."""
-    known = [((share.start + share.time) / 2, share.mean) for share in shares if share.n_impacts]
-    return np.asarray(np.interp(times, *np.array(known).T))
+    points = [((share.start + share.time) / 2, share.mean) for share in shares if share.n_impacts]
+    return np.asarray(np.interp(times, *np.array(points).T))
 
 
 def draw_drawn(
@@ -125,7 +125,7 @@ def draw_drawn(
     """Draw the operators' curve of one support: gangue fraction against time [s], and SHUT."""
     from matplotlib.patheffects import withStroke
 
-    # The share of the first rocks is that of chance.
+    # The fraction of the first rocks is random.
     recovered, share = np.cumsum(1 - gangue) / np.sum(1 - gangue), np.cumsum(gangue) / np.arange(1, len(gangue) + 1)
     shown = np.arange(len(gangue)) >= min(_FIRST_ROCKS, len(gangue) // 2)
     axes.plot(100 * recovered[shown], 100 * share[shown], color=colour, lw=width, label=title)
@@ -135,16 +135,16 @@ def draw_drawn(
     for mark in np.arange(step, times[-1], step):
         row = np.searchsorted(times, mark)
         if shown[row]:
-            place = 100 * recovered[row], 100 * share[row]
-            axes.plot(*place, "o", color=colour, ms=2.2 * width)
-            axes.annotate(f"{mark:g} s" if says_times else "", place, (5, -5), va="top", **settings)
+            point = 100 * recovered[row], 100 * share[row]
+            axes.plot(*point, "o", color=colour, ms=2.2 * width)
+            axes.annotate(f"{mark:g} s" if says_times else "", point, (5, -5), va="top", **settings)
     for time in shut:
         row = min(int(np.searchsorted(times, time)), len(times) - 1)
-        place = 100 * recovered[row], 100 * share[row]
-        axes.plot(*place, "s", color=colour, ms=9, mec="k", mew=1, zorder=4)
+        point = 100 * recovered[row], 100 * share[row]
+        axes.plot(*point, "s", color=colour, ms=9, mec="k", mew=1, zorder=4)
         axes.annotate(
-            f"SHUT at {time:.0f} s:\n{place[0]:.0f} % of the coal,\n{place[1]:.0f} % gangue in all",
-            place,
+            f"SHUT at {time:.0f} s:\n{point[0]:.0f} % of the coal,\n{point[1]:.0f} % gangue in all",
+            point,
             (-45, 16),
             ha="right",
             fontweight="bold",
@@ -155,7 +155,7 @@ def draw_drawn(
 
 def finish_drawn(axes: Any) -> None:
     """Name the axes of the operators' curve."""
-    axes.set(xlim=(0, 100), xlabel="recovered coal [% of that of the recording]", ylabel="gangue in all drawn [%]")
+    axes.set(xlim=(0, 100), xlabel="recovered coal [% of the recording]", ylabel="cumulative gangue fraction [%]")
     axes.set_ylim(0, 1.25 * axes.dataLim.ymax)
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)
@@ -165,7 +165,7 @@ def finish_drawn(axes: Any) -> None:
 
 
 def sizes_picture(distribution: Any, source: str, suffix: str) -> bytes:
-    """Return how many impacts were of each class of size, found and corrected, as a file that ends in `suffix`."""
+    """Return the numbers of impacts in each size class, detected and corrected, as a file that ends in `suffix`."""
     figure = require_matplotlib()(figsize=(7, 4.2), layout="constrained")
     axes = figure.subplots()
     draw_sizes(axes, distribution)
@@ -174,24 +174,24 @@ def sizes_picture(distribution: Any, source: str, suffix: str) -> bytes:
 
 
 def draw_sizes(axes: Any, distribution: Any, truth: Any = None) -> None:
-    """Draw a distribution of sizes, with the true numbers if known, (n_classes,)."""
+    """Draw a distribution of sizes, with the true numbers (n_classes,) if given."""
     units = {"mass": "mass [kg]", "radius": "radius [m]", "speed": "speed [m/s]"}
     edges = distribution.edges
     middle = np.sqrt(edges[1:] * edges[:-1])
-    axes.stairs(distribution.detected, edges, color="0.6", fill=True, alpha=0.5, label="found")
-    known = np.isfinite(distribution.total)
-    below = (distribution.total - distribution.low_total)[known].clip(0)
-    above = (distribution.high_total - distribution.total)[known].clip(0)
+    axes.stairs(distribution.detected, edges, color="0.6", fill=True, alpha=0.5, label="detected")
+    is_known = np.isfinite(distribution.total)
+    below = (distribution.total - distribution.low_total)[is_known].clip(0)
+    above = (distribution.high_total - distribution.total)[is_known].clip(0)
     axes.errorbar(
-        middle[known], distribution.total[known], (below, above), fmt="o", ms=4, capsize=2, color=COLOURS[0],
-        label="corrected for what is not found (90 %)",
+        middle[is_known], distribution.total[is_known], (below, above), fmt="o", ms=4, capsize=2, color=COLOURS[0],
+        label="corrected for undetected impacts (90 %)",
     )  # fmt: skip
     if truth is not None:
         axes.stairs(truth, edges, color=COLOURS[1], lw=1.5, label="truth")
-    lacking = np.flatnonzero(~known)
-    if lacking.size and lacking[0] == 0:
-        last = int(np.argmax(known)) if known.any() else known.size
-        axes.axvspan(edges[0], edges[last], color="0.92", zorder=0, label="too small to be found")
+    unknown = np.flatnonzero(~is_known)
+    if unknown.size and unknown[0] == 0:
+        last = int(np.argmax(is_known)) if is_known.any() else is_known.size
+        axes.axvspan(edges[0], edges[last], color="0.92", zorder=0, label="too small to be detected")
     axes.set(xscale="log", xlabel=units[distribution.quantity], ylabel="impacts")
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3)

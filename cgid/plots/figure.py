@@ -40,7 +40,7 @@ def require_matplotlib() -> Any:
 def new_picture(
     path: str | Path, what: str = "a picture", endings: Collection[str] = (".png",), *, overwrite: bool
 ) -> Path:
-    """Return the path of a picture that may be made there; raises as `check_new`, `MissingExtra` without matplotlib."""
+    """Return the path of a picture that may be created; raises as `check_new`, `MissingExtra` without matplotlib."""
     checked = check_new(Path(path), what, endings, overwrite=overwrite)
     require_matplotlib()
     return checked
@@ -130,21 +130,21 @@ def _confusion(counts: NDArray[np.int_], classes: tuple[str, ...]) -> bytes:
 
 
 def _reliability(bins: list[list[float]]) -> bytes:
-    """Draw the share of right answers over their probability, above the number of answers in each bin."""
+    """Draw the accuracy over the predicted probability, above the number of predictions in each bin."""
     figure = require_matplotlib()(figsize=(4.2, 4.8), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     confidence, accuracy, counts = zip(*bins, strict=True)
     axes.plot([0, 1], [0, 1], color="0.7", label="calibrated")
     axes.plot(confidence, accuracy, "o-", label="model")
     lowest = min(0.5, *confidence, *accuracy)
-    axes.set(ylabel="share of right answers", xlim=(lowest, 1), ylim=(lowest, 1))
+    axes.set(ylabel="fraction of correct predictions", xlim=(lowest, 1), ylim=(lowest, 1))
     axes.legend()
     gaps = [later - earlier for earlier, later in pairwise(confidence)]
     below.bar(confidence, counts, width=0.5 * min(gaps, default=0.1), color="C0", alpha=0.6)
-    for place, count in zip(confidence, counts, strict=True):
-        below.annotate(f"{count:.0f}", (place, count), (0, 2), textcoords="offset points", ha="center", fontsize=6)
+    for x, count in zip(confidence, counts, strict=True):
+        below.annotate(f"{count:.0f}", (x, count), (0, 2), textcoords="offset points", ha="center", fontsize=6)
     below.margins(y=0.25)
-    below.set(xlabel="probability of the answer", ylabel="answers", xlim=(lowest, 1))
+    below.set(xlabel="predicted probability", ylabel="answers", xlim=(lowest, 1))
     return png(figure)
 
 
@@ -157,28 +157,31 @@ def _roc(labels: NDArray[np.str_], probabilities: Floats, classes: tuple[str, ..
         wrong, right, _ = roc_curve(labels == label, probabilities[:, column])
         axes.plot(wrong, right, label=label)
     axes.plot([0, 1], [0, 1], color="0.7")
-    axes.set(xlabel="share of the others taken for it", ylabel="share of it that is found")
+    axes.set(xlabel="false positive rate", ylabel="true positive rate")
     axes.legend()
     return png(figure)
 
 
 def modes_picture(before: Any, after: Any) -> bytes:
-    """Return learned modes against those they started from as PNG, with two deviations as bars or as a band."""
+    """Return learned modes against the initial ones as PNG, with two standard deviations as bars or as a band."""
     figure = require_matplotlib()(figsize=(9, 6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    place = before.frequency / 1e3
+    x = before.frequency / 1e3
     change = 100 * (after.frequency / before.frequency - 1)
-    upper.fill_between(place, -200 * before.deviation[0], 200 * before.deviation[0], color="0.9", label="before")
+    upper.fill_between(x, -200 * before.deviation[0], 200 * before.deviation[0], color="0.9", label="before")
     upper.axhline(0.0, color="0.6", lw=0.8)
-    upper.errorbar(place, change, 200 * after.deviation[0], fmt=".", color="C0", capsize=2, label="after")
+    upper.errorbar(x, change, 200 * after.deviation[0], fmt=".", color="C0", capsize=2, label="after")
     upper.set(ylabel="change of frequency [%]\n(2 std. deviations)")
     damping = 100 * before.damping_ratio
     spread = np.exp(2 * before.deviation[1])
-    lower.fill_between(place, damping / spread, damping * spread, color="0.9")
-    lower.plot(place, damping, color="0.6", lw=0.8)
-    own = 100 * after.damping_ratio
-    bars = own - own * np.exp(-2 * after.deviation[1]), own * np.expm1(2 * after.deviation[1])
-    lower.errorbar(place, own, bars, fmt=".", color="C0", capsize=2)
+    lower.fill_between(x, damping / spread, damping * spread, color="0.9")
+    lower.plot(x, damping, color="0.6", lw=0.8)
+    ratio = 100 * after.damping_ratio
+    bars = (
+        ratio - ratio * np.exp(-2 * after.deviation[1]),
+        ratio * np.expm1(2 * after.deviation[1]),
+    )
+    lower.errorbar(x, ratio, bars, fmt=".", color="C0", capsize=2)
     lower.set(xlabel="natural frequency before [kHz]", ylabel="damping ratio [%]", yscale="log")
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
@@ -187,21 +190,28 @@ def modes_picture(before: Any, after: Any) -> bytes:
 
 
 def stabilisation_picture(test: Any) -> bytes:
-    """Return the poles of all orders of a tap test's model as PNG, and the modes' dampings with two deviations."""
+    """Return the poles of all orders of a tap test as PNG, and the modes' damping with two standard deviations."""
     figure = require_matplotlib()(figsize=(10, 7), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     order, frequency, _, stable = test.poles.chart.T
-    for wanted, colour, label in ((0, "0.8", "of this order alone"), (1, "C0", "as in the order before")):
-        rows = stable == wanted
+    for value, colour, label in ((0, "0.8", "unstable"), (1, "C0", "stable")):
+        rows = stable == value
         upper.plot(frequency[rows] / 1e3, order[rows], ".", color=colour, ms=4, label=label)
     modes = test.modes
     for mode in modes.frequency / 1e3:
         upper.axvline(mode, color="C3", lw=0.6, zorder=0)
     upper.set(ylabel="order of the model in its band")
     upper.legend(fontsize="small", loc="upper right")
-    own = 100 * modes.damping_ratio
+    ratio = 100 * modes.damping_ratio
     spread = np.exp(2 * modes.deviation[1])
-    lower.errorbar(modes.frequency / 1e3, own, (own - own / spread, own * spread - own), fmt=".", color="C3", capsize=2)
+    lower.errorbar(
+        modes.frequency / 1e3,
+        ratio,
+        (ratio - ratio / spread, ratio * spread - ratio),
+        fmt=".",
+        color="C3",
+        capsize=2,
+    )
     lower.set(xlabel="frequency [kHz]", ylabel="damping ratio [%]\n(2 std. deviations)", yscale="log")
     lower.grid(alpha=0.3)
     return png(figure)

@@ -17,7 +17,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import DATASET_CURE, MAX_ARRAYS, MAX_CHANNELS, Blocks, understood
+from cgid.recordings.recording import DATASET_HINT, MAX_ARRAYS, MAX_CHANNELS, Blocks, library_errors
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement, orientation
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ def read_npy(path: Path, source: str) -> Blocks:
         raise BadData(f"{source}: samples must have one or two axes, got shape {shape}; save them as such")
     declared = math.prod(shape) * dtype.itemsize
     if not declared:
-        raise BadData(f"{source}: a recording must hold at least one sample, got shape {shape}; record it again")
+        raise BadData(f"{source}: a recording must contain at least one sample, got shape {shape}; record it again")
     if declared != stored:
-        cure = "the file looks cut off, copy it again" if declared > stored else "save one array only"
+        hint = "the file looks cut off, copy it again" if declared > stored else "save one array only"
         raise BadData(
             f"{source}: the header must match the file, it declares {declared} bytes {shape} and {stored} follow; "
-            f"{cure}"
+            f"{hint}"
         )
     rows, columns = (1, *shape)[-2:]
     is_upright = len(shape) == 2 and columns < rows
@@ -51,7 +51,7 @@ def read_npy(path: Path, source: str) -> Blocks:
     by_sample = is_upright != fortran_order or n_channels == 1
 
     def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        # Numbers of one sample are stored together, or those of one channel.
+        # Either the numbers of one sample are contiguous, or those of one channel.
         together, picked = (n_channels, list(channels)) if by_sample else (1, [0])
         starts = [0] if by_sample else [channel * n_samples for channel in channels]
         with path.open("rb") as file:
@@ -94,23 +94,23 @@ def _header(start: bytes, source: str) -> tuple[tuple[int, ...], bool, np.dtype[
 
 def _floats(samples: NDArray[Any]) -> NDArray[Any]:
     """Return samples as contiguous float32 or float64 of this machine."""
-    kept = samples.dtype.newbyteorder("=") if samples.dtype.kind == "f" and samples.itemsize in (4, 8) else np.float64
+    real = samples.dtype.newbyteorder("=") if samples.dtype.kind == "f" and samples.itemsize in (4, 8) else np.float64
     # Long doubles beyond float64 become infinite; such samples are rejected later.
     with np.errstate(all="ignore"):
-        return np.ascontiguousarray(samples, kept)
+        return np.ascontiguousarray(samples, real)
 
 
-def require_room(size: int, source: str, cure: str) -> None:
+def require_readable_size(size: int, source: str, hint: str) -> None:
     """Raise `BadData` if arrays [bytes] are too large to be read whole."""
     if size > MAX_ARRAYS:
         raise BadData(
-            f"{source}: the arrays of a file that is read whole must be at most {MAX_ARRAYS >> 30} GiB, it "
-            f"declares {size} bytes; {cure}"
+            f"{source}: the arrays of this format must be at most {MAX_ARRAYS >> 30} GiB, it "
+            f"declares {size} bytes; {hint}"
         )
 
 
 def blocks_of_arrays(arrays: Iterable[tuple[str, NDArray[Any]]], source: str, variable: str | None) -> Blocks:
-    """Return the recording among arrays in memory, each with its path; single numbers and texts state things."""
+    """Return the recording among arrays in memory, each with its path; single numbers and texts are metadata."""
     variables, statements = [], dict[str, dict[str, Value]]()
     for place, array in arrays:
         group, _, name = place.rpartition("/")
@@ -154,22 +154,23 @@ def _variable(group: str, name: str, array: NDArray[Any], axes: tuple[int | None
 def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of an array in an NPZ archive, or of several of one length."""
     arrays = []
-    damage = understood(source, "the archive is damaged or cut off", "copy or save it again")
+    damage = library_errors(source, "the archive is damaged or cut off", "copy or save it again")
     with damage, zipfile.ZipFile(path) as archive, warnings.catch_warnings(action="ignore"):
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
-        require_room(sum(member.file_size for member in members), source, "save one array as NPY")
+        require_readable_size(sum(member.file_size for member in members), source, "save one array as NPY")
         for member in members:
             with archive.open(member) as file:
                 try:
                     shape, _, dtype, offset = _header(file.read(_HEADER_SIZE), source)
                 except BadData:  # it is not the recording
                     continue
-            if dtype.hasobject:  # pickled, so its size says nothing
+            if dtype.hasobject:  # pickled, so its declared size is meaningless
                 continue
             declared, stored = math.prod(shape) * dtype.itemsize, member.file_size - offset
             if declared != stored:
                 raise BadData(
-                    f"{source}: {member.filename} declares {declared} bytes {shape} and holds {stored}; save it again"
+                    f"{source}: {member.filename} declares {declared} bytes {shape} and contains {stored}; save it "
+                    "again"
                 )
             with archive.open(member) as file:
                 array = npy_format.read_array(file, allow_pickle=False)
@@ -181,7 +182,7 @@ def read_npz(path: Path, source: str, variable: str | None) -> Blocks:
 # ---- HDF5 ------------------------------------------------------------------------------------------------------------
 
 
-def read_own(path: Path) -> Blocks:
+def read_generated(path: Path) -> Blocks:
     """Return the single channel of a recording made by `cgid generate`."""
     from cgid.store.reading import Recording
 
@@ -216,10 +217,10 @@ def read_hdf5(path: Path, source: str, variable: str | None) -> Blocks:
     if stated_format == RECORDING_FORMAT:
         if variable not in (None, "samples"):
             raise InvalidValue(f"{source}: the variable of a recording of cgid is 'samples', got {variable!r}")
-        return read_own(path)
+        return read_generated(path)
     arrays, values, warnings = survey(path, source, lambda name: name in _PACKING or is_statement(name))
     if stated_format is None or stated_format.startswith("cgid"):
-        raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_CURE}")
+        raise BadData(f"{source}: an HDF5 file is a dataset, not one recording; {DATASET_HINT}")
 
     def variable_of(array: ForeignArray, axes: tuple[int | None, int]) -> Variable:
         about = dict(array.attributes)

@@ -84,7 +84,7 @@ class Gain:
         ratio = ratio_of(unit)
         if unit.lower() == "db" and not times:
             if not abs(number) <= _LOUDEST:
-                raise InvalidValue(f"gain must lie between -{_LOUDEST:g} and {_LOUDEST:g} dB, got {number:g} dB")
+                raise InvalidValue(f"gain must be between -{_LOUDEST:g} and {_LOUDEST:g} dB, got {number:g} dB")
             return cls(value=float(10.0 ** (number / 20)), text=text)
         is_of_charge = ratio is not None and ratio[:2] == ("voltage", "charge")
         if math.isnan(number) or (unit and not is_of_charge):

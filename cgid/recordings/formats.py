@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 from cgid.errors import BadData, InvalidValue, NoInput, WriteFailed
 from cgid.recordings.chain import Chain, Statement, units_of
-from cgid.recordings.recording import DATASET_CURE, Blocks, RecordingFile, told, understood
+from cgid.recordings.recording import DATASET_HINT, Blocks, RecordingFile, clear_errors, library_errors
 from cgid.recordings.sound import WAV_MAGICS
 from cgid.signals import Signal
 from cgid.validation import require_rate
@@ -75,25 +75,25 @@ class OutsideFormat:
 
     def is_format(self, head: bytes) -> bool:
         """Return whether a file has this format, from its first `HEAD_SIZE` bytes."""
-        with self._told():
+        with self._reader_errors():
             return bool(self.reader.is_format(head))
 
     def read(self, path: Path, source: str, variable: str | None) -> Blocks:
         """Return the blocks of a file of this format; any error of the reader becomes a one-line `BadData`."""
-        with self._told(source):
+        with self._reader_errors(source):
             blocks = self.reader.read(path, variable)
             if not isinstance(blocks, Blocks):
                 raise TypeError(f"its function read must return cgid.recordings.Blocks, got {type(blocks).__name__}")
 
         def read(length: int, channels: Sequence[int]) -> Iterator[Any]:
-            with self._told(source):
+            with self._reader_errors(source):
                 yield from blocks.read(length, channels)
 
         return replace(blocks, read=read)
 
     @contextmanager
-    def _told(self, source: str = "recording") -> Iterator[None]:
-        with understood(source, f"the reader {self.name} failed", "choose another by --format"):
+    def _reader_errors(self, source: str = "recording") -> Iterator[None]:
+        with library_errors(source, f"the reader {self.name} failed", "choose another by --format"):
             try:
                 yield
             except BadData as error:  # the reader does not know the name that the user gave
@@ -106,10 +106,10 @@ def _starts(*magics: bytes) -> Callable[[bytes], bool]:
 
 def is_hdf5(head: bytes) -> bool:
     """Return whether a file begins as HDF5, in MATLAB files after a header of 512 bytes."""
-    return any(head[place:].startswith(HDF5_MAGIC) for place in (0, 512))
+    return any(head[offset:].startswith(HDF5_MAGIC) for offset in (0, 512))
 
 
-#: The first match counts; text matches everything.
+#: The first match is used; text matches everything.
 FORMATS: tuple[Format, ...] = (
     Format("NPY", _starts(b"\x93NUMPY"), "arrays:read_npy"),
     Format("WAV", _starts(*WAV_MAGICS), "sound:read_wav"),
@@ -127,26 +127,26 @@ FORMATS: tuple[Format, ...] = (
 
 
 def outside_formats() -> list[OutsideFormat]:
-    """Return the formats of other packages, in the order of their names; a reader that cannot be loaded is left out."""
+    """Return the formats of other packages, sorted by name; skip readers that cannot be loaded."""
     from importlib.metadata import entry_points
 
-    found = []
+    formats = []
     for entry in sorted(entry_points(group=READERS), key=lambda one: one.name):
         try:
-            found.append(OutsideFormat(entry.name, entry.load()))
+            formats.append(OutsideFormat(entry.name, entry.load()))
         # Another package may fail in any way.
         except Exception as error:
             warnings.warn(f"the reader {entry.name} ({entry.value}) cannot be loaded: {error}", stacklevel=2)
-    return found
+    return formats
 
 
 def format_named(name: str) -> Format | OutsideFormat:
     """Return the format of a name in upper or lower case; raise `InvalidValue` with the known ones."""
-    known: list[Format | OutsideFormat] = [*FORMATS, *outside_formats()]
-    found = next((one for one in known if one.name.lower() == name.lower()), None)
-    if found is None:
-        raise InvalidValue(f"format must be one of {', '.join(one.name for one in known)}, got {name!r}")
-    return found
+    formats: list[Format | OutsideFormat] = [*FORMATS, *outside_formats()]
+    format_ = next((one for one in formats if one.name.lower() == name.lower()), None)
+    if format_ is None:
+        raise InvalidValue(f"format must be one of {', '.join(one.name for one in formats)}, got {name!r}")
+    return format_
 
 
 def format_of(path: Path, source: str) -> Format | OutsideFormat:
@@ -154,19 +154,19 @@ def format_of(path: Path, source: str) -> Format | OutsideFormat:
     with path.open("rb") as file:
         head = file.read(HEAD_SIZE)
     if not head:
-        raise BadData(f"{source}: a recording must hold numbers, the file is empty; record or export it again")
-    found = next(one for one in FORMATS if one.is_format(head))
+        raise BadData(f"{source}: a recording must contain numbers, the file is empty; record or export it again")
+    format_ = next(one for one in FORMATS if one.is_format(head))
     suffix = Path(source).suffix.lower()
     # Looking for other packages takes some 20 ms.
-    if found.name == "text" and suffix not in _TEXT_SUFFIXES:
+    if format_.name == "text" and suffix not in _TEXT_SUFFIXES:
         outside = next((one for one in outside_formats() if one.is_format(head)), None)
         if outside is not None:
             return outside
-    if found.name == "text" and suffix in _HDF5_SUFFIXES:
+    if format_.name == "text" and suffix in _HDF5_SUFFIXES:
         raise BadData(
-            f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else {DATASET_CURE}"
+            f"{source}: named like a dataset, but its content is not HDF5; rename it if it is text, else {DATASET_HINT}"
         )
-    return found
+    return format_
 
 
 def is_dataset(path: str | Path) -> bool:
@@ -223,11 +223,11 @@ def open_recording(
 
     The page "Formats of recordings" of the reference says what is read of each format, and what of a damaged file.
 
-    Volts and coulombs become N or m/s^2 where `sensitivity` or the file says what the sensor gives: a line ``#
+    Volts and coulombs become N or m/s^2 if `sensitivity` or the file states the sensitivity of the sensor: a line ``#
     sensitivity: 10.2 mV/g`` above a text or in the header of a UFF, an attribute, property or value of such a name.
-    Without it they stay as they are. Each of `sensitivity`, `gain` and `full_scale` may be one value for all channels,
-    a mapping of channel names or numbers to values, or a list of values, each with or without ``NAME=`` before it; that
-    of a channel goes before that of all.
+    Otherwise they are unchanged. Each of `sensitivity`, `gain` and `full_scale` may be one value for all channels,
+    a mapping of channel names or numbers to values, or a list of values, each with or without ``NAME=`` before it; the
+    value of a channel takes precedence over that for all.
 
     Parameters
     ----------
@@ -237,23 +237,23 @@ def open_recording(
         [Hz]; required if the file does not state it. If both do, they must agree to 0.1 %, and this one, which is not
         rounded, is used.
     unit : str, optional
-        Unit of the numbers if the file does not state it; nothing is converted by it. "1=N, beam=m/s^2" are those of
-        single channels, by number or name.
+        Unit of the numbers if the file does not state it; nothing is converted. "1=N, beam=m/s^2" gives those of single
+        channels, by number or name.
     channel : int, str or sequence of these, optional
         Channels to read: number from 1 (the time column does not count) or name in the header; "1+2" is both.
     variable : str, optional
         Array, table or group of the file to read.
     sensitivity : str, mapping or list, optional
-        What the sensor gives, such as "10.2 mV/g", "2.3 mV/N", "100 mV/(m/s^2)" or "3.1 pC/g", for samples in volts or
+        Of the sensor, such as "10.2 mV/g", "2.3 mV/N", "100 mV/(m/s^2)" or "3.1 pC/g", for samples in volts or
         coulombs. A charge sensor with samples in volts needs the gain of its amplifier, such as "1 mV/pC".
     gain : float, str, mapping or list, optional
         Amplification before the recorder, which is divided out: 10, "x10", "20 dB", or "1 mV/pC" of a charge amplifier.
     full_scale : str, float, mapping or list, optional
-        What full scale stands for in a sound file or in signed integers of 16 bit, such as "10 V" or "50 g"; a plain
-        number is in `unit`. "10 V at 24 bit" is for integers of a type that does not show the resolution of the
-        converter, such as in a text or of 32 bit.
+        Value of full scale in a sound file or in signed integers of 16 bit, such as "10 V" or "50 g"; a plain
+        number is in `unit`. "10 V at 24 bit" is for integers whose type does not show the resolution of the converter,
+        as in a text file.
     format : str, optional
-        Name of the format, such as "WAV" or that of a reader of another package; by default the content shows it.
+        Name of the format, such as "WAV" or that of another package's reader; by default detected from the content.
 
     Returns
     -------
@@ -300,12 +300,12 @@ def open_recording(
     source = "stdin" if str(path) == "-" else str(path)
     regular, spool = _regular(path, source)
     try:
-        with told(source):
-            found = format_of(regular, source) if format is None else format_named(format)
+        with clear_errors(source):
+            file_format = format_of(regular, source) if format is None else format_named(format)
             recording = RecordingFile(
-                found.read(regular, source, variable),
+                file_format.read(regular, source, variable),
                 source=source,
-                format=found.name,
+                format=file_format.name,
                 sampling_rate=sampling_rate,
                 unit=unit,
                 channel=channel,
@@ -381,7 +381,8 @@ def read_recording(
     ).signals()
 
 
-# ---- streams: saved to a temporary file, because some formats have their index at the end ----------------------------
+# ---- streams: saved to a temporary file, since some formats have their index at the end --
+# ----------------------------
 
 
 def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
@@ -389,7 +390,7 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
     if not str(path):
         raise NoInput("the name of the recording must not be empty; give a file, or - for the standard input")
     try:
-        with told(source):
+        with clear_errors(source):
             if str(path) == "-":
                 if sys.stdin is None:
                     raise NoInput("stdin: the standard input must be open, it is closed; give a file, or pipe one in")
@@ -398,7 +399,7 @@ def _regular(path: str | Path, source: str) -> tuple[Path, ExitStack]:
                 return _saved(sys.stdin.buffer, source)
             path = Path(path)
             if path.is_dir():
-                raise BadData(f"{source}: a directory is a dataset, not one recording; {DATASET_CURE}")
+                raise BadData(f"{source}: a directory is a dataset, not one recording; {DATASET_HINT}")
             if path.is_char_device() or path.is_block_device():
                 raise NoInput(
                     f"{source}: a recording must be a file or a pipe, this is a device; record it to a file, or follow "
@@ -423,12 +424,12 @@ def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
     waiting.start()
     spool = ExitStack()
     try:
-        # A pipe opens when somebody writes into it.
+        # A pipe opens once a process writes into it.
         with given.open("rb") if isinstance(given, Path) else nullcontext(given) as stream:
             piece = stream.read(PIECE_LENGTH)
             waiting.cancel()
             if Path("/proc/self/fd").is_dir() and not is_hdf5(piece[:HEAD_SIZE]):
-                # Without a name, nothing is left behind however this process ends.
+                # An unnamed file leaves nothing behind, however this process ends.
                 file: Any = spool.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
                 path = Path(f"/proc/self/fd/{file.fileno()}")
             else:
@@ -439,8 +440,8 @@ def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
             while piece:
                 if file.tell() > MAX_STREAM:
                     raise BadData(
-                        f"stream: it must end within {MAX_STREAM >> 30} GiB to be read as a recording, it goes on; "
-                        "save it as a file, or follow it by cgid monitor"
+                        f"stream: a recording on the standard input must be at most {MAX_STREAM >> 30} GiB, this is "
+                        "longer; save it as a file, or follow it by cgid monitor"
                     )
                 file.write(piece)
                 piece = stream.read(PIECE_LENGTH)
@@ -450,7 +451,7 @@ def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
             spool.close()
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             folder = tempfile.gettempdir()
-            raise WriteFailed(f"{folder}: the disk must have room for the stream, it is full; set TMPDIR") from None
+            raise WriteFailed(f"{folder}: the disk must have space for the stream, it is full; set TMPDIR") from None
         raise
     finally:
         waiting.cancel()
@@ -460,7 +461,7 @@ def _saved(given: Path | BinaryIO, source: str) -> tuple[Path, ExitStack]:
 def warn_of_waiting(source: str) -> None:
     """Warn that a pipe has sent nothing yet."""
     warnings.warn(
-        f"{source}: nothing has come for {WAITING_TIME:g} s, a recording is read when its stream has ended; write into "
+        f"{source}: no data for {WAITING_TIME:g} s, and a recording is read when its stream has ended; write into "
         "it, or follow a live one by cgid monitor",
         stacklevel=1,
     )

@@ -1,7 +1,7 @@
-"""Gaps of a recording: samples that no sensor can give become nan, whatever the format.
+"""Gaps of a recording: impossible samples become nan, whatever the format.
 
-What follows takes nan as missing: no noise level, frame or window holds one. So neither a value that a logger writes
-for a lost sample nor a flipped bit reaches anything that has a memory.
+Later stages treat nan as missing: no noise level, frame or window contains one. So neither the value that a logger
+writes for a lost sample nor a flipped bit affects filters or levels.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from cgid.units import LARGEST, UNITS, quantity_of
 if TYPE_CHECKING:
     from cgid.recordings.recording import Channel
 
-#: A channel that stays unreadable for this long is given up [s].
+#: A channel is given up after being unreadable for this long [s].
 GIVE_UP = 10.0
 #: Maximum number of channels that are named.
 _MAX_NAMED = 5
 
 
 class Gaps:
-    """Make samples that no sensor can give nan and count them; give up channels that stay so for `give_up` [s]."""
+    """Replace impossible samples by nan and count them; give up channels with none other for `give_up` [s]."""
 
     def __init__(
         self,
@@ -42,10 +42,10 @@ class Gaps:
     ) -> None:
         time = GIVE_UP if give_up is None else validation.number("give_up", give_up, "s", validation.positive)
         self._channels, self._rate, self._say, self._at_once = channels, sampling_rate, say, at_once
-        self._patience, self._longest = time, max(math.ceil(min(time * sampling_rate, 2.0**60)), 1)
+        self._give_up_after, self._longest = time, max(math.ceil(min(time * sampling_rate, 2.0**60)), 1)
         self._limits = np.array([largest(channel.unit) for channel in channels])
         n_channels = len(channels)
-        self.n_seen = 0  # samples of each channel that have passed
+        self.n_seen = 0  # samples of each channel so far
         self._running = np.zeros(n_channels, np.int64)  # missing samples up to the end so far
         self._given_up = np.zeros(n_channels, bool)
         self._end = np.zeros(n_channels, np.int64)  # sample at which each channel was given up
@@ -64,7 +64,7 @@ class Gaps:
         self.finish()
 
     def finish(self) -> None:
-        """Say what is missing, unless that was said."""
+        """Warn of what is missing, once."""
         total = int(self.n_samples.sum())
         if total == self._n_reported or self._first is None:
             return
@@ -82,13 +82,13 @@ class Gaps:
         )
 
     def require(self, source: str) -> None:
-        """Raise `BadData` if the blocks ended because of channels given up, or held no reading at all."""
+        """Raise `BadData` if the blocks ended because channels were given up, or contained no valid sample."""
         if self.n_seen and self._enough(self._given_up | (self.n_samples == self.n_seen)):
             # The number of samples seen depends on the length of the blocks where a channel was given up.
             end = float(self._last(np.where(self._given_up, self._end, self.n_seen))) / self._rate
             raise BadData(
                 f"{source}: samples must be finite and what a sensor can give, none is in the "
-                f"{min(self._patience, end):.6g} s before {end:.6g} s; check sensor, cable and sample format"
+                f"{min(self._give_up_after, end):.6g} s before {end:.6g} s; check sensor, cable and sample format"
             )
 
     def _marked(self, block: NDArray[Any]) -> NDArray[Any]:
@@ -134,7 +134,7 @@ class Gaps:
     def _give_up(self, row: int, sample: int, value: float) -> None:
         self._say(
             f"channel {self._channels[row].name} is given up at {sample / self._rate:.6g} s: unreadable for "
-            f"{self._patience:g} s ({value:.3g}); check sensor and cable, --give-up sets the time"
+            f"{self._give_up_after:g} s ({value:.3g}); check sensor and cable, --give-up sets the time"
         )
 
 

@@ -1,4 +1,4 @@
-"""Read samples while they arrive: raw numbers or a WAV of unknown length on the standard input."""
+"""Read samples as they arrive: raw numbers or a WAV of unknown length on the standard input."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _FILES = {
 class LiveStream:
     """Samples that arrive while they are recorded; made by `live_stream`, iterated over once."""
 
-    # factors : of the samples of each channel as they enter, to its unit; warnings : complete when the stream has ended
-    # size : bytes of sound; None if only the end of the stream shows it
+    # factors : of each channel, from numbers to its unit; warnings : complete when the stream has ended size : bytes of
+    # sound; None if unknown until the stream ends
 
     file: BinaryIO
     coding: Coding
@@ -59,27 +59,27 @@ class LiveStream:
         frame_size = self.n_channels * self.coding.width
         pending, left = self.head, self.size
         while True:
-            whole = len(pending) - len(pending) % frame_size
-            if whole:
-                samples = self.coding.decoded(pending[:whole]).reshape(-1, self.n_channels)
+            n_complete = len(pending) - len(pending) % frame_size
+            if n_complete:
+                samples = self.coding.decoded(pending[:n_complete]).reshape(-1, self.n_channels)
                 self.n_samples += len(samples)
                 yield from scaled([np.ascontiguousarray(samples.T)], self.factors)
-                pending = pending[whole:]
-            most = max(1, _MAX_NUMBERS // self.n_channels) * frame_size
-            raw = _available(self.file, most if left is None else min(most, left))
+                pending = pending[n_complete:]
+            max_bytes = max(1, _MAX_NUMBERS // self.n_channels) * frame_size
+            raw = _available(self.file, max_bytes if left is None else min(max_bytes, left))
             if left is not None:
                 left -= len(raw)
             if not raw:
                 break
             pending += raw
         if left:
-            self.warnings.append(f"the header declares {left} more bytes of sound than came; the stream was cut off")
+            self.warnings.append(f"the header declares {left} more bytes of sound than arrived; the stream was cut off")
         if pending:
             self.warnings.append(
                 f"the stream ended within a sample of {frame_size} bytes; the last {len(pending)} were left out"
             )
         if not self.n_samples:
-            raise BadData(f"{self.source}: a stream must hold samples, it ended before the first; check what writes it")
+            raise BadData(f"{self.source}: a stream must contain samples, it ended before the first; check its source")
 
 
 def live_stream(
@@ -100,7 +100,7 @@ def live_stream(
     coding = None if sample_format is None else Coding.of_name(sample_format)
     start = file.read(4)
     if not start:
-        raise BadData(f"{source}: a stream must hold samples, it is empty; check what writes to it")
+        raise BadData(f"{source}: a stream must contain samples, it is empty; check its source")
     if start.startswith(WAV_MAGICS):
         head = read_wave_head(file, partial(_skip, file), source, start)
         if not 0 < head.n_channels <= MAX_CHANNELS:
@@ -163,10 +163,10 @@ def _skip(file: BinaryIO, size: int) -> None:
         size -= passed
 
 
-def _available(file: BinaryIO, most: int) -> bytes:
+def _available(file: BinaryIO, max_bytes: int) -> bytes:
     """Return the bytes that have arrived, at least one unless the stream has ended."""
-    if not most:
+    if not max_bytes:
         return b""
     # `read` of a buffered file waits for all bytes; its `read1`, and `read` of a raw file, do not.
     read = getattr(file, "read1", file.read)
-    return read(most) or b""
+    return read(max_bytes) or b""

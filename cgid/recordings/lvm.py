@@ -29,7 +29,7 @@ _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": " "}
 _HEAD = re.compile(r"^[A-Za-z*]", re.MULTILINE)
 #: Lines without a field below the last row.
 _EMPTY_LINES = re.compile(r"(?<=\n)[\s,;]*\Z")
-#: Longest header [lines]; usual ones have about twenty tags.
+#: Longest header [lines]; typical ones have about twenty tags.
 _MAX_HEAD_LENGTH = 2000
 
 #: Larger values of X0 [s] count from 1904, not from the time stamp.
@@ -85,12 +85,12 @@ class _Segment:
 
     @classmethod
     def of(cls, head: Sequence[str], lines: Sequence[str], number: int, line: int, source: str) -> _Segment:
-        """Parse the header of the file and that of a segment, whose last line holds the labels of the columns."""
+        """Parse the header of the file and that of a segment, whose last line contains the labels of the columns."""
         separator = "\t"
         for one in head:
             if one.startswith("Separator"):
                 named = one.removeprefix("Separator").strip().lower()
-                # The separator may be written literally, after a separator; of a tab nothing is left.
+                # The separator may be written literally, after a separator; a tab is stripped.
                 separator = _SEPARATORS.get(named) or named[:1] or "\t"
         of_file, tags = _tags(head, separator), _tags(lines[:-1], separator)
         x = _at(of_file.get("X_Columns", ["", "One"]), 1).lower()
@@ -149,7 +149,7 @@ class _Segment:
             warnings.append(Remark(f"{counted(len(empty), 'channel')} without samples left out: {names}"))
         channels = [channel for channel in range(self.n_channels) if channel not in empty]
         if not channels:
-            raise BadData(f"{source}: a recording must hold at least one sample, no channel does; record it again")
+            raise BadData(f"{source}: a recording must contain at least one sample, no channel does; record it again")
         steps = {self.number_of("Delta_X", channel) for channel in channels}
         if len(steps) > 1:
             raise BadData(
@@ -179,7 +179,9 @@ class _Segment:
         if x0 <= _SINCE_1904:
             date_and_time = [self.field(tag, channel) for tag in ("Date", "Time")]
             of_file = [_at(self.of_file.get(tag, []), 1) for tag in ("Date", "Time")]
-            stamp = stamped_moment(" ".join(date_and_time), alone=True) or stamped_moment(" ".join(of_file), alone=True)
+            stamp = stamped_moment(" ".join(date_and_time), is_only_field=True) or stamped_moment(
+                " ".join(of_file), is_only_field=True
+            )
         with suppress(OverflowError, ValueError):
             return None if stamp is None else stamp + timedelta(seconds=x0)
         return None
@@ -213,7 +215,7 @@ class _Segments:
                 return segment, piece.text
         if only is not None and not 0 < only <= number:
             raise BadData(f"{self.source}: there is no segment {variable}, the last is {number}; correct --variable")
-        raise BadData(f"{self.source}: a recording must hold at least one sample, there is none; record it again")
+        raise BadData(f"{self.source}: a recording must contain at least one sample, there is none; record it again")
 
     def parts(self) -> Iterator[tuple[_Segment, Piece]]:
         """Yield segments with pieces of their rows, at least one each, which may be empty."""
@@ -224,12 +226,12 @@ class _Segments:
             at = 0
             while at < len(text):
                 if above is None and segment is not None:
-                    found = _HEAD.search(text, at)
-                    end = found.start() if found else len(text)
-                    rows = _EMPTY_LINES.sub("", text[at:end]) if found or is_last else text[at:end]
-                    yield segment, Piece(rows, line, is_last and not found)
+                    match = _HEAD.search(text, at)
+                    end = match.start() if match else len(text)
+                    rows = _EMPTY_LINES.sub("", text[at:end]) if match or is_last else text[at:end]
+                    yield segment, Piece(rows, line, is_last and not match)
                     line += text.count("\n", at, end)
-                    at, above = end, [] if found else None
+                    at, above = end, [] if match else None
                     continue
                 end = text.find("\n", at) + 1 or len(text)
                 written, at, line = text[at:end].rstrip("\r\n"), end, line + 1
@@ -253,7 +255,7 @@ class _Segments:
                     )
         if segment is None:
             raise BadData(
-                f"{self.source}: a LabVIEW file must hold a segment with its head, there is none; it looks cut off, "
+                f"{self.source}: a LabVIEW file must contain a segment with its head, there is none; it looks cut off, "
                 "copy it again"
             )
         if above and any(map(str.strip, above)):
@@ -295,7 +297,7 @@ class _Rows(Body):
         # More packets of the declared length may follow without headers.
         if declared and (not count or count % declared):
             self.segments.warnings.append(
-                f"segment {segment.number} declares {declared} samples and holds {count}; the file looks cut off or "
+                f"segment {segment.number} declares {declared} samples and contains {count}; the file looks cut off or "
                 "damaged, the rows that are there were read"
             )
 
@@ -303,9 +305,9 @@ class _Rows(Body):
         """Raise `BadData` unless a segment continues the one before with the same channels and rate."""
         step, channel = segment.number_of("Delta_X", self.channel), self.channel
         name = f"{self.source}: segment {following.number} (line {following.line})"
-        cure = f"pick one segment by --variable {segment.number}, {following.number}, ..."
+        hint = f"pick one segment by --variable {segment.number}, {following.number}, ..."
         if following.n_channels != segment.n_channels or following.number_of("Delta_X", channel) != step:
-            raise BadData(f"{name} must have the channels and the rate of the one before, it has others; {cure}")
+            raise BadData(f"{name} must have the channels and the rate of the one before, it has others; {hint}")
         if step is None:
             return
         span, allowed = count * step, max(_GAP * step, RATE_TOLERANCE * count * step) + _STAMP
@@ -317,5 +319,5 @@ class _Rows(Body):
         if all(abs(seconds - span) > allowed for seconds in passed):
             raise BadData(
                 f"{name} must begin where the one before ends, after {span:.6g} s, its head says after "
-                f"{passed[-1]:.6g} s; {cure}"
+                f"{passed[-1]:.6g} s; {hint}"
             )

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgid.recordings.arrays import blocks_of_arrays, require_room
-from cgid.recordings.recording import Blocks, understood
+from cgid.recordings.arrays import blocks_of_arrays, require_readable_size
+from cgid.recordings.recording import Blocks, library_errors
 
-#: Deepest struct in a struct, and longest text [characters].
+#: Maximum depth of nested structs, and of a text [characters].
 _DEEPEST, _MAX_TEXT_LENGTH = 16, 4096
 
 
@@ -24,18 +24,18 @@ def read_mat(path: Path, source: str, variable: str | None) -> Blocks:
     from scipy.io import loadmat, whosmat
 
     with (
-        understood(source, "the MATLAB file is cut off or damaged", "copy it again, or save it with -v7"),
+        library_errors(source, "the MATLAB file is cut off or damaged", "copy it again, or save it with -v7"),
         path.open("rb") as file,
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")
         sizes = [8 * math.prod(shape) for _, shape, _ in whosmat(file)]
-        require_room(max(sum(sizes), os.fstat(file.fileno()).st_size), source, "save it with -v7.3")
-        found = stored = loadmat(file, mat_dtype=True)
+        require_readable_size(max(sum(sizes), os.fstat(file.fileno()).st_size), source, "save it with -v7.3")
+        loaded = stored = loadmat(file, mat_dtype=True)
         # MATLAB types (mat_dtype) distinguish logical arrays, but drop the imaginary part of complex numbers.
         if any(issubclass(one.category, np.exceptions.ComplexWarning) for one in caught):
             stored = loadmat(file, mat_dtype=False)
-    arrays = (one for name in found for one in _fields(name, found[name], stored[name], 0))
+    arrays = (one for name in loaded for one in _fields(name, loaded[name], stored[name], 0))
     return blocks_of_arrays(arrays, source, variable)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, Remark, library, understood
+from cgid.recordings.recording import Blocks, Remark, library, library_errors
 from cgid.recordings.text_layout import Column, column_of
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of
 from cgid.units import seconds_of
@@ -34,7 +34,7 @@ _INDEX = "__index_level_"
 
 
 def read_parquet(path: Path, source: str) -> Blocks:
-    """Return the columns of a Parquet file as channels; those without numbers are left out with a warning."""
+    """Return the columns of a Parquet file as channels; those without numbers are skipped with a warning."""
     file = _Parquet(path, source)
     warnings, variables, names = list[str](), list[Variable](), list[str]()
     for name, kind, values in file.columns():
@@ -49,14 +49,14 @@ def read_parquet(path: Path, source: str) -> Blocks:
     is_time = [one.is_time for one in variables]
     if all(is_time) or not file.n_rows:
         raise BadData(
-            f"{source}: a recording must hold a column of numbers beside time, there is none; export it again"
+            f"{source}: a recording must have a column of numbers besides time, there is none; export it again"
         )
     start = [file.first_time(name) for name in names[: is_time.index(True) + 1][-1:]] if any(is_time) else [None]
-    blocks = contents_of(variables, {"": file.said}, source, None, warnings, group_is_one=True)
-    kept = [name for name, is_one in zip(names, is_time, strict=True) if not is_one]
+    blocks = contents_of(variables, {"": file.messages}, source, None, warnings, group_is_one=True)
+    numeric = [name for name, is_one in zip(names, is_time, strict=True) if not is_one]
 
     def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        return file.blocks([kept[channel] for channel in channels], length)
+        return file.blocks([numeric[channel] for channel in channels], length)
 
     return replace(blocks, read=read, start_time=blocks.start_time or start[0])
 
@@ -71,7 +71,7 @@ def _variable(file: _Parquet, name: str, kind: str, values: dict[str, Value], co
         n_channels=1,
         n_samples=file.n_rows,
         read=lambda length, channels: file.blocks([name], length),
-        # Metadata go before the unit in the name.
+        # Metadata take precedence over the unit in the name.
         about={**values, **({"unit": column.unit} if column.unit and "unit" not in values else {})},
         full_scale=full_scale_of(file.dtype(name)) if is_number else None,
         is_integer=is_number and file.dtype(name).kind in "iu",
@@ -98,7 +98,7 @@ class _Parquet:
             self.n_rows: int = file.metadata.num_rows
             schema = file.schema_arrow
         self._schema = schema
-        self.said = _texts(schema.metadata)
+        self.messages = _texts(schema.metadata)
         size = path.stat().st_size
         if self.n_rows > _MAX_ROWS_A_BYTE * size:
             raise BadData(
@@ -139,7 +139,7 @@ class _Parquet:
                 yield np.stack(rows)
         if done != self.n_rows:
             raise BadData(
-                f"{self._source}: the footer declares {self.n_rows} rows and {done} are there; copy the file again"
+                f"{self._source}: the footer declares {self.n_rows} rows, the file contains {done}; copy it again"
             )
 
     @contextmanager
@@ -147,7 +147,7 @@ class _Parquet:
         import pyarrow.parquet as pq
 
         with (
-            understood(self._source, "the Parquet file is cut off or damaged"),
+            library_errors(self._source, "the Parquet file is cut off or damaged"),
             # An open file, because pyarrow takes no name that is not UTF-8.
             self._path.open("rb") as content,
             pq.ParquetFile(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgid.deprecated import renamed_attribute
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption, NoInput, optional
 from cgid.recordings.chain import Chain, scaled
 from cgid.recordings.gaps import Gaps
@@ -19,7 +20,7 @@ from cgid.units import UNITS, quantity_of
 from cgid.validation import require_rate
 
 #: Advice for a dataset given instead of a recording.
-DATASET_CURE = "read it with cgid.store, or pick one of its signals with --index"
+DATASET_HINT = "read it with cgid.store, or pick one of its signals with --index"
 
 #: Default length of a block [samples].
 BLOCK_LENGTH = 1 << 16
@@ -41,12 +42,12 @@ ReadBlocks = Callable[[int, Sequence[int]], Iterator[NDArray[Any]]]
 
 
 class Remark(str):
-    """A warning of something that is no damage."""
+    """A warning that does not concern damage."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Blocks:
-    """Samples of a file, and what it states about them: what the reader of a format returns.
+    """Samples of a file and their metadata, as the reader of a format returns them.
 
     Attributes
     ----------
@@ -54,14 +55,14 @@ class Blocks:
     read : callable
         ``read(length, channels)`` yields these channels, a sequence counted from 0, as arrays (len(channels), at most
         `length`) of float32 or float64. Each call begins with the first sample, because a recording may be read several
-        times. A block may also be a pair of its first sample and the array: the samples missing before it are a gap,
-        which moves no later time.
+        times. A block may also be a pair (index of its first sample, array): missing samples before it are a gap, and
+        later times stay correct.
     n_samples : int or None
-        Of each channel; None if only reading shows it.
+        Per channel; None if unknown before reading.
     names : sequence of str
-        One a channel, "" without one.
+        One per channel, "" without one.
     units : sequence of str or None
-        One a channel, None without a known one.
+        One per channel, None if unknown.
     sampling_rate : float or None
         [Hz]; None if the file does not state it.
     rate_from : str
@@ -69,15 +70,15 @@ class Blocks:
     fallback_unit : str or None
         Unit if neither the file nor the user states one, such as "FS".
     full_scales : sequence of float or None
-        Number of full scale of each channel: 1 in a sound file, 2^15 in integers of 16 bit.
+        Number at full scale of each channel: 1 in a sound file, 2^15 for integers of 16 bit.
     integers : sequence of bool
-        Whether the samples of each channel were integers, whose unit alone does not give their size.
+        Whether the samples of each channel were integers, whose scale the unit alone does not give.
     sensitivities, gains : sequence of str or None
-        One a channel, such as "10.2 mV/g"; for samples in volts or coulombs.
+        One per channel, such as "10.2 mV/g"; for samples in volts or coulombs.
     start_time : datetime or None
         Time of the first sample.
     warnings : list of str
-        One line for each damaged part that was left out; may grow during reading.
+        One line for each damaged part that was skipped; may grow during reading.
 
     Examples
     --------
@@ -140,13 +141,13 @@ class Blocks:
             yield samples
 
     def require_channels(self, source: str) -> None:
-        """Raise `BadData` if there are no samples, or if rows and columns look exchanged."""
+        """Raise `BadData` if there are no samples, or if rows and columns look swapped."""
         if not self.n_channels or self.n_samples == 0:
-            raise BadData(f"{source}: a recording must hold at least one sample, there is none; record it again")
+            raise BadData(f"{source}: a recording must contain at least one sample, there is none; record it again")
         if self.n_channels > MAX_CHANNELS:
             raise BadData(
                 f"{source}: at most {MAX_CHANNELS} channels, got {self.n_channels} of {self.n_samples or 'some'} "
-                "samples; transpose it if each row is one channel in full"
+                "samples; transpose it if each row is a channel"
             )
 
     def name(self, index: int) -> str:
@@ -177,18 +178,18 @@ class Blocks:
         labels = [_numbered(index, name) for index, name in enumerate(names)]
         if channel in labels:
             return labels.index(str(channel))
-        wanted = str(channel)
+        text = str(channel)
         # Compare as text: True would otherwise be channel 1.
-        if wanted.isascii() and wanted.isdigit() and len(wanted) < 9:
-            number = int(wanted)
+        if text.isascii() and text.isdigit() and len(text) < 9:
+            number = int(text)
             if 1 <= number <= len(names):
                 return number - 1
         listed, more = ", ".join(labels[:20]), ", ..." if len(names) > 20 else ""
-        fault = "is the name of several" if wanted and names.count(wanted) > 1 else "is none of them"
+        fault = "is the name of several" if text and names.count(text) > 1 else "is none of them"
         raise InvalidValue(f"{source}: channel {channel!r} {fault}; choose one of {listed}{more} by {option}")
 
     def rate(self, given: float | None, source: str) -> float:
-        """Return the sampling rate [Hz] of file and user, which must agree."""
+        """Return the sampling rate [Hz] stated by file or user, which must agree."""
         stated = self.sampling_rate
         if stated is not None and not (np.isfinite(stated) and stated > 0):
             raise BadData(
@@ -209,7 +210,7 @@ class Blocks:
         return given
 
     def unit(self, index: int, given: str | None, source: str) -> str | None:
-        """Return the unit of a channel of file and user, which must agree."""
+        """Return the unit of a channel stated by file or user, which must agree."""
         stated = self.units[index] if index < len(self.units) else None
         if given is None or stated is None:
             return given or stated or self.fallback_unit
@@ -257,8 +258,7 @@ class Channel:
     unit : str or None
         None if neither the file nor the user states it.
     origin : str
-        How the numbers of the file became samples in this unit, such as "from V, sensitivity 10.2 mV/g"; "" if they
-        are as they were.
+        Origin of the samples, such as "from V, sensitivity 10.2 mV/g"; "" if they are the numbers of the file.
     """
 
     name: str
@@ -285,7 +285,7 @@ class RecordingFile:
     channels : tuple of Channel
         The selected channels.
     n_samples : int or None
-        Of each channel, as the file states; None if only reading shows it.
+        Per channel, as the file states; None if unknown before reading.
     start_time : datetime or None
         Time of the first sample, if the file states it.
     """
@@ -325,29 +325,28 @@ class RecordingFile:
 
     @property
     def duration(self) -> float | None:
-        """Duration [s]; None if only reading shows it."""
+        """Duration [s]; None if unknown before reading."""
         return None if self.n_samples is None else self.n_samples / self.sampling_rate
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Damaged parts that were left out, one line each; complete once all blocks have been read."""
-        return tuple(f"{self.source}: {warning}" for warning in self.said)
+        """Damaged parts that were skipped, one line each; complete once all blocks have been read."""
+        return tuple(f"{self.source}: {warning}" for warning in self.messages)
 
     @property
-    def said(self) -> tuple[str, ...]:
+    def messages(self) -> tuple[str, ...]:
         """The warnings without the name of the source."""
         return tuple(dict.fromkeys(self._contents.warnings))
 
+    said = renamed_attribute("said", "messages")
+
     @property
     def damage(self) -> tuple[str, ...]:
-        """The warnings that are no remarks."""
-        return tuple(one for one in self.said if not isinstance(one, Remark))
+        """The warnings, without remarks."""
+        return tuple(one for one in self.messages if not isinstance(one, Remark))
 
     def gaps(self, rows: Sequence[int], give_up: float | None = None, *, joint: bool = False) -> Gaps:
-        """Return what marks the gaps of some channels, for one reading; `warnings` say what it found.
-
-        A channel is given up when it has been unreadable for `give_up` [s]; `joint` channels are used together.
-        """
+        """Return a marker of gaps in some channels for one reading, adding to `warnings`; arguments as in `Gaps`."""
         channels = [self.channels[row] for row in rows]
         return Gaps(channels, self.sampling_rate, self._contents.warnings.append, give_up=give_up, joint=joint)
 
@@ -359,12 +358,12 @@ class RecordingFile:
         length : int
             Samples of a block; the last one may be shorter.
         gaps : bool
-            Whether numbers that are not finite are yielded as they are; otherwise the first one is an error.
+            Whether to yield numbers that are not finite unchanged; otherwise the first one is an error.
 
         Raises
         ------
         BadData
-            A number is not finite (the message names channel and sample), or damage cannot be left out.
+            A number is not finite (the message names channel and sample), or damage cannot be skipped.
         NoInput
             The file has disappeared or is no longer readable.
         """
@@ -385,9 +384,9 @@ class RecordingFile:
             yield block
 
     def blocks_with_gaps(self, *, joint: bool = False) -> Iterator[NDArray[Any]]:
-        """Yield the samples as `blocks` does, with nan where no sensor can give a number; `warnings` say where.
+        """Yield the samples as `blocks` does, with nan for impossible numbers; `warnings` report where.
 
-        Raises `BadData` at the end if no sample can be read, or the channels stay unreadable, of `joint` ones any.
+        Raises `BadData` at the end if no sample is readable, or if all channels (any `joint` one) were given up.
         """
         gaps = self.gaps(range(len(self.channels)), joint=joint)
         yield from gaps.marked(self.blocks(gaps=True))
@@ -406,7 +405,7 @@ class RecordingFile:
             As `blocks`, or the recording does not fit in memory.
         """
         try:
-            samples = self._whole()
+            samples = self._all_samples()
         except MemoryError:
             raise BadData(f"{self.source}: the recording must fit in memory and does not; cut it into parts") from None
         return [
@@ -424,16 +423,18 @@ class RecordingFile:
 
     def _blocks(self, length: int) -> Iterator[NDArray[Any]]:
         count = 0
-        # Memory must not grow with the number of channels either.
+        # Memory must not grow with the number of channels.
         length = min(length, max(MAX_NUMBERS // self._contents.n_channels, 1))
-        with told(self.source):
+        with clear_errors(self.source):
             for block in scaled(self._contents.joined(length, self._selected), self._factors):
                 count += block.shape[1]
                 yield block
         if not count:
-            raise BadData(f"{self.source}: a recording must hold at least one sample, there is none; record it again")
+            raise BadData(
+                f"{self.source}: a recording must contain at least one sample, there is none; record it again"
+            )
 
-    def _whole(self) -> NDArray[Any]:
+    def _all_samples(self) -> NDArray[Any]:
         if self.n_samples is None:
             return np.concatenate(list(self._blocks(BLOCK_LENGTH)), axis=1)
         out, filled = np.empty((len(self._selected), 0)), 0
@@ -453,7 +454,7 @@ def _selected(contents: Blocks, channel: int | str | Sequence[int | str] | None,
 
 
 @contextmanager
-def told(source: str) -> Iterator[None]:
+def clear_errors(source: str) -> Iterator[None]:
     """Turn system errors on opening or reading a file into a one-line `NoInput`."""
     try:
         yield
@@ -474,16 +475,16 @@ def library(name: str, of: str, source: str, extra: str = "formats") -> Any:
 
 
 @contextmanager
-def understood(source: str, fault: str, cure: str = "copy it again") -> Iterator[None]:
+def library_errors(source: str, fault: str, hint: str = "copy it again") -> Iterator[None]:
     """Turn errors of a library on a damaged file into a one-line `BadData`: source, fault, reason and cure."""
     try:
         yield
     except (CgidError, FileNotFoundError, PermissionError):
         raise
-    # On damaged files, libraries raise any exception, often chained to a first, more telling one.
+    # On damaged files, libraries raise any exception, often chained to a more specific one.
     except Exception as raised:
         error: BaseException = raised
         while error.__context__ is not None:
             error = error.__context__
         reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise BadData(f"{source}: {fault} ({reason}); {cure}") from None
+        raise BadData(f"{source}: {fault} ({reason}); {hint}") from None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData, InvalidValue
-from cgid.recordings.recording import Blocks, library, understood
+from cgid.recordings.recording import Blocks, library, library_errors
 
 #: First bytes of WAV files: little-endian, big-endian, and two with 64-bit sizes.
 WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
@@ -25,7 +25,7 @@ WAV_MAGICS = (b"RIFF", b"RIFX", b"RF64", b"BW64")
 #: signed 32-bit number, rounded down.
 ENDLESS = 0x7FFF0000
 
-#: Bytes to read of each relevant chunk; the rest is skipped.
+#: Bytes to read of each relevant chunk; the others are skipped.
 _READ = {b"fmt ": 40, b"ds64": 28, b"bext": 338}
 #: Maximum number of chunks before the sound; a hostile file could hold millions of empty ones.
 _MAX_CHUNKS = 1000
@@ -46,11 +46,11 @@ class Coding:
     @classmethod
     def of_name(cls, name: str) -> Coding:
         """Return the coding of a name such as "u8", "s16le", "s24be", "f32le"; little-endian by default."""
-        found = _NAMED.get(str(name).lower())
-        if found is None:
-            listed = ", ".join(known for known in _NAMED if known == "u8" or known.endswith("e"))
+        match = _NAMED.get(str(name).lower())
+        if match is None:
+            listed = ", ".join(codings for codings in _NAMED if codings == "u8" or codings.endswith("e"))
             raise InvalidValue(f"sample_format must be one of {listed}, got {name!r}")
-        return found
+        return match
 
     def decoded(self, raw: bytes) -> NDArray[Any]:
         """Return numbers, (len(raw) // width,): integers as float64 with a full scale of 1.0, floats unchanged."""
@@ -92,7 +92,7 @@ def _of_three_bytes(raw: bytes, big_endian: bool) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, kw_only=True)
 class WaveHead:
-    """What a WAV file states before the sound; `start_time` is from a broadcast chunk."""
+    """The metadata of a WAV file before the sound; `start_time` is from a broadcast chunk."""
 
     n_channels: int
     sampling_rate: float
@@ -122,20 +122,20 @@ def read_wave_head(file: BinaryIO, skip: Callable[[int], object], source: str, s
         name, size = head[:4], int(struct.unpack(order + "I", head[4:])[0])
         if name == b"data":
             return _head(chunks, order, size, source)
-        wanted = min(_READ.get(name, 0), size)
-        # Some programs write chunks twice; the first one counts.
-        chunks.setdefault(name, file.read(wanted) if wanted else b"")
-        skip(size - wanted + size % 2)
+        required = min(_READ.get(name, 0), size)
+        # Some programs write chunks twice; the first one is used.
+        chunks.setdefault(name, file.read(required) if required else b"")
+        skip(size - required + size % 2)
     raise BadData(
-        f"{source}: a WAV file must hold a chunk of sound (data), none was found; the file looks cut off or damaged, "
-        "copy it again"
+        f"{source}: a WAV file must contain a chunk of sound (data), none was found; the file looks cut off or "
+        "damaged, copy it again"
     )
 
 
 def _head(chunks: dict[bytes, bytes], order: str, data_size: int, source: str) -> WaveHead:
     form = chunks.get(b"fmt ", b"")
     if len(form) < 16:
-        raise BadData(f"{source}: a WAV file must say its format before the sound; export it again")
+        raise BadData(f"{source}: a WAV file must state its format before the sound; export it again")
     tag, n_channels, rate, byte_rate, align, bits = struct.unpack(order + "HHIIHH", form[:16])
     if tag == _EXTENSIBLE and len(form) >= 26:
         # The actual format is in the first two bytes of a GUID.
@@ -185,24 +185,24 @@ def _start_time(broadcast: bytes) -> datetime | None:
 
 def read_wav(path: Path, source: str) -> Blocks:
     """Return the channels of a WAV file (RIFF, RIFX or RF64), integers scaled to a full scale of 1.0."""
-    # A file that is cut off or was never closed gives its whole samples and a warning.
+    # A truncated or never closed file gives its complete samples and a warning.
     with path.open("rb") as file:
-        held = os.fstat(file.fileno()).st_size
+        n_available = os.fstat(file.fileno()).st_size
         head = read_wave_head(file, lambda size: file.seek(size, os.SEEK_CUR), source)
         start = file.tell()
         warnings = list(head.warnings)
-        size = _size_of_sound(file, head, start, held, warnings)
+        size = _size_of_sound(file, head, start, n_available, warnings)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        most = length * head.frame_size
+        max_samples = length * head.frame_size
         picked = list(channels)
         with path.open("rb") as file:
             file.seek(start)
-            for first in range(0, size, most):
-                raw = file.read(min(most, size - first))
-                whole = len(raw) - len(raw) % head.frame_size
-                yield np.ascontiguousarray(head.coding.decoded(raw[:whole]).reshape(-1, head.n_channels).T[picked])
-                if len(raw) < min(most, size - first):
+            for first in range(0, size, max_samples):
+                raw = file.read(min(max_samples, size - first))
+                complete = len(raw) - len(raw) % head.frame_size
+                yield np.ascontiguousarray(head.coding.decoded(raw[:complete]).reshape(-1, head.n_channels).T[picked])
+                if len(raw) < min(max_samples, size - first):
                     warnings.append("the file became shorter while it was read; what is whole was read")
                     return
 
@@ -220,13 +220,15 @@ def read_wav(path: Path, source: str) -> Blocks:
     )
 
 
-def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnings: list[str]) -> int:
+def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, n_available: int, warnings: list[str]) -> int:
     """Return the bytes of whole frames in the file; warn of wrong declared sizes."""
-    declared, follows = head.data_size, held - start
+    declared, follows = head.data_size, n_available - start
     # Recorders that lose power, and programs that write to pipes, never fill in the size.
-    never_closed = declared == 0 and follows > 0 and not _is_chunk(file, head, start, held)
+    never_closed = declared == 0 and follows > 0 and not _is_chunk(file, head, start, n_available)
     if never_closed or (declared >= ENDLESS and declared > follows):
-        warnings.append(f"the file was not closed and does not say its length; all {follows} bytes of sound were read")
+        warnings.append(
+            f"the file was not closed and does not state its length; all {follows} bytes of sound were read"
+        )
     elif declared > follows:
         warnings.append(
             f"the header declares {declared} bytes of sound and {follows} follow; the file looks cut off, what is "
@@ -236,10 +238,10 @@ def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnin
         follows = declared
         end = start + declared
         # A zero byte follows sound of odd size, but some programs omit it.
-        if end + end % 2 < held and not any(_is_chunk(file, head, at, held) for at in (end, end + 1)):
+        if end + end % 2 < n_available and not any(_is_chunk(file, head, at, n_available) for at in (end, end + 1)):
             warnings.append(
-                f"{held - end} bytes behind the declared sound are no part of a WAV file and were left out; check the "
-                "file"
+                f"{n_available - end} bytes behind the declared sound are no part of a WAV file and were left out; "
+                "check the file"
             )
         if left := declared % head.frame_size:
             warnings.append(
@@ -248,11 +250,11 @@ def _size_of_sound(file: BinaryIO, head: WaveHead, start: int, held: int, warnin
     return follows - follows % head.frame_size
 
 
-def _is_chunk(file: BinaryIO, head: WaveHead, at: int, held: int) -> bool:
+def _is_chunk(file: BinaryIO, head: WaveHead, at: int, n_available: int) -> bool:
     """Return whether a chunk begins at byte `at` and ends within the file."""
     file.seek(at)
     name, size = file.read(4), int.from_bytes(file.read(4), "big" if head.coding.big_endian else "little")
-    return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= held + 1
+    return len(name) == 4 and all(32 <= byte < 127 for byte in name) and at + 8 + size <= n_available + 1
 
 
 # ---- FLAC and OGG files ----------------------------------------------------------------------------------------------
@@ -269,12 +271,12 @@ _PAGE_HEAD, _MAX_PAGE_SIZE, _LAST_PAGE = 27, 65_307, 4
 def read_audio(path: Path, source: str) -> Blocks:
     """Return the channels of a FLAC or OGG file, with a full scale of 1.0."""
     soundfile = library("soundfile", "FLAC and OGG files", source)
-    fault, cure = "the audio file is damaged or cut off", "copy or export it again"
+    fault, hint = "the audio file is damaged or cut off", "copy or export it again"
 
     @contextmanager
     def opened() -> Iterator[Any]:
         # An open file, because libsndfile takes no name that is not UTF-8.
-        with understood(source, fault, cure), path.open("rb") as file, soundfile.SoundFile(file) as sound:
+        with library_errors(source, fault, hint), path.open("rb") as file, soundfile.SoundFile(file) as sound:
             yield sound
 
     with opened() as sound:
@@ -283,7 +285,7 @@ def read_audio(path: Path, source: str) -> Blocks:
     n_samples = declared if 0 < declared <= _BEST_PACKING * path.stat().st_size else None
     is_ended, position = _ogg_end(path)
     if not is_ended:
-        raise BadData(f"{source}: an OGG file must end with a last page, there is none; it looks cut off, {cure}")
+        raise BadData(f"{source}: an OGG file must end with a last page, there is none; it looks cut off, {hint}")
 
     def read(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
         picked, count = list(channels), 0
@@ -294,7 +296,7 @@ def read_audio(path: Path, source: str) -> Blocks:
                 yield np.ascontiguousarray(frames.T[picked])
         for stated in (n_samples, position):
             if stated not in (None, count):
-                raise BadData(f"{source}: {fault}, it declares {stated} samples and {count} can be decoded; {cure}")
+                raise BadData(f"{source}: {fault}, it declares {stated} samples and {count} can be decoded; {hint}")
 
     return Blocks(
         n_channels=n_channels,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import MAX_ARRAYS, Blocks, Remark, library, understood
+from cgid.recordings.recording import MAX_ARRAYS, Blocks, Remark, library, library_errors
 from cgid.recordings.variables import Value, Variable, contents_of, full_scale_of, is_statement
 
 _LEAD_IN, _TAG = 28, b"TDSm"
@@ -34,7 +34,7 @@ class _Tdms:
         self._file = path.open("rb")
         self.is_cut = _is_cut(self._file)
         self._file.seek(0)
-        with self.understood():
+        with self.library_errors():
             # Given a file handle, nptdms does not look for an index file.
             self.tdms = nptdms.TdmsFile.open(self._file)
 
@@ -43,23 +43,23 @@ class _Tdms:
             self._file.close()
 
     @contextmanager
-    def understood(self) -> Iterator[None]:
+    def library_errors(self) -> Iterator[None]:
         """Turn errors of nptdms into one line, and suppress its log."""
         from nptdms.log import log_manager
 
         level = log_manager.log_level
         log_manager.set_level(logging.CRITICAL)
         try:
-            with understood(self.source, "the TDMS file is damaged", "copy it again, or export it anew"):
+            with library_errors(self.source, "the TDMS file is damaged", "copy it again, or export it anew"):
                 yield
         finally:
             log_manager.set_level(level)
 
     def blocks(self, channel: Any, length: int) -> Iterator[NDArray[Any]]:
         """Yield the samples of a channel, (1, at most `length`)."""
-        with self.understood():
+        with self.library_errors():
             chunk = len(next(iter(channel.data_chunks()), ()))
-        # Part of a chunk costs as much as all of it: read whole ones, or the channel if its chunks are long.
+        # Part of a chunk costs as much as all of it: read complete ones, or the channel if its chunks are long.
         together = chunk * max(_READ // max(chunk, 1), 1)
         step = length * -(-max(together, length) // length) if chunk <= MAX_CHUNK_SIZE else len(channel)
         if step == len(channel) and 8 * step > MAX_ARRAYS:
@@ -69,16 +69,16 @@ class _Tdms:
             )
         for first in range(0, len(channel), step):
             count = min(step, len(channel) - first)
-            with self.understood():
+            with self.library_errors():
                 samples = np.asarray(channel.read_data(first, count))
             if len(samples) != count:
                 raise BadData(
-                    f"{self.source}: channel {channel.name} must hold {len(channel)} samples, {first + len(samples)} "
-                    "are there; the file is damaged, copy it again"
+                    f"{self.source}: channel {channel.name} must have {len(channel)} samples, got "
+                    f"{first + len(samples)}; the file is damaged, copy it again"
                 )
-            kept = np.float32 if samples.dtype == np.float32 else np.float64
+            channels_with_numbers = np.float32 if samples.dtype == np.float32 else np.float64
             for begin in range(0, len(samples), length):
-                yield samples[np.newaxis, begin : begin + length].astype(kept)
+                yield samples[np.newaxis, begin : begin + length].astype(channels_with_numbers)
 
 
 def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
@@ -88,9 +88,9 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
     file = _Tdms(path, source)
     warnings: list[str] = []
     if file.is_cut:
-        warnings.append("the TDMS file is cut off or was never closed; what is whole of its last part is kept")
+        warnings.append("the TDMS file is cut off or was never closed; the complete samples of its last part were read")
     variables: list[Variable] = []
-    with file.understood():
+    with file.library_errors():
         statements: dict[str, dict[str, Value]] = {"": _values(file.tdms.properties)}
         for group in file.tdms.groups():
             statements[group.name] = _values(group.properties)
@@ -98,9 +98,9 @@ def read_tdms(path: Path, source: str, variable: str | None) -> Blocks:
                 if len(channel) and channel.dtype.kind in "fiu":
                     variables.append(_variable(file, group.name, channel))
                 elif not len(channel):
-                    warnings.append(Remark(f"channel {group.name}/{channel.name} holds no samples and is left out"))
+                    warnings.append(Remark(f"channel {group.name}/{channel.name} contains no samples and is skipped"))
                 else:
-                    warnings.append(Remark(f"channel {group.name}/{channel.name} holds no numbers and is left out"))
+                    warnings.append(Remark(f"channel {group.name}/{channel.name} contains no numbers and is skipped"))
     if file.is_cut and not variables:
         raise BadData(f"{source}: the TDMS file is cut off before its first sample; copy it again")
     return contents_of(variables, statements, source, variable, warnings, group_is_one=True, is_cut=file.is_cut)
@@ -128,7 +128,7 @@ def _variable(file: _Tdms, group: str, channel: Any) -> Variable:
 
 
 def _values(properties: Any) -> dict[str, Value]:
-    found: dict[str, Value] = {}
+    units: dict[str, Value] = {}
     for name, value in properties.items():
         if not is_statement(name):
             continue
@@ -136,10 +136,10 @@ def _values(properties: Any) -> dict[str, Value]:
             # TDMS timestamps are in UTC; datetime covers only the years 1 to 9999.
             stamp = value.astype("datetime64[us]").item()
             if isinstance(stamp, datetime):
-                found[name] = stamp.replace(tzinfo=UTC)
+                units[name] = stamp.replace(tzinfo=UTC)
         elif isinstance(value, str | int | float):
-            found[name] = value
-    return found
+            units[name] = value
+    return units
 
 
 def _is_cut(file: BinaryIO) -> bool:

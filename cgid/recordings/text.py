@@ -76,7 +76,7 @@ def encoding_and_end(path: Path, source: str) -> tuple[str, list[str]]:
 
 
 class Piece(NamedTuple):
-    """Whole lines of rows; `line` is the number of the first; `is_restart`: whether times may begin anew."""
+    """Complete lines of rows; `line` is the number of the first; `is_restart`: whether times may restart."""
 
     text: str
     line: int
@@ -86,7 +86,7 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """The rows of a text file: where they begin [characters, lines] and how they are divided."""
+    """The rows of a text file: their start [characters, lines] and their layout."""
 
     path: Path
     encoding: str
@@ -111,12 +111,12 @@ class Body:
         comment: tuple[int, str] | None = None
         for piece in self.texts():
             # Comments are allowed after the last row; among the rows they may replace samples.
-            held = _without_end(piece.text)
-            if held and comment is not None and not piece.is_restart:
+            without_end = _without_end(piece.text)
+            if without_end and comment is not None and not piece.is_restart:
                 raise _among_rows(*comment, sample, self.source)
-            if comment is None and len(held) < len(piece.text):
-                comment = piece.line + held.count("\n"), piece.text[len(held) :].partition("\n")[0]
-            text = with_seconds(held, layout)
+            if comment is None and len(without_end) < len(piece.text):
+                comment = piece.line + without_end.count("\n"), piece.text[len(without_end) :].partition("\n")[0]
+            text = with_seconds(without_end, layout)
             if not points:
                 # The decimal mark is unknown while all numbers are integers.
                 layout = with_decimal_mark(layout, text)
@@ -151,17 +151,17 @@ class Body:
 
 
 def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Iterator[tuple[str, bool]]:
-    """Yield whole lines, about `PIECE` characters at a time from character `start`, and whether they are the last."""
+    """Yield complete lines, about `PIECE` characters from character `start` on, and whether they are the last."""
     with path.open(encoding=encoding, errors="replace") as file:
-        rest, following = "", file.read(start + PIECE)[start:]
+        incomplete, following = "", file.read(start + PIECE)[start:]
         while following:
-            text, following = rest + following, file.read(PIECE)
+            text, following = incomplete + following, file.read(PIECE)
             if not following:
                 yield text.rstrip(_END_MARK), True
                 return
             end = text.rfind("\n") + 1
-            rest = text[end:]
-            if len(rest) > _MAX_LINE_LENGTH:
+            incomplete = text[end:]
+            if len(incomplete) > _MAX_LINE_LENGTH:
                 raise BadData(
                     f"{source}: a line must be of at most {_MAX_LINE_LENGTH} characters, one is longer; "
                     "transpose it: one sample a row, one channel a column"
@@ -170,7 +170,7 @@ def whole_lines(path: Path, encoding: str, source: str, start: int = 0) -> Itera
 
 
 def with_decimal_mark(layout: Layout, text: str) -> Layout:
-    """Return the layout with a decimal comma if the rows hold commas that do not divide columns."""
+    """Return the layout with a decimal comma if the rows contain commas that do not separate columns."""
     divided = layout.delimiter not in (",", MIXED) and (layout.n_columns > 1 or layout.trailing)
     is_decimal = divided and "," in text and _COMMA.search(text) is not None
     return replace(layout, decimal_comma=True) if is_decimal else layout
@@ -230,7 +230,7 @@ def _checked_rows(
 def _among_rows(number: int, line: str, sample: int, source: str) -> BadData:
     shown = repr(line.strip()[:40]) if line.strip() else "empty"
     return BadData(
-        f"{source}: every line among the numbers must be a row, or a sample may be missing, line {number} before "
+        f"{source}: every line among the numbers must be a row, since a sample may be missing, line {number} before "
         f"sample {sample} is {shown}; repair or cut the recording there, or take the line out"
     )
 
@@ -270,7 +270,7 @@ def _header_and_body(path: Path, encoding: str, source: str) -> tuple[Header, Bo
         start += len(line)
         line = following
     if layout is None:
-        raise BadData(f"{source}: a recording must hold numbers, no line of the text does; export it again")
+        raise BadData(f"{source}: a recording must contain numbers, no line of the text does; export it again")
     moment = None if layout.stamp is None else stamped_moment(line)
     layout = _corrected(layout, following or line, above)
     layout = with_decimal_mark(layout, with_seconds(piece[start:], layout))
@@ -305,7 +305,7 @@ def _corrected(layout: Layout, second: str, above: deque[str]) -> Layout:
 
 
 def _is_damaged_row(line: str, layout: Layout) -> bool:
-    """Return whether a line above the first row holds text among numbers, and so is a row and not a header."""
+    """Return whether a line above the first row is a row with text among its numbers rather than a header."""
     fields = layout.fields(line)
     # "2000 samples" above two columns divided by blanks is a comment.
     least = 3 if layout.delimiter is None else 2
@@ -317,10 +317,14 @@ def _is_damaged_row(line: str, layout: Layout) -> bool:
 def _refuse_doubtful_comma(body: Body, header: Header, first: str, above: deque[str]) -> None:
     if body.layout.delimiter != "," or body.layout.n_columns != 2 or header.columns:
         return
-    whole, part = body.layout.fields(first)
+    before_comma, after_comma = body.layout.fields(first)
     single = read_header(above, replace(body.layout, delimiter=None, n_columns=1)).columns
     names_one = bool(single) and single[0].known_unit is not None
-    if whole.lstrip("+-").isdigit() and part.isdigit() and (names_one or (len(part) > 1 and part.startswith("0"))):
+    if (
+        before_comma.lstrip("+-").isdigit()
+        and after_comma.isdigit()
+        and (names_one or (len(after_comma) > 1 and after_comma.startswith("0")))
+    ):
         raise BadData(
             f"{body.source}: the comma of {first.strip()[:40]!r} may divide columns or decimals; "
             "write decimal points, or name both columns in a header"
@@ -338,9 +342,9 @@ def assembled(header: Header, body: Body, times: list[int] | None = None) -> Blo
     if times is None:
         times = time_columns(columns, rows) if body.layout.stamp is None else [body.layout.stamp]
         counters = [index for index in range(rows.shape[1]) if _counts(columns, rows, index)]
-    kept = [index for index in range(rows.shape[1]) if index not in (*times, *counters)]
-    if not kept:
-        raise BadData(f"{source}: a recording must hold a channel beside time, there is none; export it again")
+    samples_columns = [index for index in range(rows.shape[1]) if index not in (*times, *counters)]
+    if not samples_columns:
+        raise BadData(f"{source}: a recording must have a channel besides time, there is none; export it again")
     # Gaps in a channel matter only if it is read, but times must be complete.
     finite: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=0)
     if not finite[times].all():
@@ -349,24 +353,24 @@ def assembled(header: Header, body: Body, times: list[int] | None = None) -> Blo
     if times and len(rows) > 1:
         measured = _measured_rate(columns, times, rows, None if beginning.is_last else body.last_row(), body)
     rate = _agreed_rate(header.sampling_rates, measured, source)
-    if rate is None or not finite[kept].any():
-        next(body.pieces((), kept))
-    named = [columns[index] for index in kept] if columns else []
+    if rate is None or not finite[samples_columns].any():
+        next(body.pieces((), samples_columns))
+    named = [columns[index] for index in samples_columns] if columns else []
     units = [column.known_unit or (None if column.unit else header.unit) for column in named]
     about: dict[str, Any] = {
         "names": [column.name for column in named],
-        "units": units or [header.unit] * len(kept),
+        "units": units or [header.unit] * len(samples_columns),
         "sampling_rate": rate,
         "rate_from": "header" if measured is None else "time column",
         "start_time": header.start_time,
-        "sensitivities": _for_each(header.sensitivities, len(kept)),
-        "gains": _for_each(header.gains, len(kept)),
+        "sensitivities": _for_each(header.sensitivities, len(samples_columns)),
+        "gains": _for_each(header.gains, len(samples_columns)),
     }
     if beginning.is_last and finite.all():
-        return Blocks.of_array(np.ascontiguousarray(rows.T[kept]), **about)
+        return Blocks.of_array(np.ascontiguousarray(rows.T[samples_columns]), **about)
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        picked = [kept[channel] for channel in channels]
+        picked = [samples_columns[channel] for channel in channels]
         clock = None if measured is None else EvenTimes(measured, source)
         factor = _factor(columns, times[0], body) if times else 1.0
         for rows, piece in body.pieces(times, picked):
@@ -377,7 +381,7 @@ def assembled(header: Header, body: Body, times: list[int] | None = None) -> Blo
             for first in range(0, len(rows), length):
                 yield samples[:, first : first + length]
 
-    return Blocks(n_channels=len(kept), read=blocks, **about)
+    return Blocks(n_channels=len(samples_columns), read=blocks, **about)
 
 
 def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:
@@ -388,7 +392,7 @@ def _for_each(stated: tuple[str, ...], n_channels: int) -> Sequence[str]:
 def time_columns(columns: tuple[Column, ...], rows: Floats) -> list[int]:
     """Return the indices of the time columns, of which the first one counts; `rows` are (n_samples, n_columns)."""
     # Named for time, else in a unit of time; without a header, the first of several if it increases in even steps.
-    # Others named for time follow if they do so, too: some programs give each channel its own.
+    # Others named for time count, too, if they do so: some programs write one for each channel.
     if len(columns) == 1 and " " in columns[0].name:
         # Any comment above a single column looks like its name, even "time of day unknown".
         return []

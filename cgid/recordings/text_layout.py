@@ -43,9 +43,7 @@ def encoding_of(start: bytes, source: str) -> str:
         encoding = "gb18030" if chinese else "latin-1"
     # UTF-16 without a mark is recognised by its zero bytes.
     if _CONTROL.search(start.decode(encoding, "replace")):
-        raise BadData(
-            f"{source}: the file is neither text nor of another format that is known; export it as text, WAV or HDF5"
-        )
+        raise BadData(f"{source}: the file is neither text nor of a known format; export it as text, WAV or HDF5")
     return encoding
 
 
@@ -96,7 +94,7 @@ class Layout:
             return re.split(r"[,\s]+", line.strip(" \t\r\n,"))
         fields = [field.strip() for field in line.split(self.delimiter)]
         if self.picked:
-            return [fields[place] if place < len(fields) else "" for place in self.picked]
+            return [fields[index] if index < len(fields) else "" for index in self.picked]
         return fields[:-1] if self.trailing and not fields[-1] else fields
 
     def number(self, field: str) -> str | None:
@@ -153,7 +151,7 @@ def _candidates(line: str) -> Iterator[Layout]:
     yield Layout(delimiter=MIXED, n_columns=0)
 
 
-#: Days count from here: float64 seconds then resolve 2^-23 s until 2034.
+#: Epoch: float64 seconds from it resolve 2^-23 s until 2034.
 _FIRST_DAY = date(2000, 1, 1)
 
 _STAMP = re.compile(
@@ -176,16 +174,16 @@ def with_seconds(text: str, layout: Layout) -> str:
         return text
     mark = "," if layout.decimal_comma else "."
     pattern = _STAMP_BEFORE_COMMA if layout.delimiter == "," else _STAMP
-    return pattern.sub(lambda found: _seconds(found, mark), text)
+    return pattern.sub(lambda match: _seconds(match, mark), text)
 
 
-def stamped_moment(line: str, *, alone: bool = False) -> datetime | None:
-    """Return the datetime of the stamp in a line, or of a line that is a stamp `alone`; None if it has no date."""
-    found = _STAMP.fullmatch(line) if alone else _STAMP.search(line)
-    if found is None or found[1] is None:
+def stamped_moment(line: str, *, is_only_field: bool = False) -> datetime | None:
+    """Return the datetime of the stamp in a line, None without a date; `is_only_field`: the line is the stamp."""
+    match = _STAMP.fullmatch(line) if is_only_field else _STAMP.search(line)
+    if match is None or match[1] is None:
         return None
-    year, month, day, hours, minutes, seconds = map(int, found.groups()[:6])
-    micros = int((found[7] or "0")[:6].ljust(6, "0"))
+    year, month, day, hours, minutes, seconds = map(int, match.groups()[:6])
+    micros = int((match[7] or "0")[:6].ljust(6, "0"))
     try:
         passed = timedelta(hours=hours, minutes=minutes, seconds=seconds, microseconds=micros)
         return datetime(year, month, day) + passed
@@ -208,16 +206,16 @@ def _layout(line: str) -> Layout | None:
     return None
 
 
-def _seconds(found: re.Match[str], mark: str) -> str:
+def _seconds(match: re.Match[str], mark: str) -> str:
     try:
-        days = (date(int(found[1]), int(found[2]), int(found[3])) - _FIRST_DAY).days if found[1] else 0
+        days = (date(int(match[1]), int(match[2]), int(match[3])) - _FIRST_DAY).days if match[1] else 0
     except ValueError:
         # No such day: the unchanged stamp is later reported as a field that is not a number.
-        return found[0]
-    whole = 86400 * days + 3600 * int(found[4]) + 60 * int(found[5]) + int(found[6])
-    if whole < 0:
-        return found[0]
-    return f"{whole}{mark}{found[7]}" if found[7] else str(whole)
+        return match[0]
+    total_seconds = 86400 * days + 3600 * int(match[4]) + 60 * int(match[5]) + int(match[6])
+    if total_seconds < 0:
+        return match[0]
+    return f"{total_seconds}{mark}{match[7]}" if match[7] else str(total_seconds)
 
 
 # ---- the lines above the numbers: names, units, sampling rate, start -------------------------------------------------
@@ -281,7 +279,7 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """Statements above the numbers; no columns if no line has as many fields as the rows."""
+    """Metadata above the numbers; no columns if no line has as many fields as the rows."""
 
     columns: tuple[Column, ...] = ()
     sampling_rates: tuple[float, ...] = ()
@@ -293,14 +291,14 @@ class Header:
 
 def stated_chain(line: str) -> tuple[str, tuple[str, ...]] | None:
     """Return "sensitivities" or "gains" and the values that a line states, None for any other line."""
-    found = _STATED_CHAIN.fullmatch(line)
-    if found is None:
+    match = _STATED_CHAIN.fullmatch(line)
+    if match is None:
         return None
-    listed = re.split("[,;]", found[3])
-    if not found[2] and _DECIMAL_COMMAS.fullmatch(found[3]):
-        listed = found[3].replace(",", ".").split(";")
-    values = [f"{value.strip()} {found[2] or ''}".strip() for value in listed]
-    if found[1].lower().startswith("gain"):
+    listed = re.split("[,;]", match[3])
+    if not match[2] and _DECIMAL_COMMAS.fullmatch(match[3]):
+        listed = match[3].replace(",", ".").split(";")
+    values = [f"{value.strip()} {match[2] or ''}".strip() for value in listed]
+    if match[1].lower().startswith("gain"):
         return "gains", tuple(values)
     numbers = [number_and_unit(value) for value in values]
     is_whole = all(number is not None and ratio_of(number[1]) is not None for number in numbers)
@@ -314,8 +312,8 @@ def column_of(text: str) -> Column:
         return Column(name=text[:_MAX_NAME_LENGTH])
     if text in KNOWN_UNITS or _is_time_unit(text):
         return Column(unit=text)
-    if found := _IN_BRACKETS.fullmatch(text):
-        return Column(name=found[1].rstrip(" /_"), unit=found[2].strip())
+    if match := _IN_BRACKETS.fullmatch(text):
+        return Column(name=match[1].rstrip(" /_"), unit=match[2].strip())
     for mark in "/_ ":
         # Units contain slashes, names rarely do: split at the first slash, but at the last underscore or blank.
         name, _, unit = text.partition(mark) if mark == "/" else text.rpartition(mark)
@@ -338,11 +336,11 @@ def read_header(lines: Iterable[str], layout: Layout) -> Header:
         comment = line[:_MAX_NAME_LENGTH]
         if (rate := _stated_rate(comment)) is not None:
             header = replace(header, sampling_rates=(*header.sampling_rates, rate))
-        elif found := _STATED_START.fullmatch(comment):
+        elif match := _STATED_START.fullmatch(comment):
             with suppress(ValueError):
-                header = replace(header, start_time=datetime.fromisoformat(found[1]))
-        elif found := _STATED_UNIT.fullmatch(comment):
-            header = replace(header, unit=known_unit(found[1]))
+                header = replace(header, start_time=datetime.fromisoformat(match[1]))
+        elif match := _STATED_UNIT.fullmatch(comment):
+            header = replace(header, unit=known_unit(match[1]))
         elif chain := stated_chain(comment):
             what, values = chain
             header = replace(header, gains=values) if what == "gains" else replace(header, sensitivities=values)
@@ -362,10 +360,10 @@ def _is_time_unit(text: str) -> bool:
 def _stated_rate(comment: str) -> float | None:
     """Return the sampling rate [Hz] that a line states, directly or by its interval."""
     with suppress(ValueError):  # a number with two points
-        if found := _STATED_RATE.fullmatch(comment):
-            return float(found[2]) * (hertz_of(found[3] or found[1] or "") or 1.0)
-        if found := _STATED_INTERVAL.fullmatch(comment):
-            interval = float(found[2]) * (seconds_of(found[3] or found[1] or "") or 1.0)
+        if match := _STATED_RATE.fullmatch(comment):
+            return float(match[2]) * (hertz_of(match[3] or match[1] or "") or 1.0)
+        if match := _STATED_INTERVAL.fullmatch(comment):
+            interval = float(match[2]) * (seconds_of(match[3] or match[1] or "") or 1.0)
             return 1 / interval if interval else math.inf
     return None
 

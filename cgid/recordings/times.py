@@ -155,7 +155,7 @@ def _printed_digit(times: Floats) -> float:
     sizes = np.abs(times)
     largest = float(sizes.max())
     # Times with a fixed number of significant digits lose a decimal place at each power of ten. The few after the last
-    # power may all end in zeros by chance, so they count for one place only.
+    # power may all end in zeros by chance, so they remove one place only.
     last_power = 10.0 ** math.floor(math.log10(largest))
     return min(_last_digit(sizes[sizes >= last_power]), 10 * _last_digit(sizes[sizes >= largest / 2]))
 

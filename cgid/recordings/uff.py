@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgid.errors import BadData
-from cgid.recordings.recording import Blocks, library, rates_agree, understood
+from cgid.recordings.recording import Blocks, library, library_errors, rates_agree
 from cgid.recordings.text_layout import stated_chain
 from cgid.units import known_unit, seconds_of
 
@@ -38,10 +38,10 @@ _MARK = 16
 
 @dataclass(frozen=True, kw_only=True)
 class _DataSet:
-    """Header of a data set 58, with the field names of pyuff; `number` among those, `place` among all."""
+    """Header of a data set 58, with the field names of pyuff; `number` among those, `position_in_file` among all."""
 
     number: int
-    place: int
+    position_in_file: int
     header: dict[str, Any]
 
     @property
@@ -72,10 +72,10 @@ class _DataSet:
                 return datetime.strptime(self.header["id3"].strip(), form)
         return None
 
-    def said(self, what: str) -> str | None:
+    def messages(self, what: str) -> str | None:
         """Return the sensitivity or the gain in one of the identification lines, None without one."""
-        found = [stated_chain(self.header[f"id{number}"]) for number in range(1, 6)]
-        return next((one[1][0] for one in found if one is not None and one[0] == what and len(one[1]) == 1), None)
+        match = [stated_chain(self.header[f"id{number}"]) for number in range(1, 6)]
+        return next((one[1][0] for one in match if one is not None and one[0] == what and len(one[1]) == 1), None)
 
     @property
     def is_recording(self) -> bool:
@@ -91,27 +91,27 @@ def read_uff(path: Path, source: str, variable: str | None) -> Blocks:
     """Return the channels of a universal file: its data sets 58 over time; `variable` is the number or name of one."""
     pyuff = library("pyuff", "universal files", source)
     _require_whole(path, source)
-    fault, cure = "the universal file is damaged", "copy or export it again"
-    with understood(source, fault, cure), warnings.catch_warnings(action="ignore"):
+    fault, hint = "the universal file is damaged", "copy or export it again"
+    with library_errors(source, fault, hint), warnings.catch_warnings(action="ignore"):
         file = pyuff.UFF(str(path))
-        places = [place for place, kind in enumerate(file.get_set_types()) if kind == 58]
-        headers = [file.read_sets(place, header_only=True) for place in places]
+        positions = [place for place, kind in enumerate(file.get_set_types()) if kind == 58]
+        headers = [file.read_sets(place, header_only=True) for place in positions]
         sets = [
-            _DataSet(number=number, place=place, header=header)
-            for number, (place, header) in enumerate(zip(places, headers, strict=True), 1)
+            _DataSet(number=number, position_in_file=place, header=header)
+            for number, (place, header) in enumerate(zip(positions, headers, strict=True), 1)
         ]
-        chosen = _chosen(sets, source, variable)
-        _require_recordings(chosen, source)
-        samples = np.stack([_samples(file.read_sets(one.place), one, source) for one in chosen])
-    first = chosen[0]
-    names = [one.name for one in chosen]
+        selected = _select(sets, source, variable)
+        _require_recordings(selected, source)
+        samples = np.stack([_samples(file.read_sets(one.position_in_file), one, source) for one in selected])
+    first = selected[0]
+    names = [one.name for one in selected]
     return Blocks.of_array(
         samples,
         # If the names are not unique, node and direction are.
-        names=names if len(set(names)) == len(names) else [one.position for one in chosen],
-        units=[known_unit(one.header["ordinate_axis_units_lab"]) for one in chosen],
-        sensitivities=[one.said("sensitivities") for one in chosen],
-        gains=[one.said("gains") for one in chosen],
+        names=names if len(set(names)) == len(names) else [one.position for one in selected],
+        units=[known_unit(one.header["ordinate_axis_units_lab"]) for one in selected],
+        sensitivities=[one.messages("sensitivities") for one in selected],
+        gains=[one.messages("gains") for one in selected],
         sampling_rate=_rate(first.step),
         rate_from="increment of the abscissa",
         start_time=first.start_time,
@@ -128,7 +128,7 @@ def _require_whole(path: Path, source: str) -> None:
         )
     content = path.read_bytes()
     # Where bytes are added or missing, pyuff reads the numbers at wrong places.
-    ends = [content[-200:].rstrip()[-2:], *(_after(content, found) for found in _BINARY.finditer(content))]
+    ends = [content[-200:].rstrip()[-2:], *(_after(content, match) for match in _BINARY.finditer(content))]
     if any(end != b"-1" for end in ends):
         raise BadData(
             f"{source}: each data set of a universal file must end with the mark -1, one does not; it looks cut off or "
@@ -136,38 +136,38 @@ def _require_whole(path: Path, source: str) -> None:
         )
 
 
-def _after(content: bytes, found: re.Match[bytes]) -> bytes:
-    """Return the mark behind the lines and bytes that a binary data set declares, which the first line shows."""
-    place = found.end()
-    for _ in range(min(int(found[1]), 100)):
-        place = content.find(b"\n", place) + 1
-    return content[place + int(found[2]) :][:10].strip()[:2]
+def _after(content: bytes, header: re.Match[bytes]) -> bytes:
+    """Return the mark after the lines and bytes that the first line of a binary data set declares."""
+    position = header.end()
+    for _ in range(min(int(header[1]), 100)):
+        position = content.find(b"\n", position) + 1
+    return content[position + int(header[2]) :][:10].strip()[:2]
 
 
-def _chosen(sets: Sequence[_DataSet], source: str, variable: str | None) -> list[_DataSet]:
+def _select(sets: Sequence[_DataSet], source: str, variable: str | None) -> list[_DataSet]:
     listed = ", ".join(map(str, sets[:12])) + (", ..." if len(sets) > 12 else "")
     if not sets:
-        raise BadData(f"{source}: a universal file must hold a data set 58, there is none; export the time response")
+        raise BadData(f"{source}: a universal file must contain a data set 58, there is none; export the time response")
     if variable is None:
-        chosen = [one for one in sets if one.is_recording]
-        if not chosen:
+        selected = [one for one in sets if one.is_recording]
+        if not selected:
             raise BadData(
                 f"{source}: no data set is a response over time, there are {listed}; export the time response"
             )
-        return chosen
-    chosen = [one for one in sets if variable in (str(one.number), one.name)]
-    if len(chosen) != 1:
+        return selected
+    selected = [one for one in sets if variable in (str(one.number), one.name)]
+    if len(selected) != 1:
         raise BadData(
             f"{source}: variable {variable!r} must be one of the data sets, there are {listed}; give its number by "
             "--variable NUMBER"
         )
-    return chosen
+    return selected
 
 
-def _require_recordings(chosen: Sequence[_DataSet], source: str) -> None:
+def _require_recordings(selected: Sequence[_DataSet], source: str) -> None:
     """Raise `BadData` unless all data sets are real samples at even times [s], of one length and rate."""
-    first = chosen[0]
-    for one in chosen:
+    first = selected[0]
+    for one in selected:
         header = one.header
         if not one.is_recording:
             raise BadData(f"{source}: data set {one} is no response over time; export the time response")
@@ -198,20 +198,20 @@ def _require_recordings(chosen: Sequence[_DataSet], source: str) -> None:
 def _samples(data_set: dict[str, Any], one: _DataSet, source: str) -> NDArray[Any]:
     """Return the numbers of a data set, float32 if stored so; raise `BadData` if they are not as many as declared."""
     binary, single = bool(data_set["binary"]), data_set["ord_data_type"] == _SINGLE
-    found, more = data_set["data"], _MARK // (4 if single else 8) if binary else 0
-    if not 0 < one.n_samples <= len(found) <= one.n_samples + more:
+    numbers, more = data_set["data"], _MARK // (4 if single else 8) if binary else 0
+    if not 0 < one.n_samples <= len(numbers) <= one.n_samples + more:
         raise BadData(
-            f"{source}: data set {one} must hold {one.n_samples} numbers of its type, {len(found)} are there; the file "
-            "is damaged, copy or export it again"
+            f"{source}: data set {one} must have {one.n_samples} numbers of its type, got {len(numbers)}; the file is "
+            "damaged, copy or export it again"
         )
-    samples: NDArray[Any] = found[: one.n_samples]
+    samples: NDArray[Any] = numbers[: one.n_samples]
     return samples.astype(np.float32) if binary and single else samples
 
 
 def _rate(step: float) -> float:
     """Return the sampling rate [Hz] of a step printed with six digits: a whole number if its step prints the same."""
-    whole = round(1 / step) if 1 / step < 1e12 else 0
-    return float(whole) if whole and f"{1 / whole:.5E}" == f"{step:.5E}" else 1 / step
+    rounded = round(1 / step) if 1 / step < 1e12 else 0
+    return float(rounded) if rounded and f"{1 / rounded:.5E}" == f"{step:.5E}" else 1 / step
 
 
 def _text(line: str) -> str:

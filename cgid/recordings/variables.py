@@ -1,4 +1,4 @@
-"""Select the recording among the named arrays of a file, and collect what named values state about it."""
+"""Select the recording among the named arrays of a file, and collect its metadata from named values."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _sensitivity(name: str) -> re.Match[str] | None:
 
 def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
     """Return the stated sampling rate [Hz] and the name that states it, None without one; raises `BadData`."""
-    found: list[tuple[float, str]] = []
+    rates: list[tuple[float, str]] = []
     for name, value, plain, unit in _named(values, _RATE_NAMES | _INTERVAL_NAMES):
         is_rate = plain in _RATE_NAMES
         number = _number(value, unit, hertz_of if is_rate else seconds_of)
@@ -67,10 +67,10 @@ def stated_rate(values: Values, source: str) -> tuple[float, str] | None:
             continue
         if not (np.isfinite(number) and number > 0):
             raise BadData(f"{source}: the sampling rate must be above 0 and finite, {name} says {value!r}; correct it")
-        found.append((number, name))
-    for other in found[1:]:
-        require_one_rate(found[0], other, source)
-    return found[0] if found else None
+        rates.append((number, name))
+    for other in rates[1:]:
+        require_one_rate(rates[0], other, source)
+    return rates[0] if rates else None
 
 
 def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
@@ -84,25 +84,25 @@ def stated_units(values: Values, n_channels: int) -> list[str | None] | None:
 
 def stated_sensitivities(values: Values, n_channels: int) -> list[str | None] | None:
     """Return the sensitivity of each channel as a text, None if none is stated with a unit."""
-    found, unit = None, ""
+    given, unit = None, ""
     for name, value in values.items():
         named = _sensitivity(name)
         if named is not None and named[1] and isinstance(value, str):
             unit = value
-        elif named is not None and not named[1] and found is None:
-            found, unit = value, named[2] or unit
-    written = found if isinstance(found, list) and len(found) == n_channels else [found] * n_channels
+        elif named is not None and not named[1] and given is None:
+            given, unit = value, named[2] or unit
+    written = given if isinstance(given, list) and len(given) == n_channels else [given] * n_channels
     texts = [_with_unit(one, unit) for one in written]
     return texts if any(texts) else None
 
 
 def _with_unit(value: Any, unit: str) -> str | None:
     text = f"{value:.10g}" if isinstance(value, int | float) else str(value)
-    found = number_and_unit(text)
-    if found is None:
+    match = number_and_unit(text)
+    if match is None:
         return None
-    text = text if found[1] else f"{text} {unit}"
-    return text if ratio_of(found[1] or unit) is not None else None
+    text = text if match[1] else f"{text} {unit}"
+    return text if ratio_of(match[1] or unit) is not None else None
 
 
 def stated_gains(values: Values, n_channels: int) -> list[str | None] | None:
@@ -115,7 +115,7 @@ def stated_gains(values: Values, n_channels: int) -> list[str | None] | None:
 
 def full_scale_of(dtype: np.dtype[Any]) -> float | None:
     """Return the number of full scale of signed integers of 8 or 16 bit, None for other types."""
-    # Unsigned ones have no known middle, and 24 bit of a converter may lie at either end of 32.
+    # Unsigned ones have no known middle, and a converter may place its 24 bits at either end of 32.
     return 2.0 ** (8 * dtype.itemsize - 1) if dtype.kind == "i" and dtype.itemsize <= 2 else None
 
 
@@ -163,9 +163,9 @@ def _plain(name: str) -> tuple[str, str]:
     plain = _letters(name)
     if plain in _NAMES:
         return plain, ""
-    found = _UNIT_BEHIND.search(name.lower())
-    if found and (plain := _letters(name[: found.start()])) in _NAMES:
-        return plain, found[1]
+    match = _UNIT_BEHIND.search(name.lower())
+    if match and (plain := _letters(name[: match.start()])) in _NAMES:
+        return plain, match[1]
     return "", ""
 
 
@@ -178,17 +178,17 @@ def _rate_of(interval: float) -> float:
     if not interval:
         return np.inf
     rate = 1 / interval
-    whole = round(rate) if 0 < rate < 1e12 else 0
-    return float(whole) if whole and 1 / whole == interval else rate
+    rounded = round(rate) if 0 < rate < 1e12 else 0
+    return float(rounded) if rounded and 1 / rounded == interval else rate
 
 
 def _number(value: Value, unit: str, factor_of: Callable[[str], float | None]) -> float | None:
     """Return a value in SI units, None if it is not a number; its own unit takes precedence over that in its name."""
     if isinstance(value, str):
-        found = _NUMBER.fullmatch(value.replace("\u03bc", "µ"))
-        if not found:
+        match = _NUMBER.fullmatch(value.replace("\u03bc", "µ"))
+        if not match:
             return None
-        value, unit = float(found[1]), found[2] or unit
+        value, unit = float(match[1]), match[2] or unit
     factor = factor_of(unit)
     if isinstance(value, bool) or not isinstance(value, int | float) or factor is None:
         return None
@@ -258,85 +258,83 @@ def contents_of(
     """Return the recording among the arrays of a file, by name, pattern or group if there are several."""
     # statements : path of a group ("" is the top) -> named values; group_is_one : its arrays are the channels of one
     # recording; is_cut : the shortest channel counts
-    chosen = _chosen(variables, source, variable, group_is_one)
-    first = chosen[0]
-    n_samples = min(one.n_samples for one in chosen)
-    if len(chosen) > 1 and any(one.n_channels > 1 or (one.n_samples != n_samples and not is_cut) for one in chosen):
+    selected = _select(variables, source, variable, group_is_one)
+    first = selected[0]
+    n_samples = min(one.n_samples for one in selected)
+    if len(selected) > 1 and any(one.n_channels > 1 or (one.n_samples != n_samples and not is_cut) for one in selected):
         raise BadData(
-            f"{source}: channels must be of one length, got {_listed(chosen)}; pick those of one by --variable NAME, "
+            f"{source}: channels must be of one length, got {_listed(selected)}; pick those of one by --variable NAME, "
             "which may be a pattern such as 'run1/*'"
         )
-    for one in chosen:
+    for one in selected:
         _require_readable(one, source)
-    levels = [list(_levels(one, statements)) for one in chosen]
+    levels = [list(_levels(one, statements)) for one in selected]
     times, measured = [one for one in variables if one.is_time], dict[str, float | None]()
     rates = []
-    for one, level in zip(chosen, levels, strict=True):
+    for one, level in zip(selected, levels, strict=True):
         stated = _first(level, lambda values: stated_rate(values, source))
         rates.append(_rate(one, stated, times, measured, source, warnings))
-    for (rate, _), one in zip(rates[1:], chosen[1:], strict=True):
+    for (rate, _), one in zip(rates[1:], selected[1:], strict=True):
         if (rate is None) != (rates[0][0] is None) or (rate and rates[0][0] and not rates_agree(rate, rates[0][0])):
             raise BadData(
                 f"{source}: channels must have one sampling rate, {first.path} has {_hertz(rates[0][0])} and "
                 f"{one.path} {_hertz(rate)}; pick one by --variable NAME"
             )
-    if len(chosen) == 1:
+    if len(selected) == 1:
         names = _first(levels[0], lambda values: stated_names(values, first.n_channels)) or [first.name]
         names = names if len(names) == first.n_channels else []
     else:
-        names = [one.name for one in chosen]
+        names = [one.name for one in selected]
     units, sensitivities, gains = list[str | None](), list[str | None](), list[str | None]()
-    for one, level in zip(chosen, levels, strict=True):
-        for found, stated_of in ((units, stated_units), (sensitivities, stated_sensitivities), (gains, stated_gains)):
-            found += _first(level, partial(stated_of, n_channels=one.n_channels)) or [None] * one.n_channels
+    for one, level in zip(selected, levels, strict=True):
+        for values, stated_of in ((units, stated_units), (sensitivities, stated_sensitivities), (gains, stated_gains)):
+            values += _first(level, partial(stated_of, n_channels=one.n_channels)) or [None] * one.n_channels
     start: datetime | None = _first(levels[0], stated_start)
     return Blocks(
-        n_channels=sum(one.n_channels for one in chosen),
-        read=first.read if len(chosen) == 1 else _joined(chosen, n_samples, source),
+        n_channels=sum(one.n_channels for one in selected),
+        read=first.read if len(selected) == 1 else _joined(selected, n_samples, source),
         n_samples=n_samples,
         names=names,
         units=units,
         sampling_rate=rates[0][0],
         rate_from=rates[0][1],
-        full_scales=[one.full_scale for one in chosen for _ in range(one.n_channels)],
-        integers=[one.is_integer for one in chosen for _ in range(one.n_channels)],
+        full_scales=[one.full_scale for one in selected for _ in range(one.n_channels)],
+        integers=[one.is_integer for one in selected for _ in range(one.n_channels)],
         sensitivities=sensitivities,
         gains=gains,
         start_time=start,
-        warnings=warnings + [f"{one.path}: {one.warning}" for one in chosen if one.warning],
+        warnings=warnings + [f"{one.path}: {one.warning}" for one in selected if one.warning],
     )
 
 
-def _chosen(variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool) -> list[Variable]:
+def _select(variables: Sequence[Variable], source: str, variable: str | None, group_is_one: bool) -> list[Variable]:
     signals = [one for one in variables if not one.is_time]
     if not variables:
         raise BadData(
-            f"{source}: a recording must hold an array of real numbers, there is none; save the samples as one array"
+            f"{source}: a recording must contain an array of real numbers, there is none; save the samples as one array"
         )
     if variable is None:
         is_one = group_is_one and len({one.group for one in signals}) == 1
         if len(signals) > 1 and not is_one:
             raise BadData(
-                f"{source}: which array is meant must be stated, there are {_listed(signals)}; name one by "
-                "--variable NAME, or several of one length by a pattern such as 'ch*'"
+                f"{source}: the file contains several arrays, {_listed(signals)}; choose one by --variable NAME, or "
+                "several of one length by a pattern such as 'ch*'"
             )
         return signals or list(variables[:1])
-    wanted = variable
+    pattern = variable
     ways: list[Callable[[Variable], bool]] = [
-        lambda one: wanted in (one.path, f"/{one.path}"),
-        lambda one: one.name == wanted,
-        lambda one: wanted.strip("/") == one.group and not one.is_time,
-        lambda one: fnmatchcase(one.path, wanted) and not one.is_time,
+        lambda one: pattern in (one.path, f"/{one.path}"),
+        lambda one: one.name == pattern,
+        lambda one: pattern.strip("/") == one.group and not one.is_time,
+        lambda one: fnmatchcase(one.path, pattern) and not one.is_time,
     ]
     for index, way in enumerate(ways):
-        found = [one for one in variables if way(one)]
-        if len(found) == 1 or (found and index > 1):
-            return found
-        if found:
-            raise BadData(f"{source}: variable {variable!r} is the name of several: {_listed(found)}; give the path")
-    raise BadData(
-        f"{source}: variable {variable!r} is none of those in the file, {_listed(variables)}; give one by --variable"
-    )
+        matching = [one for one in variables if way(one)]
+        if len(matching) == 1 or (matching and index > 1):
+            return matching
+        if matching:
+            raise BadData(f"{source}: variable {variable!r} is the name of several: {_listed(matching)}; give the path")
+    raise BadData(f"{source}: no variable {variable!r} in this file, only {_listed(variables)}; give one by --variable")
 
 
 def _listed(variables: Sequence[Variable]) -> str:
@@ -367,7 +365,7 @@ def _rate(
     warnings: list[str],
 ) -> tuple[float | None, str]:
     """Return the rate [Hz] of an array and its origin, or None and "header"; `measured` keeps those of times."""
-    found = [] if stated is None else [stated]
+    rates = [] if stated is None else [stated]
     for one in times:
         if one is variable or (one.group, one.n_samples) != (variable.group, variable.n_samples):
             continue
@@ -383,10 +381,10 @@ def _rate(
                 measured[one.path] = None
         rate = measured.get(one.path)
         if rate is not None:
-            found.append((rate, f"array {one.path}"))
-    for other in found[1:]:
-        require_one_rate(found[0], other, source)
-    return found[0] if found else (None, "header")
+            rates.append((rate, f"array {one.path}"))
+    for other in rates[1:]:
+        require_one_rate(rates[0], other, source)
+    return rates[0] if rates else (None, "header")
 
 
 def _require_readable(variable: Variable, source: str) -> None:
@@ -398,12 +396,12 @@ def _hertz(rate: float | None) -> str:
     return "none" if rate is None else f"{rate:.10g} Hz"
 
 
-def _joined(chosen: Sequence[Variable], n_samples: int, source: str) -> ReadBlocks:
+def _joined(selected: Sequence[Variable], n_samples: int, source: str) -> ReadBlocks:
     """Return the blocks of several one-channel arrays, `n_samples` long."""
     nothing: NDArray[Any] = np.empty((1, 0))
 
     def blocks(length: int, channels: Sequence[int]) -> Iterator[NDArray[Any]]:
-        streams = [chosen[channel].read(length, (0,)) for channel in channels]
+        streams = [selected[channel].read(length, (0,)) for channel in channels]
         waiting = [next(stream, nothing) for stream in streams]
         left = n_samples
         while left:
@@ -411,7 +409,7 @@ def _joined(chosen: Sequence[Variable], n_samples: int, source: str) -> ReadBloc
             n = min(left, *(piece.shape[1] for piece in waiting))
             if not n:
                 raise BadData(
-                    f"{source}: {n_samples} samples are declared, {n_samples - left} are there; copy it again"
+                    f"{source}: {n_samples} samples are declared, the file contains {n_samples - left}; copy it again"
                 )
             yield np.concatenate([piece[:, :n] for piece in waiting])
             left -= n

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cgid.errors import BadData
 from cgid.files import read_cells, require_regular
-from cgid.recordings.recording import told
+from cgid.recordings.recording import clear_errors
 from cgid.scene.distributions import Decibel, Frequency, Quantity, Section
 from cgid.units import parse
 from cgid.validation import Floats, Rule
@@ -178,7 +178,7 @@ class RecordedBackground(Section):
     def file(self, folder: Path) -> Path:
         """Return the file in a folder; raises `NoInput`, or `BadData` for a pipe, a device or too large a file."""
         path = folder / self.path
-        with told(str(path)):
+        with clear_errors(str(path)):
             require_regular(path, "a recorded background", _MAX_RECORDING)
         return path
 
@@ -221,7 +221,7 @@ class BackgroundSection(Section):
             highest = self.coloured.frequencies[-1]
             if highest > nyquist:
                 problems.append(
-                    f"background.coloured.frequencies: must lie up to half the sampling rate, {nyquist:g} Hz, got "
+                    f"background.coloured.frequencies: must be up to half the sampling rate, {nyquist:g} Hz, got "
                     f"{highest:g} Hz; cut the table there"
                 )
             problems += self.coloured.problems("background.coloured", quantity)

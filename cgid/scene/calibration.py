@@ -231,7 +231,7 @@ def _point(beam: TailBeamSection, blow: CalibrationImpact) -> tuple[float, float
         place = blow.impact_point
         for axis, at, size in (("x", place[0], beam.length), ("y", place[1], beam.width)):
             if size is not None and not 0 <= at <= size:
-                raise InvalidValue(f"impact_point must lie on the beam, {axis} between 0 and {size:g} m, got {at:g} m")
+                raise InvalidValue(f"impact_point must be on the beam, {axis} between 0 and {size:g} m, got {at:g} m")
         return place
     if beam.impact_point is None:
         return (0.0, 0.0)

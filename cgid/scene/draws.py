@@ -257,7 +257,7 @@ def with_drawn_modes(scene: Scene, seed: int, block: int) -> Scene:
         return scene
     assert scene.tail_beam is not None
     raw = generator(seed, MODES, block).random((3, learned.frequency.size))
-    modes = learned.drawn(ndtri(np.clip(raw, 2.0**-54, None)))
+    modes = learned.sampled(ndtri(np.clip(raw, 2.0**-54, None)))
     return scene.model_copy(update={"tail_beam": scene.tail_beam.with_learned(modes)})
 
 

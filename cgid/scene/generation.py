@@ -34,7 +34,7 @@ from cgid.store.folder import Description
 from cgid.store.hdf5 import ShardPlan, library, require
 from cgid.store.run import Run, begun, check_output, is_single_file, require_description
 from cgid.store.table import TableHeader, check_table_output, table_writer
-from cgid.workers import ALONE, Workers, workers
+from cgid.workers import SERIAL, Workers, workers
 
 #: Signals per shard: 32 MiB of 2048 float32 samples, built in memory.
 SHARD_SIGNALS = 4096
@@ -147,11 +147,11 @@ def generate(
         size = plan.size(n_signals) - sum(file.stat().st_size for file in path.glob("shard-*.h5"))
         require_room(path, path.parent, size, "signals", "make room, or fewer signals")
     # The workers come first, so that a missing cluster is reported before anything is written.
-    with workers(jobs, scheduler) as crew, begun(path, description, overwrite=overwrite, resume=resume) as run:
+    with workers(jobs, scheduler) as pool, begun(path, description, overwrite=overwrite, resume=resume) as run:
         n_missing = sum(description.part(number)["n_signals"] for number in run.missing)
         if progress is not None and n_missing < n_signals:
             progress(n_signals - n_missing)
-        make_shards(run, scene, seed, plan, run.missing, crew, progress, overwrite=overwrite or not single)
+        make_shards(run, scene, seed, plan, run.missing, pool, progress, overwrite=overwrite or not single)
     return path
 
 
@@ -239,7 +239,7 @@ def make_shards(
     seed: int,
     plan: ShardPlan,
     missing: Sequence[int],
-    crew: Workers = ALONE,
+    pool: Workers = SERIAL,
     progress: Callable[[int], object] | None = None,
     *,
     overwrite: bool = True,
@@ -249,11 +249,11 @@ def make_shards(
     names = [run.output.name] if run.is_single else run.description.names
     shards = [_Shard(names[number], **run.description.part(number)) for number in missing]
     work = _Work(scene=scene, seed=seed, plan=plan, place=place, digest=digest, overwrite=overwrite)
-    here = run.is_single or crew.alone
+    here = run.is_single or pool.is_serial
     with closing(
         _write_in_turn(work, shards, progress)
         if here
-        else crew.each(_write_one, _anywhere(work), shards, ordered=False)
+        else pool.each(_write_one, _anywhere(work), shards, ordered=False)
     ) as written:
         for shard in written:
             run.add(shard.file, shard.sha256)

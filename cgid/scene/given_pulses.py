@@ -155,7 +155,7 @@ def _require_on_panel(known: Mapping[str, Floats], scene: Scene) -> None:
         if name in known and size is not None and (outside := known[name] > size).any():
             row = np.flatnonzero(outside)[0]
             raise InvalidValue(
-                f"{name} must lie on the beam, between 0 and {size:g} m, got {known[name][row]:g} m at index {row}"
+                f"{name} must be on the beam, between 0 and {size:g} m, got {known[name][row]:g} m at index {row}"
             )
 
 

@@ -64,7 +64,7 @@ def _beam_modes(section: TailBeamSection, panel: TailBeam | None, highest: float
             f"tail_beam: must have a mode within the band of its recorder, it has none below {highest:.4g} Hz; "
             "raise sampling.sampling_rate or sensor.anti_alias.frequency, or take a larger or thinner beam"
         )
-    return _learned(section, modes.heard_at(section.sensor_point.x, section.sensor_point.y))
+    return _learned(section, modes.measured_at(section.sensor_point.x, section.sensor_point.y))
 
 
 def _learned(section: TailBeamSection, own: Modes) -> Modes:
@@ -253,13 +253,13 @@ class TapPulses:
 
     @property
     def end_of_contact(self) -> Floats:
-        """Time from touch to separation [s]."""
+        """Time from onset to separation [s]."""
         return self.contact_duration
 
     def add_to_frames(
         self, frames: NDArray[Any], sampling_rate: float | Floats, onset: Floats, *, tolerance: float = 0.0
     ) -> None:
-        """Add the exact pulses to frames (n, n_samples) in place, each from its touch [s] on."""
+        """Add the exact pulses to frames (n, n_samples) in place, each from its onset [s] on."""
         shapes = tuple(SHAPES.values())
         count("tap_pulses", len(frames))
         place, length = onset * sampling_rate, self.contact_duration * sampling_rate

@@ -40,10 +40,10 @@ def add_noise(
     if purpose == NOISE:
         count("noise_samples", frames.size)
     if not 0 <= block < 2**56:
-        raise InvalidValue(f"block must lie between 0 and 2^56 - 1, got {block}")
+        raise InvalidValue(f"block must be between 0 and 2^56 - 1, got {block}")
     if first_sample < 0 or first_sample + frames.shape[1] > MAX_SAMPLES:
         raise InvalidValue(
-            f"samples with noise must lie between 0 and {MAX_SAMPLES - 1}, got {first_sample} to "
+            f"samples with noise must be between 0 and {MAX_SAMPLES - 1}, got {first_sample} to "
             f"{first_sample + frames.shape[1] - 1}"
         )
     # The last word of the counter holds the purpose and the upper bits of the block.
@@ -260,7 +260,7 @@ def _unit_recording(
     ratio = Fraction(sampling_rate / signals[0].sampling_rate).limit_denominator(_MAX_TERM)
     if not ratio:
         raise BadData(
-            f"{path}: a background's sampling rate must lie nearer to {sampling_rate:g} Hz, it is "
+            f"{path}: a background's sampling rate must be nearer to {sampling_rate:g} Hz, it is "
             f"{signals[0].sampling_rate:g} Hz"
         )
     samples -= samples.mean()
@@ -269,7 +269,7 @@ def _unit_recording(
         samples -= samples.mean()
     level = np.sqrt(np.mean(samples * samples))
     if not level > 0:
-        raise BadData(f"{path}: a background must hold more than a constant; give another recording")
+        raise BadData(f"{path}: a background must contain more than a constant; give another recording")
     samples /= level
     samples.setflags(write=False)
     return samples

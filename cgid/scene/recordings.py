@@ -55,18 +55,18 @@ def require_capacity(scene: Scene, dtype: str) -> None:
         raise InvalidValue(
             f"scene {scene.name}: stream.duration must make at most {MAX_RECORDING / 2**30:g} GiB of samples, "
             f"{duration:g} s at {scene.sampling.sampling_rate:g} Hz make {samples:.4g} of {dtype}, "
-            f"{size / 2**30:.3g} GiB; {_cure(duration, size / MAX_RECORDING, 'lower the sampling rate')}"
+            f"{size / 2**30:.3g} GiB; {_hint(duration, size / MAX_RECORDING, 'lower the sampling rate')}"
         )
     needed = impacts * _IMPACT_BYTES
     if needed > MAX_TRUTH:
         raise InvalidValue(
             f"scene {scene.name}: stream.arrivals must make at most {MAX_TRUTH / _IMPACT_BYTES:.3g} impacts, whose "
             f"truth fits into {MAX_TRUTH / 2**30:g} GiB of memory; {duration:g} s can make {impacts:.3g}, which "
-            f"need {needed / 2**30:.3g} GiB; {_cure(duration, needed / MAX_TRUTH, 'lower the rate')}"
+            f"need {needed / 2**30:.3g} GiB; {_hint(duration, needed / MAX_TRUTH, 'lower the rate')}"
         )
 
 
-def _cure(duration: float, excess: float, otherwise: str) -> str:
+def _hint(duration: float, excess: float, otherwise: str) -> str:
     # A small margin, so that the proposal passes.
     count = int(np.ceil(excess * 1.02))
     if count > MAX_RECORDINGS or duration / count < MIN_RECORDING:
@@ -128,7 +128,7 @@ def generate_recordings(
     path = Path(output)
     if n_recordings > 1 and is_single_file(path):
         raise InvalidValue(
-            f"{path}: a file must hold one recording, got {n_recordings}; give a name that does not end in .h5, "
+            f"{path}: a file must contain one recording, got {n_recordings}; give a name that does not end in .h5, "
             "for a folder"
         )
     validation.choice("dtype", dtype, ("float32", "float64"))

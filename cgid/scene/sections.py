@@ -118,7 +118,7 @@ class SecondHit(Section):
     """A repetition of the pulse, `delay` after onset and `ratio` times as high; the two may overlap."""
 
     delay: _Time
-    """Time from the first touch to the second."""
+    """Time from the first onset to the second."""
     ratio: _Factor
     """Height of the second pulse over that of the first."""
 
@@ -198,7 +198,7 @@ class Tap(_Source):
     peak_force: _Force
     """Largest force."""
     contact_duration: _Time
-    """Time from touch to separation."""
+    """Time from onset to separation."""
 
 
 class TargetSection(Section):
@@ -270,7 +270,7 @@ class SamplingSection(Section):
     pre_trigger: Annotated[Whole, Quantity(rule=Rule(2))] = 0
     """Samples before onset; required, except in a stream, where it is left out."""
     jitter: Annotated[Number, Quantity(rule=Rule(0, 1))] = 1.0
-    """Touch falls anywhere within this part of a sample."""
+    """The onset falls anywhere within this part of a sample."""
 
     @model_serializer(mode="wrap")
     def _without_frames(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -533,7 +533,7 @@ class TailBeamSection(Section):
             )
         if not (self.modes["shape_impact"] * self.modes["shape_sensor"]).any():
             raise ValueError(
-                "modes must hold one whose shape is not 0 both where the rocks hit and where the sensor sits; "
+                "modes must contain one whose shape is not 0 both where the rocks hit and where the sensor sits; "
                 "there is none, and nothing would be heard"
             )
 
@@ -548,7 +548,7 @@ class TailBeamSection(Section):
             ):
                 if place > size:
                     raise ValueError(
-                        f"{name}.{axis} must lie on the beam, between 0 and {size:g} m, it can be {place:.4g} m"
+                        f"{name}.{axis} must be on the beam, between 0 and {size:g} m, it can be {place:.4g} m"
                     )
 
     def panel(self, material: Material) -> TailBeam | None:

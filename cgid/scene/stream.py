@@ -73,7 +73,7 @@ def impact_units(scene: Scene) -> dict[str, str]:
       `Scene.law_names`
     - curvature, effective_mass: where a population has a shape; viscous_restitution: where one has it
     - drop_height: nan except for a first fall from a height
-    - next_impact: time to the next touch of any rock, nan for the last; overlapping: 1 if contacts overlap
+    - next_impact: time to the next onset of any rock, nan for the last; overlapping: 1 if contacts overlap
     - impact_x, impact_y: on a beam of known size
     """
     more = {"yield_pressure": "Pa"} if "thornton" in scene.dissipations else {}
@@ -164,7 +164,7 @@ def _add_response(
     pulses: Impact | ModalImpact,
     columns: Mapping[str, Floats],
 ) -> None:
-    """Run the poles of beam and sensor from the first touch to the end of the last ringing, or of the recording."""
+    """Run the poles of beam and sensor from the first onset to the end of the last ringing, or of the recording."""
     rate = scene.sampling.sampling_rate
     first, last = int(np.floor(columns["time"].min() * rate)), samples_of(scene)
     if first >= last:
@@ -181,7 +181,7 @@ def _add_response(
 
 
 def lead(plan: Plan) -> int:
-    """Return by how many samples an impact may precede its touch, because the low-pass has zero phase."""
+    """Return by how many samples an impact may precede its onset, because the low-pass has zero phase."""
     if not plan.runs("bandwidth"):
         return 0
     scene = plan.scene

@@ -150,7 +150,7 @@ class StreamSection(Section):
         times = self.arrivals.times
         if times is not None and times[-1] >= self.duration:
             raise ValueError(
-                f"arrivals.times must lie before the end of the recording at {self.duration:g} s, got {times[-1]:g} s"
+                f"arrivals.times must be before the end of the recording at {self.duration:g} s, got {times[-1]:g} s"
             )
         return self
 

@@ -1,4 +1,4 @@
-"""Calibrate the beam of a site: its modes from hammer taps or from unlabelled impacts. Uses both layers."""
+"""Calibrate a beam: its modes from hammer taps or from unlabelled impacts. Uses both layers."""
 
 from cgid.deprecated import renamed
 from cgid.site.calibration import SiteCalibration, calibrate, usable_impacts

@@ -1,4 +1,4 @@
-"""A scene's beam calibrated with recorded impacts that nobody labelled, and the site file that holds the result."""
+"""Beam calibration of a scene from recorded, unlabelled impacts, and the file with the result."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from cgid.scene.stream import parts_of_recording
 from cgid.scene.synthesis import synthesise
 from cgid.scene.through_beam import beam_of, spread_over, through_modes
 from cgid.site.dimensions import Dimension, dimension_errors, learn_dimensions
-from cgid.site.learning import Blows, evidence_of, learn
+from cgid.site.learning import ImpactFrames, evidence_of, learn
 from cgid.validation import Floats
 
 if TYPE_CHECKING:
@@ -40,23 +40,22 @@ __all__ = ["SiteCalibration", "calibrate", "usable_impacts"]
 
 #: Minimum number of usable impacts.
 FEWEST = 20
-#: Prior deviations of ln damping ratio for those of ln frequency, and the largest.
+#: Prior standard deviation of ln damping ratio over that of ln frequency, and its maximum.
 _DAMPING_A_FREQUENCY, _MAX_DAMPING = 10.0, 0.3
-#: Impacts whose evidence is compared, and the seed of simulated ones.
+#: Number of impacts whose evidence is compared, and the seed of simulated ones.
 _COMPARED, _SEED = 256, 0x5EED_0002_CA11
-#: Recordings of a stream, and their length together [s], that are simulated for these at most.
+#: Maximum number of simulated recordings of a stream, and their maximum total length [s].
 _RECORDINGS, _MAX_STREAM = 16, 120.0
-#: The evidence may stay this much below that of simulation, absolutely and relatively.
+#: The evidence may be below that of simulation by this much, absolutely and relatively.
 _BELOW, _BELOW_SHARE = 0.1, 0.1
-#: Share of the worst impacts that is left out: an onset that is missed, two impacts at once, another place than the
-#: scene's.
+#: Fraction of the worst impacts that is excluded: a missed onset, two impacts at once, a location outside the region.
 _WORST = 0.2
-#: In a stream, where many begin while earlier ones still ring.
+#: The same for a stream, in which many impacts begin during the ring-down of earlier ones.
 _WORST_OF_STREAM = 0.5
-#: A mode is silent at a sensor where its shape is below this share of its root mean square; a sensor on nodes
-#: of more than this share of the modes learns nothing. On a line of symmetry it is half.
+#: A mode is silent at a sensor if its shape is below this fraction of its root mean square; a sensor at nodes of more
+#: than this fraction of the modes is unusable. On a line of symmetry it is half.
 _SILENT, _MAX_SILENT = 0.02, 0.6
-#: A crossing counts where the learned frequencies are this many of their deviations apart.
+#: A crossing counts if the learned frequencies differ by this many standard deviations.
 _CERTAIN = 3.0
 
 
@@ -69,18 +68,18 @@ class SiteCalibration:
     scene : Scene
         With `tail_beam.learned`, and with dimensions that were learned.
     dimensions : tuple of Dimension
-        Dimensions of the beam that were learned; empty where they were taken as exact.
+        Learned dimensions of the beam; empty if they were taken as exact.
     start, learned : Modes
-        The modes before, with the deviations they were given, and after.
+        The modes before, with their prior standard deviations, and after.
     n_impacts : int
-        Impacts that were used.
+        Number of impacts used.
     before, after, expected : float
-        Log evidence of an impact per sample (mean without the worst fifth, in a stream the worst half): before, after,
-        and of impacts that are simulated through the learned beam.
+        Mean log-likelihood per sample, without the worst fifth of the impacts (in a stream the worst half): before,
+        after, and of impacts simulated on the calibrated beam.
     crossings : int
-        Neighbouring modes that have changed places.
+        Number of neighbouring modes that have swapped.
     at_rest : bool
-        Whether the modes have come to rest.
+        Whether the modes have converged.
     """
 
     scene: Scene
@@ -92,12 +91,13 @@ class SiteCalibration:
     after: float
     expected: float
     crossings: int
-    at_rest: bool
+    has_converged: bool
 
     n_blows = renamed_attribute("n_blows", "n_impacts")
+    at_rest = renamed_attribute("at_rest", "has_converged")
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, Path]:
-        """Write the scene as a .toml file, and its modes as a table beside it; return both paths."""
+        """Write the scene as a .toml file, and its modes as a table next to it; return both paths."""
         path = check_new(Path(path), "a site", (".toml",), overwrite=overwrite)
         table = check_new(table_beside(path), "a table of modes", (".csv",), overwrite=overwrite)
         content = json.loads(self.scene.text)
@@ -112,12 +112,12 @@ class SiteCalibration:
 
 
 def table_beside(path: Path) -> Path:
-    """Return the path of the table of modes of a site file."""
+    """Return the path of the table of modes of a calibrated scene file."""
     return path.with_name(f"{path.stem}-modes.csv")
 
 
 def usable_impacts(events: Iterable[Event]) -> tuple[list[Event], dict[str, int]]:
-    """Return the impacts that can teach, and how many cannot, by reason.
+    """Return the impacts usable for calibration, and the numbers of unusable ones by reason.
 
     Parameters
     ----------
@@ -153,32 +153,32 @@ def calibrate(
     max_impacts: int = 300,
     progress: Callable[[int], object] | None = None,
 ) -> SiteCalibration:
-    """Learn the modes of a scene's beam from recorded blows.
+    """Learn the modes of a scene's beam from recorded impacts.
 
     Parameters
     ----------
     scene : Scene, str or Path
         With a beam of known size or a table of modes, and one accelerometer on it.
     frames : ndarray, (n_impacts, n_samples)
-        Impacts at unknown places, in the SI unit of the sensor; clipped ones are left out, and of more than
-        `max_impacts` those over the whole recording are taken.
+        Impacts at unknown locations, in the SI unit of the sensor; clipped ones are excluded, and at most
+        `max_impacts`, evenly spaced in the recording, are used.
     sampling_rate : float [Hz]
         That of the scene.
     pre_trigger : int
         Samples of each frame before onset.
     start_error : float
-        Standard deviation of the natural frequencies of a scene that has never been calibrated, relative; that of the
-        damping ratios is 10 times as large, at most 0.3.
+        Relative standard deviation of the natural frequencies of an uncalibrated scene; that of the damping ratios is
+        10 times as large, at most 0.3.
     drift : float
-        The same for a scene that has been calibrated: what has changed since.
+        The same for a calibrated scene: changes since then.
     participation_error : float
-        Standard deviation of the modes' participations, relative; with 0, they are not learned.
+        Relative standard deviation of the modes' participations; with 0, they are not learned.
     dimension_error : float or mapping of str to float
-        Standard deviation of each dimension of the beam and of its sensor's place, relative; or of those that a mapping
-        names (`cgid.site.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned first, with the
-        damping ratio, and `start_error` is what is off beside them.
+        Relative standard deviation of each dimension of the beam and of the sensor's position, or of those that a
+        mapping names (`cgid.site.dimensions.DIMENSIONS`). With 0, they are exact. Otherwise they are learned first,
+        with the damping ratio, and `start_error` is the remaining error.
     max_impacts : int
-        Largest number of impacts that are used, 20 or more.
+        Maximum number of impacts, 20 or more.
     progress : callable, optional
         Receives the number of rounds done since the last call; there are at most `MAX_ROUNDS`.
 
@@ -189,16 +189,15 @@ def calibrate(
     Raises
     ------
     InvalidValue
-        A number breaks its rule, or the scene has no beam to look through, or a sensor on nodes.
+        A number breaks its rule, or the scene has no beam, or its sensor is at nodes.
     BadData
-        Too few impacts, another sampling rate, modes that cross and cannot be distinguished, or impacts of another
-        beam.
+        Too few impacts, a different sampling rate, modes that cross and cannot be distinguished, or another beam.
     """
     scene = load_scene(scene)
     check_numbers(start_error, drift, participation_error, max_impacts)
     check_scene(scene, sampling_rate)
     uncertain_dimensions = dimension_errors(scene, dimension_error)
-    # Two highest samples of a whole impact are equal by chance where a recorder has few steps.
+    # The two highest samples of an unclipped impact may be equal by chance if a recorder has few steps.
     clipped = clipped_samples(np.asarray(frames, np.float64), shared=3) if len(frames) else None
     if clipped is not None:
         frames = frames[~clipped.any(axis=1)]
@@ -208,60 +207,60 @@ def calibrate(
             f"impacts must be at least {FEWEST} to learn from, got {len(frames)}{left_out}; record longer"
             + (", and below the sensor's range" if left_out else "")
         )
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), max_impacts)).round().astype(np.intp))
+    rows = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), max_impacts)).round().astype(np.intp))
     if scene.stream is not None and next(_simulated_events(scene), None) is None:
         raise BadData(
-            f"scene {scene.name}: stream must hold impacts to compare with that stand alone, there is none in "
+            f"scene {scene.name}: stream must contain isolated impacts to compare with, there is none in "
             f"{_RECORDINGS} simulated recordings; correct its arrivals, noise and duration"
         )
     region, worst = None, _WORST
-    if scene.stream is not None:  # whose rocks bounce all over the beam
+    if scene.stream is not None:  # its rocks bounce all over the beam
         region, worst = json.loads(scene.text)["tail_beam"].get("impact_point"), _WORST_OF_STREAM
         scene = _with_beam(scene, spread=True)
     beam = beam_of(scene)
-    beam = replace(beam, modes=replace(beam.modes, deviation=None))  # deviations are what is learned
+    beam = replace(beam, modes=replace(beam.modes, deviation=None))  # standard deviations are learned
     dimensions: tuple[Dimension, ...] = ()
     with threadpool_limits(1):
-        blows = prepare_blows(frames[chosen], sampling_rate, pre_trigger)
-        before = mean_evidence(beam, blows, worst)
+        impacts = prepare_impacts(frames[rows], sampling_rate, pre_trigger)
+        before = mean_evidence(beam, impacts, worst)
         if uncertain_dimensions:
-            scene, dimensions = learn_dimensions(scene, beam, blows, uncertain_dimensions, progress=progress)
+            scene, dimensions = learn_dimensions(scene, beam, impacts, uncertain_dimensions, progress=progress)
             beam = through_modes(scene, beam)
         start = _start(scene)
         deviation = _prior(scene, start, start_error, drift, participation_error)
-        found = learn(beam, blows, deviation, progress=progress)
-        corrected_beam = corrected(beam, found.correction)
-        learned = replace(start.corrected(found.correction), deviation=found.deviation)
+        result = learn(beam, impacts, deviation, progress=progress)
+        corrected_beam = corrected(beam, result.correction)
+        learned = replace(start.corrected(result.correction), deviation=result.deviation)
         crossings = count_crossings(scene, learned)
-        site = _with_beam(scene, learned=rows_of(learned), impact_point=region)
-        after = mean_evidence(corrected_beam, blows, worst)
-        expected = mean_evidence(corrected_beam, _simulated(site), worst)
+        result_scene = _with_beam(scene, learned=rows_of(learned), impact_point=region)
+        after = mean_evidence(corrected_beam, impacts, worst)
+        expected = mean_evidence(corrected_beam, _simulated(result_scene), worst)
     if after < expected - max(_BELOW, _BELOW_SHARE * abs(expected)):
         raise BadData(
-            f"the beam of scene {scene.name} must explain the blows as it explains simulated ones: their evidence is "
-            f"{after:.3g} a sample ({before:.3g} before), expected {expected:.3g}; is it the beam, the place of the "
-            "sensor and the region of the blows? Else take more impacts, a larger start error"
+            f"the beam of scene {scene.name} must explain the impacts as well as simulated ones: their log-likelihood "
+            f"is {after:.3g} per sample ({before:.3g} before), expected {expected:.3g}; check the beam, the position "
+            "of the sensor and the region of the impacts, or use more impacts, a larger start error"
             + (
-                ", or a dimension error of 3 % where a drawing may be off"
+                ", or a dimension error of 3 % if the drawing may be inaccurate"
                 * (scene.panel is not None and not dimensions)
             )
         )
     return SiteCalibration(
-        scene=site,
+        scene=result_scene,
         dimensions=dimensions,
         start=replace(start, deviation=deviation),
         learned=learned,
-        n_impacts=len(blows),
+        n_impacts=len(impacts),
         before=before,
         after=after,
         expected=expected,
         crossings=crossings,
-        at_rest=found.at_rest,
+        has_converged=result.has_converged,
     )
 
 
 def uncertain(scene: Scene, start_error: float) -> Scene:
-    """Return a scene that knows the modes of its beam no better than this; arguments and errors as in `calibrate`."""
+    """Return a scene with modes of at least this uncertainty; arguments and errors as in `calibrate`."""
     check_numbers(start_error, start_error, 0.0, FEWEST)
     check_scene(scene, scene.sampling.sampling_rate)
     start = _start(scene)
@@ -271,14 +270,14 @@ def uncertain(scene: Scene, start_error: float) -> Scene:
 
 def check_numbers(start_error: float, drift: float, participation_error: float, max_impacts: int) -> None:
     """Raise `InvalidValue` if a number of `calibrate` breaks its rule."""
-    for name, value, most in (
+    for name, value, max_value in (
         ("start_error", start_error, 0.1),
         ("drift", drift, 0.1),
         ("participation_error", participation_error, 1.0),
     ):
-        if not 0 <= value <= most or (name == "start_error" and value == 0):
+        if not 0 <= value <= max_value or (name == "start_error" and value == 0):
             least = "above 0" if name == "start_error" else "at least 0"
-            raise InvalidValue(f"{name} must be {least} and at most {most:g}, got {value:g}")
+            raise InvalidValue(f"{name} must be {least} and at most {max_value:g}, got {value:g}")
     validation.whole("max_impacts", max_impacts, FEWEST)
 
 
@@ -306,13 +305,13 @@ def check_scene(scene: Scene, sampling_rate: float) -> None:
     silent = shape < _SILENT * (shape.max() if scene.panel is None else 1 / np.sqrt(scene.panel.mass))
     if silent.mean() > _MAX_SILENT:
         raise InvalidValue(
-            f"scene {scene.name}: the sensor must hear the modes, {silent.sum()} of {silent.size} have a node at "
+            f"scene {scene.name}: the sensor must measure the modes, {silent.sum()} of {silent.size} have a node at "
             "tail_beam.sensor_point; move it"
         )
 
 
 def _start(scene: Scene) -> Modes:
-    """Return the modes of a scene before calibration, in the order of the beam's own, without deviations."""
+    """Return the modes of a scene before calibration, in the order of the beam's, without standard deviations."""
     assert scene.tail_beam is not None
     if scene.tail_beam.learned_modes is not None:
         return scene.tail_beam.learned_modes
@@ -325,45 +324,45 @@ def _prior(scene: Scene, start: Modes, start_error: float, drift: float, partici
     assert scene.tail_beam is not None
     moved = start_error if scene.tail_beam.learned is None else drift
     more = np.array([moved, min(_DAMPING_A_FREQUENCY * moved, _MAX_DAMPING), participation])
-    known = np.zeros((3, start.frequency.size)) if start.deviation is None else start.deviation
-    return np.asarray(np.sqrt(np.square(known) + np.square(more)[:, None]))
+    present = np.zeros((3, start.frequency.size)) if start.deviation is None else start.deviation
+    return np.asarray(np.sqrt(np.square(present) + np.square(more)[:, None]))
 
 
-def prepare_blows(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> Blows:
+def prepare_impacts(frames: NDArray[np.floating], sampling_rate: float, pre_trigger: int) -> ImpactFrames:
     batch = VibrationBatch(np.asarray(frames, np.float64), sampling_rate, pre_trigger)
     level = np.sqrt(np.mean(np.square(batch.samples), axis=1))
     first = np.maximum(batch.first - int(np.ceil(REACH * sampling_rate)), batch.n_quiet)
     start = np.stack([np.minimum(first, batch.first + 1), batch.first + 1], axis=1).astype(np.intp)
     still = batch.samples - batch.offset[:, None]
     noise = np.maximum(batch.noise, 1e-6 * level + 1e-300)
-    return Blows(still, start, noise, ar_noise_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
+    return ImpactFrames(still, start, noise, ar_noise_of(still, batch.n_quiet.astype(np.float64), 1e-6 * level))
 
 
-def mean_evidence(beam: Beam, blows: Blows, worst: float) -> float:
-    """Return the mean evidence of some impacts, without this share, the worst."""
-    part = blows.taken(slice(_COMPARED))
+def mean_evidence(beam: Beam, impacts: ImpactFrames, worst: float) -> float:
+    """Return the mean log-likelihood of some impacts, without this fraction, the worst."""
+    part = impacts.taken(slice(_COMPARED))
     found = np.sort(evidence_of(Inversion(beam), part))
     return float(found[int(worst * found.size) :].mean())
 
 
-def _simulated(site: Scene) -> Blows:
-    """Return impacts simulated through the beam of a scene, as a detector finds them if it has a stream."""
-    rate = site.sampling.sampling_rate
-    if site.stream is None:
-        frames = np.concatenate([batch.signals for batch in synthesise(site, _COMPARED, _SEED)])
-        return prepare_blows(frames, rate, site.sampling.pre_trigger)
-    events = list(_simulated_events(site))
+def _simulated(scene: Scene) -> ImpactFrames:
+    """Return simulated impacts on the beam of a scene, as detected if it has a stream."""
+    rate = scene.sampling.sampling_rate
+    if scene.stream is None:
+        frames = np.concatenate([batch.signals for batch in synthesise(scene, _COMPARED, _SEED)])
+        return prepare_impacts(frames, rate, scene.sampling.pre_trigger)
+    events = list(_simulated_events(scene))
     taken = np.unique(np.linspace(0, len(events) - 1, min(len(events), _COMPARED)).round().astype(np.intp))
     frames, before = frames_of([events[number] for number in taken])
-    return prepare_blows(frames, rate, before)
+    return prepare_impacts(frames, rate, before)
 
 
-def _simulated_events(site: Scene) -> Iterator[Event]:
+def _simulated_events(scene: Scene) -> Iterator[Event]:
     """Yield the usable impacts that a detector finds in recordings of a stream."""
-    left = round(_MAX_STREAM * site.sampling.sampling_rate)
+    left = round(_MAX_STREAM * scene.sampling.sampling_rate)
     for number in range(_RECORDINGS):
-        detector = ImpactDetector(site.sampling.sampling_rate, kind="vibration")
-        for samples, _ in parts_of_recording(site, _SEED, number, dtype="float32"):
+        detector = ImpactDetector(scene.sampling.sampling_rate, kind="vibration")
+        for samples, _ in parts_of_recording(scene, _SEED, number, dtype="float32"):
             yield from usable_impacts(detector.feed(samples[np.newaxis]))[0]
             left -= samples.size
             if left <= 0:
@@ -372,14 +371,14 @@ def _simulated_events(site: Scene) -> Iterator[Event]:
 
 
 def count_crossings(scene: Scene, learned: Modes) -> int:
-    """Return how many neighbours have changed places; raises `BadData` where shapes do not tell them apart."""
+    """Return how many neighbours have swapped; raises `BadData` if their shapes do not distinguish them."""
     logs, deviation = np.log(learned.frequency), learned.columns["frequency_deviation"]
     crossed = np.flatnonzero(np.diff(logs) < -_CERTAIN * np.hypot(deviation[1:], deviation[:-1]))
     if crossed.size and scene.panel is None:
         first, second = learned.frequency[crossed[0] : crossed[0] + 2]
         raise BadData(
-            f"modes {crossed[0] + 1} and {crossed[0] + 2} must not cross where only a table tells them apart: they "
-            f"went to {first:.5g} and {second:.5g} Hz; take a smaller start error, or one mode for both"
+            f"modes {crossed[0] + 1} and {crossed[0] + 2} must not cross in a table of modes: they moved to "
+            f"{first:.5g} and {second:.5g} Hz; use a smaller start error, or one mode for both"
         )
     return int(crossed.size)
 
@@ -394,7 +393,7 @@ def _with_beam(scene: Scene, *, spread: bool = False, **changes: Any) -> Scene:
 
 
 def _toml(content: dict[str, Any]) -> list[str]:
-    """Return a scene as lines of TOML: its sections as tables, what is deeper inline."""
+    """Return a scene as lines of TOML: its sections as tables, deeper levels inline."""
     lines = [f"{key} = {_value(part)}" for key, part in content.items() if not _is_section(part)]
     for key, part in content.items():
         for table in part if isinstance(part, list) else [part]:

@@ -1,6 +1,6 @@
 """The dimensions of a beam, learned from impacts at unknown locations with unknown forces.
 
-A drawing gives length, width, thickness and ribs to some per cent. Gauss-Newton steps on their logarithms, with
+A drawing gives length, width, thickness and ribs to a few per cent. Gauss-Newton steps on their logarithms, with
 locations and forces projected out as in `learning`, precede the learning of modes. The lowest modes come first: their
 responses shift by less than a period even where the drawing is wrong. Each wider band then refines the dimensions.
 """
@@ -19,32 +19,32 @@ from cgid.identification.inversion import Inversion
 from cgid.measure.beam import Beam
 from cgid.scene.schema import Scene, parse_scene
 from cgid.scene.through_beam import through_modes
-from cgid.site.learning import Blows, System, newton
+from cgid.site.learning import ImpactFrames, System, newton
 from cgid.validation import Floats
 
-#: What may be learned of a [tail_beam], where it is given.
+#: Dimensions of a [tail_beam] that may be learned.
 DAMPING = "damping_ratio"
 DIMENSIONS = (
     "length", "width", "thickness", "ribs.depth", "ribs.thickness", "sensor_point.x", "sensor_point.y", DAMPING,
 )  # fmt: skip
-#: Largest error of a dimension; error of the damping ratio for the largest of a dimension, and its own largest.
+#: Largest error of a dimension; error of the damping ratio over the largest of a dimension, and its maximum.
 _MAX_ERROR, _DAMPING_A_DIMENSION, _MAX_DAMPING = 0.1, 10.0, 0.3
-#: Lengths in a distribution of places.
-_PLACES = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
-#: Bands that are learned one after the other, as shares of the whole; rounds in each, and blows.
+#: Keys of a distribution that are lengths.
+_LENGTHS = ("value", "values", "lowest", "highest", "mean", "deviation", "median", "characteristic", "parts")
+#: Successive bands as fractions of the whole; rounds in each, and number of impacts.
 _BANDS, _ROUNDS, _FEW = (0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.4, 0.6), 6, 60
 MAX_ROUNDS = len(_BANDS) * _ROUNDS
 #: Minimum number of modes of a band.
 _MIN_MODES = 4
-#: A band is learned where no step is longer than this share of its deviation.
-_AT_REST = 0.3
+#: A band has converged when no step is longer than this fraction of its standard deviation.
+_CONVERGED = 0.3
 #: Step of the difference quotients in a logarithm.
 _STEP = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dimension:
-    """A dimension of a beam before and after impacts have taught it."""
+    """A dimension of a beam before and after learning."""
 
     name: str  # key of the scene, below `tail_beam`
     before: float  # `before`, `after`: in the SI unit of the scene
@@ -53,18 +53,18 @@ class Dimension:
 
 
 def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[str, float]:
-    """Return the relative errors of the dimensions that are to be learned, by name; none where all are 0."""
+    """Return the relative errors of the dimensions to learn, by name; empty if all are 0."""
     # The damping ratio is 10 times as uncertain as the worst dimension, at most 30 %.
     dimensions = dimensions_of(scene)
     given = (
         dict(error) if isinstance(error, Mapping) else dict.fromkeys(dimensions or DIMENSIONS, error) | {DAMPING: 0.0}
     )
     for name, value in given.items():
-        most = _MAX_DAMPING if name == DAMPING else _MAX_ERROR
-        if not 0 <= value <= most:
-            raise InvalidValue(f"dimension_error must be at least 0 and at most {most:g}, got {value:g} of {name}")
-    found = {name: value for name, value in given.items() if value}
-    if not found:
+        max_value = _MAX_DAMPING if name == DAMPING else _MAX_ERROR
+        if not 0 <= value <= max_value:
+            raise InvalidValue(f"dimension_error must be at least 0 and at most {max_value:g}, got {value:g} of {name}")
+    errors = {name: value for name, value in given.items() if value}
+    if not errors:
         return {}
     if scene.panel is None or (scene.tail_beam is not None and scene.tail_beam.learned is not None):
         what = "tapped" if scene.panel is None else "learned"
@@ -72,30 +72,30 @@ def dimension_errors(scene: Scene, error: float | Mapping[str, float]) -> dict[s
             f"scene {scene.name}: must have a beam given by its dimensions to learn them, its modes are {what}; leave "
             "dimension_error at 0, or start from the drawing"
         )
-    unknown = [name for name in found if name not in dimensions]
+    unknown = [name for name in errors if name not in dimensions]
     if unknown:
         raise InvalidValue(f"dimension_error must be of {', '.join(dimensions)}, got {unknown[0]}")
-    worst = max(found.values())
-    return {name: found[name] for name in dimensions if name in found} | {
-        DAMPING: found.get(DAMPING, min(_DAMPING_A_DIMENSION * worst, _MAX_DAMPING))
+    worst = max(errors.values())
+    return {name: errors[name] for name in dimensions if name in errors} | {
+        DAMPING: errors.get(DAMPING, min(_DAMPING_A_DIMENSION * worst, _MAX_DAMPING))
     }
 
 
 def learn_dimensions(
     scene: Scene,
     beam: Beam,
-    blows: Blows,
+    impacts: ImpactFrames,
     errors: Mapping[str, float],
     *,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Scene, tuple[Dimension, ...]]:
-    """Return a scene with the dimensions that impacts indicate, and these."""
+    """Return a scene with learned dimensions, and the dimensions."""
     # `beam` is that of the scene, with modes not yet learned; `progress` receives the number of rounds since the last
     # call.
     before, names, prior = dimensions_of(scene), list(errors), np.array(list(errors.values()))
     now, deviation = np.zeros(len(names)), prior
-    blows = blows.taken(slice(_FEW))
-    raised = np.ones(len(blows))
+    impacts = impacts.taken(slice(_FEW))
+    raised = np.ones(len(impacts))
     inversion = Inversion(beam)
     top = inversion.bins.stop / inversion.n_samples * beam.sampling_rate
 
@@ -107,42 +107,42 @@ def learn_dimensions(
         step[number] = _STEP
         return of(now + step), of(now - step)
 
-    for share in _BANDS:
-        if np.count_nonzero(np.abs(of(now).poles) < 2 * np.pi * share * top) < _MIN_MODES:
+    for fraction in _BANDS:
+        if np.count_nonzero(np.abs(of(now).poles) < 2 * np.pi * fraction * top) < _MIN_MODES:
             continue
         for _ in range(_ROUNDS):
-            system = System(of(now), blows, raised, share * top)
+            system = System(of(now), impacts, raised, fraction * top)
             pulls, curvature = system.equations(system.by_beams(beside, len(names), _STEP))
             raised = np.sqrt(np.maximum(system.power, 1.0))
             now, step, deviation = newton(curvature, pulls, prior, now)
             if progress is not None:
                 progress(1)
-            if (np.abs(step) < _AT_REST * deviation).all():
+            if (np.abs(step) < _CONVERGED * deviation).all():
                 break
     candidate = with_dimensions(scene, names, now)
     after = dimensions_of(candidate)
-    found = (
+    values = (
         Dimension(name=name, before=before[name], after=after[name], deviation=float(one))
         for name, one in zip(names, deviation, strict=True)
     )
-    return candidate, tuple(found)
+    return candidate, tuple(values)
 
 
 def dimensions_of(scene: Scene) -> dict[str, float]:
     """Return the `DIMENSIONS` that a scene's beam has [m], and its damping ratio."""
-    found = {}
+    values = {}
     for name in DIMENSIONS:
         part: Any = json.loads(scene.text).get("tail_beam")
         for key in name.split("."):
             part = part.get(key) if isinstance(part, dict) else None
         if isinstance(part, int | float):
-            found[name] = float(part)
-    return found
+            values[name] = float(part)
+    return values
 
 
 def with_dimensions(scene: Scene, names: list[str], change: Floats) -> Scene:
     """Return a scene with other dimensions of its beam, by the change of their logarithms."""
-    # Impacts and the sensor stay where they are, or move inwards as the beam gets shorter.
+    # Impacts and the sensor keep their positions, or move inwards as the beam gets shorter.
     content = json.loads(scene.text)
     beam = content["tail_beam"]
     for name, log in zip(names, change.tolist(), strict=True):
@@ -160,10 +160,10 @@ def with_dimensions(scene: Scene, names: list[str], change: Floats) -> Scene:
     return parse_scene(content, source=f"other dimensions of {scene.name}", folder=scene.folder)
 
 
-def _scaled(place: Any, factor: float) -> Any:
-    """Return a number or a distribution of places in other units of length."""
-    if isinstance(place, int | float):
-        return place * factor
-    if isinstance(place, list):
-        return [_scaled(one, factor) for one in place]
-    return {key: _scaled(one, factor) if key in _PLACES else one for key, one in place.items()}
+def _scaled(location: Any, factor: float) -> Any:
+    """Return a number or a distribution of lengths in another unit."""
+    if isinstance(location, int | float):
+        return location * factor
+    if isinstance(location, list):
+        return [_scaled(one, factor) for one in location]
+    return {key: _scaled(one, factor) if key in _LENGTHS else one for key, one in location.items()}

@@ -1,9 +1,9 @@
 """The modes of a beam, learned from impacts at unknown locations with unknown forces.
 
 The samples of an impact are `sum_r participation_r(location) response_r(pole_r, force) + noise`. Location and force
-differ from impact to impact, but all share the poles. Both are estimated with the present poles; a Gauss-Newton step
+differ from impact to impact, but all share the poles. Both are estimated with the current poles; a Gauss-Newton step
 then corrects all modes at once, with locations and forces projected out: variable projection (Golub & Pereyra 1973),
-with Gaussian priors. A mode in a wrong local minimum is then searched for alone over a wider range.
+with Gaussian priors. A mode in a wrong local minimum is then searched for by itself over a wider range.
 """
 
 from __future__ import annotations
@@ -23,46 +23,46 @@ from cgid.validation import Floats
 #: Relative step of the difference quotients in a pole: at the end of a response, it turns the fastest mode by some
 #: thousandths of a radian.
 POLE_STEP = 1e-6
-#: Prior deviation of a place about the one found [m].
+#: Prior standard deviation of a location about its estimate [m].
 _PLACE_DEVIATION = 0.1
-#: Impacts of a round while the poles move far, and of a search of single modes.
-_FEW, _SOUGHT = 120, 48
+#: Impacts per round while the poles move far, and per search of single modes.
+_FEW, _N_SEARCHED = 120, 48
 #: Gauss-Newton rounds before the first search of single modes, between two, and at last with all impacts; searches.
 _FIRST, _BETWEEN, _LAST, _MAX_SEARCHES = 8, 2, 10, 6
-#: Bands that are learned one after the other, as shares of the whole, and modes beyond a band that still act on it.
+#: Successive bands as fractions of the whole, and the range of modes beyond a band that still affect it.
 _BANDS, _BEYOND = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0), 1.15
-#: Errors of a frequency below this share of the damping ratio are learned in the whole band at once.
+#: With frequency errors below this fraction of the damping ratio, the whole band is learned at once.
 _NARROW = 0.7
-#: Factor of the deviations for what a linear model of the poles leaves out; measured by benchmarks/calibrate.py.
+#: Factor of the standard deviations for the nonlinearity in the poles; measured by benchmarks/calibrate.py.
 _BEYOND_LINEAR = 1.1
 #: Maximum number of rounds.
 MAX_ROUNDS = len(_BANDS) * (_FIRST + _MAX_SEARCHES * _BETWEEN) + _LAST
-#: Poles are at rest where this share of the steps is no longer than this share of their own deviations.
-_MAX_MODES, _AT_REST = 0.97, 0.5
-#: The search: the widest, in prior deviations and relative to the frequency, and its step in damping ratios.
+#: Poles have converged when this fraction of the steps is no longer than this fraction of their standard deviations.
+_MAX_MODES, _CONVERGED = 0.97, 0.5
+#: Widest range of the search, in prior standard deviations and relative to the frequency; its step in damping ratios.
 _WIDEST, _WIDEST_SHARE, _FINEST = 3.0, 0.12, 0.35
-#: Least gain in log likelihood of a mode that moves to another valley, and how far modes are apart that move together.
-_MIN_GAIN, _APART = 10.0, 0.04
+#: Minimum gain in log-likelihood for a move to another minimum, and the separation of modes that move together.
+_MIN_GAIN, _SEPARATION = 10.0, 0.04
 
 
 @dataclass(frozen=True, eq=False)
-class Blows:
+class ImpactFrames:
     """Recorded impacts."""
 
     frames: Floats  # (n, n_samples), at the sampling rate of the beam, without baseline
-    start: NDArray[np.intp]  # (n, 2), first and last sample in which the onset may lie
+    start: NDArray[np.intp]  # (n, 2), first and last possible sample of the onset
     noise: Floats  # (n,), standard deviation
     colour: ARNoise
 
     def __len__(self) -> int:
         return len(self.frames)
 
-    def taken(self, rows: slice) -> Blows:
-        """Return some of the blows."""
+    def taken(self, rows: slice) -> ImpactFrames:
+        """Return some of the impacts."""
         colour = ARNoise(self.colour.coefficients[rows], self.colour.innovation[rows])
-        return Blows(self.frames[rows], self.start[rows], self.noise[rows], colour)
+        return ImpactFrames(self.frames[rows], self.start[rows], self.noise[rows], colour)
 
-    def sought(self, raised: Floats | float = 1.0, limit: float | None = None) -> Observations:
+    def observations(self, raised: Floats | float = 1.0, limit: float | None = None) -> Observations:
         """Return the impacts with their noise raised by factors, (n,)."""
         colour = self.colour
         return Observations(
@@ -70,7 +70,7 @@ class Blows:
         )
 
     def weight(self, inversion: Inversion) -> Floats:
-        """Return the power of white noise of the same deviation over that of the noise, (n, n_coefficients)."""
+        """Return the power of white noise of the same variance over that of the noise, (n, n_coefficients)."""
         bins = np.arange(inversion.bins.start, inversion.bins.stop) / inversion.n_samples
         weight = np.ones((len(self), 2 * bins.size))
         rows = self.colour.rows
@@ -79,19 +79,19 @@ class Blows:
         return weight
 
 
-def evidence_of(inversion: Inversion, blows: Blows) -> Floats:
+def evidence_of(inversion: Inversion, impacts: ImpactFrames) -> Floats:
     """Return the log evidence of each impact per sample, (n,)."""
-    # White noise alone has -0.5. A beam that explains the impacts has some tenths less, as locations and forces are
-    # unknown; one that does not has much less.
-    found = inversion.invert(blows.sought(), blows.start)
-    samples = _cut(blows.frames, found.start, inversion.n_samples) / blows.noise[:, None]
-    power = np.sum(np.square(inversion.transformed(samples), dtype=np.float64) * blows.weight(inversion), axis=1)
-    return np.asarray(found.evidence - 0.5 * power / inversion.n_samples)
+    # White noise alone has -0.5. A beam that explains the impacts has a few tenths less, since locations and forces are
+    # unknown; a wrong beam has much less.
+    force = inversion.invert(impacts.observations(), impacts.start)
+    samples = _cut(impacts.frames, force.start, inversion.n_samples) / impacts.noise[:, None]
+    power = np.sum(np.square(inversion.transformed(samples), dtype=np.float64) * impacts.weight(inversion), axis=1)
+    return np.asarray(force.evidence - 0.5 * power / inversion.n_samples)
 
 
 def learn(
     beam: Beam,
-    blows: Blows,
+    impacts: ImpactFrames,
     deviation: Floats,
     *,
     progress: Callable[[int], object] | None = None,
@@ -99,110 +99,112 @@ def learn(
     """Learn the modes of a beam from impacts, starting from this beam."""
     # `deviation` (3, n_modes): prior standard deviation of ln frequency, ln damping ratio and ln participation; rows of
     # zeros are not learned. `progress` receives the number of rounds since the last call.
-    found = Learned(beam, blows, deviation, progress)
-    few = min(_FEW, len(blows))
+    learned = Learned(beam, impacts, deviation, progress)
+    few = min(_FEW, len(impacts))
     top = Inversion(beam).bins.stop / Inversion(beam).n_samples * beam.sampling_rate
     ratio = float(np.median(beam.modes.damping_ratio))
-    # The low modes first: with them come the places, and with these the higher modes. Errors well below the width of
-    # a resonance need no such care.
-    for share in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
-        limit = None if share == 1 else share * top
+    # Low modes first: they determine the locations, and these the higher modes. Errors well below the width of a
+    # resonance need no such order.
+    for fraction in _BANDS if float(deviation[0].max()) > _NARROW * ratio else _BANDS[-1:]:
+        limit = None if fraction == 1 else fraction * top
         for search in range(_MAX_SEARCHES + 1):
             for _ in range(_BETWEEN if search else _FIRST):
-                if found.step(few, limit):
+                if learned.step(few, limit):
                     break
-            if search == _MAX_SEARCHES or not found.search(few, limit):
+            if search == _MAX_SEARCHES or not learned.search(few, limit):
                 break
     for _ in range(_LAST):
-        if found.step(len(blows)):
+        if learned.step(len(impacts)):
             break
-    return found
+    return learned
 
 
 class Learned:
-    """What impacts indicate about the modes of a beam, and the steps that improve it."""
+    """Corrections of the modes of a beam, and the steps that improve them."""
 
-    # `correction` and `deviation` (3, n_modes): of ln frequency, ln damping ratio and ln participation; `at_rest`:
-    # whether the last step was small compared with the deviations.
+    # `correction`, `deviation` (3, n_modes): of ln frequency, ln damping ratio and ln participation; `has_converged`:
+    # whether the last step was small compared with the standard deviations.
 
     def __init__(
-        self, beam: Beam, blows: Blows, prior: Floats, progress: Callable[[int], object] | None = None
+        self, beam: Beam, impacts: ImpactFrames, prior: Floats, progress: Callable[[int], object] | None = None
     ) -> None:
-        self._beam, self._blows, self._progress, self._prior = beam, blows, progress, prior
-        self.correction, self.deviation, self.at_rest = np.zeros(prior.shape), prior.copy(), False
-        self._kept, self._raised = np.flatnonzero(prior.any(axis=1)), np.ones(len(blows))
+        self._beam, self._impacts, self._progress, self._prior = beam, impacts, progress, prior
+        self.correction, self.deviation, self.has_converged = np.zeros(prior.shape), prior.copy(), False
+        self._quantities, self._raised = np.flatnonzero(prior.any(axis=1)), np.ones(len(impacts))
 
-    def _system(self, n_blows: int, limit: float | None) -> System:
-        rows = slice(n_blows)
-        return System(corrected(self._beam, self.correction), self._blows.taken(rows), self._raised[rows], limit)
+    def _system(self, n_impacts: int, limit: float | None) -> System:
+        rows = slice(n_impacts)
+        return System(corrected(self._beam, self.correction), self._impacts.taken(rows), self._raised[rows], limit)
 
-    def step(self, n_blows: int, limit: float | None = None) -> bool:
-        """Make a Gauss-Newton step with the first impacts, up to a frequency; return whether the poles are at rest."""
-        system, kept = self._system(n_blows, limit), self._kept
-        prior = np.maximum(self._prior[kept], 1e-9)
-        indices = np.add.outer(np.arange(kept.size) * prior.shape[1], system.active).ravel()
-        pulls, curvature = np.zeros((n_blows, prior.size)), np.zeros((prior.size,) * 2)
-        pulls[:, indices], curvature[np.ix_(indices, indices)] = system.equations(system.by_modes(kept))
-        self._raised[:n_blows] = np.sqrt(np.maximum(system.power, 1.0))
-        now, step, deviation = newton(curvature, pulls, prior.ravel(), self.correction[kept].ravel())
-        self.correction[kept] = now.reshape(prior.shape)
-        self.deviation[kept] = np.minimum(_BEYOND_LINEAR * deviation.reshape(prior.shape), prior)
+    def step(self, n_impacts: int, limit: float | None = None) -> bool:
+        """Make a Gauss-Newton step with the first impacts, up to a frequency; return `has_converged`."""
+        system, quantities = self._system(n_impacts, limit), self._quantities
+        prior = np.maximum(self._prior[quantities], 1e-9)
+        indices = np.add.outer(np.arange(quantities.size) * prior.shape[1], system.active).ravel()
+        pulls, curvature = np.zeros((n_impacts, prior.size)), np.zeros((prior.size,) * 2)
+        pulls[:, indices], curvature[np.ix_(indices, indices)] = system.equations(system.by_modes(quantities))
+        self._raised[:n_impacts] = np.sqrt(np.maximum(system.power, 1.0))
+        now, step, deviation = newton(curvature, pulls, prior.ravel(), self.correction[quantities].ravel())
+        self.correction[quantities] = now.reshape(prior.shape)
+        self.deviation[quantities] = np.minimum(_BEYOND_LINEAR * deviation.reshape(prior.shape), prior)
         if self._progress is not None:
             self._progress(1)
-        self.at_rest = bool(np.quantile(np.abs(step) / deviation, _MAX_MODES) < _AT_REST)
-        return self.at_rest
+        self.has_converged = bool(np.quantile(np.abs(step) / deviation, _MAX_MODES) < _CONVERGED)
+        return self.has_converged
 
-    def search(self, n_blows: int, limit: float | None) -> bool:
-        """Move single modes to other valleys; return whether any gains by it."""
-        system = self._system(min(n_blows, _SOUGHT), limit)
+    def search(self, n_impacts: int, limit: float | None) -> bool:
+        """Move single modes to other minima; return whether any of them improved."""
+        system = self._system(min(n_impacts, _N_SEARCHED), limit)
         moved = search_valleys(self._beam, self.correction, self._prior, system)
         self.correction = self.correction if moved is None else moved
         return moved is not None
 
 
 def newton(curvature: Floats, pulls: Floats, prior: Floats, now: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return parameters (n,) after a Gauss-Newton step at most as long as the prior, the step, and deviations."""
+    """Return parameters (n,) after a Gauss-Newton step no longer than the prior, the step, and standard deviations."""
     covariance = np.linalg.inv(curvature + np.diag(prior**-2))
-    # Where the pulls of single impacts scatter more than the curvature says, the model is not exact: Huber (1967).
+    # If the gradients of single impacts scatter more than the curvature predicts, the model is not exact: Huber (1967).
     scatter = np.sum(np.square(covariance @ pulls.T), axis=1)
     step = np.clip(covariance @ (pulls.sum(axis=0) - now / prior**2), -prior, prior)
     return now + step, step, np.sqrt(np.maximum(np.diag(covariance), scatter))
 
 
 def _cut(frames: Floats, start: NDArray[np.intp], n_samples: int) -> Floats:
-    """Return the samples of each row from its start on, zeros behind the frame."""
+    """Return the samples of each row from its start on, zeros after the frame."""
     columns = start[:, None] + np.arange(n_samples)
     inside = np.take_along_axis(frames, np.clip(columns, 0, frames.shape[1] - 1), axis=1)
     return np.where((columns >= 0) & (columns < frames.shape[1]), inside, 0.0)
 
 
 class System:
-    """Impacts as one beam explains them, and the normal equations of its errors."""
+    """Impacts inverted with one beam, and the normal equations of its errors."""
 
     # `raised` (n_blows,) are factors of the noise, `limit` [Hz] is the highest frequency used; `active` are the modes
-    # up to it, `found` locations and forces, and `power` (n_blows,) the mean squared residual over the noise.
+    # up to it, `inverted` locations and forces, and `power` (n_blows,) the mean squared residual over the noise.
 
-    def __init__(self, beam: Beam, blows: Blows, raised: Floats, limit: float | None = None) -> None:
+    def __init__(self, beam: Beam, impacts: ImpactFrames, raised: Floats, limit: float | None = None) -> None:
         self.beam, self.inversion, self.raised = beam, Inversion(beam), raised
         bins = self.inversion.bins
         frequency = np.arange(bins.start, bins.stop) / self.inversion.n_samples * beam.sampling_rate
         highest = np.inf if limit is None else limit
         self.columns = np.flatnonzero(np.repeat(frequency, 2) <= highest)
         self.active = np.flatnonzero(beam.modes.frequency <= _BEYOND * highest)
-        self.found = self.inversion.invert(blows.sought(raised, limit), blows.start)
-        self.root = np.sqrt(blows.weight(self.inversion)[:, self.columns]).astype(np.float32)
-        samples = _cut(blows.frames, self.found.start, self.inversion.n_samples) / (blows.noise * raised)[:, None]
+        self.inverted = self.inversion.invert(impacts.observations(raised, limit), impacts.start)
+        self.root = np.sqrt(impacts.weight(self.inversion)[:, self.columns]).astype(np.float32)
+        samples = (
+            _cut(impacts.frames, self.inverted.start, self.inversion.n_samples) / (impacts.noise * raised)[:, None]
+        )
         self.samples = self.inversion.transformed(samples)[:, self.columns] * self.root
         self.table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
-        self.at = self.beam.weights(self.found.x, self.found.y)
-        self.power = np.empty(len(blows))
+        self.at = self.beam.weights(self.inverted.x, self.inverted.y)
+        self.power = np.empty(len(impacts))
 
-    def by_modes(self, kept: NDArray[np.intp]) -> Callable[[int], Singles]:
-        """Return the slopes of an impact in the kept corrections of the active modes, one quantity after the other."""
-        slopes = [self._slope(quantity) if quantity < 2 else self.table[self.active] for quantity in kept]
+    def by_modes(self, quantities: NDArray[np.intp]) -> Callable[[int], Singles]:
+        """Return the slopes of an impact in corrections of the active modes, quantity by quantity."""
+        slopes = [self._slope(quantity) if quantity < 2 else self.table[self.active] for quantity in quantities]
 
         def of(row: int) -> Singles:
-            single, at = self.found.coefficients[row].astype(np.float32), self.at[0][row][self.active, None]
+            single, at = self.inverted.coefficients[row].astype(np.float32), self.at[0][row][self.active, None]
             return np.concatenate([(single @ slope) * at for slope in slopes])
 
         return of
@@ -225,13 +227,13 @@ class System:
             cross = weight * (every @ jacobian.T).astype(np.float64)
             half = np.linalg.solve(np.linalg.cholesky(precision), cross).astype(jacobian.dtype)
             curvature = curvature + (jacobian.dtype.type(weight) * jacobian) @ jacobian.T - half.T @ half
-            # Without the pull of the force's prior: its level is unknown, and would raise all participations.
+            # Without the gradient of the force's prior: its level is unknown, and would raise all participations.
             push = np.linalg.solve(precision, weight * (every @ left).astype(np.float64))
             pulls.append(weight * (jacobian @ left).astype(np.float64) - cross.T @ push)
         return np.array(pulls), curvature
 
     def _told(self, responses: Floats) -> Singles:
-        """Return the coefficients of responses that tell."""
+        """Return the informative coefficients of responses."""
         return np.ascontiguousarray(self.inversion.transformed(responses)[..., self.columns])
 
     def _responses(self, beam: Beam) -> Floats:
@@ -244,23 +246,23 @@ class System:
 
     def by_beams(self, sides: Callable[[int], tuple[Beam, Beam]], n: int, step: float) -> Callable[[int], Floats]:
         """Return the slopes of an impact in n parameters, from the beams a step above and below in each."""
-        # In double precision: a parameter that impacts hardly determine is a small difference of large numbers.
+        # In double precision: a poorly determined parameter is a small difference of large numbers.
         slopes = np.zeros((len(self.power), n, self.columns.size), np.float32)
         for number in range(n):
             for beam, sign in zip(sides(number), (1, -1), strict=True):
-                at = beam.weights(self.found.x, self.found.y)[0]
-                weights = (at[:, :, None] * self.found.coefficients[:, None]).reshape(len(at), -1).astype(np.float32)
+                at = beam.weights(self.inverted.x, self.inverted.y)[0]
+                weights = (at[:, :, None] * self.inverted.coefficients[:, None]).reshape(len(at), -1).astype(np.float32)
                 table = self._told(respond(beam, self.inversion.forces, self.inversion.n_samples))
                 slopes[:, number] += np.float32(sign / (2 * step)) * (weights @ table.reshape(-1, self.columns.size))
         return lambda row: slopes[row].astype(np.float64)
 
     def level(self, row: int) -> float:
         """Return the prior variance of the coefficients of one impact."""
-        return max(float(np.mean(np.square(self.found.coefficients[row]))), 1.0)
+        return max(float(np.mean(np.square(self.inverted.coefficients[row]))), 1.0)
 
     def nuisance(self, row: int) -> tuple[Singles, Floats, Singles, float]:
         """Return the directions of force and location of an impact, their precision, the residual, and the weight."""
-        force = self.found.coefficients[row]
+        force = self.inverted.coefficients[row]
         single = force.astype(np.float32)
         ways = np.tensordot(np.stack([at[row] for at in self.at]), self.table, 1) * self.root[row]
         ways[1:, 0] = single @ ways[1:]
@@ -268,28 +270,27 @@ class System:
         weight = 1 / max(float(np.mean(np.square(left))), 1.0)
         every = np.concatenate([ways[0], ways[1:, 0]])
         prior = np.diag(np.concatenate([np.full(force.size, 1 / self.level(row)), np.full(2, _PLACE_DEVIATION**-2)]))
-        # The level of the forces is unknown: their own prior would tell the size of a beam.
+        # The level of the forces is unknown: their prior would determine the size of a beam.
         along = force / max(float(np.linalg.norm(force)), 1e-300)
         prior[:-2, :-2] -= np.outer(along, along) / self.level(row)
-        exact = every.astype(np.float64)  # singles would leave a precision that is not positive
+        exact = every.astype(np.float64)  # in single precision it might not be positive
         return every, np.asarray(weight * (exact @ exact.T) + prior), left, weight
 
 
 def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -> Floats | None:
     """Return corrections in which some modes have moved to another local minimum; None if none improves."""
-    # Each mode is tried alone at frequencies all over its prior, while the other modes stay, and locations and forces
-    # follow.
+    # Each mode is tried by itself at frequencies over its prior; other modes are fixed, locations and forces adjust.
     active = system.active
     ratio = beam.modes.damping_ratio[active]
     widest = min(_WIDEST * float(deviation[0].max()), _WIDEST_SHARE)
     finest = max(_FINEST * float(np.median(ratio)), widest / 60)
     shifts = np.arange(-np.ceil(widest / finest), np.ceil(widest / finest) + 1) * finest
-    rows = range(min(len(system.power), _SOUGHT))
+    rows = range(min(len(system.power), _N_SEARCHED))
     parts = []
     for row in rows:
         every, precision, left, weight = system.nuisance(row)
         half = np.linalg.solve(np.linalg.cholesky(precision), np.sqrt(weight) * every).astype(np.float32)
-        single = system.found.coefficients[row].astype(np.float32)
+        single = system.inverted.coefficients[row].astype(np.float32)
         at = system.at[0][row][active]
         root = system.root[row]
         present = (single @ system.table[active]) * at[:, None] * root
@@ -316,10 +317,10 @@ def search_valleys(beam: Beam, now: Floats, deviation: Floats, system: System) -
         mode = active[number]
         if gain[number] < _MIN_GAIN:
             break
-        places = frequency[mode] + np.array([now[0, mode], shift[number]])
-        if abs(places[1] - places[0]) < finest or np.abs(np.subtract.outer(places, taken)).min(initial=np.inf) < _APART:
+        pair = frequency[mode] + np.array([now[0, mode], shift[number]])
+        if abs(pair[1] - pair[0]) < finest or np.abs(np.subtract.outer(pair, taken)).min(initial=np.inf) < _SEPARATION:
             continue
-        taken = np.append(taken, places)
+        taken = np.append(taken, pair)
         moved[:, mode] = 0.0
         moved[0, mode] = shift[number]
     return moved if taken.size else None

@@ -8,8 +8,8 @@ polynomial for everything else.
    the model; those that return from order to order are stable.
 2. From the poles of some orders maximum likelihood in white noise, the amplitudes projected out (Golub & Pereyra 1973),
    gives the estimates; Schwarz's criterion selects the order.
-3. Their covariance is the larger of the Cramer-Rao bound and of the scatter between single taps (Huber 1967), so that a
-   beam that changes from tap to tap does not look better known than it is.
+3. Their covariance is the larger of the Cramer-Rao bound and of the scatter between single taps (Huber 1967), so that
+standard deviations include changes of the beam from tap to tap.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from cgid.validation import Floats
 
 Complexes = NDArray[np.complex128]
 
-#: A band: width of its core over its frequency, and the most [Hz]; what is fitted beyond it on either side.
+#: A band: width of its core over its frequency, and its maximum [Hz]; extent fitted beyond it on either side.
 _WIDTH, _WIDEST, _MARGIN = 0.25, 500.0, 0.3
-#: Minimum number of bins of a band, and most: more samples or fewer are then transformed.
+#: Minimum and maximum number of bins of a band, which determine the number of samples transformed.
 _MIN_BINS, _MAX_BINS = 48, 400
-#: Degree of the polynomial for what rings outside of a band.
+#: Degree of the polynomial for modes outside of a band.
 _DEGREE = 8
-#: The band fills this share of the circle of the discrete model.
+#: The band fills this fraction of the circle of the discrete model.
 _CIRCLE = 0.85
-#: Damping ratios that are sought.
+#: Range of damping ratios.
 MIN_DAMPING, MAX_DAMPING = 2e-5, 0.15
-#: A pole is stable if it is no farther from one of the order before than this share of its distance from the axis, or
-#: of a bin.
+#: A pole is stable if its distance from one of the previous order is at most this fraction of its distance from the
+#: axis, or of a bin.
 _STABLE = 0.4
-#: Orders without a better fit that end the search, rounds of a fit, and the gain that ends it.
-_PATIENCE, _ROUNDS, _AT_REST = 4, 30, 1e-2
-#: Poles of least squares are refined if they are worth this share of their parameters.
+#: Number of orders without a better fit that ends the search, rounds of a fit, and the gain that ends it.
+_MAX_WORSE, _ROUNDS, _CONVERGED = 4, 30, 1e-2
+#: Poles of least squares are refined if their gain is this fraction of the cost of their parameters.
 _AT_FIRST = 0.25
-#: Known modes are in the background up to this many halves of a band from its middle.
+#: Modes of other bands are in the background up to this many half-widths of a band from its middle.
 _BEYOND = 3.0
-#: A band's energy has decayed where it is below this multiple of its end.
+#: A band's energy has decayed when it is below this multiple of its final value.
 _DECAYED = 1.5
-#: Poles are one mode if their frequencies are closer than this share of the wider's distance from the axis, and these
-#: distances differ by this factor; or if they lie within this share of it.
+#: Two poles are one mode if their frequencies are closer than this fraction of the wider's distance from the axis, and
+#: these distances differ by this factor; or if the poles are within this fraction of it.
 _ONE, _UNLIKE, _SAME = 0.6, 1.5, 0.3
-#: The largest relative deviation of the damping of a mode that is reported.
+#: Maximum relative standard deviation of the damping of a reported mode.
 _MAX_UNSURE = 0.35
 
 
@@ -71,7 +71,7 @@ class Poles:
 
     @property
     def damping_ratio(self) -> Floats:
-        """Shares of critical damping."""
+        """Fractions of critical damping."""
         return np.asarray(-self.pole.real / np.abs(self.pole))
 
 
@@ -83,8 +83,8 @@ def poles_of(
     progress: Callable[[int], object] | None = None,
 ) -> Poles:
     """Return the modes of some free decays (n_decays, n_samples) of one body, possibly none."""
-    # `band` [Hz] holds the lowest and highest natural frequency, `max_order` the largest number of modes in one of the
-    # bands that are fitted one by one. `progress` receives the percentage of the work added.
+    # `band` [Hz] is the lowest and highest natural frequency, `max_order` the maximum number of modes in one of the
+    # bands. `progress` receives the percentage of work done since the last call.
     decays = decays - decays.mean(axis=1, keepdims=True)
     fits, cores = [], list(_cores(band, decays.shape[1] / sampling_rate))
     for k, core in enumerate(cores):
@@ -92,17 +92,17 @@ def poles_of(
         if progress is not None:
             progress(100 * (k + 1) // len(cores) - 100 * k // len(cores))
     known = np.concatenate([fit.pole[fit.band.in_core(fit.pole)] for fit in fits])
-    # Once more, with the modes of other bands in the background: near the edge no polynomial follows a resonance.
-    found = [fit.band.reported(fit.band.again(fit, known)) for fit in fits]
+    # Again with the modes of other bands in the background: no polynomial follows a resonance near the edge.
+    reported = [fit.band.reported(fit.band.with_background(fit, known)) for fit in fits]
     charts = [fit.band.chart for fit in fits]
-    pole = np.concatenate([part.pole for part in found])
+    pole = np.concatenate([part.pole for part in reported])
     order = np.argsort(np.abs(pole))
     return Poles(
         pole=pole[order],
-        deviation=np.concatenate([part.deviation for part in found], axis=1)[:, order],
-        amplitude=np.concatenate([part.amplitude for part in found], axis=1)[:, order],
-        amplitude_deviation=np.concatenate([part.amplitude_deviation for part in found], axis=2)[..., order],
-        orders=np.concatenate([part.orders for part in found])[order],
+        deviation=np.concatenate([part.deviation for part in reported], axis=1)[:, order],
+        amplitude=np.concatenate([part.amplitude for part in reported], axis=1)[:, order],
+        amplitude_deviation=np.concatenate([part.amplitude_deviation for part in reported], axis=2)[..., order],
+        orders=np.concatenate([part.orders for part in reported])[order],
         chart=np.concatenate(charts),
     )
 
@@ -128,11 +128,11 @@ class _Band:
         self.core, self.step = core, 1 / sampling_rate
         margin = _MARGIN * (core[1] - core[0])
         low, high = max(core[0] - margin, 0.3 * core[0]), min(core[1] + margin, 0.497 * sampling_rate)
-        self.n_samples = _n_ringing(decays, sampling_rate, (low, high))
+        self.n_samples = _decay_length(decays, sampling_rate, (low, high))
         spectrum = np.fft.rfft(decays[:, : self.n_samples], axis=1).T / np.sqrt(self.n_samples)
         frequency = np.fft.rfftfreq(self.n_samples, self.step)
-        kept = np.flatnonzero((frequency >= low) & (frequency <= high))
-        self.line, self.bins = 2 * np.pi * frequency[kept], spectrum[kept]
+        selected = np.flatnonzero((frequency >= low) & (frequency <= high))
+        self.line, self.bins = 2 * np.pi * frequency[selected], spectrum[selected]
         self.centre, self.half = np.pi * (low + high), np.pi * (high - low)
         self.background = np.polynomial.chebyshev.chebvander((self.line - self.centre) / self.half, _DEGREE)
         self.chart = np.empty((0, 4))
@@ -140,7 +140,7 @@ class _Band:
     # -- least squares at every order ---------------------------------------------------------------------
 
     def starts(self, max_order: int) -> list[Complexes]:
-        """Return sets of poles to start from, of every order from 1 on, and hold the chart."""
+        """Return initial sets of poles of every order from 1 on, and store the stabilisation chart."""
         angle = _CIRCLE * np.pi * (self.line - self.centre) / self.half
         largest = min(max_order, self.line.size // 4)
         powers = np.exp(1j * np.outer(angle, np.arange(largest + 1)))
@@ -160,8 +160,8 @@ class _Band:
 
     def _roots(self, powers: Complexes) -> tuple[Complexes, Complexes]:
         """Return the poles of one order [1/s]: least squares of `denominator bins - numerators`, twice."""
-        # With 1 as the lowest coefficient, poles due to noise grow and are dropped (Cauberghe et al. 2005), but in much
-        # noise others are, too. With 1 as the highest, all decay.
+        # With 1 as the lowest coefficient, poles due to noise grow and are dropped (Cauberghe et al. 2005), but so are
+        # others in strong noise. With 1 as the highest, all decay.
         basis = np.linalg.qr(powers)[0]
         n = powers.shape[1]
         matrix = np.zeros((n, n), complex)
@@ -169,15 +169,15 @@ class _Band:
             decays = decay[:, None] * powers
             decays = decays - basis @ (basis.conj().T @ decays)
             matrix += decays.conj().T @ decays
-        found = []
+        poles = []
         for fixed in (0, n - 1):
             free = np.delete(np.arange(n), fixed)
-            rest = np.linalg.lstsq(matrix[np.ix_(free, free)], -matrix[free, fixed], rcond=None)[0]
-            roots = np.roots(np.insert(rest, fixed, 1.0)[::-1])
+            free_coefficients = np.linalg.lstsq(matrix[np.ix_(free, free)], -matrix[free, fixed], rcond=None)[0]
+            roots = np.roots(np.insert(free_coefficients, fixed, 1.0)[::-1])
             roots = roots[(np.abs(roots) > 1e-12) & np.isfinite(roots)]
             pole = 1j * self.centre + self.half * np.log(roots) / (_CIRCLE * np.pi)
-            found.append(pole[self._are_inside(pole)])
-        return found[0], found[1]
+            poles.append(pole[self._are_inside(pole)])
+        return poles[0], poles[1]
 
     def _are_inside(self, pole: Complexes) -> NDArray[np.bool_]:
         """Return which poles can be modes in or near the band."""
@@ -200,16 +200,16 @@ class _Band:
                 best, worse = fit, 0
             else:
                 worse += 1
-            if worse == _PATIENCE:
+            if worse == _MAX_WORSE:
                 break
         return best
 
-    def again(self, fit: _Fit, known: Complexes) -> _Fit:
-        """Return a fit with known modes beyond the band, from what was fitted without."""
+    def with_background(self, fit: _Fit, known: Complexes) -> _Fit:
+        """Return a fit with the modes beyond the band in the background, from a fit without."""
         outside = np.abs(known.imag - self.centre) / self.half
         beyond = known[(outside > 1) & (outside < _BEYOND)]
-        apart = np.abs(beyond[:, None] - fit.pole).min(axis=1, initial=np.inf)
-        beyond = beyond[apart > -2 * beyond.real]
+        distance = np.abs(beyond[:, None] - fit.pole).min(axis=1, initial=np.inf)
+        beyond = beyond[distance > -2 * beyond.real]
         inverse = 1 / (1j * self.line[:, None] - beyond)
         self.background = np.concatenate([self.background, inverse / np.linalg.norm(inverse, axis=0)], axis=1)
         return self._joined(self._pruned(_refined(_Fit(self, fit.pole))))
@@ -220,24 +220,24 @@ class _Band:
         return np.asarray((frequency >= self.core[0]) & (frequency < self.core[1]))
 
     def _joined(self, fit: _Fit) -> _Fit:
-        """Return a fit with one pole for each pair that is one mode which does not decay exponentially."""
-        # A mode in a joint that slips looks like two at one frequency with different dampings. Half of their difference
-        # is added to the deviations.
+        """Return a fit with one pole for each pair that is a single mode with non-exponential decay."""
+        # A mode with a slipping joint looks like two at one frequency with different damping. Half of the difference is
+        # added to the standard deviations.
         while (pair := _double(fit.pole)) is not None:
             gain = fit.gains()
-            weak, kept = sorted(pair, key=lambda k: gain[k])
-            apart = (fit.pole[weak] - fit.pole[kept]) / 2
-            fit.blur[kept] += abs(apart.real) + 1j * abs(apart.imag)
+            weak, selected = sorted(pair, key=lambda k: gain[k])
+            distance = (fit.pole[weak] - fit.pole[selected]) / 2
+            fit.blur[selected] += abs(distance.real) + 1j * abs(distance.imag)
             fit = self._pruned(_refined(fit.without(weak)))
         return fit
 
-    def _pruned(self, fit: _Fit, share: float = 1.0, *, refine: bool = True) -> _Fit:
-        """Return a fit without the poles that gain less than a share of what their parameters cost."""
+    def _pruned(self, fit: _Fit, fraction: float = 1.0, *, refine: bool = True) -> _Fit:
+        """Return a fit without the poles that gain less than a fraction of the cost of their parameters."""
         while fit.pole.size:
             inside = self._are_inside(fit.pole)
             gain = np.where(inside, fit.gains(), 0.0)
             worst = int(np.argmin(gain))
-            if gain[worst] > share * fit.price:
+            if gain[worst] > fraction * fit.price:
                 return fit
             fit = fit.without(worst)
             fit = _refined(fit) if refine else fit
@@ -247,23 +247,23 @@ class _Band:
         """Return the modes of a fit in the core of the band."""
         frequency = np.abs(fit.pole) / (2 * np.pi)
         deviation = fit.deviation()
-        kept = self.in_core(fit.pole) & ((deviation[1] < _MAX_UNSURE) | (fit.blur != 0))
+        selected = self.in_core(fit.pole) & ((deviation[1] < _MAX_UNSURE) | (fit.blur != 0))
         amplitude, variance = fit.amplitudes(self.step)
-        near = np.abs(np.log(self.chart[:, 1][:, None] / frequency[kept])) < np.maximum(
-            0.5 * -fit.pole.real[kept] / np.abs(fit.pole[kept]), 1e-3
+        near = np.abs(np.log(self.chart[:, 1][:, None] / frequency[selected])) < np.maximum(
+            0.5 * -fit.pole.real[selected] / np.abs(fit.pole[selected]), 1e-3
         )
         return Poles(
-            pole=fit.pole[kept],
-            deviation=deviation[:, kept],
-            amplitude=amplitude[:, kept],
-            amplitude_deviation=variance[..., kept],
+            pole=fit.pole[selected],
+            deviation=deviation[:, selected],
+            amplitude=amplitude[:, selected],
+            amplitude_deviation=variance[..., selected],
             orders=np.array([np.unique(self.chart[row, 0]).size for row in near.T], np.intp),
             chart=np.empty((0, 4)),
         )
 
 
-def _n_ringing(decays: Floats, sampling_rate: float, band: tuple[float, float]) -> int:
-    """Return over how many samples a band rings: later ones hold nothing but noise, and cost time."""
+def _decay_length(decays: Floats, sampling_rate: float, band: tuple[float, float]) -> int:
+    """Return the number of samples after which a band has decayed into noise."""
     n = decays.shape[1]
     spectrum = np.fft.fft(decays, axis=1)
     frequency = np.fft.fftfreq(n, 1 / sampling_rate)
@@ -273,15 +273,15 @@ def _n_ringing(decays: Floats, sampling_rate: float, band: tuple[float, float]) 
     level = power[: n // count * count].reshape(-1, count).mean(axis=1)
     over = np.flatnonzero(level > _DECAYED * np.median(level[-max(level.size // 8, 1) :]))
     width = band[1] - band[0]
-    fewest, most = (int(np.ceil(bins * sampling_rate / width)) for bins in (_MIN_BINS, _MAX_BINS))
-    ringing = int(1.2 * count * (over[-1] + 1)) if over.size else 0
-    return int(min(max(ringing, fewest), max(most, fewest), n))
+    min_samples, max_samples = (int(np.ceil(bins * sampling_rate / width)) for bins in (_MIN_BINS, _MAX_BINS))
+    needed = int(1.2 * count * (over[-1] + 1)) if over.size else 0
+    return int(min(max(needed, min_samples), max(max_samples, min_samples), n))
 
 
 class _Fit:
-    """Poles in a band, with the amplitudes that follow."""
+    """Poles in a band, with their amplitudes."""
 
-    # `pole` (n_poles,) [1/s]; `blur` (n_poles,): further deviations where a mode does not decay exponentially;
+    # `pole` (n_poles,) [1/s]; `blur` (n_poles,): additional standard deviations of modes with non-exponential decay;
     # `coefficients` (n_poles + background, n_decays); `left` (n_bins, n_decays): residual; `power`: its sum of squares.
 
     def __init__(self, band: _Band, pole: Complexes, blur: Complexes | None = None) -> None:
@@ -298,31 +298,31 @@ class _Fit:
         self.power = float(np.sum(np.square(np.abs(self.left))))
 
     def without(self, k: int) -> _Fit:
-        """Return the fit without one pole, the others where they are."""
+        """Return the fit without one pole, the others unchanged."""
         return _Fit(self.band, np.delete(self.pole, k), np.delete(self.blur, k))
 
     def is_near(self, pole: Complexes) -> bool:
-        """Return whether some poles are as many as the fit's, and as near as poles of stable modes."""
+        """Return whether some poles are as many as the fit's, and as close as poles of stable modes."""
         if pole.size != self.pole.size:
             return False
-        apart = np.abs(np.sort_complex(pole * -1j) - np.sort_complex(self.pole * -1j))
-        return bool(np.all(apart < _STABLE * np.abs(np.sort_complex(self.pole * -1j).imag)))
+        distance = np.abs(np.sort_complex(pole * -1j) - np.sort_complex(self.pole * -1j))
+        return bool(np.all(distance < _STABLE * np.abs(np.sort_complex(self.pole * -1j).imag)))
 
     @property
     def freedom(self) -> float:
-        """Complex degrees of freedom of what is left."""
+        """Complex degrees of freedom of the residual."""
         n_bins, n_decays = self.band.bins.shape
         return float(max(n_decays * (n_bins - self.basis.shape[1]) - self.pole.size, 1))
 
     @property
     def price(self) -> float:
-        """Gain in twice the log likelihood that a further pole must bring (Schwarz 1978)."""
+        """Minimum gain in twice the log-likelihood of a further pole (Schwarz 1978)."""
         n_bins, n_decays = self.band.bins.shape
         return float(2 * (1 + n_decays) * np.log(2 * n_bins * n_decays))
 
     @property
     def criterion(self) -> float:
-        """Schwarz's criterion, but for a constant; less is better."""
+        """Schwarz's criterion, up to a constant; less is better."""
         number = 2 * self.band.bins.size
         return float(number * np.log(max(self.power, 1e-300)) + self.pole.size * self.price)
 
@@ -332,7 +332,7 @@ class _Fit:
         return self.power / self.freedom
 
     def gains(self) -> Floats:
-        """Return what twice the log likelihood would lose without each pole, (n_poles,)."""
+        """Return the loss of twice the log-likelihood without each pole, (n_poles,)."""
         row_norms = np.square(np.abs(self.inverse)).sum(axis=1)[: self.pole.size]
         power = np.square(np.abs(self.coefficients[: self.pole.size])).sum(axis=1)
         return np.asarray(2 * power / row_norms / max(self.noise, 1e-300))
@@ -349,7 +349,7 @@ class _Fit:
         return np.concatenate([slopes, 1j * slopes])
 
     def equations(self) -> tuple[Floats, Floats]:
-        """Return the curvature (n, n) of the poles' parts and the pull of each decay (n_decays, n)."""
+        """Return the curvature (n, n) in the poles' parts and the gradient of each decay (n_decays, n)."""
         slopes = self.jacobian()
         flat = slopes.reshape(len(slopes), -1)
         curvature = (flat.conj() @ flat.T).real
@@ -384,12 +384,12 @@ class _Fit:
         return out
 
     def amplitudes(self, step: float) -> tuple[Complexes, Floats]:
-        """Return the amplitudes of the decays at their first sample, and their deviations as in `Poles`."""
+        """Return the amplitudes of the decays at their first sample, and their standard deviations as in `Poles`."""
         n, band = self.pole.size, self.band
         if not n:
             return np.empty((band.bins.shape[1], 0), complex), np.empty((2, band.bins.shape[1], 0))
-        # A sum over n samples of exp(s t) is (1 - exp(s n step)) / (1 - exp((s - j w) step)), near w = Im s it is
-        # (1 - exp(s n step)) / ((j w - s) step) and something smooth. Half of a cosine is in its mirror image.
+        # A sum over n samples of exp(s t) is (1 - exp(s n step)) / (1 - exp((s - j w) step)), near w = Im s it is (1 -
+        # exp(s n step)) / ((j w - s) step) plus a smooth term. Half of a cosine is in its mirror image.
         factor = 2 * step * np.sqrt(band.n_samples) / (1 - np.exp(self.pole * band.n_samples * step))
         variance = self.noise * np.square(np.abs(self.inverse)).sum(axis=1)[:n]
         moved = self.inverse @ (self.q.conj().T @ self._bends())
@@ -405,7 +405,7 @@ class _Fit:
 
 
 def _double(pole: Complexes) -> tuple[int, int] | None:
-    """Return two poles that are the same, or at nearly one frequency with different dampings, if there are such."""
+    """Return two poles that coincide, or have nearly one frequency and different damping; None without any."""
     for k in range(pole.size):
         for other in range(k):
             wide, narrow = sorted((-pole[k].real, -pole[other].real), reverse=True)
@@ -416,7 +416,7 @@ def _double(pole: Complexes) -> tuple[int, int] | None:
 
 
 def _refined(fit: _Fit) -> _Fit:
-    """Return the fit of maximum likelihood near a fit."""
+    """Return the maximum-likelihood fit near a fit."""
     band, n = fit.band, fit.pole.size
     if not n:
         return fit
@@ -432,8 +432,8 @@ def _refined(fit: _Fit) -> _Fit:
         return np.clip(parts + step, middle - beyond, np.where(middle > 0, middle + beyond, -1e-9 * band.centre))
 
     start = np.concatenate([fit.pole.real, fit.pole.imag])[None]
-    found = least_squares(start, equations, moved, np.array([_AT_REST * fit.noise]), _ROUNDS)[0][0]
-    return _Fit(band, found[:n] + 1j * found[n:], fit.blur)
+    best = least_squares(start, equations, moved, np.array([_CONVERGED * fit.noise]), _ROUNDS)[0][0]
+    return _Fit(band, best[:n] + 1j * best[n:], fit.blur)
 
 
 def _inverse(matrix: Floats) -> Floats:

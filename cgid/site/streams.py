@@ -1,8 +1,8 @@
-"""Simulated streams of a scene: rows of impacts as the detector finds them, and the answers of a model to their rocks.
+"""Simulated streams of a scene: rows of detected impacts, and the predictions of a model for their rocks.
 
-In a stream an impact follows others that still ring, overlaps with them, and most rocks bounce. So a model of
-acceleration also trains on streams (`rows_of_streams`), and is finished on others (`finished`): they determine its
-novelty limit and its confusion of rocks.
+In a
+stream an impact overlaps with others or their ring-down, and most rocks bounce. So a model of acceleration also trains
+on streams (`rows_of_streams`), and others (`finished`) determine its novelty limit and its confusion of rocks.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from cgid.scene.sections import rows_of
 from cgid.scene.stream import record
 from cgid.scene.through_beam import full_beam, has_beam, spread_over
 from cgid.validation import Floats
-from cgid.workers import ALONE, Workers
+from cgid.workers import SERIAL, Workers
 
 #: Length of a simulated stream [s].
 DURATION = 60.0
-#: Rocks a second and the density of the noise are those of the scene times a factor within these, log-uniform; the
-#: noise only in every other stream (assumed).
+#: Range of log-uniform factors of the scene's rate of rocks and density of noise; the latter only in every other stream
+#: (assumed).
 _RATES, _NOISES = (0.5, 1.5), (0.3, 10.0)
-#: A found impact belongs to the strongest impact that touches from this long before it to this long after it [s].
+#: A detected impact belongs to the strongest impact with an onset from this long before to this long after it [s].
 _BEFORE, _AFTER = 4e-3, 1.5e-3
-#: Impacts found a rock, about; and streams, at least, to train on and to finish with.
+#: Approximate number of detected impacts per rock; minimum number of streams for training and for finishing.
 _IMPACTS_A_ROCK, _MIN_STREAMS = 1.6, 8
-#: This share of the impacts in streams of its own is unknown to a model by its last guard.
+#: Fraction of the impacts in its own streams that the last guard of a model rejects.
 UNKNOWN_SHARE = 0.035
 
 
@@ -52,10 +52,10 @@ UNKNOWN_SHARE = 0.035
 class StreamRows:
     """The measured impacts of a simulated stream."""
 
-    rows: Rows  # without those that cannot be measured, or belong to no impact
-    n_found: int  # impacts found
+    rows: Rows  # only measurable ones that belong to an impact
+    n_detected: int  # number of detected impacts
     n_rocks: tuple[int, int]  # rocks of each of the two labels, in alphabetical order
-    share: float  # of the second label among the rocks that may come
+    fraction: float  # of the second label among the rocks that may come
 
 
 def labels_of(scene: Scene) -> tuple[str, ...]:
@@ -64,12 +64,12 @@ def labels_of(scene: Scene) -> tuple[str, ...]:
 
 
 def is_streamable(scene: Scene) -> bool:
-    """Return whether a model can be finished on streams of a scene: it has a stream, a beam and two labels."""
+    """Return whether a model can be finished on streams of a scene, which needs a stream, a beam and two labels."""
     return scene.stream is not None and has_beam(scene) and len(labels_of(scene)) == 2
 
 
 def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
-    """Return streams like that of a scene, each with a constant mixture, and with other rates, locations and noises."""
+    """Return variations of the stream of a scene, each with a constant mixture, other rates, locations and noise."""
     # Fractions of the second label fill 0 to 1 evenly. Uncertain modes are sampled for each stream.
     if scene.stream is None or len(labels_of(scene)) != 2:
         raise InvalidValue(
@@ -77,16 +77,16 @@ def variations(scene: Scene, n_streams: int, seed: int) -> list[Scene]:
             f"{', '.join(labels_of(scene))}"
         )
     rng = np.random.default_rng([seed, n_streams])
-    shares = rng.permutation((np.arange(n_streams) + rng.random(n_streams)) / n_streams)
-    return [_variation(scene, number, float(share), rng) for number, share in enumerate(shares)]
+    fractions = rng.permutation((np.arange(n_streams) + rng.random(n_streams)) / n_streams)
+    return [_variation(scene, number, float(fraction), rng) for number, fraction in enumerate(fractions)]
 
 
-def _variation(scene: Scene, number: int, share: float, rng: np.random.Generator) -> Scene:
+def _variation(scene: Scene, number: int, fraction: float, rng: np.random.Generator) -> Scene:
     content = json.loads(scene.text)
     stream, sensor = content["stream"], content["sensor"]
     stream["duration"] = DURATION
     stream["arrivals"] = {"rate": _rate_of(scene) * _factor(rng, _RATES)}
-    stream["mixture"] = {"times": [0.0], labels_of(scene)[1]: [share]}
+    stream["mixture"] = {"times": [0.0], labels_of(scene)[1]: [fraction]}
     factor = _factor(rng, _NOISES)
     if number % 4 >= 2 and sensor.get("noise_density"):
         sensor["noise_density"] *= factor
@@ -94,13 +94,13 @@ def _variation(scene: Scene, number: int, share: float, rng: np.random.Generator
         spread_over(content["tail_beam"])
     learned = None if scene.tail_beam is None else scene.tail_beam.learned_modes
     if learned is not None and learned.deviation is not None:
-        modes = learned.drawn(ndtri(rng.uniform(2.0**-54, 1, learned.deviation.shape)))
+        modes = learned.sampled(ndtri(rng.uniform(2.0**-54, 1, learned.deviation.shape)))
         content["tail_beam"]["learned"] = rows_of(modes)
     return parse_scene(content | {"name": f"{scene.name}, stream {number}"})
 
 
 def _rate_of(scene: Scene) -> float:
-    """Return the mean number of rocks a second [Hz]."""
+    """Return the mean number of rocks per second [Hz]."""
     assert scene.stream is not None
     arrivals = scene.stream.arrivals
     if arrivals.rate is None:
@@ -119,16 +119,16 @@ def rows_of_streams(
     beam: Beam,
     *,
     progress: Callable[[int], object] | None = None,
-    workers: Workers = ALONE,
+    workers: Workers = SERIAL,
 ) -> list[StreamRows]:
-    """Simulate streams, such as `variations`, and measure features and guards of what the detector finds in them."""
-    found = []
+    """Simulate streams, such as `variations`, and measure features and guards of the detected impacts."""
+    simulated = []
     with closing(workers.each(_measured, (seed, names, beam), enumerate(scenes))) as streams:
         for stream in streams:
-            found.append(stream)
+            simulated.append(stream)
             if progress is not None:
                 progress(1)
-    return found
+    return simulated
 
 
 def _measured(settings: tuple[int, tuple[str, ...], Beam], numbered: tuple[int, Scene]) -> StreamRows:
@@ -139,38 +139,38 @@ def _measured(settings: tuple[int, tuple[str, ...], Beam], numbered: tuple[int, 
     with threadpool_limits(1):
         features = _features(events, names, beam)
     time = np.array([event.time for event in events])
-    blow = _blow_of(time, truth["time"], truth["peak_force"])
-    kept = np.isfinite(features).all(axis=1) & (blow >= 0) & np.array([not event.problem for event in events])
+    impact = _impact_of(time, truth["time"], truth["peak_force"])
+    is_known = np.isfinite(features).all(axis=1) & (impact >= 0) & np.array([not event.problem for event in events])
     first = truth["bounce"] == 0
     labels = labels_of(scene)
     counts = [int(np.sum(truth["label"][first] == label)) for label in labels]
     rows = Rows(
         names=names,
-        features=features[kept],
-        labels=truth["label"][blow[kept]].astype(str),
-        group=truth["specimen"][blow[kept]],
-        source=np.zeros(int(kept.sum()), np.intp),
+        features=features[is_known],
+        labels=truth["label"][impact[is_known]].astype(str),
+        group=truth["specimen"][impact[is_known]],
+        source=np.zeros(int(is_known.sum()), np.intp),
         sources=(scene.sha256,),
         digests=(scene.sha256,),
-        known=np.empty((int(kept.sum()), 0)),
+        known=np.empty((int(is_known.sum()), 0)),
         unit=str(signal.unit),
         sampling_rates=(signal.sampling_rate, signal.sampling_rate),
-        time=time[kept],
+        time=time[is_known],
         beam=beam,
-        left_out=int((~kept).sum()),
+        left_out=int((~is_known).sum()),
     )
-    share = _share_of(scene, labels[1])
-    return StreamRows(rows=rows, n_found=len(events), n_rocks=(counts[0], counts[1]), share=share)
+    fraction = _share_of(scene, labels[1])
+    return StreamRows(rows=rows, n_detected=len(events), n_rocks=(counts[0], counts[1]), fraction=fraction)
 
 
 def _share_of(scene: Scene, label: str) -> float:
-    """Return the mean share of a label in the mixture of a stream."""
+    """Return the mean fraction of a label in the mixture of a stream."""
     assert scene.stream is not None and scene.stream.mixture is not None
     return float(np.mean(scene.stream.mixture.shares[label]))
 
 
 def _features(events: Sequence[Event], names: tuple[str, ...], beam: Beam) -> Floats:
-    """Return the features of found impacts, (n, n_names); nan where one cannot be measured."""
+    """Return the features of detected impacts, (n, n_names); nan if one cannot be measured."""
     features = np.full((len(events), len(names)), np.nan)
     for numbers, frames in frames_alike(events):
         event = events[numbers[0]]
@@ -186,15 +186,15 @@ def _features(events: Sequence[Event], names: tuple[str, ...], beam: Beam) -> Fl
     return features
 
 
-def _blow_of(found: Floats, touch: Floats, peak: Floats) -> NDArray[np.intp]:
-    """Return the number of the impact that each found impact belongs to, -1 for none, (n,)."""
-    first, last = np.searchsorted(touch, found - _BEFORE), np.searchsorted(touch, found + _AFTER)
-    blows = [a + int(np.argmax(peak[a:b])) if b > a else -1 for a, b in zip(first, last, strict=True)]
-    return np.array(blows, np.intp)
+def _impact_of(detected: Floats, onset: Floats, peak: Floats) -> NDArray[np.intp]:
+    """Return the number of the true impact of each detected one, -1 for none, (n,)."""
+    first, last = np.searchsorted(onset, detected - _BEFORE), np.searchsorted(onset, detected + _AFTER)
+    numbers = [a + int(np.argmax(peak[a:b])) if b > a else -1 for a, b in zip(first, last, strict=True)]
+    return np.array(numbers, np.intp)
 
 
 def numbers_of_streams(scene: Scene, n_impacts: int) -> tuple[int, int]:
-    """Return how many streams of a scene hold about `n_impacts` to train on, and how many finish the model."""
+    """Return how many streams of a scene contain about `n_impacts` for training, and how many finish the model."""
     each = _IMPACTS_A_ROCK * _rate_of(scene) * DURATION
     n_streams = max(math.ceil(n_impacts / each), _MIN_STREAMS)
     return n_streams, max(n_streams // 3, _MIN_STREAMS)
@@ -206,7 +206,7 @@ def train_on_streams(
     seed: int = 0,
     *,
     progress: Callable[[int], object] | None = None,
-    workers: Workers = ALONE,
+    workers: Workers = SERIAL,
     **settings: Any,
 ) -> Training:
     """Train a model on about `n_impacts` from simulated streams of a scene, test it, and finish it on other streams."""
@@ -222,11 +222,11 @@ def train_on_streams(
 
 
 def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
-    """Return a model with its confusion of rocks in streams that did not train it, which it takes for its own."""
+    """Return a model with the confusion of rocks estimated in streams that did not train it."""
     rows = Rows.joined([stream.rows for stream in streams])
-    found = sum(stream.n_found for stream in streams)
-    left = max(1 - UNKNOWN_SHARE * found / len(rows.labels), 0.0)
-    # Tighter than in the training, whose rows of streams reach far: another beam must be unknown, too.
+    n_detected = sum(stream.n_detected for stream in streams)
+    left = max(1 - UNKNOWN_SHARE * n_detected / len(rows.labels), 0.0)
+    # Tighter than in the training, whose streams vary widely: impacts on another beam must be unknown, too.
     last = model.guards[-1]
     limit = max(float(np.quantile(rows.columns((last,)), left)), MIN_LIMITS.get(last, 0.0))
     model = replace(model, guard_limits=(*model.guard_limits[:-1], limit))
@@ -234,10 +234,10 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
     confusion = Confusion.of_streams(answered)
     if confusion is None:
         return model
-    unknown = 1 - sum(int(np.isfinite(one.logits).sum()) for one in answered) / found
+    unknown = 1 - sum(int(np.isfinite(one.logits).sum()) for one in answered) / n_detected
     summary = {
         "n_streams": len(streams),
-        "n_found": found,
+        "n_found": n_detected,
         "unknown_share": unknown,
         "answers_a_rock": dict(zip(model.labels, confusion.rates.sum(axis=1).tolist(), strict=True)),
         "overdispersion": confusion.overdispersion,
@@ -247,7 +247,7 @@ def finished(model: Model, streams: Sequence[StreamRows]) -> Model:
 
 
 def _answered(model: Model, stream: StreamRows) -> StreamAnswers:
-    """Return what a model answers to a stream."""
+    """Return the predictions of a model for a stream."""
     rows = stream.rows
     inputs = rows.inputs(model.features)
     logits = logit(model.probabilities(inputs)[:, 1])
@@ -257,5 +257,5 @@ def _answered(model: Model, stream: StreamRows) -> StreamAnswers:
         second=np.asarray(rows.labels == model.labels[1]),
         time=rows.time,
         n_rocks=stream.n_rocks,
-        share=stream.share,
+        share=stream.fraction,
     )

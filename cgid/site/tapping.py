@@ -25,27 +25,27 @@ from cgid.terminal import counted
 from cgid.units import UNITS, quantity_of
 from cgid.validation import Floats
 
-#: How long a hammer stays on where no hammer channel says it, and after its force has gone [s]: its filter rings.
+#: Contact time of a hammer without a hammer channel, and the ringing of its filter after the force has ended [s].
 CONTACT, _AFTER = 2e-3, 0.5e-3
-#: A tap ends so long before the onset of the next [s]: an onset may be found late.
+#: A tap ends this long before the onset of the next [s], since an onset may be detected late.
 _BEFORE_NEXT = 1e-3
 #: An impact makes the second differences of a response grow this many times within this time [s].
 _JUMP, _JUMP_TIME = 3.0, 2e-3
 #: Two impacts within this time are a double tap [s].
 DOUBLE = 0.1
-#: Shortest decay [s], and its least part of the median one.
+#: Minimum length of a decay [s], and relative to the median one.
 SHORTEST, _MIN_PART = 30e-3, 0.5
-#: Longest decay that is used [samples].
+#: Maximum length of a decay [samples].
 _LONGEST = 1 << 18
-#: A clipped response holds its extreme for three samples, at least at this share of the largest deviation.
+#: A clipped response stays at its extreme for three samples, at least at this fraction of the largest deviation.
 _CLIPPED_SHARE = 0.5
-#: Whether a recording is one of taps at all shows in this time [s].
+#: Time within which a recording must show taps [s].
 _LOOK = 60.0
-#: A tap of a table is the one found within this time [s].
+#: Listed and detected taps match within this time [s].
 _NEAR = 0.1
 #: Lowest natural frequency in periods of a decay, highest in sampling rates.
 _PERIODS, _HIGHEST = 5.0, 0.4
-#: Participations are at least this, so that masses are finite.
+#: Minimum participation, so that masses are finite.
 _LEAST = 1e-12
 #: Largest table of taps [bytes].
 _MAX_FILE_SIZE = 1 << 20
@@ -53,7 +53,7 @@ _MAX_FILE_SIZE = 1 << 20
 
 @dataclass(frozen=True, kw_only=True)
 class Tap:
-    """A tap in a recording.
+    """A hammer tap in a recording.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Tap:
     start, stop : int
         Samples of its free decay.
     flaw : str
-        Why it is not used; empty if it is.
+        Why it is not used; empty if used.
     """
 
     time: float
@@ -73,19 +73,20 @@ class Tap:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TapTest:
-    """Modes of a beam from taps.
+    """Modes of a beam from a tap test.
 
     Attributes
     ----------
     modes : Modes
-        With deviations, by ascending frequency. Only their participation at the first sensor is known, so that shapes
-        are those of taps next to it. Without a hammer their scale is unknown: participations are over the largest.
+        With standard deviations, by ascending frequency. Only the participation at the first sensor is known, so that
+        shapes are those of taps next to it. Without a hammer channel the scale is unknown: participations are over the
+        largest.
     taps : tuple of Tap
         In order of time.
     duration : float [s]
-        Of each decay that was used.
+        Of each used decay.
     band : tuple of float [Hz]
-        In which modes were sought.
+        Range of the natural frequencies.
     poles : Poles
     """
 
@@ -97,14 +98,14 @@ class TapTest:
 
     @property
     def used(self) -> list[Tap]:
-        """The taps whose decays were used."""
+        """The taps with used decays."""
         return [tap for tap in self.taps if not tap.flaw]
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the modes as a table that `tail_beam.modes` of a scene reads, and `tail_beam.learned` beside it.
+        """Write the modes as a table for `tail_beam.modes` of a scene, and `tail_beam.learned` next to it.
 
         Only the participation is known. The shapes are 1 and 1 or -1, and the modal mass is the inverse of its size:
-        right for taps next to the sensor, elsewhere a guess of the beam's compliance.
+        correct for taps next to the sensor, elsewhere a guess of the beam's compliance.
         """
         participation = self.modes.participation()
         learned = self.modes.columns | {"participation": np.ones_like(participation)}
@@ -121,13 +122,13 @@ class TapTest:
 
 
 def save_learned(modes: Modes, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write the modes of a scene, as taps corrected them, as a table for `tail_beam.learned`."""
+    """Write the modes of a scene, corrected by taps, as a table for `tail_beam.learned`."""
     return _save(path, modes.columns, "a line for each mode of the scene, in its order", overwrite)
 
 
 def _save(path: str | Path, columns: dict[str, Floats], note: str, overwrite: bool) -> Path:
     path = check_new(Path(path), "a table of modes", (".csv",), overwrite=overwrite)
-    text = f"# Written by cgid tap: {note}; deviations are those of logarithms\n{text_of_table(columns)}"
+    text = f"# Written by cgid tap: {note}; deviations are standard deviations of logarithms\n{text_of_table(columns)}"
     write_whole(path, text.encode(), overwrite=overwrite)
     return path
 
@@ -145,7 +146,7 @@ def tap_test(
     source: str = "signal",
     progress: Callable[[int], object] | None = None,
 ) -> TapTest:
-    """Return the modes of a beam from a recording of taps on it.
+    """Return the modes of a beam from a recording of hammer taps on it.
 
     Parameters
     ----------
@@ -159,9 +160,9 @@ def tap_test(
     band : tuple of float, optional [Hz]
         Lowest and highest natural frequency; by default five periods of a decay, and 0.4 of the sampling rate.
     max_order : int
-        Largest number of modes in each of the narrow bands that are fitted one by one.
+        Maximum number of modes in each of the narrow bands that are fitted one by one.
     contact : float [s]
-        How long the hammer stays on, where there is no hammer channel.
+        Contact time of the hammer, if there is no hammer channel.
     times : sequence of float, optional [s]
         Use only the taps at these times.
     source : str
@@ -178,7 +179,7 @@ def tap_test(
     InvalidValue
         A number breaks its rule.
     BadData
-        There is no usable tap, or no mode rings after it; the message says why.
+        There is no usable tap, or no mode after it; the message gives the reason.
     """
     quantity = validation.choice("quantity", quantity, tuple(DERIVATIVES))
     max_order = validation.count("max_order", max_order)
@@ -188,20 +189,20 @@ def tap_test(
         force, hits = _force(hammer, sampling_rate, source)
     events = hits if hits is not None else _events(response, sampling_rate, times is None, source)
     taps = _judged(response, sampling_rate, events, contact, times, source)
-    kept = [tap for tap in taps if not tap.flaw]
-    if not kept:
-        raise BadData(f"{source}: at least one tap must be usable, of {_listed(taps)}; {_cure(taps)}")
-    length = min(min(tap.stop - tap.start for tap in kept), _LONGEST)
+    used = [tap for tap in taps if not tap.flaw]
+    if not used:
+        raise BadData(f"{source}: at least one tap must be usable, of {_listed(taps)}; {_hint(taps)}")
+    length = min(min(tap.stop - tap.start for tap in used), _LONGEST)
     low, high = _band(band, length / sampling_rate, sampling_rate, source)
-    decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in kept])
+    decays = np.stack([row[tap.start : tap.start + length] for row in response for tap in used])
     poles = poles_of(decays, sampling_rate, (low, high), max_order, progress)
     if not poles.pole.size:
         raise BadData(
-            f"{source}: a mode must ring after the taps, none is found between {low:.4g} and {high:.4g} Hz in "
-            f"{counted(len(kept), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
+            f"{source}: the decays must contain a mode, none is found between {low:.4g} and {high:.4g} Hz in "
+            f"{counted(len(used), 'decay')} of {length / sampling_rate:.3g} s; tap harder, put the sensor where it "
             "moves, or change --band"
         )
-    participation, participation_std = _participation(poles, kept, force, hits, sampling_rate, DERIVATIVES[quantity])
+    participation, participation_std = _participation(poles, used, force, hits, sampling_rate, DERIVATIVES[quantity])
     root = np.sqrt(np.abs(participation))
     return TapTest(
         modes=Modes(
@@ -240,25 +241,25 @@ def read_times(path: str | Path) -> list[float]:
 
 
 def _events(response: Floats, sampling_rate: float, every: bool, source: str) -> list[Event]:
-    """Return the impacts that the sensors measure."""
+    """Return the impacts detected by the sensors."""
     detector = ImpactDetector(sampling_rate, len(response), kind="vibration", joint=True)
     first = round(_LOOK * sampling_rate)
     events = detector.feed(response[:, :first])
-    apart = np.median(np.diff([event.onset for event in events])) / sampling_rate if len(events) > 1 else np.inf
-    if every and apart < DOUBLE:
+    separation = np.median(np.diff([event.onset for event in events])) / sampling_rate if len(events) > 1 else np.inf
+    if every and separation < DOUBLE:
         raise BadData(
-            f"{source}: taps must be {DOUBLE:g} s apart at least, and better a second, got a median of {apart:.2g} s "
+            f"{source}: taps must be at least {DOUBLE:g} s apart, better a second, got a median of {separation:.2g} s "
             f"between {counted(len(events), 'impact')}; record hammer taps with silence between them, or list the taps "
             "in a table (--taps)"
         )
     events += detector.feed(response[:, first:]) + detector.finish()
     if not events:
-        raise BadData(f"{source}: a recording of taps must hold one, {detector.why_silent()}")
+        raise BadData(f"{source}: a recording of taps must contain one, {detector.why_silent()}")
     return [event for event in events if _jump(response, event.onset, sampling_rate) > _JUMP] or events
 
 
 def _jump(response: Floats, onset: int, sampling_rate: float) -> float:
-    """Return by how much the second differences grow at an onset: a few modes that beat are no blow."""
+    """Return by how much the second differences grow at an onset; beating modes are no impact."""
     n = max(round(_JUMP_TIME * sampling_rate), 4)
     bends = np.diff(response[:, max(onset - 2 * n, 0) : onset + n], n=2, axis=1)
     before, behind = bends[:, : -n - n // 2], bends[:, -n:]
@@ -275,7 +276,7 @@ def _force(hammer: Floats, sampling_rate: float, source: str) -> tuple[Floats, l
         if hits and not detector.is_upside_down():
             break
     else:
-        raise BadData(f"{source}: the hammer channel must hold a tap, {detector.why_silent(unit='N')}")
+        raise BadData(f"{source}: the hammer channel must contain a tap, {detector.why_silent(unit='N')}")
     baseline = np.median(hammer)
     force = np.zeros(hammer.size)
     lead = max(round(_AFTER * sampling_rate), 2)
@@ -302,14 +303,14 @@ def _judged(
         known = event.pre_trigger is None  # a pulse of a hammer ends where it ends
         start = (event.end + round(_AFTER * sampling_rate)) if known else event.onset + round(contact * sampling_rate)
         stop = following - (round(_BEFORE_NEXT * sampling_rate) if following < n else 0)
-        apart = (following - event.onset) / sampling_rate
+        separation = (following - event.onset) / sampling_rate
         flaw = ""
         if event.onset < 2 or (event.cut and event.onset < _BEFORE_NEXT * sampling_rate):
             flaw = "cut off by the start of the recording"
-        elif following < n and apart < DOUBLE:
-            flaw = f"double tap, another blow follows after {1e3 * apart:.3g} ms"
+        elif following < n and separation < DOUBLE:
+            flaw = f"double tap, another impact follows after {1e3 * separation:.3g} ms"
         elif not known and event.overlapping and _alone(event, events, sampling_rate):
-            flaw = "double tap, another blow follows within some milliseconds"
+            flaw = "double tap, another impact follows within some milliseconds"
         elif _is_clipped(response[:, event.onset : max(stop, event.onset + 1)], *limits) or (known and event.clipped):
             flaw = "clipped"
         taps.append(Tap(time=event.onset / sampling_rate, start=start, stop=stop, flaw=flaw))
@@ -318,16 +319,16 @@ def _judged(
 
 
 def _alone(event: Event, events: list[Event], sampling_rate: float) -> bool:
-    """Return whether no other event lies within the frame of one, so that it can only overlap with a hidden blow."""
+    """Return whether the frame of an event contains no other, so that it can only overlap with a hidden impact."""
     reach = len(np.atleast_2d(event.samples)[0])
     return all(other is event or abs(other.onset - event.onset) > reach for other in events)
 
 
 def _is_clipped(part: Floats, highest: Floats, lowest: Floats) -> bool:
-    """Return whether a channel (n_channels, n) holds an extreme of the recording for three samples."""
-    for row, most, least in zip(part, highest, lowest, strict=True):
-        limit = _CLIPPED_SHARE * max(abs(most), abs(least))
-        for extreme in (most, least):
+    """Return whether a channel (n_channels, n) stays at an extreme of the recording for three samples."""
+    for row, max_frequency, least in zip(part, highest, lowest, strict=True):
+        limit = _CLIPPED_SHARE * max(abs(max_frequency), abs(least))
+        for extreme in (max_frequency, least):
             at = row == extreme
             if abs(extreme) >= limit and bool(np.any(at[2:] & at[1:-1] & at[:-2])):
                 return True
@@ -335,20 +336,20 @@ def _is_clipped(part: Floats, highest: Floats, lowest: Floats) -> bool:
 
 
 def _required(taps: list[Tap], times: Sequence[float] | None, source: str) -> list[Tap]:
-    """Return the taps, those that the user does not want with a flaw; raises `BadData` where there is none."""
+    """Return the taps, those not selected by the user with a flaw; raises `BadData` if a listed one is missing."""
     if times is None:
         return taps
-    wanted = set()
+    selected = set()
     for time in times:
         near = min(range(len(taps)), key=lambda k: abs(taps[k].time - time))
         if abs(taps[near].time - time) > _NEAR:
             raise BadData(
-                f"{source}: a tap must lie within {_NEAR:g} s of {time:g} s, the nearest is at "
+                f"{source}: a tap must be within {_NEAR:g} s of {time:g} s, the nearest is at "
                 f"{taps[near].time:.4g} s; correct the table of taps"
             )
-        wanted.add(near)
+        selected.add(near)
     unwanted = "not in the table of taps"
-    return [tap if k in wanted else replace(tap, flaw=tap.flaw or unwanted) for k, tap in enumerate(taps)]
+    return [tap if k in selected else replace(tap, flaw=tap.flaw or unwanted) for k, tap in enumerate(taps)]
 
 
 def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
@@ -360,7 +361,7 @@ def _long_enough(taps: list[Tap], sampling_rate: float, n: int) -> list[Tap]:
         duration = max(tap.stop - tap.start, 0) / sampling_rate
         if not tap.flaw and duration < needed:
             behind = "the end of the recording" if tap.stop == n else "the next tap"
-            tap = replace(tap, flaw=f"too near {behind}, {duration:.3g} s where {needed:.3g} s are needed")
+            tap = replace(tap, flaw=f"too close to {behind}, {duration:.3g} s where {needed:.3g} s are needed")
         out.append(tap)
     return out
 
@@ -372,28 +373,28 @@ def _listed(taps: Sequence[Tap]) -> str:
     return f"{counted(len(taps), 'tap')}: {reasons}"
 
 
-def _cure(taps: Sequence[Tap]) -> str:
+def _hint(taps: Sequence[Tap]) -> str:
     flaws = " ".join(tap.flaw for tap in taps)
     cures = {
-        "clipped": "record with a larger range, or tap more softly",
+        "clipped": "record with a larger range, or tap more gently",
         "double": "tap again, and lift the hammer at once",
         "too near": "leave a second or more between taps, and after the last",
     }
-    return "; ".join(cure for word, cure in cures.items() if word in flaws) or "record again, some samples before a tap"
+    return "; ".join(hint for word, hint in cures.items() if word in flaws) or "record again, some samples before a tap"
 
 
 def _band(band: tuple[float, float] | None, duration: float, sampling_rate: float, source: str) -> tuple[float, float]:
-    """Return the band in which modes are sought [Hz]."""
-    least, most = _PERIODS / duration, 0.49 * sampling_rate
+    """Return the range of natural frequencies [Hz]."""
+    least, max_frequency = _PERIODS / duration, 0.49 * sampling_rate
     if band is None:
         return least, _HIGHEST * sampling_rate
     low, high = band
     if not low < high:
         raise InvalidValue(f"band must be two ascending frequencies, got {low:g} and {high:g} Hz")
-    if low < 1 / duration or high > most:
+    if low < 1 / duration or high > max_frequency:
         raise BadData(
-            f"{source}: band must lie between one period of the decays ({1 / duration:.3g} Hz) and 0.49 of the "
-            f"sampling rate ({most:.5g} Hz), got {low:g} to {high:g} Hz; leave more time between taps, or change --band"
+            f"{source}: band must be between one period of the decays ({1 / duration:.3g} Hz) and 0.49 of the sampling "
+            f"rate ({max_frequency:.5g} Hz), got {low:g} to {high:g} Hz; leave more time between taps, or change --band"
         )
     return low, high
 
@@ -423,8 +424,8 @@ def _participation(
 
 
 def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:
-    """Return the mean over taps (n_taps, n_modes) of some strength, and its relative standard deviation."""
-    # `noise` is that of each tap, `shared` common to all taps. A larger scatter between taps takes their place.
+    """Return the mean over taps (n_taps, n_modes) weighted by strength, and its relative standard deviation."""
+    # `noise` is that of each tap, `shared` common to all taps; the scatter between taps replaces them if larger.
     n_taps, total = len(each), np.square(strength).sum(axis=0)
     mean = np.sum(np.square(strength) * each, axis=0) / total
     std = np.sqrt(np.square(noise * strength).sum(axis=0)) / total
@@ -436,7 +437,7 @@ def _averaged(each: Floats, strength: Floats, noise: Floats, shared: Floats) -> 
 
 
 def _transform(force: Floats, hits: Sequence[Event], pole: Complexes, tap: Tap, sampling_rate: float) -> Complexes:
-    """Return the Laplace transforms of all force before a decay at the poles, from its first sample on, (n_modes,)."""
+    """Return the Laplace transforms at the poles of the force before a decay, from its first sample on, (n_modes,)."""
     out, lead = np.zeros(pole.size, complex), max(round(_AFTER * sampling_rate), 2)
     for hit in hits:
         part = np.arange(max(hit.onset - lead, 0), min(hit.end + lead, force.size))
@@ -448,7 +449,7 @@ def _transform(force: Floats, hits: Sequence[Event], pole: Complexes, tap: Tap, 
 
 
 def _relative(amplitude: Floats, noise: Floats, shared: Floats) -> tuple[Floats, Floats]:
-    """Return the sizes of modes over that of the largest, from taps of unknown strength, and their deviations."""
+    """Return the relative sizes of modes from taps of unknown strength, and their standard deviations."""
     strength = amplitude[:, int(np.argmax(amplitude.sum(axis=0)))][:, None]
     return _averaged(amplitude / strength, np.broadcast_to(strength, amplitude.shape), noise, shared)
 

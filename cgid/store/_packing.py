@@ -23,7 +23,7 @@ def close_chunk(chunk: NDArray[np.uint8]) -> None:
 
 
 def deflated_chunk(numbers: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return numbers as after HDF5's shuffle and deflate, with room for the checksum."""
+    """Return numbers after HDF5's shuffle and deflate, with space for the checksum."""
     planes = numbers.view(np.uint8).reshape(numbers.size, numbers.itemsize).T
     return np.frombuffer(bytearray(deflated(np.ascontiguousarray(planes)) + bytes(CHECKSUM.itemsize)), np.uint8)
 
@@ -32,7 +32,7 @@ def deflated_chunk(numbers: NDArray[Any]) -> NDArray[np.uint8]:
 
 # Our deflate exploits the structure of signals, and every zlib unpacks it. HDF5's byte shuffle groups the exponents of
 # a chunk, and each byte of the mantissas. In noise the lower mantissa bytes are incompressible and are stored. The
-# other bytes hold no repeated words, only frequent bytes and runs of zeros: Huffman coding and run lengths (zlib's
+# other bytes contain no repeated words, only frequent bytes and runs of zeros: Huffman coding and run lengths (zlib's
 # strategy Z_RLE) pack them as well as the search for words, which takes most of gzip's time.
 
 #: zlib's window of 32 KiB, without a header, so that the parts form one stream.
@@ -61,7 +61,7 @@ def deflated(planes: NDArray[np.uint8]) -> bytes:
 def _is_worth_packing(plane: NDArray[np.uint8]) -> bool:
     if plane.size <= _PLACES * _LOOK:
         return True
-    # The even spread takes them from different places of the signals.
+    # The even spread takes them from all over the signals.
     starts = np.linspace(0, plane.size - _LOOK, _PLACES).astype(int)
     seen = b"".join([plane[start : start + _LOOK].tobytes() for start in starts])
     packer = zlib.compressobj(1, zlib.DEFLATED, _RAW, _MEMORY, zlib.Z_RLE)
@@ -70,7 +70,7 @@ def _is_worth_packing(plane: NDArray[np.uint8]) -> bool:
 
 # ---- Fletcher's checksum as HDF5 computes it: over 16-bit words with the high byte first, modulo 65535 ---------------
 
-# So many words, each times its place, still fit 32 bits.
+# This many words, each times its index, still fit 32 bits.
 _STEP = 256
 _Sum, _Word = np.uint64, np.uint32
 _MODULUS, _ONE, _HALF = _Sum(65535), _Sum(1), _Sum(16)
@@ -79,7 +79,7 @@ _BYTE, _LOW_BYTE = _Word(8), _Word(255)
 
 @jit
 def _reduce(total: np.uint64) -> np.uint64:
-    """Return the sum modulo 65535 as HDF5 leaves it: 0 for 0 alone, 65535 for its multiples."""
+    """Return the sum modulo 65535 as HDF5 stores it: 0 for 0 alone, 65535 for its multiples."""
     return (total - _ONE) % _MODULUS + _ONE if total else total
 
 

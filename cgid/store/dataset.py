@@ -27,10 +27,10 @@ def describe_dataset(output: Path, plan: ShardPlan, n_signals: int, shard_signal
     shard_signals = n_signals if single else min(shard_signals, n_signals)
     size, n_shards = plan.size(shard_signals), -(-n_signals // shard_signals)
     if size > MAX_SHARD_SIZE:
-        cure = "give a name that does not end in .h5, for a folder" if single else "ask for smaller"
+        hint = "give a name that does not end in .h5, for a folder" if single else "ask for smaller"
         raise InvalidValue(
             f"a shard must be at most {MAX_SHARD_SIZE >> 30} GiB, {shard_signals} signals make "
-            f"{size / 2**30:.3g} GiB: {cure}"
+            f"{size / 2**30:.3g} GiB: {hint}"
         )
     if n_shards > MAX_FILES:
         raise InvalidValue(
@@ -76,9 +76,9 @@ def export(
     output : str or Path
         A name that ends in .h5 or .hdf5.
     overwrite : bool
-        Whether to replace an existing file, which stays until the new one is whole.
+        Whether to replace an existing file, which remains until the new one is complete.
     progress : callable, optional
-        Is called with the number of signals written since the last call.
+        Called with the number of signals written since the last call.
 
     Returns
     -------
@@ -90,14 +90,14 @@ def export(
     NoInput, BadData
         The dataset does not exist, or is damaged.
     CannotCreate
-        The output exists, cannot be made or has no room.
+        The output exists, cannot be created or does not fit on the disk.
     WriteFailed
         The disk is full.
     """
     dataset = data if isinstance(data, Dataset) else Dataset(data)
     path = check_new(Path(output), "an exported dataset", SUFFIXES, overwrite=overwrite)
     if dataset.path.resolve() in (path.resolve(), path.resolve().parent):
-        raise CannotCreate(f"{path}: must not be part of what it is made from; choose another name")
+        raise CannotCreate(f"{path}: must not be part of the dataset that is exported; choose another name")
     clear_half_written(path)
     plan = ShardPlan(
         n_samples=dataset.header.n_samples,

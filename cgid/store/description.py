@@ -1,4 +1,4 @@
-"""What is common to all files of cgid: names, versions, digests, and the header of a shard."""
+"""Common to all files of cgid: names, versions, digests, and the header of a shard."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_SHARD_SIZE = 2 << 30
 MAX_RECORDING = MAX_SHARD_SIZE
 #: See `cgid.store.hdf5`.
 COMPRESSIONS = ("none", "gzip", "zstd", "blosc2")
-#: Root attribute of a file: the SHA-256 of the description that it follows from.
+#: Root attribute of a file: the SHA-256 of its description.
 DIGEST = "description_sha256"
 #: Errors of h5py, pandas and pyarrow on damaged files.
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError)
@@ -83,13 +83,13 @@ def is_hdf5(path: Path) -> bool:
     try:
         if not path.is_file():
             return False
-        size, place = path.stat().st_size, 0
+        size, offset = path.stat().st_size, 0
         with path.open("rb") as file:
-            while place + len(_MAGIC) <= size:
-                file.seek(place)
+            while offset + len(_MAGIC) <= size:
+                file.seek(offset)
                 if file.read(len(_MAGIC)) == _MAGIC:
                     return True
-                place = max(512, 2 * place)
+                offset = max(512, 2 * offset)
     except (OSError, ValueError):
         pass
     return False
@@ -104,7 +104,7 @@ def is_sound(content: Mapping[str, Any]) -> bool:
     """Return whether the content fits its digest."""
     try:
         return content.get(_DIGEST) == _sha256({name: value for name, value in content.items() if name != _DIGEST})
-    except RecursionError:  # JSON that is just shallow enough to read may be too deep to write
+    except RecursionError:  # JSON just shallow enough to read may be too deep to write
         return False
 
 

@@ -1,4 +1,4 @@
-"""HDF5 files written to a disk that may be full or broken."""
+"""HDF5 files written to a disk that may be full or faulty."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DiskFile(io.RawIOBase):
     def __init__(self, path: Path) -> None:
         super().__init__()
         self._disk = path.open("rb+", buffering=0)
-        self._kept: list[tuple[int, bytes]] = []
+        self._unwritten: list[tuple[int, bytes]] = []
         self._size = self._position = 0
         self.failure: BaseException | None = None
 
@@ -47,10 +47,10 @@ class DiskFile(io.RawIOBase):
             buffer[: len(content)] = content
         except BaseException as error:  # HDF5 cannot handle any error
             self.failure = self.failure or error
-        for place, kept in self._kept:
-            first, stop = max(place, self._position), min(place + len(kept), self._position + count)
+        for position, unwritten in self._unwritten:
+            first, stop = max(position, self._position), min(position + len(unwritten), self._position + count)
             if first < stop:
-                buffer[first - self._position : stop - self._position] = kept[first - place : stop - place]
+                buffer[first - self._position : stop - self._position] = unwritten[first - position : stop - position]
         self._position += count
         return count
 
@@ -65,7 +65,7 @@ class DiskFile(io.RawIOBase):
             except BaseException as error:
                 self.failure = error
         if self.failure is not None:
-            self._kept.append((self._position, bytes(content)))
+            self._unwritten.append((self._position, bytes(content)))
         self._position += len(content)
         self._size = max(self._size, self._position)
         return len(content)
@@ -81,7 +81,7 @@ class DiskFile(io.RawIOBase):
         return self._size
 
     def close(self) -> None:
-        """Close the file; its content is safe on the disk if there is no `failure`."""
+        """Close the file; its content is on the disk if there is no `failure`."""
         if not self._disk.closed:
             try:
                 if self.failure is None:
@@ -89,7 +89,7 @@ class DiskFile(io.RawIOBase):
                 self._disk.close()
             except OSError as error:
                 self.failure = self.failure or error
-        self._kept.clear()
+        self._unwritten.clear()
         super().close()
 
 
@@ -116,7 +116,7 @@ class Hdf5OnDisk:
             self._disk.close()
 
     def abandon(self, reason: BaseException) -> None:
-        """Close the file, which will not be used."""
+        """Close the file without keeping it."""
         with undisturbed():
             self._disk.failure = self._disk.failure or reason  # nothing more goes to the disk
             with contextlib.suppress(OSError, RuntimeError):

@@ -2,12 +2,12 @@
 
     description.json    everything that the files depend on
     shard-00000.h5 ...  the signals of a dataset; or recording-00000.h5 ..., the recordings of a stream
-    SHA256SUMS          the sum of the description, then a line for each file, appended when that is whole
+    SHA256SUMS          the sum of the description, then a line for each complete file
     .lock               held by the run that writes into the folder
 
-If the first sum is not that of the description, all are void. A file is whole if its sum fits, or, where it has none,
-if its digest, its number and its checksums do. All of these are untrusted: they are checked before use.
-`python benchmarks/kills.py` kills runs at any moment.
+If the first sum is not that of the description, all are void. A file is complete if its sum fits, or, without a sum, if
+its digest, number and checksums do. All of these are untrusted: they are checked before use. `python
+benchmarks/kills.py` kills runs at any moment.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from cgid.validation import RATES
 
 DESCRIPTION, SUMS, LOCK = "description.json", "SHA256SUMS", ".lock"
 FOLDER_VERSION = 3
-#: Files of earlier versions: the sums of a finished dataset, and the journal of an unfinished run.
+#: Files of earlier versions: the sums of a finished dataset and the journal of an unfinished run.
 MANIFEST, JOURNAL, MANIFEST_VERSION = "manifest.json", "unfinished.jsonl", 2
 #: Links in folders are not followed, because folders are untrusted.
-LINKED = "must lie in the folder itself, it is a link; copy the file there"
-#: Maximum number of files that one description may ask for.
+LINKED = "must be in the folder itself, it is a link; copy the file there"
+#: Maximum number of files of a description.
 MAX_FILES = 300_000
 #: The beginning of the names of the files, and the field that counts them.
 _STEMS = {FORMAT: "shard", RECORDING_FORMAT: "recording"}
 #: HDF5's counts are smaller.
 _MAX_COUNT = 1 << 63
-#: Largest text file [bytes], mostly for the scene, and its most values; and what each file in its folder adds.
-_ROOM, _ROOM_OF_FILE = 16 << 20, 4096
+#: Largest text file [bytes], mostly for the scene, and the increase of that limit per file in its folder.
+_MAX_TEXT, _MAX_TEXT_PER_FILE = 16 << 20, 4096
 _VALUES, _VALUES_OF_FILE = 100_000, 100
 
 
@@ -72,7 +72,7 @@ _FIELDS: Mapping[str, Mapping[str, Callable[[Any], bool]]] = {
 
 @dataclass(frozen=True)
 class Description:
-    """Everything that the files of a folder, or a single file, depend on: `text` is its JSON; made by `describe`."""
+    """Everything that a single file or the files of a folder depend on; `text` is its JSON; made by `describe`."""
 
     content: Mapping[str, Any]
     text: bytes
@@ -109,7 +109,7 @@ class Description:
         return f"{_STEMS[self.kind]}-{number:05d}.h5"
 
     def part(self, number: int) -> dict[str, int]:
-        """Return what a file says of its place: `first_signal` and `n_signals`, or `recording`."""
+        """Return the attributes that locate a file in its folder: `first_signal` and `n_signals`, or `recording`."""
         if self.kind == RECORDING_FORMAT:
             return {"recording": number}
         first = number * self.content["shard_signals"]
@@ -146,7 +146,7 @@ def _json(text: bytes, file: Path) -> dict[str, Any]:
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):
-        raise BadData(f"{file}: must be an object of JSON, it is not: it is damaged; copy it again")
+        raise BadData(f"{file}: must be a JSON object, the file is damaged; copy it again")
     return content
 
 
@@ -156,9 +156,9 @@ def _require_fields(content: Mapping[str, Any], file: Path) -> None:
             raise BadData(f"{file}: {name} must be that of the files, got {content.get(name)!r:.40}; generate it again")
     attributes = content.get("attributes")
     if not isinstance(attributes, dict) or not all(map(_is_attribute, attributes, attributes.values())):
-        raise BadData(f"{file}: attributes must say how the files were made; generate them again")
+        raise BadData(f"{file}: attributes must describe how the files were made; generate them again")
     if Description(content, b"").n_files > MAX_FILES:
-        raise BadData(f"{file}: must ask for at most {MAX_FILES} files; it is not what cgid wrote")
+        raise BadData(f"{file}: must describe at most {MAX_FILES} files; cgid did not write this one")
 
 
 def _is_attribute(name: str, value: Any) -> bool:
@@ -172,22 +172,22 @@ def _is_attribute(name: str, value: Any) -> bool:
 
 def require_same(
     output: Path,
-    there: Mapping[str, Any],
+    present: Mapping[str, Any],
     required: Mapping[str, Any],
-    cure: str = "give the options of the first run, or start again with --overwrite",
+    hint: str = "give the options of the first run, or start again with --overwrite",
 ) -> None:
     """Raise `CannotCreate` with the first option that differs, unless two descriptions agree."""
-    name = first_difference(there, required)
+    name = first_difference(present, required)
     if name is not None:
-        values = [flat.get(name, "nothing") for flat in (_flat(there), _flat(required))]
+        values = [flat.get(name, "nothing") for flat in (_flat(present), _flat(required))]
         raise CannotCreate(
-            f"{output}: {name} must be that of the description, {values[0]!s:.200}, got {values[1]!s:.200}; {cure}"
+            f"{output}: {name} must be that of the description, {values[0]!s:.200}, got {values[1]!s:.200}; {hint}"
         )
 
 
-def first_difference(there: Mapping[str, Any], required: Mapping[str, Any]) -> str | None:
+def first_difference(present: Mapping[str, Any], required: Mapping[str, Any]) -> str | None:
     """Return the first option in which two descriptions differ, None if they are equal."""
-    one, two = _flat(there), _flat(required)
+    one, two = _flat(present), _flat(required)
     # Report the scene's text last: its name and its SHA-256 are shorter.
     names = sorted({**two, **one}, key=lambda name: name == "scene")
     return next((name for name in names if one.get(name) != two.get(name)), None)
@@ -235,13 +235,13 @@ def read_folder(path: Path) -> Folder:
 
 
 def _of_manifest(path: Path, content: dict[str, Any]) -> Folder:
-    """Return the folder of a manifest, which an earlier version wrote when the dataset was whole."""
+    """Return the folder of a manifest, which earlier versions wrote for a complete dataset."""
     file = path / MANIFEST
     if content.get("format") != FORMAT:
         raise BadData(f"{file}: must have format {FORMAT!r}; this is another manifest")
     require_schema(str(file), content.get("schema_version"), MANIFEST_VERSION)
     if not is_sound(content):
-        raise BadData(f"{file}: must fit the SHA-256 that it says of itself, it does not: it is damaged; copy it again")
+        raise BadData(f"{file}: must match its own SHA-256, the file is damaged; copy it again")
     _require_fields(content, file)
     description, shards = Description(content, b""), content.get("shards")
     try:
@@ -250,7 +250,7 @@ def _of_manifest(path: Path, content: dict[str, Any]) -> Folder:
     except (TypeError, KeyError):
         sums, sound = {}, False
     if not sound or [*sums] != description.names:
-        raise BadData(f"{file}: shards must list file and sha256 of every shard, and once; generate the dataset again")
+        raise BadData(f"{file}: shards must list file and sha256 of every shard once; generate the dataset again")
     return Folder(path=path, description=description, sums=sums, digest=None)
 
 
@@ -274,7 +274,7 @@ def read_text(file: Path) -> bytes | None:
     try:
         about = file.lstat()
         n_files = sum(1 for _ in file.parent.iterdir())
-        is_sound = stat.S_ISREG(about.st_mode) and about.st_size <= _ROOM + n_files * _ROOM_OF_FILE
+        is_sound = stat.S_ISREG(about.st_mode) and about.st_size <= _MAX_TEXT + n_files * _MAX_TEXT_PER_FILE
         content = b""
         if is_sound:
             with file.open("rb") as stream:
@@ -284,9 +284,7 @@ def read_text(file: Path) -> bytes | None:
     except OSError as error:
         raise NoInput(f"{file}: cannot be read ({error.strerror}); see to its permissions, or to the disk") from None
     if not is_sound or sum(map(content.count, (b",", b"[", b"{", b"\n"))) > _VALUES + n_files * _VALUES_OF_FILE:
-        raise BadData(
-            f"{file}: must be a regular file and say no more than {n_files} files beside it bear out; generate it again"
-        )
+        raise BadData(f"{file}: must be a regular file of a size that fits {n_files} files; generate it again")
     return content
 
 
@@ -300,7 +298,7 @@ def sums_text(sums: Mapping[str, str]) -> bytes:
 
 def read_sums(folder: Path, description_sha256: str | None) -> dict[str, str]:
     """Return the sums in `SHA256SUMS`; none unless the first is that of the description, if there is one."""
-    # A damaged or torn line is left out.
+    # A damaged or incomplete line is ignored.
     content = read_text(folder / SUMS) or b""
     lines = [re.fullmatch(r"([0-9a-f]{64})  ([\w.-]+)", line) for line in content.decode("latin-1").split("\n")[:-1]]
     if description_sha256 is not None:

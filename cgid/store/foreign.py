@@ -1,8 +1,8 @@
 """HDF5 files of other programs.
 
 Only hard links are followed; external storage and virtual datasets are skipped, so no other file is read. Declared
-sizes are checked against the stored bytes, and chunks are small. All the same, HDF5 trusts files: a crafted or damaged
-one may end or hang the process.
+sizes are checked against the stored bytes, and chunks are small. HDF5 still trusts files: a crafted or damaged one may
+end or hang the process.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from cgid.errors import BadData
 from cgid.store.description import DAMAGE
-from cgid.store.gates import MAX_ATTRIBUTES, cache_size, damage_told, missing_chunks, storage_fault
+from cgid.store.gates import MAX_ATTRIBUTES, cache_size, clear_damage, missing_chunks, storage_fault
 
-#: A recording has fewer objects and levels.
+#: A recording has fewer objects and levels than these.
 _MAX_OBJECTS, _DEEPEST = 10_000, 32
 #: Longer attributes are neither rates nor units.
 _MAX_ATTRIBUTE_LENGTH = 4096
@@ -32,12 +32,12 @@ _SLOTS = 10_007
 #: Where MATLAB stores the targets of cells and objects.
 _MATLAB_INNER = ("#refs#", "#subsystem#")
 _MATLAB_NAMES = frozenset(("MATLAB_class", "MATLAB_empty"))
-_CURE = "save it again as plain arrays"
+_HINT = "save it again as plain arrays"
 #: Bytes of a column read at once.
 _MAX_PART = 1 << 24
 _CUT_OFF = (
     "the HDF5 file is cut off or damaged",
-    "copy it again, or if it is a dataset, see what cgid.store or --index say of it",
+    "copy it again, or if it is a dataset, read it with cgid.store or --index",
 )
 
 
@@ -54,16 +54,16 @@ class ForeignArray:
 
 
 def survey(
-    path: Path, source: str, wanted: Callable[[str], bool]
+    path: Path, source: str, required: Callable[[str], bool]
 ) -> tuple[list[ForeignArray], dict[str, dict[str, Any]], list[str]]:
-    """Return the arrays, the `wanted` values (group -> name -> value) and the warnings of a foreign HDF5 file."""
+    """Return the arrays, the `required` values (group -> name -> value) and the warnings of a foreign HDF5 file."""
     arrays: list[ForeignArray] = []
     values: dict[str, dict[str, Any]] = {}
     texts: list[tuple[str, str]] = []
     size = path.stat().st_size
     with _opened(path, source) as file:
         for name, item in _walk(file, source):
-            attributes = _attributes(item, name, wanted, texts)
+            attributes = _attributes(item, name, required, texts)
             if isinstance(item, h5py.Group):
                 values.setdefault(name, {}).update(attributes)
                 continue
@@ -72,9 +72,9 @@ def survey(
             group, _, last = name.rpartition("/")
             matlab = attributes.get("MATLAB_class", "")
             if _is_text_of_any_length(item.dtype):
-                texts += [(name, "")] if item.size == 1 and wanted(last) else []
+                texts += [(name, "")] if item.size == 1 and required(last) else []
             elif item.dtype.kind == "S" or (item.dtype.kind in "biuf" and (matlab == "char" or item.size == 1)):
-                value = _value(item, matlab, size) if wanted(last) else None
+                value = _value(item, matlab, size) if required(last) else None
                 if value is not None:
                     values.setdefault(group, {})[last] = value
             elif item.dtype.kind in "iuf" and matlab != "logical" and item.size:  # logical arrays are not samples
@@ -102,19 +102,19 @@ def _add_texts(
 ) -> list[str]:
     """Add texts of variable length, (path, attribute or ""), to attributes and values; return the lost ones."""
     lost = []
-    for place, attribute in texts:
-        owner, _, name = (place, "", attribute) if attribute else place.rpartition("/")
+    for name_in_file, attribute in texts:
+        owner, _, name = (name_in_file, "", attribute) if attribute else name_in_file.rpartition("/")
         try:
-            item = file[place or "/"]
+            item = file[name_in_file or "/"]
             stored = item.attrs[attribute] if attribute else item[()]
-            found = np.atleast_1d(np.asarray(stored, dtype=object)).ravel().tolist()
+            elements = np.atleast_1d(np.asarray(stored, dtype=object)).ravel().tolist()
         except DAMAGE:
             lost.append(name)
             continue
-        words = [value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in found]
+        words = [value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in elements]
         if 0 < len(words) <= _MAX_LIST_LENGTH and all(isinstance(t, str) and len(t) <= _MAX_TEXT_LENGTH for t in words):
-            own = attributes[owner] if owner in attributes else values.setdefault(owner, {})
-            own[name] = words[0] if len(words) == 1 else words
+            owned = attributes[owner] if owner in attributes else values.setdefault(owner, {})
+            owned[name] = words[0] if len(words) == 1 else words
     return lost
 
 
@@ -123,9 +123,9 @@ def foreign_columns(path: Path, needed: Sequence[str]) -> tuple[list[str], int]:
     source = str(path)
     with _opened(path, source) as file:
         columns = {
-            place.partition("/")[2]: item
-            for place, item in _walk(file, source)
-            if place.startswith("columns/") and isinstance(item, h5py.Dataset)
+            name_in_file.partition("/")[2]: item
+            for name_in_file, item in _walk(file, source)
+            if name_in_file.startswith("columns/") and isinstance(item, h5py.Dataset)
         }
         is_table = len({item.shape for item in columns.values()}) == 1 and columns.keys() >= set(needed)
         plain = (item.ndim == 1 and item.dtype.kind in "biufS" and not item.external for item in columns.values())
@@ -136,7 +136,7 @@ def foreign_columns(path: Path, needed: Sequence[str]) -> tuple[list[str], int]:
                 raise BadData(f"{source}: {name} {fault}; the file is damaged, write it again")
             step = max(_MAX_PART // item.dtype.itemsize, 1)
             for first in range(0, len(item), step):
-                with damage_told(source, f"{name} cannot be read", "the file is damaged, write it again"):
+                with clear_damage(source, f"{name} cannot be read", "the file is damaged, write it again"):
                     item[first : first + step]
         return list(columns), len(next(iter(columns.values())))
 
@@ -155,28 +155,28 @@ def array_blocks(
             raise BadData(f"{source}: {name} has changed while it was read; read it again")
         if fault := storage_fault(dataset, path.stat().st_size):
             raise BadData(f"{source}: {name} {fault}; the file is damaged, copy it again")
-        kept = np.float32 if dataset.dtype.kind == "f" and dataset.dtype.itemsize == 4 else np.float64
+        sample_type = np.float32 if dataset.dtype.kind == "f" and dataset.dtype.itemsize == 4 else np.float64
         for first in range(0, array.shape[along], length):
             index: list[Any] = [0] * len(array.shape)
             index[along] = slice(first, first + length)
             if across is not None:
                 index[across] = slice(lowest, lowest + n_read)
             what = f"{name} cannot be read from sample {first} on"
-            with damage_told(source, what, "the file is damaged, copy it again"):
+            with clear_damage(source, what, "the file is damaged, copy it again"):
                 block = np.asarray(dataset[tuple(index)])
             if across is None:
                 selected = np.broadcast_to(block, (len(channels), len(block)))
             else:
                 selected = (block if across < along else block.T)[[channel - lowest for channel in channels]]
             with np.errstate(all="ignore"):
-                samples = selected.astype(kept)
+                samples = selected.astype(sample_type)
             yield samples
 
 
 @contextmanager
 def _opened(path: Path, source: str, **options: int) -> Iterator[h5py.File]:
     # A lock would keep writers out, and fails on some network file systems.
-    with damage_told(source, *_CUT_OFF), h5py.File(path, "r", locking=False, **options) as file:
+    with clear_damage(source, *_CUT_OFF), h5py.File(path, "r", locking=False, **options) as file:
         yield file
 
 
@@ -185,10 +185,10 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
     seen, stack = set(), [("", file["/"], 0)]
     while stack:
         name, item, depth = stack.pop()
-        place = h5py.h5o.get_info(item.id).addr
-        if place in seen:
+        name_in_file = h5py.h5o.get_info(item.id).addr
+        if name_in_file in seen:
             continue
-        seen.add(place)
+        seen.add(name_in_file)
         _require_few(len(seen), depth, source)
         yield name, item
         if not isinstance(item, h5py.Group):
@@ -207,15 +207,16 @@ def _walk(file: h5py.File, source: str) -> Iterator[tuple[str, Any]]:
 def _require_few(n_objects: int, depth: int, source: str) -> None:
     if n_objects > _MAX_OBJECTS or depth > _DEEPEST:
         raise BadData(
-            f"{source}: a recording has at most {_MAX_OBJECTS} parts and {_DEEPEST} levels, here are more; {_CURE}"
+            f"{source}: a recording must have at most {_MAX_OBJECTS} objects and {_DEEPEST} levels, this file has "
+            f"more; {_HINT}"
         )
 
 
-def _attributes(item: Any, path: str, wanted: Callable[[str], bool], texts: list[tuple[str, str]]) -> dict[str, Any]:
-    """Return the wanted attributes of fixed size; add those of variable length to `texts`."""
-    found: dict[str, Any] = {}
+def _attributes(item: Any, path: str, required: Callable[[str], bool], texts: list[tuple[str, str]]) -> dict[str, Any]:
+    """Return the required attributes of fixed size; add those of variable length to `texts`."""
+    attributes: dict[str, Any] = {}
     for name in list(item.attrs)[:MAX_ATTRIBUTES]:
-        if name not in _MATLAB_NAMES and not wanted(name):
+        if name not in _MATLAB_NAMES and not required(name):
             continue
         with suppress(*DAMAGE):
             stored = item.attrs.get_id(name)
@@ -227,15 +228,15 @@ def _attributes(item: Any, path: str, wanted: Callable[[str], bool], texts: list
             elif stored.dtype.kind in "biufS":
                 value = _plain(np.asarray(item.attrs[name]))
                 if value is not None:
-                    found[name] = value
-    return found
+                    attributes[name] = value
+    return attributes
 
 
 def _plain(values: NDArray[Any]) -> Any:
     """Return one number, one text or a list of texts; None for a list of numbers."""
     if values.dtype.kind == "S":
-        found = [value.decode("utf-8", "replace").rstrip("\0 ") for value in values.ravel().tolist()]
-        return found[0] if len(found) == 1 else found
+        elements = [value.decode("utf-8", "replace").rstrip("\0 ") for value in values.ravel().tolist()]
+        return elements[0] if len(elements) == 1 else elements
     return float(values.ravel()[0]) if values.size == 1 else None
 
 

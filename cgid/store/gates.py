@@ -1,4 +1,4 @@
-"""Checks of HDF5 files before reading: plain arrays in the same file, no larger than its bytes can hold.
+"""Checks of HDF5 files before reading: plain arrays in the same file, of declared sizes that its bytes allow.
 
 HDF5 trusts files: in the index of chunks, an empty chunk crashes its checksum (2.0.0, `H5Zfletcher32`), and a short
 chunk leaves the numbers of another. So declared sizes and every index entry are checked against the file first. These
@@ -19,7 +19,7 @@ import h5py
 from cgid.errors import BadData, CgidError, NoInput, optional
 from cgid.store.description import DAMAGE
 
-#: HDF5 unpacks whole chunks; no sound writer makes larger ones [bytes].
+#: HDF5 unpacks complete chunks; no reasonable writer makes larger ones [bytes].
 _MAX_CHUNK_SIZE = 64 << 20
 #: The best ratio of deflate; no recording compresses better with other filters.
 BEST_RATIO = 1100
@@ -69,9 +69,9 @@ def missing_chunks(item: h5py.Dataset) -> str:
         return ""
     expected = _chunks_declared(item)
     with suppress(*DAMAGE):
-        there = item.id.get_num_chunks()
-        if there < expected:
-            return f"{expected - there} of {expected} chunks were never written; the fill value stands there"
+        n_stored = item.id.get_num_chunks()
+        if n_stored < expected:
+            return f"{expected - n_stored} of {expected} chunks were never written; they contain the fill value"
     return ""
 
 
@@ -104,29 +104,29 @@ def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
     checksum = 4 if _CHECKSUM in filters else 0
     packed = any(code != _CHECKSUM for code in filters)
     best = size // BEST_RATIO if _DEFLATE in filters else 0
-    least, most = (checksum + 1 + best, 2 * size + 4096) if packed else (size + checksum, size + checksum)
+    min_size, max_size = (checksum + 1 + best, 2 * size + 4096) if packed else (size + checksum, size + checksum)
     # For datasets that can grow, HDF5 2.0.0 reports other offsets than it reads from.
     can_grow = None in item.maxshape
-    places: set[tuple[int, ...]] = set()
+    offsets: set[tuple[int, ...]] = set()
     starts: set[int] = set()
     checked = sum(1 << index for index, code in enumerate(filters) if code == _CHECKSUM)
 
     def is_unsound(info: Any) -> bool | None:
         """Return True, which ends the iteration over the index, or None."""
-        places.add(info.chunk_offset)
+        offsets.add(info.chunk_offset)
         starts.add(info.byte_offset)
-        whole = info.filter_mask == 0 and least <= info.size <= most
+        fits = info.filter_mask == 0 and min_size <= info.size <= max_size
         # HDF5 skips a filter for a chunk that it cannot shrink.
-        whole = whole or (info.filter_mask != 0 and not info.filter_mask & checked and checksum < info.size <= most)
+        fits = fits or (info.filter_mask != 0 and not info.filter_mask & checked and checksum < info.size <= max_size)
         aligned = all(
             first % chunk == 0 and (first < length or can_grow)
             for first, chunk, length in zip(info.chunk_offset, item.chunks, item.shape, strict=True)
         )
         inside = 0 < info.byte_offset <= info.byte_offset + info.size <= file_size
-        return None if whole and aligned and inside else True
+        return None if fits and aligned and inside else True
 
-    # Two chunks at one place would give the same numbers twice.
-    if item.id.chunk_iter(is_unsound) or not len(places) == len(starts) == item.id.get_num_chunks():
+    # Two chunks at one offset would give the same numbers twice.
+    if item.id.chunk_iter(is_unsound) or not len(offsets) == len(starts) == item.id.get_num_chunks():
         return "has a damaged index of chunks"
     return ""
 
@@ -134,7 +134,7 @@ def _index_fault(item: h5py.Dataset, file_size: int, filters: list[int]) -> str:
 #: Limits of the members of a group, the attributes of an object and their size [bytes]; our files have a few dozen.
 _MAX_MEMBERS, MAX_ATTRIBUTES, _MAX_ATTRIBUTES = 4096, 256, 8 << 20
 #: Datasets with a checked chunk index; the key contains the state of the file.
-_found_sound: set[tuple[Any, ...]] = set()
+_sound_cache: set[tuple[Any, ...]] = set()
 
 
 #: State of a file: device, inode, size, and time of the last change [ns].
@@ -142,7 +142,7 @@ Identity = tuple[int, int, int, int]
 
 
 def identity_of(about: os.stat_result) -> Identity:
-    """Return the state of a file."""
+    """Return the identity of a file."""
     return about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns
 
 
@@ -161,15 +161,15 @@ def opened(path: Path, source: str, identity: Identity | None = None) -> Iterato
             f"{source}: must be a readable HDF5 file, it is empty, truncated or no HDF5 file; copy it again, or "
             "generate it anew"
         ) from None
-    with file, damage_told(source):
+    with file, clear_damage(source):
         if identity not in (None, identity_of(os.fstat(file.id.get_vfd_handle()))):
             raise BadData(f"{source}: has been replaced by another while it was read; read it again")
         yield file
 
 
 @contextmanager
-def damage_told(
-    source: str, what: str = "is damaged", cure: str = "copy it again, or generate it anew"
+def clear_damage(
+    source: str, what: str = "is damaged", hint: str = "copy it again, or generate it anew"
 ) -> Iterator[None]:
     """Turn h5py's errors on a damaged file into `BadData`."""
     try:
@@ -178,14 +178,14 @@ def damage_told(
         raise
     except DAMAGE as error:
         reason = " ".join(str(error).split())
-        raise BadData(f"{source}: {what} ({reason}); {cure}") from None
+        raise BadData(f"{source}: {what} ({reason}); {hint}") from None
 
 
 def plain_dataset(file: h5py.File, name: str, source: str, best_ratio: float = BEST_RATIO) -> h5py.Dataset:
     """Return a dataset stored in this file and large enough for its declared size; links could read other files."""
     for part in (name.split("/")[0], name):
         if not is_inside(file, part):
-            raise BadData(f"{source}: {part} must be part of the file itself; it is missing or a link")
+            raise BadData(f"{source}: {part} must be in the file itself; it is missing or a link")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual or dataset.dtype.hasobject:
         raise BadData(f"{source}: {name} must be a plain dataset inside the file")
@@ -198,7 +198,7 @@ def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best
     """Raise `BadData` unless the stored bytes are complete and suffice for the declared size."""
     about = Path(file.filename).stat()
     key = (file.filename, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns, dataset.name, best_ratio)
-    if key in _found_sound:
+    if key in _sound_cache:
         return
     # Our own files are read in batches, whatever size they declare.
     if not _WITH_PLUGIN.keys().isdisjoint(codes_of(dataset)):
@@ -206,9 +206,9 @@ def _require_borne_out(file: h5py.File, dataset: h5py.Dataset, source: str, best
     fault = storage_fault(dataset, about.st_size, best_ratio) or missing_chunks(dataset)
     if fault:
         raise BadData(f"{source}: {dataset.name[1:]} {fault}; the file is damaged or hostile, generate it again")
-    if len(_found_sound) >= _MAX_MEMBERS:
-        _found_sound.clear()
-    _found_sound.add(key)
+    if len(_sound_cache) >= _MAX_MEMBERS:
+        _sound_cache.clear()
+    _sound_cache.add(key)
 
 
 def is_inside(file: h5py.File, name: str) -> bool:
@@ -223,28 +223,28 @@ def members(file: h5py.File, name: str, source: str) -> list[str]:
         raise BadData(f"{source}: {name} must be a group of the file itself; it is missing, a link or a dataset")
     group = file[name]
     if len(group) > _MAX_MEMBERS:
-        raise BadData(f"{source}: {name} must hold at most {_MAX_MEMBERS} columns, it has {len(group)}")
+        raise BadData(f"{source}: {name} must have at most {_MAX_MEMBERS} columns, got {len(group)}")
     return list(group)
 
 
 def attributes_of(item: h5py.HLObject, source: str) -> dict[str, Any]:
     """Return the attributes that are one number or one fixed-length string; cgid writes and reads no others."""
-    found: dict[str, Any] = {}
-    room = _MAX_ATTRIBUTES
+    attributes: dict[str, Any] = {}
+    left = _MAX_ATTRIBUTES
     if len(item.attrs) > MAX_ATTRIBUTES:
         raise BadData(f"{source}: {item.name} must have at most {MAX_ATTRIBUTES} attributes, got {len(item.attrs)}")
     for name in item.attrs:
         stored = item.attrs.get_id(name)
-        room -= stored.dtype.itemsize + len(name)
-        if room < 0:
+        left -= stored.dtype.itemsize + len(name)
+        if left < 0:
             raise BadData(f"{source}: attributes of {item.name} must take at most {_MAX_ATTRIBUTES >> 20} MiB")
         # Python has no numbers of more than eight bytes.
         if stored.shape == () and (
             stored.dtype.kind == "S" or (stored.dtype.kind in "biuf" and stored.dtype.itemsize <= 8)
         ):
             value = item.attrs[name]
-            found[name] = value.decode(errors="replace") if isinstance(value, bytes) else value.item()
-    return found
+            attributes[name] = value.decode(errors="replace") if isinstance(value, bytes) else value.item()
+    return attributes
 
 
 def format_of(path: Path) -> str:

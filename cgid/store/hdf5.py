@@ -7,10 +7,10 @@ checksummed headers. So reading detects any flipped bit.
     recording   /samples (n_samples,); /impacts/<column>, one row per impact
     table       /labels, /specimen and /columns/<name>, one value per row
 
-A shard is built in memory, which is faster. Recordings and tables may exceed memory and go straight to the disk
-(`hdf5_on_disk`). Only signals of shards are compressed: `gzip` is HDF5's shuffle and deflate, which h5dump, MATLAB and
-LabVIEW read; `zstd` and `blosc2` (filters 32015 and 32026 of HDF5's registry) need plugins, in Python hdf5plugin.
-`python benchmarks/store.py` measures size and speed.
+A shard is built in memory, which is faster. Recordings and tables may exceed memory and are written to the disk
+directly (`hdf5_on_disk`). Only signals of shards are compressed: `gzip` is HDF5's shuffle and deflate, which h5dump,
+MATLAB and LabVIEW read; `zstd` and `blosc2` (filters 32015 and 32026 of HDF5's registry) need plugins, in Python
+hdf5plugin. `python benchmarks/store.py` measures size and speed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _CHUNK_BYTES, CHUNK_ROWS, _CHUNK_SAMPLES = 1 << 19, 4096, 1 << 16
 _CHECKSUM = 4
 
 
-# ---- what all files have in common -----------------------------------------------------------------------------------
+# ---- common to all files --------------------------------------------------------------------------------------------
 
 
 def put_attributes(item: h5py.HLObject, values: Mapping[str, Any]) -> None:
@@ -103,7 +103,7 @@ def library(compression: str) -> str:
 
 def _plugin(compression: str) -> Any:
     """Return hdf5plugin, which registers its filters with HDF5 on import."""
-    return optional("hdf5plugin", f"compression {compression!r} needs", "compression", cure=", or choose gzip")
+    return optional("hdf5plugin", f"compression {compression!r} needs", "compression", hint=", or choose gzip")
 
 
 # ---- shards ----------------------------------------------------------------------------------------------------------
@@ -180,15 +180,15 @@ class ShardBuilder:
         """Append the signals of a batch."""
         count("stored_signals", len(batch))
         if self._filled + len(batch) > self._n_signals:
-            raise BadData(f"a shard of {self._n_signals} signals was given {self._filled + len(batch)}")
+            raise BadData(f"a shard of {self._n_signals} signals received {self._filled + len(batch)}")
         if not self._filled:
             with undisturbed():
                 say_kind(self._signals, batch)
         done, rows = 0, len(self._chunk_signals)
         while done < len(batch):
-            place = self._filled % rows
-            some = batch.signals[done : done + rows - place]
-            self._chunk_signals[place : place + len(some)] = some
+            start = self._filled % rows
+            some = batch.signals[done : done + rows - start]
+            self._chunk_signals[start : start + len(some)] = some
             done, self._filled = done + len(some), self._filled + len(some)
             if self._filled % rows == 0 or self._filled == self._n_signals:
                 self._write_chunk()
@@ -219,7 +219,7 @@ class ShardBuilder:
     def image(self) -> memoryview:
         """Return the content of the finished file, without a copy."""
         if self._filled != self._n_signals:
-            raise BadData(f"a shard of {self._n_signals} signals was given {self._filled}")
+            raise BadData(f"a shard of {self._n_signals} signals received {self._filled}")
         columns: dict[str, list[Any]] = {
             "labels": [np.char.encode(part.labels, "utf-8") for part in self._columns],
             "specimen": [part.specimen for part in self._columns],
@@ -230,8 +230,8 @@ class ShardBuilder:
             for name, parts in columns.items():
                 dataset = self._file[name]
                 dataset[:] = np.concatenate(parts)
-                # Flush now to fix the dataset's place in the file. Otherwise HDF5 assigns it when the last reference to
-                # the dataset is dropped, and another thread that inspects frames, such as a profiler, may delay that.
+                # Flush now to fix the dataset's position in the file. Otherwise HDF5 assigns it when the last reference
+                # to the dataset is dropped, which a thread that inspects frames, such as a profiler, may delay.
                 dataset.flush()
             self._close()
         return self._memory.getbuffer()
@@ -242,7 +242,7 @@ class ShardBuilder:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingPlan:
-    """The description of a recording; `attributes` say how it was made."""
+    """The description of a recording; `attributes` describe how it was made."""
 
     n_samples: int
     dtype: str
@@ -293,12 +293,12 @@ class RecordingWriter:
     def require(self, sound: bool) -> None:
         """Raise `BadData` unless the number of samples is sound."""
         if not sound:
-            raise BadData(f"a recording of {self._plan.n_samples} samples was given {self.filled}")
+            raise BadData(f"a recording of {self._plan.n_samples} samples received {self.filled}")
 
 
 @contextmanager
 def writing(path: str | Path, plan: RecordingPlan, *, overwrite: bool = True) -> Iterator[RecordingWriter]:
-    """Yield the writer of a recording, which gets its name if this context ends without an error."""
+    """Yield the writer of a recording; the file appears under its name if this context ends without an error."""
     path = Path(path)
     if plan.size > MAX_RECORDING:
         raise InvalidValue(

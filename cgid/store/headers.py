@@ -110,8 +110,8 @@ def _root(file: h5py.File, source: str, form: str) -> dict[str, Any]:
     return attributes
 
 
-def _about(samples: h5py.Dataset, source: str, form: str, place: str) -> dict[str, Any]:
-    """Return length, type, rate, unit and `place` ("pre_trigger" or "start") of the samples; raises `BadData`."""
+def _about(samples: h5py.Dataset, source: str, form: str, start_name: str) -> dict[str, Any]:
+    """Return length, type, rate, unit and `start_name` ("pre_trigger" or "start") of the samples; raises `BadData`."""
     name, shape, dtype = samples.name[1:], samples.shape, samples.dtype
     n_axes = 2 if form == "rows" else 1
     if samples.ndim != n_axes or dtype not in (np.float32, np.float64) or not all(shape):
@@ -123,10 +123,10 @@ def _about(samples: h5py.Dataset, source: str, form: str, place: str) -> dict[st
         "pre_trigger": lambda before: type(before) is int and 0 <= before < shape[-1],
         "start": lambda start: isinstance(start, float) and math.isfinite(start),
     }
-    about = {attribute: attributes.get(attribute) for attribute in ("sampling_rate", "unit", place)}
+    about = {attribute: attributes.get(attribute) for attribute in ("sampling_rate", "unit", start_name)}
     for attribute, value in about.items():
         if not rules[attribute](value):
-            raise BadData(f"{source}: {name} must have a sound attribute {attribute}, got {value!r:.80}")
+            raise BadData(f"{source}: {name} must have a valid attribute {attribute}, got {value!r:.80}")
     return {**about, "n_samples": shape[-1], "dtype": dtype.name}
 
 
@@ -160,8 +160,8 @@ def _part(dataset: h5py.Dataset, part: slice, path: Path) -> NDArray[Any]:
         values: NDArray[Any] = dataset[part]
     except DAMAGE:
         raise BadData(
-            f"{path}: {dataset.name[1:]} {part.start} to {part.stop - 1} must fit their checksums, they do not: the "
-            "file is damaged; generate it again"
+            f"{path}: {dataset.name[1:]} {part.start} to {part.stop - 1} must match their checksums, the file is "
+            "damaged; generate it again"
         ) from None
     return values
 

@@ -40,8 +40,7 @@ def state_of(path: Path, sha256: str | None = None, listing: str = "") -> Identi
             state = identity_of(os.fstat(stream.fileno()))
             if sha256 is not None and hashlib.file_digest(stream, "sha256").hexdigest() != sha256:
                 raise BadData(
-                    f"{path}: must have the SHA-256 that {listing} says, it has not: it is damaged or another file; "
-                    "see cgid verify"
+                    f"{path}: must match the SHA-256 in {listing}, it is damaged or another file; see cgid verify"
                 )
             return state
     except PermissionError as error:
@@ -55,11 +54,11 @@ def require_own(path: Path, folder: Folder, number: int, about: dict[str, Any]) 
     if folder.digest is not None and about.get(DIGEST) != folder.digest:
         attributes = folder.description.content["attributes"]
         name = next((name for name in attributes if attributes[name] != about.get(name)), "description")
-        values = [f"{found.get(name, 'another')!s:.80}" for found in (attributes, about)]
+        values = [f"{attributes_of.get(name, 'another')!s:.80}" for attributes_of in (attributes, about)]
         raise BadData(
             f"{path}: {name} must be that of its folder, {values[0]}, got {values[1]}: the file belongs to another "
-            "description, or a run that replaces it is not finished; go on with cgid generate ... --resume, or put the "
-            "right file in its place"
+            "description, or a run that replaces it is not finished; continue with cgid generate ... --resume, or "
+            "restore the right file"
         )
     for name, value in folder.description.part(number).items():
         if about.get(name) != value:
@@ -71,7 +70,7 @@ def require_own(path: Path, folder: Folder, number: int, about: dict[str, Any]) 
 class Dataset:
     """A dataset on disk: a file or a folder of shards.
 
-    The SHA-256 of a shard is compared when it is read first.
+    The SHA-256 of a shard is checked when the shard is first read.
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ class Dataset:
     NoInput
         The path does not exist.
     BadData
-        It is no dataset, unfinished or damaged, or its shards do not fit the description.
+        It is not a dataset, is unfinished or damaged, or its shards do not fit the description.
     """
 
     #: The header of the first shard; the others differ from it only in the number of signals.
@@ -107,7 +106,7 @@ class Dataset:
             raise BadData(f"{path}: must be a dataset, it is a folder of {folder.description.noun}; give one of them")
         self._shards = [self.path / name for name in _complete(folder)]
         self._counts = [folder.description.part(number)["n_signals"] for number in range(len(self._shards))]
-        # Without a sum only the header says that a shard belongs here.
+        # Without a sum only the header shows whether a shard belongs to the dataset.
         for number in [0, *(number for number, shard in enumerate(self._shards) if shard.name not in folder.sums)]:
             self._state(number)
 
@@ -126,9 +125,9 @@ class Dataset:
         if folder is not None:
             require_own(shard, folder, number, {"first_signal": 0, **header.attributes, "n_signals": header.n_signals})
         for name in _COMMON:
-            here, there = getattr(header, name), getattr(self.header, name)
-            if here != there:
-                raise BadData(f"{shard}: {name} must be that of the other shards, {there}, got {here}")
+            got, expected = getattr(header, name), getattr(self.header, name)
+            if got != expected:
+                raise BadData(f"{shard}: {name} must be that of the other shards, {expected}, got {got}")
         self._states[number] = state
         return state
 
@@ -175,7 +174,7 @@ class Dataset:
         Parameters
         ----------
         n_rows : int, optional
-            Maximal number of signals in a batch; by default 1024, fewer for long signals.
+            Maximum number of signals in a batch; by default 1024, fewer for long signals.
 
         Raises
         ------
@@ -229,10 +228,10 @@ class Dataset:
             The index is negative, or not below the number of signals.
         """
         if not 0 <= index < len(self):
-            raise InvalidValue(f"{self.path}: index must lie between 0 and {len(self) - 1}, got {index}")
+            raise InvalidValue(f"{self.path}: index must be in [0, {len(self) - 1}], got {index}")
         number = bisect_right(list(accumulate(self._counts)), index)
-        place = index - sum(self._counts[:number])
-        (batch,) = self._read(number, place, place + 1, 1)
+        row = index - sum(self._counts[:number])
+        (batch,) = self._read(number, row, row + 1, 1)
         return batch
 
     def signal(self, index: int) -> Signal:
@@ -263,12 +262,12 @@ class Dataset:
 
 def _complete(folder: Folder) -> list[str]:
     """Return the names of the files of a folder; raises `BadData` unless all are there."""
-    names, there = folder.description.names, {entry.name for entry in folder.path.iterdir()}
-    missing = [name for name in names if name not in there]
+    names, expected = folder.description.names, {entry.name for entry in folder.path.iterdir()}
+    missing = [name for name in names if name not in expected]
     if missing:
         raise BadData(
             f"{folder.path}: {len(names) - len(missing)} of {len(names)} {folder.description.noun} are there, "
-            f"{missing[0]} is missing; go on with cgid generate ... --resume"
+            f"{missing[0]} is missing; continue with cgid generate ... --resume"
         )
     return names
 
@@ -307,12 +306,12 @@ class Recording:
     def samples(self, first: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return the samples in [first, stop)."""
         stop = self._checked_stop(first, stop)
-        found = np.empty(stop - first, self.dtype)
-        place = 0
+        samples = np.empty(stop - first, self.dtype)
+        position = 0
         for block in self.blocks(_BLOCK, first, stop):
-            found[place : place + block.size] = block
-            place += block.size
-        return found
+            samples[position : position + block.size] = block
+            position += block.size
+        return samples
 
     def blocks(self, length: int, first: int = 0, stop: int | None = None) -> Generator[NDArray[Any], None, None]:
         """Yield samples in order, at most `length` at once; `first`, `stop` and errors as those of `samples`."""
@@ -324,18 +323,16 @@ class Recording:
     def _checked_stop(self, first: int, stop: int | None) -> int:
         stop = self.n_samples if stop is None else stop
         if not 0 <= first <= stop <= self.n_samples:
-            raise InvalidValue(
-                f"{self.path}: samples must be asked for between 0 and {self.n_samples}, got {first} to {stop}"
-            )
+            raise InvalidValue(f"{self.path}: samples must be within 0 and {self.n_samples}, got {first} to {stop}")
         return stop
 
     def impacts(self) -> dict[str, NDArray[Any]]:
         """Return the truth of all impacts, one column for each of `impact_units`; raises `BadData` if damaged."""
         names = {name: f"impacts/{name}" for name in self.impact_units}
-        found = list(rows(self.path, list(names.values()), 0, self.n_impacts, _IMPACTS, self._identity))
-        columns = {name: np.concatenate([part[stored] for part in found]) for name, stored in names.items()}
+        parts = list(rows(self.path, list(names.values()), 0, self.n_impacts, _IMPACTS, self._identity))
+        columns = {name: np.concatenate([part[stored] for part in parts]) for name, stored in names.items()}
         return {name: text_of(column) if column.dtype.kind == "S" else column for name, column in columns.items()}
 
     def signal(self) -> Signal:
-        """Return the whole recording as a signal."""
+        """Return the complete recording as a signal."""
         return Signal(samples=self.samples(), sampling_rate=self.sampling_rate, unit=self.unit, source=str(self.path))

@@ -30,7 +30,7 @@ from cgid.store.folder import (
     sha256_of,
     sums_text,
 )
-from cgid.store.verification import examine_file, why_not_whole
+from cgid.store.verification import examine_file, why_incomplete
 
 #: Names with other endings are folders.
 SUFFIXES = (".h5", ".hdf5")
@@ -66,7 +66,7 @@ class Run:
         return sums_text({DESCRIPTION: self.description.sha256, **listed})
 
     def add(self, name: str, sha256: str) -> None:
-        """Append the sum of a file that is whole, and flush it to the disk; raises `WriteFailed`."""
+        """Append the sum of a complete file, and flush it to the disk; raises `WriteFailed`."""
         if self._sums is None:
             return
         line = sums_text({name: sha256})
@@ -76,31 +76,31 @@ class Run:
             os.fsync(self._listing)
         except OSError as error:
             raise WriteFailed(
-                f"{self.output / SUMS}: writing failed ({error.strerror}); free some space, then go on with --resume"
+                f"{self.output / SUMS}: writing failed ({error.strerror}); free some space, then continue with --resume"
             ) from None
         self._sums[name] = sha256
 
     def finish(self) -> None:
-        """Bring the sums into the order of the files, which several processes finish in any; raises `WriteFailed`."""
+        """Sort the sums by file, since several processes finish files in any order; raises `WriteFailed`."""
         self.close()
         if self._sums is not None and list(self._sums) != self.description.names:
             write_whole(self.output / SUMS, self._text())
 
     def close(self) -> None:
-        """Close the listing; Windows cannot replace an open file."""
+        """Close the list of sums; Windows cannot replace an open file."""
         if self._listing >= 0:
             os.close(self._listing)
             self._listing = -1
 
     def abandon(self) -> None:
-        """Close the sums and remove half-written files; finished files stay for resuming."""
+        """Close the list of sums and remove incomplete files; finished files remain for resuming."""
         self.close()
         clear(self.output, names_of(self.description.kind), only_parts=True)
 
 
 @contextmanager
 def begun(output: Path, description: Description, *, overwrite: bool = False, resume: bool = False) -> Iterator[Run]:
-    """Yield a run over the missing files; with `resume`, whole files of the same description are kept."""
+    """Yield a run over the missing files; with `resume`, complete files of the same description are kept."""
     if is_single_file(output):
         clear_half_written(output)
         yield Run(output, description, None, resume and output.exists() and _is_made(output, description, overwrite))
@@ -121,7 +121,7 @@ def begun(output: Path, description: Description, *, overwrite: bool = False, re
                 run.abandon()
                 raise
         except BaseException:
-            with contextlib.suppress(OSError):  # nothing is left of a run that has finished nothing
+            with contextlib.suppress(OSError):  # a run that has finished no file leaves none
                 if is_empty and _names(output) <= {DESCRIPTION, SUMS, LOCK}:
                     for name in (SUMS, DESCRIPTION, LOCK):
                         (output / name).unlink(missing_ok=True)
@@ -136,7 +136,7 @@ def _names(folder: Path) -> set[str]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder: a file in it that stays there. Raises `CannotCreate` if another process holds it."""
+    """Lock a folder by a file in it that remains. Raises `CannotCreate` if another process has the lock."""
     from filelock import FileLock, Timeout
 
     lock = FileLock(folder / LOCK)
@@ -182,36 +182,36 @@ def check_output(output: str | Path, kind: str, overwrite: bool = False) -> Path
                         foreign.append(name)
         if foreign:
             raise CannotCreate(
-                f"{path}: is a folder with other things in it, such as {foreign[0]}, and is not overwritten; "
-                "choose another name"
+                f"{path}: is a folder with other files in it, such as {foreign[0]}, and is not overwritten; choose "
+                "another name"
             )
         if path.exists() and content not in ([], [LOCK]) and not overwrite:
             raise CannotCreate(
-                f"{path}: exists already; choose another name or say --overwrite, or --resume if it is not finished"
+                f"{path}: exists already; choose another name, or use --overwrite, or --resume if it is not finished"
             )
     return path
 
 
-# ---- what is there ---------------------------------------------------------------------------------------------------
+# ---- existing files --------------------------------------------------------------------------------------------------
 
 
 def _is_made(output: Path, description: Description, overwrite: bool) -> bool:
-    """Return whether a single file is whole and follows from the description; raise if not, unless `overwrite`."""
+    """Return whether a single file is complete and fits the description; raise if not, unless `overwrite`."""
     kind, fault, about = examine_file(output)
     if overwrite:
         return not fault and about.get(DIGEST) == description.sha256
     if kind not in ("", description.kind) or not is_hdf5(output):
-        cure = ", or replace it with --overwrite" if kind else ""
-        raise BadData(f"{output}: is there and is no {description.kind}; choose another name{cure}")
+        hint = ", or replace it with --overwrite" if kind else ""
+        raise BadData(f"{output}: exists and is not a {description.kind}; choose another name{hint}")
     if fault:
-        raise BadData(f"{output}: is there and is not whole; make it again with --overwrite, without --resume")
+        raise BadData(f"{output}: exists and is incomplete; make it again with --overwrite, without --resume")
     if about.get(DIGEST) != description.sha256:
         required = {**description.content["attributes"], **description.content}
-        # In this order, because all else is told by the versions and the scene.
+        # In this order, since everything else depends on the versions and the scene.
         names = ("seed", "n_signals", "dtype", "compression", "scene_name", "scene_sha256", "versions")
         name = next((name for name in names if about.get(name, required.get(name)) != required.get(name)), "n_samples")
         raise CannotCreate(
-            f"{output}: {name} must be that of the file that is there, {about.get(name, 'another')!s:.80}, got "
+            f"{output}: {name} must be that of the existing file, {about.get(name, 'another')!s:.80}, got "
             f"{required.get(name, 'another')!s:.80}; choose another name, or replace it with --overwrite"
         )
     return True
@@ -222,14 +222,14 @@ def _started(output: Path, description: Description, overwrite: bool, resume: bo
     try:
         keep = resume and _is_resumed(output, description, overwrite)
         if not keep:
-            check_output(output, description.kind, overwrite or resume)  # another run may have been here meanwhile
-            # Without sums no file of an earlier description is treated as one of this.
+            check_output(output, description.kind, overwrite or resume)  # another run may have written here
+            # Without sums no file of an earlier description is taken for one of this run.
             for name in (SUMS, MANIFEST, JOURNAL):
                 (output / name).unlink(missing_ok=True)
         if read_text(output / DESCRIPTION) != description.text:
             write_whole(output / DESCRIPTION, description.text)
         clear(output, names_of(description.kind), keep={*description.names, DESCRIPTION, SUMS, LOCK})
-        return Run(output, description, _whole(output, description) if keep else {})
+        return Run(output, description, _complete_files(output, description) if keep else {})
     except OSError as error:
         if isinstance(error, CannotCreate | WriteFailed):
             raise
@@ -237,37 +237,37 @@ def _started(output: Path, description: Description, overwrite: bool, resume: bo
 
 
 def _is_resumed(output: Path, description: Description, overwrite: bool) -> bool:
-    """Return whether files in a folder may follow from this description; raise if not, unless `overwrite`."""
+    """Return whether files in a folder may fit this description; raise if not, unless `overwrite`."""
     text = read_text(output / DESCRIPTION)
-    # A description that was lost or damaged is written again: sums and files say whether they follow from it.
+    # A lost or damaged description is written again: sums and files show whether they fit it.
     if text == description.text or read_sums(output, description.sha256):
         return True
-    # Recordings of an earlier version have sums without a description, and nothing says what they follow from.
+    # Recordings of an earlier version have sums without a description, so their scene is unknown.
     is_old = text is None and read_sums(output, None) and DESCRIPTION not in read_sums(output, None)
     if text is None and not is_old and not (output / MANIFEST).exists() and not (output / JOURNAL).exists():
         return True
     if overwrite:
         return False
     if text is None:
-        raise CannotCreate(f"{output}: an earlier cgid made it, which cannot be gone on with; start with --overwrite")
+        raise CannotCreate(f"{output}: an earlier cgid began it, which cannot be continued; start with --overwrite")
     try:
-        there = parse_description(text, output / DESCRIPTION).content
+        present = parse_description(text, output / DESCRIPTION).content
     except BadData as error:
         raise BadData(f"{error}; or start again with --overwrite") from None
-    require_same(output, there, description.content)
+    require_same(output, present, description.content)
     # Only the layout of the text differs.
     raise BadData(f"{output / DESCRIPTION}: is damaged; start again with --overwrite")
 
 
-def _whole(output: Path, description: Description) -> dict[str, str]:
-    """Return the sums of the files in a folder that are whole."""
-    listed, there = read_sums(output, description.sha256), _names(output)
+def _complete_files(output: Path, description: Description) -> dict[str, str]:
+    """Return the sums of the complete files in a folder."""
+    listed, present = read_sums(output, description.sha256), _names(output)
     folder = Folder(path=output, description=description, sums=listed, digest=description.sha256)
     sums = {}
     for number, name in enumerate(description.names):
-        if name not in there or not (path := output / name).is_file() or path.is_symlink():
+        if name not in present or not (path := output / name).is_file() or path.is_symlink():
             continue
-        if name not in listed and not why_not_whole(folder, number):
+        if name not in listed and not why_incomplete(folder, number):
             sums[name] = sha256_of(path)
         elif name in listed and has_sum(path, listed[name]):
             sums[name] = listed[name]
@@ -277,7 +277,7 @@ def _whole(output: Path, description: Description) -> dict[str, str]:
 def clear(
     folder: Path, ours: re.Pattern[str], *, keep: frozenset[str] | set[str] = frozenset(), only_parts: bool = False
 ) -> None:
-    """Remove our files but those to `keep`, or only the half-written ones, as far as possible."""
+    """Remove our files except those to `keep`, or only the incomplete ones, as far as possible."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             if ours.fullmatch(path.name) and path.name not in keep and (not only_parts or path.suffix == ".part"):
@@ -293,6 +293,6 @@ def require_description(folder: Path, sha256: str) -> None:
         same = False
     if not same:
         raise CannotCreate(
-            f"{folder}: must have the {DESCRIPTION} of this run, and has it no more, or not here; wait for another run "
-            "that has taken the folder over, or choose a folder that all machines share"
+            f"{folder}: must contain the {DESCRIPTION} of this run, and does not (any more, or on this machine); wait "
+            "for the run that has taken over the folder, or choose a folder that all machines share"
         )

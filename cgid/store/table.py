@@ -1,4 +1,4 @@
-"""Tables of labelled rows in HDF5, Parquet or CSV: written batch by batch, read whole; and tables of any columns."""
+"""Tables of labelled rows in HDF5, Parquet or CSV: written batch by batch, read at once; and tables of any columns."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Table(Rows):
-    """A whole table, with its header.
+    """A complete table with its header.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Table(Rows):
 
 
 def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
-    """Return the output as a path if a table may be written there; run before any work is done."""
+    """Return the output as a path if a table may be written there; call this before any work."""
     path = Path(output)
     if path.suffix.lower() not in TABLE_SUFFIXES:
         raise InvalidValue(f"{path}: the name of a table must end in {', '.join(TABLE_SUFFIXES)}; choose such a name")
@@ -89,7 +89,7 @@ def check_table_output(output: str | Path, overwrite: bool = False) -> Path:
 
 
 class TableWriter:
-    """A table that is being written; made by `table_writer`. It passes whole blocks of rows to `write`."""
+    """A table being written; made by `table_writer`. It passes complete blocks of rows to `write`."""
 
     def __init__(self, write: Callable[[Rows], object]) -> None:
         self._write = write
@@ -105,7 +105,7 @@ class TableWriter:
             self.finish()
 
     def finish(self) -> None:
-        """Write the waiting rows."""
+        """Write the pending rows."""
         if self._waiting:
             columns = {
                 name: np.concatenate([rows.columns[name] for rows in self._waiting])
@@ -122,7 +122,7 @@ class TableWriter:
 def table_writer(
     path: str | Path, header: TableHeader, label_width: int, *, overwrite: bool = True
 ) -> Iterator[TableWriter]:
-    """Yield the writer of a table; the file name has its old content or the whole table."""
+    """Yield the writer of a table; the file has its old content or the complete table."""
     written = {".csv": _written_csv, ".parquet": _written_parquet}.get(Path(path).suffix.lower(), _written_hdf5)
     clear_half_written(Path(path))
     with whole_file(path, overwrite=overwrite) as temporary, written(temporary, header, label_width) as write:
@@ -245,23 +245,23 @@ def _plain_hdf5(path: Path, types: Mapping[tuple[str, str], str]) -> Iterator[Ca
 
     yield write
     titles = [column_title(name, unit) for name, unit in types]
-    places = [f"columns/{title.replace('/', '|')}" for title in titles]  # a slash would make a group
-    joined = dict(zip(places, map(np.concatenate, blocks), strict=True))
-    units = {place: unit for place, (_name, unit) in zip(places, types, strict=True) if unit}
+    paths = [f"columns/{title.replace('/', '|')}" for title in titles]  # a slash would make a group
+    joined = dict(zip(paths, map(np.concatenate, blocks), strict=True))
+    units = {path_: unit for path_, (_name, unit) in zip(paths, types, strict=True) if unit}
     # Else HDF5 takes texts for ASCII.
     joined |= {
-        place: column.astype(string_dtype("utf-8", column.itemsize))
-        for place, column in joined.items()
+        path_: column.astype(string_dtype("utf-8", column.itemsize))
+        for path_, column in joined.items()
         if column.dtype.kind == "S"
     }
-    with _hdf5_columns(path, {place: column.dtype for place, column in joined.items()}, units, {}) as append:
+    with _hdf5_columns(path, {path_: column.dtype for path_, column in joined.items()}, units, {}) as append:
         append(joined)
 
 
 def parquet_library() -> tuple[Any, Any]:
     """Return pyarrow and its Parquet module; raises `MissingExtra`."""
     arrow, parquet = (
-        optional(name, "Parquet files need", "parquet", name="pyarrow", cure=", or choose .h5 or .csv")
+        optional(name, "Parquet files need", "parquet", name="pyarrow", hint=", or choose .h5 or .csv")
         for name in ("pyarrow", "pyarrow.parquet")
     )
     return arrow, parquet
@@ -283,9 +283,9 @@ def read_table(path: str | Path) -> Table:
     NoInput
         The file does not exist.
     BadData
-        It is damaged, or no such table.
+        It is damaged or not such a table.
     MissingExtra
-        It is a Parquet file, and the library is not installed.
+        It is a Parquet file and the library is not installed.
     """
     if not Path(path).is_file():
         raise NoInput(f"{path}: no such file; give a table made by cgid generate --features-only")
@@ -305,7 +305,7 @@ def read_table(path: str | Path) -> Table:
 def _damaged(path: str | Path, error: Exception) -> BadData:
     """Return the error for a table that a library cannot read, with its message in one line."""
     return BadData(
-        f"{path}: must be a whole table of cgid, it is damaged ({' '.join(str(error).split())}); make it again"
+        f"{path}: must be a complete table of cgid, it is damaged ({' '.join(str(error).split())}); make it again"
     )
 
 
@@ -373,15 +373,15 @@ def _header_of(path: str | Path, text: str) -> TableHeader:
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict) or content.get("format") != TABLE_FORMAT:
-        raise BadData(f"{path}: must begin with what cgid says of its tables; this is another file")
+        raise BadData(f"{path}: must begin with the header of a cgid table; this is another file")
     require_schema(str(path), content.get("schema_version"), TABLE_VERSION)
     units, attributes = content.get("units"), content.get("attributes")
     if not isinstance(units, dict) or not isinstance(attributes, dict):
-        raise BadData(f"{path}: must say its units and attributes, it does not; make it again")
+        raise BadData(f"{path}: must state units and attributes, it does not; make it again")
     require_scene(str(path), attributes)
     # Older tables have no digest.
     if "digest" in content and not is_sound(content):
-        raise BadData(f"{path}: what it says of itself must fit its SHA-256, it does not: it is damaged; make it again")
+        raise BadData(f"{path}: the header must match its SHA-256, it is damaged; make it again")
     return TableHeader(kind=str(content.get("kind")), units=units, attributes=attributes)
 
 
@@ -389,10 +389,10 @@ def _checked(
     path: str | Path, header: TableHeader, labels: Any, specimen: Any, columns: Mapping[str, NDArray[Any]]
 ) -> Table:
     if set(columns) != set(header.units) or {len(c) for c in (labels, specimen, *columns.values())} != {len(labels)}:
-        raise BadData(f"{path}: must hold all columns that it names, all of one length; make it again")
+        raise BadData(f"{path}: must have all columns of its header, all of one length; make it again")
     if header.attributes.get("n_signals", len(labels)) != len(labels):
         raise BadData(
-            f"{path}: must hold {header.attributes['n_signals']} rows as it says, it has {len(labels)}; make it again"
+            f"{path}: must have {header.attributes['n_signals']} rows as declared, got {len(labels)}; make it again"
         )
     numbers = {name: np.asarray(columns[name], np.float64) for name in header.units}
     return Table(header=header, labels=labels, specimen=np.asarray(specimen, np.uint64), columns=numbers)

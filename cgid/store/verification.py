@@ -40,7 +40,7 @@ _TEXTS = (DESCRIPTION, SUMS, MANIFEST, JOURNAL)
 
 
 class Examined(NamedTuple):
-    """Format, fault ("" if all can be read) and root attributes of an HDF5 file of cgid, which may be damaged."""
+    """Format, fault ("" if readable) and root attributes of an HDF5 file of cgid, which may be damaged."""
 
     kind: str
     fault: str
@@ -68,8 +68,8 @@ def examine_file(path: str | Path) -> Examined:
     return Examined(kind, fault, about)
 
 
-def why_not_whole(folder: Folder, number: int) -> str:
-    """Return why a file without a sum is not whole, "" if it is: by its digest, its number and its checksums."""
+def why_incomplete(folder: Folder, number: int) -> str:
+    """Return why a file without a sum is incomplete, "" if it is complete: by its digest, number and checksums."""
     path = folder.path / folder.description.name(number)
     _, fault, about = examine_file(path)
     try:
@@ -101,9 +101,9 @@ class Verified:
     Attributes
     ----------
     path : Path
-        What was examined.
+        The path that was checked.
     kind : str
-        "dataset", "recording", "table", or "file" if it is too damaged to know.
+        "dataset", "recording", "table", or "file" if it is too damaged to tell.
     n_files : int
         Number of examined files.
     findings : tuple of Finding
@@ -135,7 +135,7 @@ def verify(path: str | Path) -> Verified:
     Returns
     -------
     Verified
-        Its `findings` are empty if nothing is damaged; `cgid.scene.repair.repair` mends a folder.
+        Its `findings` are empty if nothing is damaged; `cgid.scene.repair.repair` repairs a folder.
 
     Raises
     ------
@@ -183,24 +183,24 @@ def _verify_folder(path: Path) -> Verified:
             problem = {None: "missing", JOURNAL: "unfinished"}.get(text, "damaged")
             findings.append(Finding(file=path / (text or DESCRIPTION), problem=problem, what=str(error)))
             sums = {}
-    there, n_absent, n_unlisted = {*names}, 0, 0
+    present, n_absent, n_unlisted = {*names}, 0, 0
     for number, name in enumerate(files):
-        if name not in sums and name not in there:
+        if name not in sums and name not in present:
             n_absent += 1
         elif finding := _finding(path / name, sums.get(name), folder, number):
             findings.append(finding)
         elif name not in sums:
             n_unlisted += 1
     if folder is not None and n_absent:
-        what = f"{len(files) - n_absent} of {len(files)} {folder.description.noun} are there"
-        what += "; go on with cgid generate ... --resume"
+        what = f"{len(files) - n_absent} of {len(files)} {folder.description.noun} exist"
+        what += "; continue with cgid generate ... --resume"
         findings.append(Finding(file=path, problem="unfinished", what=what))
     elif folder is not None and n_unlisted:
-        problem = "damaged" if SUMS in there else "missing"
-        what = f"must begin with the SHA-256 of the description and list that of {n_unlisted} files that are whole"
+        problem = "damaged" if SUMS in present else "missing"
+        what = f"must begin with the SHA-256 of the description and list that of {n_unlisted} complete files"
         findings.append(Finding(file=path / SUMS, problem=problem, what=what))
     part = re.compile(half_written("|".join([_FILE, *map(re.escape, _TEXTS)])))
-    for name in sorted(there - {*files, *_TEXTS, LOCK}):
+    for name in sorted(present - {*files, *_TEXTS, LOCK}):
         problem, what = ("leftover", "of a stopped run") if part.fullmatch(name) else ("foreign", "not part of it")
         findings.append(Finding(file=path / name, problem=problem, what=what))
     kind = _NOUNS[folder.description.kind] if folder else "recording" if is_old else "dataset"
@@ -208,14 +208,14 @@ def _verify_folder(path: Path) -> Verified:
 
 
 def _finding(path: Path, sha256: str | None, folder: Folder | None, number: int) -> Finding | None:
-    """Return the problem of a file in a folder, None if it is whole."""
+    """Return the problem of a file in a folder, None if it is complete."""
     if path.is_symlink():
         return Finding(file=path, problem="damaged", what=LINKED)
     if sha256 and not path.is_file():
-        return Finding(file=path, problem="missing", what="is not there")
+        return Finding(file=path, problem="missing", what="does not exist")
     if sha256 and has_sum(path, sha256):
         return None
-    what = examine_file(path).fault if folder is None else why_not_whole(folder, number)
+    what = examine_file(path).fault if folder is None else why_incomplete(folder, number)
     if sha256 and not what:
-        what = f"does not fit the SHA-256 of {folder.listing if folder else SUMS}, though all of it can be read"
+        what = f"does not match the SHA-256 in {folder.listing if folder else SUMS}, though all of it is readable"
     return Finding(file=path, problem="damaged", what=what) if what else None

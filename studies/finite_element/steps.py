@@ -109,7 +109,7 @@ def require_times_fit(retardation: tuple[float, float], time_step: float | None,
     longest, shortest = duration / MIN_STEPS, duration / MAX_STEPS
     if not shortest <= time_step <= longest:
         raise InvalidValue(
-            f"time_step must lie between {shortest:.3g} and {longest:.3g} s, {MAX_STEPS} and {MIN_STEPS} steps "
+            f"time_step must be between {shortest:.3g} and {longest:.3g} s, {MAX_STEPS} and {MIN_STEPS} steps "
             f"of the contact of Hertz's theory, got {time_step:.3g} s; leave it out and it is chosen"
         )
 
