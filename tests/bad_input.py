@@ -679,7 +679,6 @@ def _rows(text: str) -> list[list[str]]:
 
 
 def _commands() -> Iterator[Case]:
-    """Yield the cases."""
     for code, arguments, word in _rows(_COMMANDS):
         yield Case(arguments, tuple(shlex.split(arguments)), int(code), (word,))
     for number, (scene, _, new, word) in enumerate(_rows(_SCENES)):
@@ -700,7 +699,6 @@ CASES = tuple(_commands())
 
 
 def main() -> None:
-    """Print the table."""
     import contextlib
     import io
     import os

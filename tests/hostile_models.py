@@ -33,12 +33,10 @@ class _Bomb:
 
 
 def golden_files() -> list[Path]:
-    """Return the golden models of the families that still exist."""
     return sorted(path for path in GOLDEN.glob("models-*.npz") if "discriminant" not in path.name)
 
 
 def golden(family: str) -> Model:
-    """Return the golden model of a family."""
     return Model.load(GOLDEN / f"models-4-{family}.npz")
 
 
@@ -92,7 +90,6 @@ def changed(family: str = "linear", header: Mapping[str, Any] | None = None, /, 
 
 
 def with_header(text: bytes) -> bytes:
-    """Return a golden model with any text as its header."""
     return packed({"header": np.frombuffer(text, np.uint8), **golden("linear").arrays})
 
 
@@ -103,13 +100,11 @@ def with_array(npy: bytes) -> bytes:
 
 
 def entries_of(content: bytes) -> dict[str, bytes]:
-    """Return the content of an archive."""
     with zipfile.ZipFile(io.BytesIO(content)) as stored:
         return {name: stored.read(name) for name in stored.namelist()}
 
 
 def archive(entries: Mapping[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
-    """Return an archive of any entries."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", method) as stored:
         for name, content in entries.items():
@@ -118,7 +113,6 @@ def archive(entries: Mapping[str, bytes], method: int = zipfile.ZIP_STORED) -> b
 
 
 def npy(descr: str, shape: str, content: bytes = b"") -> bytes:
-    """Return an array file that claims any type and shape."""
     head = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head + content
 
@@ -181,7 +175,6 @@ def _archives() -> dict[str, Callable[[], bytes]]:
 
 
 def _bomb() -> bytes:
-    """Return an archive whose header decompresses to a gigabyte of zeros."""
     packing = zlib.compressobj(9, zlib.DEFLATED, -15)
     first = packing.compress(bytes(1 << 20)) + packing.flush(zlib.Z_FULL_FLUSH)
     content = first * 1024 + zlib.compressobj(9, zlib.DEFLATED, -15).flush()
@@ -194,7 +187,6 @@ def _bomb() -> bytes:
 
 
 def _overlapping() -> bytes:
-    """Return an archive with a hundred names for the same megabyte."""
     local = archive({"header.npy": bytes(1 << 20)})
     start = local.index(b"PK\x01\x02")
     central = local[start : start + 56] * 60
@@ -435,7 +427,6 @@ def _nested(depth: int) -> Any:
 
 
 def _widest_network() -> bytes:
-    """Return a network with a layer of a million units."""
     wide = 1_000_000
     return changed(
         "network",
@@ -459,14 +450,12 @@ def _largest_forest() -> bytes:
 
 
 def _huge_numbers() -> bytes:
-    """Return a model whose products with standardised inputs exceed all floats."""
     model = golden("logistic")
     small = np.full_like(model.arrays["standardiser.scale"], 1e-300)
     return written(model.header, {**model.arrays, "standardiser.scale": small})
 
 
 def _extreme_beam() -> bytes:
-    """Return a beam whose numbers all lie at their limits."""
     own = beam_arrays()
     return with_beam(
         poles=8e3 * np.array([[-1.1e-5, -999.0, -1e-9], [1.2e-11, 1e-2, 900.0]]),

@@ -71,12 +71,10 @@ class Stream:
         return self.scaled(noise, decibels)
 
     def scaled(self, noise: np.ndarray, decibels: float) -> np.ndarray:
-        """Return noise at a power."""
         return noise * np.sqrt(np.mean(self.samples**2) / np.mean(noise**2) / 10 ** (decibels / 10))
 
     @cached_property
     def _powers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean square before and after each touch."""
         energy = np.append(0.0, np.cumsum(self.samples**2))
         place = (self.touch * self.sampling_rate).astype(int)
         long = int(LONG * self.sampling_rate)
@@ -85,12 +83,10 @@ class Stream:
 
     @cached_property
     def alone(self) -> np.ndarray:
-        """Whether each impact is alone."""
         gap, (before, after) = np.diff(self.touch), self._powers
         return (np.append(np.inf, gap) > APART) & (np.append(gap, np.inf) > APART) & (after >= 2 * before)
 
     def loud(self, noise: np.ndarray) -> np.ndarray:
-        """Return whether each impact is loud in some noise."""
         return self._powers[1] >= 2 * np.mean(noise**2)
 
     def finding(self, onsets: np.ndarray) -> np.ndarray:

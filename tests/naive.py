@@ -17,7 +17,6 @@ from cgid import family
 
 
 def peak(samples: Sequence[float]) -> tuple[int, float]:
-    """Return position and value of the first largest sample."""
     place = 0
     for k in range(len(samples)):
         if samples[k] > samples[place]:
@@ -68,7 +67,6 @@ def energy(samples: Sequence[float], rate: float) -> float:
 
 
 def skewness(samples: Sequence[float]) -> float:
-    """Third standardised moment of the samples as a distribution over time."""
     total = sum(samples)
     mean = sum(k * value for k, value in enumerate(samples)) / total
     second = sum((k - mean) ** 2 * value for k, value in enumerate(samples)) / total
@@ -120,7 +118,6 @@ def energy_below(frequencies: Sequence[float], power: Sequence[float], limit: fl
 
 
 def rolloff(frequencies: Sequence[float], power: Sequence[float], share: float = 0.85) -> float:
-    """Bisect for the limit with that share of the energy below it."""
     low, high = 0.0, frequencies[-1]
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -240,7 +237,6 @@ class Contact:
             self.plate_energy, self.impulse = float(end[2]), float(end[3])
 
     def evaluate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return displacement and force at times within the contact."""
         x, y, _, _ = self._solved.sol(times)
         return x, self._force(x, y)
 

@@ -90,7 +90,6 @@ SMALL = {"radius": uniform("5 mm", "10 mm"), "velocity": uniform(1, 3)}
 
 
 def beam_of(tail_beam: dict[str, Any], sensor: dict[str, Any] | None = None, samples: int = 1024) -> Scene:
-    """Return a small scene of small rocks on a tail beam."""
     sampling = {"sampling_rate": "25.6 kHz", "samples": samples, "pre_trigger": 64}
     return scene_of(None, SMALL, FELT if sensor is None else sensor, tail_beam=tail_beam, sampling=sampling)
 
@@ -188,5 +187,4 @@ CASES = (
 
 
 def named(name: str) -> Case:
-    """Return the case of this name."""
     return next(case for case in CASES if case.name == name)

@@ -34,7 +34,6 @@ def signals() -> dict[str, NDArray[Any]]:
 
 
 def main() -> None:
-    """Write the signals to a file."""
     np.savez_compressed(Path(sys.argv[1]), **signals())
 
 

@@ -39,7 +39,6 @@ class Specimen:
 
     @property
     def is_possible(self) -> bool:
-        """Whether the library is installed."""
         return find_spec(self.writer) is not None
 
 

@@ -31,7 +31,6 @@ from tests.ringing import N_SAMPLES, PRE_TRIGGER, RATE, damped_sinusoid, ringing
 
 @pytest.fixture(scope="module")
 def fresh() -> Batch:
-    """Impacts that no model here has seen."""
     return ringing_batch(120, seed=2)
 
 
@@ -49,7 +48,6 @@ def model_file(training: Training, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.fixture
 def default_model(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The model of this test in the place of the shipped one of acceleration."""
     ship = shipped.path_of
     monkeypatch.setattr(
         shipped, "path_of", lambda kind, name: model_file if name == shipped.ACCELERATION_MODEL else ship(kind, name)

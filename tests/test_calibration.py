@@ -219,7 +219,6 @@ def test_gain_is_a_factor_on_the_motion_alone():
 
 
 def rebuilt(blow, motion=None, force=None):
-    """A blow with samples put through functions."""
     parts = {"motion": (blow.motion, motion), "force": (blow.force, force)}
     return CalibrationImpact(
         **{
@@ -244,7 +243,6 @@ def of(signal_, **changes):
 
 
 def late(blow):
-    """A drop whose recording begins as it touches."""
     return CalibrationImpact(motion=of(blow.motion, samples=blow.motion.samples[188:]), impact=blow.impact)
 
 

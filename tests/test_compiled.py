@@ -159,13 +159,11 @@ def test_what_numba_was_told_to_make_otherwise_is_another_kernel(folder: Path, m
 
 @pytest.fixture
 def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """What NUMBA_CACHE_DIR says."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "asked"))
     return tmp_path / "asked"
 
 
 def place() -> Path | None:
-    """The folder that a new process would use."""
     return compiled.kernel_folder.__wrapped__()
 
 
@@ -267,7 +265,6 @@ def test_all_files_with_kernels_and_what_they_import_are_among_the_sources():
 
 
 def imported(path: Path) -> set[Path]:
-    """The files of cgid that a file imports from."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cgid."):
@@ -276,7 +273,6 @@ def imported(path: Path) -> set[Path]:
 
 
 def test_nothing_else_compiles():
-    """numba's own cache would have all of its weaknesses."""
     users = [path for path in PACKAGE.rglob("*.py") if re.search(r"import .*\bnjit|numba\.njit\(", path.read_text())]
     assert users == [PACKAGE / "compiled.py"]
 

@@ -215,7 +215,6 @@ def test_a_weight_that_holds_the_sphere_on_the_target(parameters):
 
 
 def test_the_weight_that_just_lets_the_sphere_leave():
-    """Scipy and the reference path see the same side of the edge."""
     leaving = summary((HALF, 0, 0, 0.1))["status"]
     low, high = 0.05, 0.3
     assert leaving == _contact.SEPARATED

@@ -24,7 +24,6 @@ HALF = HuntCrossley(restitution=0.5)
 
 
 def rigid(dissipation=HALF, **changed):
-    """Return the impact on a half space."""
     return Impact(**{**ON_STEEL, "target": HalfSpace(material=STEEL), "dissipation": dissipation, **changed})
 
 

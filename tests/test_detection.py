@@ -26,7 +26,6 @@ RATE = 25_600.0
 
 
 def detected(samples, kind="vibration", sampling_rate=RATE, cuts=(), **options):
-    """Return the events of a recording fed in blocks that end at some samples."""
     samples = np.atleast_2d(samples)
     detector = ImpactDetector(sampling_rate, len(samples), kind=kind, **options)
     events, told = [], 0

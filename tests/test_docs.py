@@ -66,7 +66,6 @@ class Block:
 
 
 def blocks_of(page: str) -> list[Block]:
-    """Return the fenced blocks of a page."""
     found: list[Block] = []
     notes: dict[str, str] = {}
     paragraphs, in_paragraph, other = 0, False, False

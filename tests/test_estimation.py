@@ -26,7 +26,6 @@ def shape_of(e):
 
 
 def exact(share, e):
-    """The pulse of peak 1 at shares of its contact."""
     return naive.damped_pulse(np.asarray(share), 1.0, 1.0, 0.0, e)
 
 
@@ -160,7 +159,6 @@ EXACT = [(0.1, 1e-4, 1e-3, 1e-3), (0.2, 1e-5, 2e-4, 2e-4), (0.35, 1e-5, 2e-5, 2e
 
 @pytest.fixture(scope="module")
 def noisy():
-    """Pulses of several shapes and lengths in frames of equal length."""
     parts = [frames_of(e, contact, 0.01, n=6, seed=11)[0] for e in (0.4, 0.65, 0.95) for contact in (30, 40, 80)]
     long = max(part.shape[1] for part in parts)
     return np.concatenate([np.pad(part, ((0, 0), (0, long - part.shape[1]))) for part in parts])

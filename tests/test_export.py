@@ -115,7 +115,6 @@ def odd_rows(model: Model, n: int) -> np.ndarray:
 
 @functools.cache
 def made(family: str, n_labels: int) -> Model:
-    """Return a small model with guards and prediction sets."""
     rng = np.random.default_rng(3)
     labels = np.repeat(LABELS[:n_labels], 300)
     features = rng.normal(size=(len(labels), 3)) + np.repeat(np.eye(3)[:n_labels], 300, axis=0)

@@ -17,7 +17,6 @@ TOUCH = FRAME // 2
 
 
 def clean_pulse(restitution, duration):
-    """A pulse of peak 1 in a frame much longer than itself."""
     contact, top, _ = family.times(restitution)
     tau = np.arange(int(duration * RATE) + 2) / RATE * contact / duration
     samples = np.zeros(FRAME)

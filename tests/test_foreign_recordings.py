@@ -33,7 +33,6 @@ def read(path, length=700, **options):
 
 
 def refused(path, error=BadData, **options):
-    """Return the one line that refuses a file."""
     with pytest.raises(error) as caught:
         read(path, **options)
     assert "\n" not in str(caught.value)

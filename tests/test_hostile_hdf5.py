@@ -37,7 +37,6 @@ _IN_ACCESS, _IN_OPEN = 0x1, 0x20
 
 
 def judge(kind: str, path: Path) -> str:
-    """Return the outcome of reading a file in a forked process."""
     process = os.fork()
     if not process:
         os._exit(_read(kind, path))
@@ -75,7 +74,6 @@ class Watch:
             raise OSError(ctypes.get_errno(), "inotify cannot watch", str(folder))
 
     def opened(self) -> list[str]:
-        """Return the names of the files opened or read since the last call."""
         try:
             content = os.read(self._number, 1 << 20)
         except BlockingIOError:
@@ -198,7 +196,6 @@ class Outside:
 
     @classmethod
     def make(cls, folder: Path) -> Outside:
-        """Make them in a folder."""
         folder.mkdir()
         with h5py.File(folder / "secret.h5", "w") as file:
             file["x"] = np.arange(float(N_ROWS * N_SAMPLES)).reshape(N_ROWS, N_SAMPLES)

@@ -103,7 +103,6 @@ def test_a_slender_cantilever_with_ribs_is_a_beam(ribs):
 
 @pytest.fixture
 def few_modes(monkeypatch, tmp_path):
-    """A band that is solved in a second."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(independent_beam, "HIGHEST", 3000.0)
     independent_beam.modes_for.cache_clear()

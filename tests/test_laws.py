@@ -49,7 +49,6 @@ ON_STEEL = coal_on(HalfSpace(material=STEEL))
 
 
 def viscoelastic(zeta, target=None, **changes):
-    """Return an impact of this zeta = A v / L."""
     impact = coal_on(target or HalfSpace(material=STEEL), **changes)
     return replace(impact, dissipation=Viscoelastic(dissipative_constant=zeta * impact.time_scale))
 

@@ -46,7 +46,6 @@ class OfPulses(ImpactFeatures):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("estimator", [ImpactFeatures(2e5), OfPulses(2e5, NAMES)], ids=["features", "of pulses"])
 def test_the_transformer_passes_scikit_learns_own_checks(estimator: ImpactFeatures) -> None:
-    """With no failure that is expected."""
     results = check_estimator(estimator, on_fail=None, on_skip=None)
     assert [result["check_name"] for result in results if result["status"] not in ("passed", "skipped")] == []
     assert [result["check_name"] for result in results if result["status"] == "skipped"] == ["check_array_api_input"]
@@ -139,14 +138,6 @@ def test_two_workers_give_the_same_batches(reference_scene: Scene) -> None:
     assert same(together, alone)
 
 
-def test_shards_share_the_batches_out(reference_scene: Scene) -> None:
-    whole = list(cgid.stream(reference_scene, batch_size=128, seed=7, n_signals=5000))
-    parts = [list(cgid.stream(reference_scene, batch_size=128, seed=7, n_signals=5000, shard=(k, 3))) for k in range(3)]
-    assert [len(part) for part in parts] == [16, 16, 8]
-    units = [part[start : start + 8] for start in (0, 8) for part in parts]
-    assert same([batch for unit in units for batch in unit], whole)
-
-
 def test_a_stream_without_end_begins_again_with_each_loop_and_is_left_at_any_time(reference_scene: Scene) -> None:
     batches = cgid.stream("reference", batch_size=32, seed=1)
     assert batches.labels == ("coal", "gangue")
@@ -176,7 +167,6 @@ def test_bad_streams_are_refused_at_once(settings: dict[str, Any], says: str) ->
 
 
 def test_a_loader_of_pytorch_takes_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The page's own lines."""
     pytest.importorskip("torch", reason="PyTorch is not installed, or not whole", exc_type=ImportError)
     (block,) = (block for block in blocks_of(PAGE.read_text(encoding="utf-8")) if "import torch" in block.text)
     names: dict[str, Any] = {"__name__": "__main__"}

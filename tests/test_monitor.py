@@ -164,7 +164,6 @@ def test_stdin_is_raw_numbers_or_wav(force: np.ndarray) -> None:
 
 
 def test_events_leave_before_the_stream_goes_on(force: np.ndarray) -> None:
-    """The line of an impact is there while the writer still waits."""
     command = [sys.executable, "-u", "-m", "cgid", "monitor", "-", "--json", *RAW]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
     assert process.stdin is not None

@@ -69,7 +69,6 @@ def test_random_words_are_the_published_ones(counter, key, answer):
 
 
 def normal(word, angle):
-    """Box and Muller's transform in double precision."""
     radius = math.sqrt(-2 * math.log((word + 0.5) / 2**32)) * (-1) ** (angle % 2)
     turn = math.pi * ((angle + 2**31) % 2**32 - 2**31) / 2**32
     return radius * math.cos(turn), radius * math.sin(turn)
@@ -209,7 +208,6 @@ SPECTRUM = {"frequencies": [40, 2e3, 20e3, 100e3], "density": ["3 kN/sqrt(Hz)", 
 
 
 def noise_scene(**sensor) -> Scene:
-    """Return a scene whose frames hold hardly more than noise of 2 N."""
     faint = {"label": "tap", "shape": "half-sine", "peak_force": 1e-6, "contact_duration": "0.1 ms"}
     return scene_of(populations=[], taps=[faint], sensor={"absolute_noise": 2.0, **sensor})
 

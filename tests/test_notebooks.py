@@ -50,7 +50,6 @@ def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def printed_by(notebook: nbformat.NotebookNode) -> str:
-    """Return what the cells of a notebook have printed."""
     return "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", []))
 
 

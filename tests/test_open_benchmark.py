@@ -81,12 +81,10 @@ def streams_text(change: Callable[[list[str]], object] = lambda lines: None) -> 
 
 
 def row(line: str, number: int = 2) -> str:
-    """Return predictions of the small set with another line."""
     return frames_text(lambda lines: lines.__setitem__(number, line))
 
 
 def second(line: str) -> str:
-    """Return predictions of the streams with another first line."""
     return streams_text(lambda lines: lines.__setitem__(1, line))
 
 

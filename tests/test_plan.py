@@ -13,9 +13,9 @@ import pytest
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue
 from cgid.measure.features import FEATURES, extract_array, extract_truncated
-from cgid.physics import HuntCrossley, _contact, _kernels, coupled, curves
+from cgid.physics import _contact, _kernels, coupled, curves
 from cgid.physics.coupled import ModalCurves
-from cgid.physics.curves import TOLERANCE, Curves, HuntCrossleyCurves
+from cgid.physics.curves import Curves
 from cgid.physics.response import Response
 from cgid.scene import Scene, impacts, synthesis, synthesise
 from cgid.scene.generation import tabulate
@@ -190,12 +190,6 @@ def test_features_of_vibrations_are_those_of_stored_frames() -> None:
     np.testing.assert_allclose(found, stored_features(scene, 300, names, first=100), rtol=1e-9, atol=1e-12)
 
 
-def test_a_feature_that_looks_everywhere_gets_whole_frames() -> None:
-    scene, names = SCENES["plain"], ("fitted_peak", "misfit")
-    assert plan(scene, "features", features=names).runs("rest of the frames")
-    np.testing.assert_array_equal(features_without_frames(scene, 300, names), stored_features(scene, 300, names))
-
-
 @pytest.mark.parametrize("names", [IN_TIME, FIT], ids=["in time", "fit"])
 def test_a_beginning_is_certain_only_where_nothing_behind_it_matters(names: tuple[str, ...]) -> None:
     (batch,) = synthesise(scene_of(population={"second_hit": SECOND}), 128)
@@ -236,31 +230,6 @@ def test_columns_are_those_of_the_signals() -> None:
 
 
 # -- gravity ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.long
-def test_the_error_without_gravity_is_below_its_bound() -> None:
-    generator = np.random.default_rng(5)
-    n = 300
-    restitution = np.concatenate([generator.uniform(0.05, 1, n - 20), np.full(20, 0.05)])
-    bound = 10 ** generator.uniform(-6, -1.3, n)
-    weight = bound * restitution / 2.4
-    nothing = np.zeros(n)
-    with_gravity, without = (
-        HuntCrossleyCurves(HuntCrossley, restitution[:, None], nothing, w, TOLERANCE) for w in (weight, nothing)
-    )
-    times = np.linspace(0, 1.05, 400) * np.maximum(with_gravity.times[0], without.times[0])[:, None]
-    one = np.ones(n)
-    force, weightless = (c.evaluate(times, one, one, "force", "float64", 1) for c in (with_gravity, without))
-    share = {
-        "samples": np.abs(force - weightless).max(axis=1) / without.peak_force,
-        "peak_force": np.abs(with_gravity.peak_force / without.peak_force - 1),
-        "contact_duration": np.abs(with_gravity.times[0] / without.times[0] - 1),
-        "restitution": np.abs(with_gravity.restitution / without.restitution - 1),
-    }
-    worst = {name: float((error / bound).max()) for name, error in share.items()}
-    assert max(worst.values()) < 1, worst
-    assert worst["restitution"] > 0.9  # and no wider than it must be
 
 
 def test_gravity_changes_a_scene_by_less_than_its_tolerance() -> None:

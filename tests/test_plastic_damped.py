@@ -205,7 +205,6 @@ SCENES = {
 
 
 def impacts_from(scene, columns, restitution=None):
-    """Return the impacts of a table or of stored parameters."""
     material = Material(**{name: columns[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
     viscous = np.where(np.isfinite(columns["viscous_restitution"]), columns["viscous_restitution"], 1.0)
     law = (

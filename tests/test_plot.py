@@ -34,7 +34,6 @@ def figure_of(samples: np.ndarray, *channels: Channel, rate: float = RATE, **mor
 
 
 def panel(figure: Any, ylabel: str) -> Any:
-    """Return the first axes whose label begins so."""
     return next(axes for axes in figure.axes if axes.get_ylabel().startswith(ylabel))
 
 

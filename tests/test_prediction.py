@@ -15,7 +15,6 @@ import pytest
 import cgid
 from cgid.cli.main import run
 from cgid.errors import BadData, InvalidValue, MissingOption, NoInput
-from cgid.shipped import MODELS, SCENES, model_path, scene_descriptions
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "datasets" / "sample.csv"
@@ -114,23 +113,6 @@ def test_signals_bring_their_rate_unit_and_name() -> None:
 def test_what_is_refused(given: tuple, settings: dict, error: type[Exception], says: str) -> None:
     with pytest.raises(error, match=says):
         cgid.predict(*given, **settings)
-
-
-def test_shipped_things_are_loaded_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {cgid.load_scene(name).name for name in SCENES} == set(SCENES)
-    assert [cgid.load_model(name).unit for name in MODELS] == ["N", "N", "m/s^2"]
-    assert cgid.load_model().to_bytes() == model_path("default").read_bytes()
-    assert {name: cgid.load_scene(name).description for name in SCENES} == scene_descriptions()
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.toml").write_text((ROOT / "datasets" / "reference.toml").read_text())
-    assert cgid.load_scene("mine.toml").sha256 == cgid.load_scene("reference").sha256
-    for wrong, meant in (("refrence", "reference"), ("reference.tml", "reference"), ("mine.tml", "mine.toml")):
-        with pytest.raises(NoInput, match=f"{wrong}: no such scene; did you mean '{meant}'"):
-            cgid.load_scene(wrong)
-    with pytest.raises(NoInput, match="cgid check --list"):
-        cgid.load_scene("zzz")
-    with pytest.raises(NoInput, match="no such scene"):
-        cgid.load_scene(Path("reference"))
 
 
 #: Runs `cgid` where neither of these can be imported, as after `pip install --no-deps cgid` with numpy and click.

@@ -21,7 +21,6 @@ CONTENT = {"data/6mm/a b.txt": b"first " * 400, "data/10mm/c.txt": b"second " * 
 
 @pytest.fixture
 def one(monkeypatch):
-    """A dataset of two files."""
     files = tuple(
         public.PublicFile(path, len(content), hashlib.sha256(content).hexdigest()) for path, content in CONTENT.items()
     )

@@ -79,7 +79,6 @@ def slow_search(frame, times, contact, touch):
 
 @pytest.mark.parametrize(("e", "contact", "noise"), few([(0.2, 30, 0.03), (0.15, 100, 0.03), (0.15, 30, 0.01)]))
 def test_the_fit_of_a_dull_impact_is_the_global_optimum(e, contact, noise):
-    """Where two pulses of quite other restitutions explain the samples almost alike."""
     frames, touch = frames_of(e, contact, noise, n=8, seed=40)
     found = estimate(frames, 1.0, pre_trigger=BEFORE - 4, noise=noise, remove_baseline=False)
     for row, frame in enumerate(frames):
@@ -215,7 +214,6 @@ def test_tables_are_what_their_maker_makes():
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::cgid.physics.impact.HertzRangeWarning")
 def test_components_are_those_of_the_pulses_of_other_laws(tmp_path, monkeypatch):
-    """The stored components span what the making of them finds anew."""
     with np.load(SHAPES_PATH) as stored:
         held = dict(stored)
     for name in ("SHAPES_PATH", "TEMPLATE_PATH"):

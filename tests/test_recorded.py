@@ -33,7 +33,7 @@ from cgid.identification.model import Model
 from cgid.identification.rows import Rows, Slicing, in_unit, measure, sets_for
 from cgid.identification.silence import Silence, silence_of
 from cgid.identification.training import train
-from cgid.identification.windows import CLEAR, WINDOW_TIME, NoisyCopies, RunningVote, measure_windows, windows_of
+from cgid.identification.windows import WINDOW_TIME, RunningVote, measure_windows, windows_of
 from cgid.measure.features import FEATURES, extract_array, supported
 from cgid.measure.spectra import MEL_BANDS
 from cgid.recordings import open_recording
@@ -76,18 +76,6 @@ def recorded(folder: Path) -> Rows:
 
 
 # -- windows ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("length", "hop"), [(50, 20), (50, 50), (30, 77), (7, 1)])
-def test_windows_are_the_same_in_blocks_of_any_size(length: int, hop: int) -> None:
-    samples = np.random.default_rng(0).normal(size=(2, 700))
-    starts = range(0, samples.shape[1] - length + 1, hop)
-    expected = np.stack([samples[:, start : start + length] for start in starts])
-    for size in (1, 3, 49, 50, 333, 700):
-        blocks = (samples[:, first : first + size] for first in range(0, samples.shape[1], size))
-        found = [(first, windows.copy()) for first, windows in windows_of(blocks, 1.0, length, hop)]
-        assert np.concatenate([first for first, _ in found]).tolist() == list(starts)
-        assert (np.concatenate([windows for _, windows in found]) == expected).all()
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.4])
@@ -551,22 +539,6 @@ def test_leave_one_recording_out_on_real_bulk(real_data: Path, tmp_path: Path) -
 # -- few recordings, and noise ----------------------------------------------------------------------------
 
 
-def test_noisy_copies_are_as_noisy_as_they_say_whatever_the_blocks() -> None:
-    windows = np.random.default_rng(3).normal(size=(5, 2, 4000)) * np.array([1.0, 30.0])[:, None]
-    copies = [*NoisyCopies((1, 2)).of(windows)]
-    again = NoisyCopies((1, 2))
-    for (snr, noisy), (same, equal) in zip(copies, [*again.of(windows[:2]), *again.of(windows[2:])], strict=True):
-        assert (snr == same).all() and (noisy == equal).all()
-    for window, (snr, noisy) in zip(windows, copies, strict=True):
-        assert (snr >= CLEAR).tolist() == [True, True, False]
-        gain = (noisy * window).sum(axis=2) / (window**2).sum(axis=1)  # noise and window are independent
-        noise = (noisy - gain[:, :, None] * window).var(axis=2)
-        clear = snr > 0
-        told = 10 * np.log10(gain**2 * window.var(axis=1) / noise)
-        np.testing.assert_allclose(told[clear], np.repeat(snr[clear, None], 2, axis=1), atol=1.5)
-        assert (np.abs(20 * np.log10(gain[clear])) < 4).all()
-
-
 @pytest.mark.parametrize("n_channels", few([2, 1]))
 def test_windows_drowned_in_noise_are_unknown(n_channels: int, tmp_path: Path, capsys: Any) -> None:
     """Bands of a rustle are clear at 30 dB, and drowned where noise is as strong; the model says why."""
@@ -703,8 +675,3 @@ def test_a_scene_teaches_what_four_recordings_do_not(tmp_path: Path) -> None:
         train(few, features=names, synthetic=replace(synthetic, labels=np.full(400, "shale")))
     with pytest.raises(InvalidValue, match="feature peak_amplitude must be left out"):
         list(in_unit([scene], "V", ["level_total", "peak_amplitude"]))
-
-
-# -- the command ------------------------------------------------------------------------------------------
-
-FEW = ["--features", ",".join(NAMES)]

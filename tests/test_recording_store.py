@@ -26,7 +26,6 @@ SCENE = parse_scene(content(duration="5 s", rebounds={"most": 2}, sensor={"absol
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """One recording as a file and as a folder."""
     folder = tmp_path_factory.mktemp("recordings")
     generate_recordings(SCENE, folder / "one.h5", seed=3)
     generate_recordings(SCENE, folder / "three", 3, seed=3)

@@ -133,14 +133,6 @@ def test_header_gives_units_and_time(header, unit, rate):
     assert signal.channel == "1"
 
 
-@pytest.mark.parametrize(
-    "header", ["time (s) force (N)", "# t[s] F[N]", "s N", "%t F/N", "time_s\tforce_N", '"t" "F (N)"']
-)
-def test_header_above_columns_of_blanks(header):
-    (signal,) = read_text(f"{header}\n0 1\n0.5 3\n1 2\n")
-    assert (signal.unit, signal.sampling_rate) == ("N", 2.0)
-
-
 def test_time_column_need_not_come_first_and_names_select():
     text = "force (N);t (ms);acc (g)\n1;0;4\n2;1;5\n0;2;6\n"
     force, acceleration = read_text(text)
@@ -149,21 +141,6 @@ def test_time_column_need_not_come_first_and_names_select():
     for choice in ("acc", 2, "2"):
         (chosen,) = read_text(text, channel=choice)
         assert (chosen.channel, chosen.samples.tolist()) == ("acc", [4, 5, 6])
-
-
-@pytest.mark.parametrize("choice", [0, 3, -1, "none", "", True, "9" * 5000, "²"])
-def test_unknown_channel_lists_the_channels(choice):
-    with pytest.raises(InvalidValue, match=r"1 \(left\), 2 \(right\)"):
-        read_text("left,right\n1,2\n4,4\n", sampling_rate=10, channel=choice)
-
-
-def test_name_of_two_channels_is_refused():
-    with pytest.raises(InvalidValue, match="'a' is the name of several"):
-        read_text("a,a\n1,2\n4,4\n", sampling_rate=10, channel="a")
-    both = read_text("a,a,b\n1,2,3\n4,4,4\n", sampling_rate=10)
-    assert [signal.channel for signal in both] == ["1 (a)", "2 (a)", "b"]  # answers are told apart by the name
-    (second,) = read_text("a,a,b\n1,2,3\n4,4,4\n", sampling_rate=10, channel="2 (a)")
-    assert second.samples.tolist() == [2, 4]
 
 
 @pytest.mark.parametrize(
@@ -207,13 +184,6 @@ def test_rate_of_time_column_is_exact_and_rounded_digits_are_allowed():
         assert signal.sampling_rate == pytest.approx(44100, rel=3e-4)
     (signal,) = read_text("".join(f"{1e9 + k / 1000:.3f} {k % 5}\n" for k in range(50)))
     assert signal.sampling_rate == pytest.approx(1000, rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["", "index", "No.", "Sample", "序号"])
-def test_column_that_numbers_the_rows_is_no_channel(name):
-    (signal,) = read_text(f"{name},time (s),F (N)\n0,0,4\n1,0.5,5\n2,1,7\n")
-    assert (signal.samples.tolist(), signal.unit, signal.sampling_rate) == ([4, 5, 7], "N", 2)
-    assert len(read_text(f"{name},time (s),F (N)\n0,0,4\n1,0.5,5\n3,1,7\n")) == 2
 
 
 def test_gaps_of_a_channel_matter_only_to_who_asks_for_it():
@@ -260,10 +230,6 @@ def test_times_of_day_are_the_time_of_the_rows(text, start):
 def test_bad_times_of_day(text, word):
     with pytest.raises(BadData, match=word):
         read_text(text)
-
-
-def test_uneven_first_column_without_header_is_a_channel():
-    assert len(read_text("0 1\n1 2\n5 3\n", sampling_rate=5)) == 2
 
 
 # ---- text that is refused ----
@@ -449,7 +415,6 @@ def test_what_numpy_can_read_loads_nothing_else(tmp_path):
 
 @pytest.mark.parametrize("length", [8, 10, 10**12])
 def test_npz_whose_array_declares_another_length_than_it_holds(tmp_path, length):
-    """Another array beside it must not be taken for the recording."""
     samples, file = np.arange(9.0), io.BytesIO()
     np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (length,)})
     with zipfile.ZipFile(tmp_path / "two.npz", "w") as archive:
@@ -522,15 +487,3 @@ def test_measured_drop_tower_pulse():
     assert (len(signal.samples), signal.unit) == (1439, "g")
     assert signal.sampling_rate == pytest.approx(49993.05, abs=1)
     assert signal.samples.max() == pytest.approx(485.97, abs=0.01)
-
-
-@real_data
-def test_measured_sounds_have_two_channels():
-    files = sorted((REAL / "bulk_ramp").glob("*.wav"))
-    assert len(files) == 15
-    for file in files:
-        left, right = read_recording(file)
-        assert left.sampling_rate == right.sampling_rate == 44100
-        single = file.name == "steel_nut_M4_1.wav"
-        assert left.samples.dtype == right.samples.dtype == (np.float32 if single else np.float64)
-        assert 0.01 < np.abs(left.samples).max() <= 1

@@ -46,7 +46,6 @@ def sensor(seed, rate=RATE, deviation=4.0):
 
 
 def heard(windows, taps):
-    """What a sensor with such a response makes of a record in windows."""
     return signal.oaconvolve(windows.ravel(), taps, mode="same").reshape(windows.shape)
 
 
@@ -132,7 +131,6 @@ def test_a_response_is_cured_by_a_reference_run():
     labels = np.repeat(["a", "b"], 80)
 
     def both(seed, n_windows):
-        """The second is a little higher and louder."""
         soft = flow(seed, 2850.0, n_windows, decay=5000.0, noise=0.05)
         return np.concatenate([soft, 1.2 * flow(seed + 1, 3150.0, n_windows, decay=5000.0, noise=0.05)])
 

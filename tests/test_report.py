@@ -80,7 +80,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is not about pictures need not wait for them."""
     for name in ("overview_figure", "share_figure", "drawn_figure"):
         monkeypatch.setattr(page, name, lambda *_, **__: None)
     monkeypatch.setattr(page, "picture", lambda *_, **__: b"\x89PNG")
@@ -193,7 +192,6 @@ def visitors() -> Iterator[tuple[int, list[bytes]]]:
 
 
 def browse(page: Path, folder: Path, *more: str) -> str:
-    """Return the page as Chromium has it after its scripts have run."""
     if CHROMIUM is None:
         pytest.skip("there is no Chromium to look at the page with")
     options = "--headless --no-sandbox --disable-gpu --disable-background-networking --disable-component-update"

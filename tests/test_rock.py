@@ -170,7 +170,6 @@ SHAPE = {
 
 
 def rebuilt(scene, parameters, rows=slice(None)):
-    """Return the impacts of stored parameters."""
     own = {name: parameters[name][rows] for name in parameters if name != "label"}
     material = Material(**{name: own[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
     return Impact(

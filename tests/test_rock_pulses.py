@@ -78,7 +78,6 @@ def test_thornton_is_its_equation_of_motion():
 
 
 def loss_of(law, rock, k):
-    """Return the package's law of loss of one rock."""
     e = rock.restitution[k]
     depth = (rock.mass[k] * rock.speed[k] ** 2 / (4 / 3 * rock.modulus[k] * np.sqrt(rock.radius[k]))) ** 0.4
     match law:

@@ -58,7 +58,6 @@ def files(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What uninterrupted runs make."""
     folder = tmp_path_factory.mktemp("whole")
     return {make: files(make(folder / make.__name__)) for make in (dataset, recordings)}
 

@@ -335,7 +335,6 @@ def test_distributions_that_cannot_be(parameters, says):
 
 
 def nodes(value, path=()):
-    """Return the paths of everything in a nested mapping."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     found = []
     for key, part in items:

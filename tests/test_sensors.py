@@ -120,7 +120,6 @@ def beam_at(*points: tuple[float, float]) -> ThroughBeam:
 
 
 def alone(number: int) -> ThroughBeam:
-    """One of the sensors that are off the middle line."""
     beam = beam_at(*OFF).beam
     one = beam.with_shapes(beam.participation * beam.shares[number][:, None, None])
     return ThroughBeam(sensors_for(one, np.ones((1, len(beam.poles)))))
@@ -147,7 +146,6 @@ def looked(points: tuple[tuple[float, float], ...]) -> tuple[Batch, ForceEstimat
 
 @functools.cache
 def pair() -> Model:
-    """A model of two sensors."""
     return train([looked(OFF)[0]], beam=beam_at(*OFF).beam).model
 
 

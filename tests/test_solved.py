@@ -63,7 +63,6 @@ def course(history, times):
 
 
 def apart(one, other):
-    """Root mean square of the difference over the peak."""
     return np.sqrt(np.mean((one - other) ** 2)) / one.max()
 
 

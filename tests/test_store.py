@@ -68,7 +68,6 @@ def folder(made, tmp_path):
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
-    """A file of 48 short signals."""
     return generate(scene_of(32), tmp_path_factory.mktemp("tiny") / "tiny.h5", 48, 1)
 
 
@@ -78,7 +77,6 @@ def copy(tiny, tmp_path):
 
 
 def columns(path):
-    """Return everything that a dataset gives when all of it is read."""
     dataset = Dataset(path)
     batches = list(dataset.batches())
     found = {name: np.concatenate([getattr(b, name) for b in batches]) for name in ("signals", "labels", "specimen")}

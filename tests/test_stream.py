@@ -33,7 +33,6 @@ def population(label, **changes):
 
 
 def content(populations=None, sensor=None, target=None, background=None, tail_beam=None, **stream):
-    """Return a scene of coal and gangue that come down for 20 s."""
     found = {
         "name": "stream",
         "impact": {
@@ -313,19 +312,6 @@ def test_noise_range_and_bits_close_the_chain():
     assert samples.max() == 5000 - step
     np.testing.assert_array_equal(samples / step, np.rint(samples / step))
     assert np.std(samples[np.abs(samples) < 300]) == pytest.approx(50, rel=0.02)
-
-
-def test_a_longer_recording_begins_with_the_shorter_one():
-    changes = {"rebounds": {}, "sensor": {"absolute_noise": "5 N"}}
-    changes["background"] = {
-        "hum": [{"frequency": 50, "amplitude": 3}],
-        "coloured": {"frequencies": [5, 500], "density": [1, 0.1]},
-    }
-    short, little = record(scene_of(duration="19 s", **changes), seed=4)
-    long, much = record(scene_of(duration="40 s", **changes), seed=4)
-    np.testing.assert_array_equal(short.samples, long.samples[: short.samples.size])
-    for name in little.keys() - {"next_impact", "overlapping"}:
-        np.testing.assert_array_equal(little[name], much[name][: little[name].size])
 
 
 # ---- scenes ----------------------------------------------------------------------------------------------------------

@@ -56,7 +56,6 @@ def batch_of(scene, n_signals=BLOCK, seed=3, **options):
 
 
 def impact_of(batch, scene):
-    """Rebuild the impacts from the stored parameters alone."""
     p = batch.parameters
     steel = Material(density=7850, youngs_modulus=210e9, poisson_ratio=0.3)
     return Impact(

@@ -61,7 +61,6 @@ ONE_NUMBER: dict[str, Callable[[Any], object]] = {
 
 
 def free_fall(velocity: Any) -> Impact:
-    """Return an impact at this velocity."""
     return Impact(sphere=IMPACT.sphere, target=RIGID, velocity=velocity, stiffness="hertz", dissipation=Elastic())
 
 

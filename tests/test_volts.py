@@ -94,7 +94,6 @@ class Done:
 
 
 def run(arguments: list[str]) -> Done:
-    """Run a command of cgid in this process."""
     with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
         code = main(arguments)
     return Done(code, out.getvalue(), err.getvalue())

@@ -104,7 +104,6 @@ class _Branch:
         return distance - np.where(distance < 1, near, np.exp(distance - self.length) - self.end_power)
 
     def state(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return displacement and force at y."""
         distance = y**5
         displacement = (2.5 * self.energy(distance) / self.damping**2) ** 0.4
         power = np.exp(self.length - distance if self.from_touch else distance - self.length)
@@ -125,7 +124,6 @@ class _Branch:
         return np.asarray((rates * weights * width).sum(axis=(-2, -1)) / 2)
 
     def duration(self) -> float:
-        """Return the time from the end of the branch to the largest displacement."""
         return float(self.time(np.asarray([self.length**0.2]))[0])
 
     def invert(self, times: Floats) -> Floats:
@@ -155,7 +153,6 @@ def _points(n: int) -> Floats:
 
 
 def _nodes(n_orders: int) -> list[list[float]]:
-    """Return the restitutions at the Chebyshev points of each interval of ln e."""
     places = np.arange(INTERVALS)[:, None] + 0.5 * (1 + _points(n_orders))
     return [[float(e) for e in row] for row in MIN_RESTITUTION ** (places / INTERVALS)]
 
@@ -187,7 +184,6 @@ def _times(e: float) -> Floats:
 
 
 def _columns(e: float) -> tuple[Floats, Floats]:
-    """Return the columns of force and of displacement at one restitution."""
     pulse = reference_pulse(e)
     contact = pulse.contact_time
     cut = pulse.compression_time ** (1 - _CUT) * (0.5 * contact) ** _CUT

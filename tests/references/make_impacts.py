@@ -120,7 +120,6 @@ class Impact:
         return self.extrapolate(self.states[k], place - self.places[k])[0]
 
     def root(self, function):
-        """Return the first place where the function falls through zero."""
         signs = [function(state) > 0 for state in self.states]
         k = next(k for k in range(1, len(signs)) if not signs[k] and (k == 1 or signs[k - 1]))
         return findroot(lambda place: function(self.at(place)), self.places[k - 1 : k + 1], "anderson", maxsteps=100)
