@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 #: `impactor`, with the unit in each name.
 ANSWERS_VERSION = 4
 
-
+#: Columns of a table that JSON has, too.
+_IN_JSON = ("channel", "label", "novelty", "overlapping", "clipped", "cut_off", "problem")
 #: The impactor, and its units: the median and the ends of the interval that holds it with 90 %.
 IMPACTOR_UNITS = {"mass": "kg", "radius": "m", "speed": "m/s"}
 
@@ -91,31 +92,21 @@ class AnswerLines:
 
     def answer(self, source: str, answer: Answer, kind: str = "impact", **more: Any) -> None:
         """Print the answer for an impact or a window; `more` are its number in its channel, its index or its truth."""
-        probabilities = dict(answer.probabilities)
-        labels = None if answer.prediction_set is None else list(answer.prediction_set)
-        row = {
-            "channel": answer.channel,
-            "label": answer.label,
-            "novelty": answer.novelty,
-            "overlapping": answer.overlapping,
-            "clipped": answer.clipped,
-            "cut_off": answer.cut,
-            "problem": answer.problem or None,
-            **more,
-        }
-        if self.as_json or self._listener is not None:
-            likely = max(probabilities, key=lambda label: probabilities[label], default=None)
-            row |= {"time_s": answer.time, "end_s": answer.end, "most_likely": likely, "probabilities": probabilities}
-            more = {"in_training_range": answer.in_training_range, "prediction_set": labels}
-            if answer.impactor is not None:
-                more["impactor"] = {one.title: answer.impactor.get(one.name) for one in impactor_columns()}
-            self._line(kind, source, row | more)
+        row = {"source": source, **answer.row, "problem": answer.problem or None, **more}
+        impactor = answer.impactor
+        if impactor is not None:
+            row |= {column.title: impactor.get(column.name) for column in impactor_columns()}
         if not self.as_json:
-            row |= {"source": source, "time_s": answer.time, "end_s": answer.end}
-            row |= {f"p_{label}": probability for label, probability in probabilities.items()}
-            if answer.impactor is not None:
-                row |= {column.title: answer.impactor.get(column.name) for column in impactor_columns()}
-            self._table.add(row | {"prediction_set": "+".join(labels or ())})
+            self._table.add(row)
+        if self.as_json or self._listener is not None:
+            probabilities = dict(answer.probabilities)
+            content = {name: row[name] for name in (*_IN_JSON, *more, "time_s", "end_s")}
+            content["most_likely"] = max(probabilities, key=lambda label: probabilities[label], default=None)
+            content |= {"probabilities": probabilities, "in_training_range": answer.in_training_range}
+            content["prediction_set"] = None if answer.prediction_set is None else list(answer.prediction_set)
+            if impactor is not None:
+                content["impactor"] = {column.title: row[column.title] for column in impactor_columns()}
+            self._line(kind, source, content)
 
     def share(self, source: str, name: str, share: Share) -> None:
         """Print the gangue fraction of a window of a source, or of its channel as `name`."""

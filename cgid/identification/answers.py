@@ -103,6 +103,23 @@ class Answer:
             return float("nan")
         return self.probabilities.get(self.label, max(self.probabilities.values()))
 
+    @property
+    def row(self) -> dict[str, Any]:
+        """The row of a table, by the titles of its columns."""
+        return {
+            "channel": self.channel,
+            "time_s": self.time,
+            "end_s": self.end,
+            "label": self.label,
+            **{f"p_{label}": probability for label, probability in self.probabilities.items()},
+            "novelty": self.novelty,
+            "overlapping": self.overlapping,
+            "clipped": self.clipped,
+            "cut_off": self.cut,
+            "problem": self.problem,
+            "prediction_set": "+".join(self.prediction_set or ()),
+        }
+
 
 def suited(signal: Signal, model: Model, mass: float | None = None) -> Signal:
     """Convert the signal to the quantity and unit of the model.

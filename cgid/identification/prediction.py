@@ -249,18 +249,13 @@ def _default(signal: Signal, settings: PredictionSettings) -> str:
 def _table(answers: Sequence[Answer], model: Model, settings: PredictionSettings) -> pandas.DataFrame:
     import pandas as pd
 
-    columns: dict[str, Any] = {"channel": [one.channel for one in answers], "time_s": [one.time for one in answers]}
-    if model.kind == "window":
-        columns["end_s"] = [one.end for one in answers]
-    columns["label"] = [one.label for one in answers]
-    for label in model.labels:
-        columns[f"p_{label}"] = [one.probabilities.get(label, np.nan) for one in answers]
-    columns["novelty"] = [one.novelty for one in answers]
-    for title, name in (("overlapping", "overlapping"), ("clipped", "clipped"), ("cut_off", "cut")):
-        columns[title] = np.array([getattr(one, name) for one in answers], bool)
-    columns["problem"] = [one.problem for one in answers]
-    if settings.coverage is not None:
-        columns["prediction_set"] = ["+".join(one.prediction_set or ()) for one in answers]
+    flags = ("overlapping", "clipped", "cut_off")
+    titles = ["channel", "time_s", *["end_s"] * (model.kind == "window"), "label"]
+    titles += [*(f"p_{label}" for label in model.labels), "novelty", *flags, "problem"]
+    titles += ["prediction_set"] * (settings.coverage is not None)
+    rows = [one.row for one in answers]
+    columns: dict[str, Any] = {title: [row.get(title, np.nan) for row in rows] for title in titles}
+    columns |= {title: np.array(columns[title], bool) for title in flags}
     texts = ("channel", "label", "problem", "prediction_set")
     return pd.DataFrame(
         {name: pd.Series(column, dtype=object if name in texts else None) for name, column in columns.items()}
