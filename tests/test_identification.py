@@ -284,6 +284,11 @@ def test_harmful_models_are_refused(harm: str, trained: Trained, tmp_path: Path)
 # -- training ---------------------------------------------------------------------------------------------
 
 
+def test_label_with_one_specimen_cannot_be_judged() -> None:
+    with pytest.raises(InvalidValue, match="at least 2 specimens"):
+        hold_out(np.array(["a", "a", "b", "b"]), np.array([1, 1, 2, 3], np.uint64))
+
+
 def test_specimens_are_never_on_both_sides() -> None:
     generator = np.random.default_rng(0)
     specimen = generator.integers(0, 60, 1000).astype(np.uint64)
