@@ -12,6 +12,7 @@ Rocks, pulses and recorder are those of `rock_pulses.py`, which shares no code w
    pulses of "thornton and viscous", rock that crushes and damps, are the package's.
 3. A law left out of the training, and the model judged on it, for each law. It trains on the scene `rock`, and learns
    where its rocks end from the scene `anything`, each without that law.
+4. Strangers of the shipped scene, and the real shocks where they stand beside the checkout: the share that is flagged.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,16 +29,18 @@ from rock_pulses import CASES, LAWS, RATE, Case, Impacts, record
 from threadpoolctl import threadpool_limits
 
 from cgid import shipped
-from cgid.identification.answers import UNKNOWN, identify_frames
+from cgid.identification.answers import UNKNOWN, identify, identify_frames, suited
 from cgid.identification.classifier import ImpactClassifier
 from cgid.identification.model import Model
 from cgid.identification.rows import Rows, measure
 from cgid.identification.training import train
 from cgid.measure.features import extract_array
+from cgid.recordings import read_recording
 from cgid.scene import Scene, load_scene, synthesise, varied
 
 Floats = NDArray[np.float64]
 Line = dict[str, Any]
+REAL_SHOCKS = Path(__file__).parents[2] / "shared" / "realdata" / "shock"
 #: Seeds of what is judged, of learners, of the first rows with a law left out; blocks are so far apart that none meet.
 _JUDGED, _LEARNED, _LEFT_OUT, _BLOCK = 2_000_003, 1, 2000, 10_000
 #: Impacts made at once.
@@ -95,6 +99,7 @@ class Answered(NamedTuple):
 
 
 def answered(model: Model, signals: NDArray[Any], labels: NDArray[np.str_], trigger: int) -> Answered:
+    """Return the answers of a model for impacts."""
     answers = identify_frames(signals, RATE, model, pre_trigger=trigger)
     coal = np.array([answer.probabilities.get("coal", 0.5) for answer in answers])
     return Answered(coal, np.array([answer.label == UNKNOWN for answer in answers]), labels)
@@ -147,6 +152,7 @@ def accuracy(classifier: ImpactClassifier, test: Table) -> float:
 
 
 def table_of_cases(model: Model, names: Sequence[str], n: int, n_learner: int) -> Iterator[Line]:
+    """Yield the lines of table 2."""
     for name in names:
         if name == BOTH:
             trigger = with_both_losses().sampling.pre_trigger
@@ -185,6 +191,7 @@ def law_of(scene: Scene, number: int) -> str:
 
 
 def scene_rows(scene: Scene, n: int, names: Sequence[str]) -> dict[str, Rows]:
+    """Return n rows of each law that populations of a scene name."""
     laws = [law_of(scene, number) for number in range(len(scene.populations))]
     found = {}
     for number, law in enumerate(dict.fromkeys(laws)):
@@ -238,6 +245,35 @@ def table_of_laws(model: Model, n_rows: int, n: int) -> Iterator[Line]:
                 }
 
 
+# -- strangers --------------------------------------------------------------------------------------------
+
+
+def table_of_strangers(model: Model, n: int) -> Iterator[Line]:
+    """Yield the share flagged of each kind of stranger, at three noises, and of the real shocks."""
+    scene = load_scene(shipped.scene_path("strangers"))
+    flagged: dict[str, Line] = {}
+    for noise in (0.001, 0.01, 0.1):
+        found: dict[str, list[bool]] = {}
+        for batch in synthesise(varied(scene, relative_noise=noise), n, _JUDGED):
+            answers = identify_frames(batch.signals, batch.sampling_rate, model, pre_trigger=batch.pre_trigger)
+            for label, answer in zip(batch.labels.tolist(), answers, strict=True):
+                found.setdefault(label, []).append(not answer.in_training_range)
+        for label, flags in found.items():
+            flagged.setdefault(label, {"stranger": label})[f"at {noise:.1%}"] = float(np.mean(flags))
+    yield from flagged.values()
+    files = sorted(REAL_SHOCKS.glob("acc_*.txt"))
+    if files:
+        share = float(np.mean([shock_is_flagged(model, file) for file in files]))
+        yield {"stranger": f"{len(files)} real shocks", "at 0.1%": "-", "at 1.0%": share, "at 10.0%": "-"}
+
+
+def shock_is_flagged(model: Model, file: Path) -> bool:
+    """Return whether no impact of a recorded shock, as the force on 1 kg, is in the training range."""
+    (recorded,) = read_recording(file)
+    answers = identify(suited(recorded.as_force(1.0), model), model)
+    return not any(answer.in_training_range for answer in answers)
+
+
 def limits() -> dict[str, Scene]:
     """Return the scenes of some cases, for ceilings and rivals."""
     reference, peers = (load_scene(shipped.scene_path(name)) for name in ("reference", "peers"))
@@ -257,6 +293,7 @@ def limits() -> dict[str, Scene]:
 
 
 def show(title: str, lines: Iterator[Line]) -> None:
+    """Print lines as Markdown as they come."""
     print(f"\n**{title}**\n", flush=True)
     for number, line in enumerate(lines):
         if not number:
@@ -267,7 +304,7 @@ def show(title: str, lines: Iterator[Line]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3), default=(2, 3))
+    parser.add_argument("--shows", type=int, nargs="+", choices=(2, 3, 4), default=(2, 3, 4))
     cases = [*(name for name in CASES if name not in _OTHERS), BOTH]
     parser.add_argument("--cases", nargs="+", choices=[*CASES, BOTH], default=cases)
     parser.add_argument("--signals", type=int, default=4096, help="to judge a line on")
@@ -278,6 +315,7 @@ def main() -> None:
     tables = {
         2: ("2. Laws, shapes, recorders", table_of_cases(model, own.cases, own.signals, own.learner_signals)),
         3: ("3. A law left out of the training", table_of_laws(model, own.rows, own.signals)),
+        4: ("4. Strangers: share flagged", table_of_strangers(model, own.signals)),
     }
     for number in own.shows:
         show(*tables[number])

@@ -1,20 +1,49 @@
-"""Start-up: CPU time of `cgid predict` against `python -c "import numpy"`, whole processes in turn.
+"""Start-up: CPU time of `cgid predict` against `python -c "import numpy"`, and first uses of the impact engine.
 
-python benchmarks/startup.py [--rounds 15]
+    python benchmarks/startup.py [--rounds 15]      # the sample, alternating with numpy, whole processes
+    python benchmarks/startup.py --first-use        # seconds of a first and a second process, content of the cache
+
+Each line of the second table is a separate process, from start to exit. The first of each pair begins with an empty
+cache of kernels, the second with the cache of the first. "import numpy" is the cost of any such process.
 """
 
 import argparse
 import os
 import statistics
+import subprocess
 import sys
+import tempfile
+import time
+from pathlib import Path
 
 COMMANDS = {
     "python -c 'import numpy'": ["-c", "import numpy"],
     "cgid predict --sample": ["-m", "cgid", "predict", "--sample"],
 }
+START = """
+import numpy as np
+from cgid.physics import *
+from cgid.physics.materials import STEEL, YANG2018_SPHERES
+def impact(loss, n):
+    ball = Sphere(material=YANG2018_SPHERES[1], radius=0.025)
+    speed = np.linspace(1, 5, n)
+    return Impact(sphere=ball, target=HalfSpace(material=STEEL), velocity=speed, stiffness="hertz", dissipation=loss)
+"""
+USES = {
+    "import numpy": "import numpy",
+    "closed forms of a million impacts": f"{START}\nimpact(HuntCrossley(restitution=0.5), 1_000_000).peak_force",
+    "one pulse": f"{START}\nimpact(HuntCrossley(restitution=0.5), 1).force(np.linspace(0, 1e-3, 1000))",
+    "one frame": f"{START}\nimpact(HuntCrossley(restitution=0.5), 1).force_frames(2e5, 2048)",
+    "2000 frames, float64": f"{START}\nimpact(HuntCrossley(restitution=0.5), 2000).force_frames(2e5, 2048)",
+    "2000 frames, float32": f"{START}\nimpact(HuntCrossley(restitution=0.5), 2000).force_frames(2e5, 2048, "
+    'dtype="float32")',
+    "2000 viscoelastic frames": f"{START}\nimpact(Viscoelastic(time_constant=5e-6), 2000).force_frames(2e5, 2048)",
+    "a viscoelastic pulse": f"{START}\nimpact(Viscoelastic(time_constant=5e-6), 1).force(np.linspace(0, 1e-3, 1000))",
+}
 
 
 def cpu_seconds(arguments: list[str]) -> float:
+    """Return user and system time of one process."""
     quiet = [(os.POSIX_SPAWN_OPEN, descriptor, os.devnull, os.O_WRONLY, 0) for descriptor in (1, 2)]
     pid = os.posix_spawn(sys.executable, [sys.executable, *arguments], os.environ, file_actions=quiet)
     _, status, usage = os.wait4(pid, 0)
@@ -23,7 +52,30 @@ def cpu_seconds(arguments: list[str]) -> float:
     return usage.ru_utime + usage.ru_stime
 
 
+def wall_seconds(code: str, cache: str) -> float:
+    """Return the time of a process [s]."""
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"NUMBA_CACHE_DIR": cache})
+    return time.perf_counter() - start
+
+
+def first_uses() -> None:
+    """Print the time of each use, and what it leaves in the cache."""
+    print("| use | first process [s] | second process [s] |\n|---|---|---|")
+    held = {}
+    for name, code in USES.items():
+        with tempfile.TemporaryDirectory() as cache:
+            first, second = wall_seconds(code, cache), min(wall_seconds(code, cache) for _ in range(3))
+            files = [path for path in Path(cache).rglob("*") if path.is_file()]
+            held[name] = f"{len(files)} files, {sum(path.stat().st_size for path in files) / 1e3:.0f} kB"
+        print(f"| {name} | {first:.2f} | {second:.2f} |")
+    print("\nThe cache afterwards (a file for each compiled kernel):\n")
+    for name, text in held.items():
+        print(f"* {name}: {text}")
+
+
 def alternate(rounds: int) -> None:
+    """Alternate both commands and print their times."""
     times: dict[str, list[float]] = {name: [] for name in COMMANDS}
     for number in range(rounds + 1):
         for name, arguments in COMMANDS.items():
@@ -42,7 +94,12 @@ def alternate(rounds: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=15)
-    alternate(parser.parse_args().rounds)
+    parser.add_argument("--first-use", action="store_true", help="first uses of the impact engine instead")
+    options = parser.parse_args()
+    if options.first_use:
+        first_uses()
+    else:
+        alternate(options.rounds)
 
 
 if __name__ == "__main__":

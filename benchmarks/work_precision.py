@@ -2,12 +2,16 @@
 
     python benchmarks/work_precision.py                 # table, benchmarks/work_precision.csv and .png
     python benchmarks/work_precision.py --quick         # two minutes: fewer settings of the peers, no files
+    python benchmarks/work_precision.py --laws          # one minute: every contact law
 
 The population is that of the shipped scene "peers": 2048 samples at 200 kHz, float64, one thread. All fill fresh frames
 with the same pulses on the same grid; the error is the largest force error over the peak of a pulse, against
 quadrature (1e-13) of the first 500. Peers receive mass, stiffness, damping and velocity (`benchmarks/peers.py`), cgid
 mass, stiffness, restitution and velocity; "from materials" also builds the impacts from radius, moduli and density.
-Times are processor times, the least of several runs, and depend on the machine: compare ratios.
+Times are processor times, the least of several runs, and depend on the machine: compare ratios. `--laws` has a table of
+every contact law on a half space, on a plate of 20 mm and with weight, at three tolerances: these rocks with the same
+restitution by other laws; "and viscous" has a viscous restitution of .7 besides. Errors are against scipy's DOP853
+(rtol 1e-12 and less), of the first 20.
 """
 
 from __future__ import annotations
@@ -17,7 +21,9 @@ import csv
 import io
 import sys
 import time
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,13 +37,20 @@ from cgid.physics import (
     HalfSpace,
     HuntCrossley,
     Impact,
+    Law,
     Sphere,
+    ThinPlate,
+    Thornton,
+    Viscoelastic,
+    WaltonBraun,
+    yield_pressure,
 )
 from cgid.physics.curves import TOLERANCE, HuntCrossleyCurves
 from cgid.physics.materials import STEEL, Material
 from cgid.plots.figure import png, require_matplotlib
 from cgid.scene import load_scene
 from cgid.scene.impacts import draw
+from tests import naive
 
 HERE = Path(__file__).parent
 KNOWN, INTEGRATED = 500, 20  # pulses whose error is measured; quadrature is slow, and DOP853 slower
@@ -47,6 +60,17 @@ LEVELS = tuple(10.0**-exponent for exponent in range(3, 10))
 
 
 Run = Callable[[Population], np.ndarray]
+
+
+class ContactRow(NamedTuple):
+    """One law on one target: times of a pulse and of its results besides, and the largest error over the peak."""
+
+    law: str
+    target: str
+    tolerance: float
+    pulse: float
+    results: float
+    error: float
 
 
 class Row(NamedTuple):
@@ -76,25 +100,107 @@ def from_materials(n: int) -> Run:
     """Return a function that makes n frames from materials, radius, loss and velocity: `Impact.force_frames`."""
 
     def run(_: Population) -> np.ndarray:
-        drawn = drawn_numbers(n)
-        rock = Material(**{name: drawn[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
-        impact = Impact(
-            sphere=Sphere(material=rock, radius=drawn["radius"]),
-            target=HalfSpace(material=STEEL),
-            velocity=drawn["velocity"],
-            stiffness="hertz",
-            dissipation=HuntCrossley(restitution=drawn["restitution"]),
-        )
-        return impact.force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
+        return impacts_of(n).force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
 
     return run
 
 
 @cache
 def drawn_numbers(n: int) -> dict[str, np.ndarray]:
+    """Return the drawn numbers of n impacts."""
     scene = load_scene(shipped.scene_path("peers"))
     blocks = [draw(scene, 0, block).parameters for block in range(-(-n // 256))]
     return {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
+
+
+def impacts_of(n: int, dissipation: Law | None = None) -> Impact:
+    """Return n impacts of the population, from materials, radius and velocity; by default with its own loss."""
+    drawn = drawn_numbers(n)
+    rock = Material(**{name: drawn[name] for name in ("density", "youngs_modulus", "poisson_ratio")})
+    return Impact(
+        sphere=Sphere(material=rock, radius=drawn["radius"]),
+        target=HalfSpace(material=STEEL),
+        velocity=drawn["velocity"],
+        stiffness="hertz",
+        dissipation=HuntCrossley(restitution=drawn["restitution"]) if dissipation is None else dissipation,
+    )
+
+
+def thornton(impacts: Impact) -> Thornton:
+    return Thornton(yield_pressure=yield_pressure(impacts.restitution, impacts))
+
+
+def walton_braun(impacts: Impact) -> WaltonBraun:
+    stiffness = 0.8 * impacts.contact_stiffness * np.sqrt(1.25**0.4 * impacts.length_scale)
+    return WaltonBraun(restitution=impacts.restitution, loading_stiffness=stiffness)
+
+
+def viscous(law: Callable[[Impact], Thornton | WaltonBraun]) -> Callable[[Impact], Law]:
+    return lambda impacts: replace(law(impacts), viscous_restitution=VISCOUS)
+
+
+def contact_rows(n: int) -> list[ContactRow]:
+    """Return a row for each law, target and tolerance: pulses of n rocks, errors of the first against DOP853."""
+    base = impacts_of(n)
+    plate = ThinPlate(material=STEEL, thickness=0.02)
+    laws: dict[str, Law] = {
+        "Hunt-Crossley": HuntCrossley(restitution=base.restitution),
+        "Kuwabara-Kono": Viscoelastic(restitution=base.restitution),
+        "Thornton": thornton(base),
+        "Walton-Braun": walton_braun(base),
+        "Thornton and viscous": viscous(thornton)(base),
+        "Walton-Braun and viscous": viscous(walton_braun)(base),
+    }
+    rows = []
+    for name, law in laws.items():
+        for where, target, gravity in (
+            ("half-space", base.target, 0.0),
+            ("plate", plate, 0.0),
+            ("weight", base.target, 9.81),
+        ):
+            for tolerance in (1e-4, 1e-6, 1e-8):
+                given = {"target": target, "gravity": gravity, "tolerance": tolerance, "dissipation": law}
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    impact = replace(base, **given)
+                    onset = ONSET / SAMPLING_RATE
+                    pulses = least_time(lambda i=impact, o=onset: i.force_frames(SAMPLING_RATE, SAMPLES, o), 3)
+                    results = least_time(lambda g=given: replace(base, **g).peak_force, 3)
+                error = max(contact_error(impact, row) for row in range(INTEGRATED))
+                rows.append(ContactRow(name, where, tolerance, pulses / n * 1e6, results / n * 1e6, error))
+                print(rows[-1], file=sys.stderr, flush=True)
+    return rows
+
+
+def contact_error(impact: Impact, row: int) -> float:
+    """Return the largest error of a pulse over its peak, against scipy's DOP853."""
+    law, numbers = impact.dissipation, [float(one.ravel()[row]) for one in impact._numbers.values()]
+    more = float(np.ravel(impact.inelasticity)[row]), float(np.ravel(impact.weight)[row])
+    if isinstance(law, Thornton | WaltonBraun):
+        paths = naive.thornton_paths if isinstance(law, Thornton) else naive.walton_braun_paths
+        *own, damping = numbers
+        force, end, _, _ = naive.plastic_contact(*paths(*own), damping, *more)
+    else:
+        damping = float(np.ravel(law.damping_number)[row]) if isinstance(law, HuntCrossley) else 0.0
+        contact = naive.Contact(damping, 0.0 if isinstance(law, HuntCrossley) else numbers[0], *more)
+        end, force = contact.contact_time, lambda times: contact.evaluate(times)[1]
+    times = end * np.sin(np.pi / 2 * np.linspace(0, 1, 202)[1:-1]) ** 2
+    exact = force(times)
+    found = impact.force(times * np.ravel(impact.time_scale)[row])[row] / np.ravel(impact.force_scale)[row]
+    return float(np.abs(found - exact).max() / exact.max())
+
+
+def contact_table(rows: list[ContactRow]) -> str:
+    """Return the rows as Markdown, a line for each law and target."""
+    lines = [
+        "| law | target | us a pulse at 1e-4 / 1e-6 / 1e-8 | with its results | error at 1e-8 |",
+        "|---|---|---|---|---|",
+    ]
+    for first in range(0, len(rows), 3):
+        part = rows[first : first + 3]
+        pulses, results = (" / ".join(f"{getattr(one, what):.3g}" for one in part) for what in ("pulse", "results"))
+        lines.append(f"| {part[0].law} | {part[0].target} | {pulses} | {results} | {part[-1].error:.0e} |")
+    return "\n".join(lines)
 
 
 def least_time(run: Callable[[], Any], repeats: int) -> float:
@@ -121,6 +227,7 @@ def measured(
 
 
 def work_precision(impacts: Population, quick: bool) -> list[Row]:
+    """Return a row for each method and setting."""
     exact = reference_frames(impacts.part(0, KNOWN))
     whole = len(impacts)
     rows = [
@@ -138,6 +245,7 @@ def work_precision(impacts: Population, quick: bool) -> list[Row]:
 
 
 def work_table(rows: list[Row]) -> str:
+    """Return the rows as Markdown."""
     lines = ["| method | setting | us per pulse | worst error / peak | median |", "|---|---|---|---|---|"]
     lines += [f"| {r.method} | {r.setting} | {r.microseconds:.3g} | {r.worst:.1e} | {r.median:.1e} |" for r in rows]
     return "\n".join(lines)
@@ -159,6 +267,7 @@ def ratio_table(rows: list[Row]) -> str:
 
 
 def picture(rows: list[Row]) -> bytes:
+    """Return the log-log picture of run time against error."""
     figure = require_matplotlib()(figsize=(7.5, 5), layout="constrained")
     axes = figure.subplots()
     for method in dict.fromkeys(row.method for row in rows if row.method != "cgid"):
@@ -184,6 +293,7 @@ def picture(rows: list[Row]) -> bytes:
 
 
 def write(rows: list[Row]) -> None:
+    """Write CSV and picture to this folder."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["method", "setting", "time per pulse [us]", "worst error / peak", "median error / peak"])
@@ -195,7 +305,11 @@ def write(rows: list[Row]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer settings, no files")
+    parser.add_argument("--laws", action="store_true", help="every contact law instead")
     options = parser.parse_args()
+    if options.laws:
+        print(contact_table(contact_rows(2000)))
+        return
     quick = options.quick
     impacts = population(2000)
     rows = work_precision(impacts, quick)
