@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -21,7 +21,7 @@ from cgid.scene.gravity import largest_error, tolerance_of
 from cgid.scene.schema import Scene, load_scene, samples_of
 from cgid.scene.sensor import CHUNK
 
-__all__ = ["Decision", "Plan", "plan"]
+__all__ = ["Plan", "plan"]
 
 #: The possible outputs.
 OUTPUTS = ("parameters", "closed-form", "pulses", "frames", "recordings", "features")
@@ -59,19 +59,11 @@ _MAX_LISTED = 13
 
 
 class Decision(NamedTuple):
-    """Whether a stage runs, and why.
-
-    Attributes
-    ----------
-    runs : bool
-    why : str
-    error_bound : float
-        Error of what is omitted, relative to the peak; 0 if nothing changes.
-    """
+    """Whether a stage runs, and why."""
 
     runs: bool
     why: str
-    error_bound: float = 0.0
+    error_bound: float = 0.0  # error of what is omitted, relative to the peak; 0 if nothing changes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +88,7 @@ class Plan:
     features: tuple[str, ...] = ()
     quantities: tuple[str, ...] = STORED
     dtype: Literal["float32", "float64"] = "float32"
+    _decided: dict[str, Decision] = field(default_factory=dict, init=False, repr=False)
 
     def __repr__(self) -> str:
         running = ", ".join(stage for stage, decision in self.decisions.items() if decision.runs)
@@ -103,7 +96,7 @@ class Plan:
 
     @cached_property
     def decisions(self) -> dict[str, Decision]:
-        """The decision for each stage, in processing order."""
+        """The decision for each stage, in processing order: whether it runs, why, and the error of what is omitted."""
         return {stage: self._decision(stage) for stage in STAGES}
 
     def _decision(self, stage: str) -> Decision:
@@ -117,22 +110,8 @@ class Plan:
             self._decided[stage] = found if isinstance(found, Decision) else Decision(bool(found), found or "off")
         return self._decided[stage]
 
-    @cached_property
-    def _decided(self) -> dict[str, Decision]:
-        return {}
-
     def runs(self, stage: str) -> bool:
-        """Return whether a stage runs.
-
-        Parameters
-        ----------
-        stage : str
-            One of the keys of `decisions`.
-
-        Returns
-        -------
-        bool
-        """
+        """Return whether a stage runs, one of the keys of `decisions`."""
         return self._decision(stage).runs
 
     @property
