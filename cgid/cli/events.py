@@ -1,4 +1,4 @@
-"""`cgid events`: find the impacts in recordings and write a manifest with a row for each, to be labelled."""
+"""`cgid events`: find the impacts in recordings and write a manifest with a row for each; `cgid train --template`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 
 from cgid.cli.help import Command
 from cgid.cli.options import PATH, Reading, overwrite_option, reading_options, strict_option
-from cgid.cli.output import FileErrors, say, warn
+from cgid.cli.output import FileErrors, say, say_error, warn
 from cgid.errors import BadData, CgidError, InvalidValue, MissingOption
 from cgid.terminal import counted
 
@@ -164,3 +164,43 @@ def _peak(event: Event) -> Any:
 
     frame = np.atleast_2d(event.samples)
     return max(np.abs(row - np.median(row)).max() for row in frame.astype(float))
+
+
+# -- a row for each recording -----------------------------------------------------------------------------
+
+
+def write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
+    """Write a manifest with a row for each recording, its label empty unless its folder says it."""
+    from cgid.files import check_new, write_whole
+    from cgid.identification.manifest import manifest_text, path_from, recordings_in, row_of
+
+    check_new(path, "a manifest", (".csv",), overwrite=overwrite)
+    rows, code = [], 0
+    for item in data:
+        folder = Path(item) if Path(item).is_dir() else Path(item).parent
+        for file in recordings_in(folder) if Path(item).is_dir() else [Path(item)]:
+            content, failed = _content(file, reading)
+            code = code or failed
+            given = {"rate": reading.sampling_rate, "unit": reading.unit, "content": content}
+            rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
+    text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
+    write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
+    empty = sum(not row["label"] for row in rows)
+    fill = f"fill in the label of {empty}, then " if empty else "now "
+    train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
+    say(f"wrote {path}: {counted(len(rows), 'recording')}; {fill}{train}", err=True)
+    return code
+
+
+def _content(file: Path, reading: Reading) -> tuple[str, int]:
+    """Return what is read of a recording, or why it cannot be, and an exit code."""
+    from cgid.recordings import open_recording
+
+    try:
+        recording = open_recording(file, **reading.common)
+    except CgidError as error:
+        say_error(error)
+        return "cannot be read", error.exit_code
+    n_channels, unit = len(recording.channels), recording.channels[0].unit or "unit unknown"
+    length = "" if recording.duration is None else f", {recording.duration:.6g} s"
+    return f"{recording.sampling_rate:g} Hz, {unit}, {counted(n_channels, 'channel')}{length}", 0

@@ -28,8 +28,8 @@ from cgid.cli.options import (
     strict_option,
     worker_options,
 )
-from cgid.cli.output import accuracy_text, print_json, progress_bar, say, say_error, warn
-from cgid.errors import BadData, CgidError, InvalidValue
+from cgid.cli.output import accuracy_text, print_json, progress_bar, say, warn
+from cgid.errors import BadData, InvalidValue
 from cgid.terminal import counted
 
 if TYPE_CHECKING:
@@ -174,7 +174,9 @@ def train(
     from cgid.workers import workers
 
     if template is not None:
-        return _write_template(data, Path(template), reading, overwrite=overwrite)
+        from cgid.cli.events import write_template
+
+        return write_template(data, Path(template), reading, overwrite=overwrite)
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
@@ -254,43 +256,6 @@ def _requested_windows(context: click.Context, others: list[str], features: Any)
     if "window_time" in given or "hop_time" in given:
         return "window"
     return "impact" if "milliseconds" in given or others else None
-
-
-def _write_template(data: tuple[str, ...], path: Path, reading: Reading, *, overwrite: bool) -> int:
-    """Write a manifest with a row for each recording, its label empty unless its folder says it."""
-    from cgid.files import check_new, write_whole
-    from cgid.identification.manifest import manifest_text, path_from, recordings_in, row_of
-
-    check_new(path, "a manifest", (".csv",), overwrite=overwrite)
-    rows, code = [], 0
-    for item in data:
-        folder = Path(item) if Path(item).is_dir() else Path(item).parent
-        for file in recordings_in(folder) if Path(item).is_dir() else [Path(item)]:
-            content, failed = _content(file, reading)
-            code = code or failed
-            given = {"rate": reading.sampling_rate, "unit": reading.unit, "content": content}
-            rows.append({**row_of(file, folder), "path": path_from(path.parent, file), **given})
-    text = manifest_text(rows, ("group", "rate", "unit") if code else ("group",))
-    write_whole(path, text.encode("utf-8" if text.isascii() else "utf-8-sig"), overwrite=overwrite)
-    empty = sum(not row["label"] for row in rows)
-    fill = f"fill in the label of {empty}, then " if empty else "now "
-    train = shlex.join(["cgid", "train", str(path), "-o", "mine.npz"])
-    say(f"wrote {path}: {counted(len(rows), 'recording')}; {fill}{train}", err=True)
-    return code
-
-
-def _content(file: Path, reading: Reading) -> tuple[str, int]:
-    """Return what is read of a recording, or why it cannot be, and an exit code."""
-    from cgid.recordings import open_recording
-
-    try:
-        recording = open_recording(file, **reading.common)
-    except CgidError as error:
-        say_error(error)
-        return "cannot be read", error.exit_code
-    n_channels, unit = len(recording.channels), recording.channels[0].unit or "unit unknown"
-    length = "" if recording.duration is None else f", {recording.duration:.6g} s"
-    return f"{recording.sampling_rate:g} Hz, {unit}, {counted(n_channels, 'channel')}{length}", 0
 
 
 #: Options for every training.
