@@ -181,14 +181,8 @@ def train(
         raise click.UsageError("Missing option '-o' / '--output'.", context)
     path = check_model_output(Path(output), plots=plots, overwrite=overwrite)
     if (base := options.pop("base")) is not None:
-        from cgid.cli.correction import correct_model
-
         refuse(context, _OF_TRAINING, "--from corrects a model and trains none")
-        if len(data) != 1 or not _recorded(data[0]):
-            raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
-        return correct_model(
-            _manifest(data[0]), base, path, reading, strict=options["strict"], plots=plots, as_json=as_json
-        )
+        return _correct(data, base, path, reading, strict=options["strict"], plots=plots, as_json=as_json)
     names = options.pop("names")
     options["features"] = None if names is None else choose([name.strip() for name in names.split(",")])
     options["class_weights"] = _class_weights(options["class_weights"])
@@ -215,6 +209,15 @@ def train(
     if failures:
         warn(f"the model is without {counted(len(failures), 'recording')} that failed")
     return failures[0].exit_code if failures else 0
+
+
+def _correct(data: tuple[str, ...], base: str, path: Path, reading: Reading, **given: bool) -> int:
+    """Correct a model by labelled impacts."""
+    from cgid.cli.correction import correct_model
+
+    if len(data) != 1 or not _recorded(data[0]):
+        raise BadData(f"{data[-1]}: with --from there must be one table of labelled impacts; cgid events makes it")
+    return correct_model(_manifest(data[0]), base, path, reading, **given)
 
 
 def _recorded(item: str) -> bool:

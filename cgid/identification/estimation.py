@@ -7,6 +7,7 @@ it is the restitution of the impact; on recordings of real shocks it varies with
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -288,14 +289,8 @@ def posterior(
                 f"noise must be above 0 for a posterior, got 0 in signal {first + int(np.argmin(level > 0))}; "
                 "record some samples before onset, or say what the noise is"
             )
-        fit = fit_pulses(
-            pulses.samples,
-            pulses.fit_start,
-            level,
-            offset=pulses.offset,
-            clip_level=pulses.clip_level,
-            response=response,
-        )
+        known: dict[str, Any] = {"offset": pulses.offset, "clip_level": pulses.clip_level, "response": response}
+        fit = fit_pulses(pulses.samples, pulses.fit_start, level, **known)
         along = profile(
             pulses.samples,
             parameters_of(fit.peak, fit.width, fit.onset, fit.shape),
@@ -303,10 +298,8 @@ def posterior(
             lowest=lowest,
             highest=highest,
             n_nodes=n_nodes,
-            offset=pulses.offset,
             n_quiet=pulses.n_quiet,
-            clip_level=pulses.clip_level,
-            response=response,
+            **known,
         )
         weight = np.exp(prior.log_posterior(along, -np.log(rate)))
         peak = np.sum(weight * np.exp(along.log_peak), axis=1)
