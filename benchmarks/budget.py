@@ -54,7 +54,6 @@ def microseconds(work: Callable[[], object], n_signals: int, rounds: int = ROUND
 
 
 def print_counts() -> None:
-    """Print the work done for each scene, and the work for everything."""
     print(f"| scene and what is asked ({COUNTED} signals) | what ran / what everything takes |\n|---|---|")
     for case in CASES:
         asked, everything = case.ask(), case.ask_everything()

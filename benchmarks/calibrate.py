@@ -47,7 +47,6 @@ HEARD = 10e3
 
 
 def with_errors(scene: Scene, error: float, seed: int) -> Scene:
-    """Return the scene with modes off by an error, dampings by 10 times as much, at most 30 %."""
     own, rng = beam_modes(scene), np.random.default_rng(seed)
     n = own.frequency.size
     frequency = own.frequency * np.exp(rng.normal(0, error, n))
@@ -59,7 +58,6 @@ def with_errors(scene: Scene, error: float, seed: int) -> Scene:
 
 
 def with_drawings(scene: Scene, error: float, seed: int) -> Scene:
-    """Return the scene with other measures of the beam and other places of rib and sensor."""
     content, rng = json.loads(scene.text), np.random.default_rng(seed)
     beam = content["tail_beam"]
     for part, name in ((beam, "length"), (beam, "width"), (beam, "thickness"), (beam["ribs"], "depth")):
@@ -68,7 +66,6 @@ def with_drawings(scene: Scene, error: float, seed: int) -> Scene:
 
 
 def accuracy(site: Scene, truth: Scene, n_train: int, n_test: int, seed: int) -> float:
-    """Return the share of right answers on blows of the true beam, trained on the site alone."""
     model: Model = train(synthesise(site, n_train, 1000 + seed), beam=beam_of(site)).model
     rows = measure(synthesise(truth, n_test, 2000 + seed), model.measured, beam=model.beam.beam)
     probabilities = model.probabilities(rows.features[:, : len(model.features)])

@@ -118,7 +118,6 @@ def main() -> None:
 
 
 def otherwise(model: Model, rows: np.ndarray, found: np.ndarray) -> int:
-    """Return how many rows get another label than by `Model`, which refuses some of them."""
     wrong = 0
     for row, answer in zip(rows, found, strict=True):
         try:

@@ -217,7 +217,6 @@ def judge_failure(trial: Trial, ended: Ending) -> str:
 
 
 def judge_interruption(trial: Trial, ended: Ending) -> str:
-    """Return the fault in the end of a command after Ctrl-C, or nothing."""
     left = files_in(trial.here)
     code = ended.code
     if code == 0:
@@ -230,7 +229,6 @@ def judge_interruption(trial: Trial, ended: Ending) -> str:
 
 
 def judge_kill(trial: Trial, ended: Ending) -> str:
-    """Return the fault in the files of a killed command, or nothing."""
     if ended.code not in (-signal.SIGKILL, 0):
         return f"exit code {ended.code}: {ended.err[-300:]}"
     for name, content in files_in(trial.here).items():
@@ -294,7 +292,6 @@ def inputs(server: Server, folder: Path) -> Iterator[Path]:
 
 
 def load(server: Server, command: Command, folder: Path, inputs: Path) -> None:
-    """Load a command's libraries in the server, so that each run takes milliseconds."""
     here = folder / "load"
     here.mkdir()
     words = [word.replace("{here}", str(here)).replace("{inputs}", str(inputs)) for word in command.arguments]

@@ -100,7 +100,6 @@ def loaded(scene: Scene, workers: int, n_signals: int) -> float:
 
 
 def measured(name: str, n_signals: int, folder: Path) -> Rates:
-    """Return the cost of a signal of a scene."""
     scene = load_scene(shipped.scene_path(name))
     data, table = folder / name, folder / f"{name}.h5"
     common = ["generate", name, "-n", str(n_signals)]
@@ -122,7 +121,6 @@ def measured(name: str, n_signals: int, folder: Path) -> Rates:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in readable units."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {unit}"
@@ -130,7 +128,6 @@ def duration(seconds: float) -> str:
 
 
 def size(count: float) -> str:
-    """Return a number of bytes in readable units."""
     for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
         if count >= factor:
             return f"{count / factor:.3g} {unit}"

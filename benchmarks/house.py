@@ -137,7 +137,6 @@ def by_package(checkout: Path) -> dict[str, tuple[int, int, int, int]]:
 
 
 def modules(checkout: Path) -> dict[str, ast.Module]:
-    """Return the syntax of every module of the package by its dotted name."""
     found = {}
     for path in sorted((checkout / "cgid").rglob("*.py")):
         name = ".".join(path.relative_to(checkout).with_suffix("").parts).removesuffix(".__init__")
@@ -146,7 +145,6 @@ def modules(checkout: Path) -> dict[str, ast.Module]:
 
 
 def imports(tree: ast.AST, known: set[str]) -> set[str]:
-    """Return the modules of the package that are imported below a node, wherever the statement stands."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module in known:
@@ -179,7 +177,6 @@ def longest_chain(graph: dict[str, set[str]]) -> int:
 
 
 def data_types(tree: ast.Module) -> int:
-    """Return how many classes of a module only hold data: dataclasses, named tuples, typed dictionaries, schemas."""
     words = ("dataclass", "NamedTuple", "TypedDict", "BaseModel", "Enum", "Section")
     classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
     said = (" ".join(map(ast.unparse, [*node.decorator_list, *node.bases])) for node in classes)

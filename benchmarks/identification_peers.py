@@ -77,7 +77,6 @@ def _multirocket_hydra() -> Any:
 
 
 def convolutional() -> Any:
-    """Return four convolutions of stride 2 and a hidden layer, 81,000 weights."""
     from torch import nn
 
     layers: list[Any] = []
@@ -203,7 +202,6 @@ RIVALS: dict[str, Rival] = {
 
 
 def signals(folder: Path, kind: str, rival: Rival, n: int | None) -> Array:
-    """Return the first n signals, or their features with nan where there is none."""
     if not rival.on_features:
         return rows(folder, kind, slice(n)).astype(np.float64)
     table = rows(folder, f"{kind}_features", slice(n))

@@ -68,7 +68,6 @@ def impacts(scene: Scene, n: int, seed: int) -> tuple[MeasuredPulses, dict[str, 
 
 
 def covered(found: ImpactorEstimates, truth: dict[str, Floats], rows: Any) -> dict[str, list[float]]:
-    """Return the share of intervals that hold the truth, for each of `LEVELS`."""
     out: dict[str, list[float]] = {}
     for name in QUANTITIES:
         ends = [found.interval(name, level) for level in LEVELS]
@@ -173,7 +172,6 @@ BEAMS: dict[str, dict[str, Any]] = {
 
 
 def beams(n: int) -> None:
-    """Print the coverage behind other beams, each asked with its own population."""
     print("| impacts | told | mass 50 / 80 / 95 % | radius | speed | wide |\n|---|---|---|---|---|---|")
     for name, changes in BEAMS.items():
         scene = changed(**changes)
@@ -257,7 +255,6 @@ def laws() -> None:
 
 
 def recorded(scene: Scene, seed: int) -> tuple[MeasuredPulses, dict[str, Any], NDArray[np.intp]]:
-    """Return the pulses of all impacts found in a recording, the truth, and the number of the found one of each."""
     signal, truth = record(scene, seed, 0)
     events = [one for one in find_impacts(signal, kind="vibration") if not one.problem]
     order, parts = [], []

@@ -98,7 +98,6 @@ class Population:
 
 
 def population(n: int, seed: int = 0) -> Population:
-    """Return the first n impacts of the shipped scene "peers"."""
     scene = load_scene(shipped.scene_path("peers"))
     impacts = [draw(scene, seed, block).impact for block in range(math.ceil(n / 256))]
     columns = (

@@ -11,8 +11,6 @@ row from stdout. The run with a short queue holds 200 messages instead of 10,000
 
 import argparse
 import json
-import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -30,36 +28,13 @@ from cgid.plant import PlantOutputs
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 from tests.streams_of_pulses import RATE, stream  # noqa: E402
-from tests.test_plant import free_port, impact, share  # noqa: E402
+from tests.test_plant import Mosquitto, free_port, impact, share  # noqa: E402
 
 #: Samples are written in blocks of this time [s].
 BLOCK = 0.01
 SHORT_QUEUE = 200
 MONITOR = "from cgid.plant.output import Output; Output.__init__.__defaults__ = ({queue},); "
 MONITOR += "import sys; from cgid.cli.main import run; sys.exit(run(sys.argv[1:]))"
-
-
-class Broker:
-    """mosquitto on a free port."""
-
-    def __init__(self, folder):
-        self.port = free_port()
-        self.file = Path(folder) / "mosquitto.conf"
-        self.file.write_text(f"listener {self.port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\n")
-        self.start()
-
-    def start(self):
-        """Start, and wait until it listens."""
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        program = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
-        self.process = subprocess.Popen([program, "-c", str(self.file)], **quiet)
-        while socket.socket().connect_ex(("127.0.0.1", self.port)):
-            time.sleep(0.01)
-
-    def kill(self):
-        """End without a word."""
-        self.process.kill()
-        self.process.wait()
 
 
 def subscriber(port):
@@ -201,7 +176,7 @@ def outage(folder, seconds):
         ("broker away for a third of the time", 10_000, True),
         (f"the same, queue of {SHORT_QUEUE}", SHORT_QUEUE, True),
     ):
-        broker = Broker(folder)
+        broker = Mosquitto(folder, "max_queued_messages 0")
         client, found = subscriber(broker.port)
         ports = [free_port() for _ in range(2)]
         more = ["--mqtt", f"mqtt://127.0.0.1:{broker.port}/b", "--modbus", f":{ports[0]}"]
@@ -229,12 +204,12 @@ def main():
     parser.add_argument("--seconds", type=float, default=30.0)
     seconds = parser.parse_args().seconds
     with tempfile.TemporaryDirectory() as folder:
-        broker = Broker(folder)
+        broker = Mosquitto(Path(folder))
         print("| output | value |\n|---|---|")
         messages(broker.port)
         broker.kill()
         readers()
-        outage(folder, seconds)
+        outage(Path(folder), seconds)
 
 
 if __name__ == "__main__":

@@ -58,7 +58,6 @@ def command(*arguments: str) -> str:
 
 
 def noisy(samples: NDArray[np.float64], noise: float | None, seed: int) -> NDArray[np.float32]:
-    """Return a recording with white noise, so many decibels below its power."""
     if noise is None:
         return samples.astype(np.float32)
     deviation = np.sqrt(np.mean(samples**2) * 10 ** (-noise / 10))
@@ -122,7 +121,6 @@ def joined(parts: list[Told]) -> Told:
 
 
 def is_voted(rows: list[dict[str, Any]], truth: str) -> str:
-    """Return whether the vote of the answered windows of a recording is right, wrong or open."""
     known = [row["probabilities"] for row in rows if row["label"] != "unknown"]
     if not known:
         return "open"

@@ -24,7 +24,6 @@ CHANNELS = {"left": "1", "right": "2", "both": "1+2"}
 
 
 def measured(files: list[Path], channel: str, hop: float) -> Rows:
-    """Return the features of the windows of all recordings, with noisy copies."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "manifest.csv"
         with path.open("w", newline="") as stream:

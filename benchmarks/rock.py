@@ -99,7 +99,6 @@ class Answered(NamedTuple):
 
 
 def answered(model: Model, signals: NDArray[Any], labels: NDArray[np.str_], trigger: int) -> Answered:
-    """Return the answers of a model for impacts."""
     answers = identify_frames(signals, RATE, model, pre_trigger=trigger)
     coal = np.array([answer.probabilities.get("coal", 0.5) for answer in answers])
     return Answered(coal, np.array([answer.label == UNKNOWN for answer in answers]), labels)
@@ -152,7 +151,6 @@ def accuracy(classifier: ImpactClassifier, test: Table) -> float:
 
 
 def table_of_cases(model: Model, names: Sequence[str], n: int, n_learner: int) -> Iterator[Line]:
-    """Yield the lines of table 2."""
     for name in names:
         if name == BOTH:
             trigger = with_both_losses().sampling.pre_trigger
@@ -191,7 +189,6 @@ def law_of(scene: Scene, number: int) -> str:
 
 
 def scene_rows(scene: Scene, n: int, names: Sequence[str]) -> dict[str, Rows]:
-    """Return n rows of each law that populations of a scene name."""
     laws = [law_of(scene, number) for number in range(len(scene.populations))]
     found = {}
     for number, law in enumerate(dict.fromkeys(laws)):
@@ -268,7 +265,6 @@ def table_of_strangers(model: Model, n: int) -> Iterator[Line]:
 
 
 def shock_is_flagged(model: Model, file: Path) -> bool:
-    """Return whether no impact of a recorded shock, as the force on 1 kg, is in the training range."""
     (recorded,) = read_recording(file)
     answers = identify(suited(recorded.as_force(1.0), model), model)
     return not any(answer.in_training_range for answer in answers)
@@ -293,7 +289,6 @@ def limits() -> dict[str, Scene]:
 
 
 def show(title: str, lines: Iterator[Line]) -> None:
-    """Print lines as Markdown as they come."""
     print(f"\n**{title}**\n", flush=True)
     for number, line in enumerate(lines):
         if not number:

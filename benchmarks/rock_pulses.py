@@ -396,7 +396,6 @@ def _filtered(rock: Rocks, touch: Floats, edge: float) -> Floats:
 
 
 def pink_noise(rng: np.random.Generator, n: int, n_samples: int = SAMPLES) -> Floats:
-    """Return noise whose power falls as 1 / f from the first frequency of the frame on, standard deviation 1."""
     spectrum = np.fft.rfft(rng.standard_normal((n, n_samples)), axis=1)
     shape = np.zeros(spectrum.shape[1])
     shape[1:] = np.arange(1, len(shape)) ** -0.5

@@ -43,7 +43,6 @@ USES = {
 
 
 def cpu_seconds(arguments: list[str]) -> float:
-    """Return user and system time of one process."""
     quiet = [(os.POSIX_SPAWN_OPEN, descriptor, os.devnull, os.O_WRONLY, 0) for descriptor in (1, 2)]
     pid = os.posix_spawn(sys.executable, [sys.executable, *arguments], os.environ, file_actions=quiet)
     _, status, usage = os.wait4(pid, 0)
@@ -75,7 +74,6 @@ def first_uses() -> None:
 
 
 def alternate(rounds: int) -> None:
-    """Alternate both commands and print their times."""
     times: dict[str, list[float]] = {name: [] for name in COMMANDS}
     for number in range(rounds + 1):
         for name, arguments in COMMANDS.items():

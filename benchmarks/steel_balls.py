@@ -79,7 +79,6 @@ def ball(folder: Path, diameter: int) -> Ball:
 
 
 def n_detected(balls: list[Ball]) -> int:
-    """Return how many blows the detector finds within 30 samples of the foot of the lobe."""
     count = 0
     for signal in (signal for one in balls for signal in one.signals):
         events = find_impacts(replace(signal, unit="N", samples=-signal.samples), kind="pulse")
@@ -104,7 +103,6 @@ def left_out(balls: list[Ball]) -> int:
 
 
 def slope(one: Ball) -> tuple[float, float]:
-    """Return the exponent of contact time in the amplitude, and its standard error."""
     x, y = np.log(one.peak), np.log(one.duration)
     fit, covariance = np.polyfit(x, y, 1, cov=True)
     return float(fit[0]), float(np.sqrt(covariance[0, 0]))
@@ -153,7 +151,6 @@ def radii(one: Ball) -> tuple[Floats, Floats, Floats]:
 
 
 def extended(signal: Signal) -> Signal:
-    """Return a recording with its own quiet part before and after it, to and fro: what follows the blow is known."""
     quiet = signal.samples[: QUIET - 10] - signal.samples[: QUIET - 10].mean()
     both = np.concatenate([quiet, quiet[::-1]])
     level = signal.samples[: QUIET - 10].mean()

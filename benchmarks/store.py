@@ -1,12 +1,13 @@
-"""Full frames to the disk against h5py writing ready arrays with the same filters; breakdown of the time.
+"""Full frames to the disk against h5py writing ready arrays with the same filters; breakdown of the time; peak memory.
 
-    python benchmarks/store.py [--scene reference] [--signals 32768] [--rounds 5] [--jobs 2] [--folder DIR]
+    python benchmarks/store.py [--scene reference] [--signals 32768] [--rounds 5] [--jobs 2]
+                               [--memory 10000 100000 1000000] [--folder DIR]
 
 Rates are medians of alternating rounds, in megabytes of signals in memory. h5py (one process) writes an existing array
 to one file, with fletcher32 and the filters of cgid's shards, and flushes it to the disk, as cgid does with every
 shard; `unflushed` is h5py's rate without the flush. `cgid` also makes the signals, hashes every shard, and writes a
 folder; its worker processes are warm. `reading` is h5py reading the shards. On a busy machine compare processor times,
-not rates. Needs hdf5plugin.
+not rates. Needs psutil and hdf5plugin.
 """
 
 import argparse
@@ -14,9 +15,11 @@ import hashlib
 import os
 import shutil
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -157,6 +160,32 @@ def stages(scene: Any, folder: Path, compression: str) -> dict[str, float]:
     return took
 
 
+def peak_memory(arguments: Sequence[str]) -> float:
+    """Return the sum of the peaks of a command's processes [MB] (Linux: VmHWM)."""
+    import psutil
+
+    peaks: dict[int, int] = {}
+    process = subprocess.Popen([sys.executable, "-m", "cgid", *arguments], stderr=subprocess.DEVNULL)
+    watched = psutil.Process(process.pid)
+    while process.poll() is None:
+        try:
+            alive = [watched.pid, *(child.pid for child in watched.children(recursive=True))]
+        except psutil.NoSuchProcess:
+            break
+        for pid in alive:
+            try:
+                status = Path(f"/proc/{pid}/status").read_text()
+            except OSError:
+                continue
+            # A process that has just ended has no memory.
+            peak = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")), 0)
+            peaks[pid] = max(peak, peaks.get(pid, 0))
+        time.sleep(0.05)
+    if process.wait():
+        raise SystemExit(f"cgid {' '.join(arguments)} failed")
+    return sum(peaks.values()) * 1024 / 1e6
+
+
 def show_rates(times: dict[str, Times], megabytes: float, jobs: int) -> None:
     print(
         f"| filter | size | h5py | unflushed | cgid, 1 job | cgid, {jobs} jobs | beside h5py | reading |\n"
@@ -188,6 +217,7 @@ def main() -> None:
     parser.add_argument("--signals", type=int, default=8 * SHARD)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--memory", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
     parser.add_argument("--folder", help="where the datasets go (by default a temporary folder)")
     arguments = parser.parse_args()
     scene = load_scene(shipped.scene_path(arguments.scene))
@@ -201,6 +231,13 @@ def main() -> None:
             del signals
             shutil.rmtree(folder / f"made-{arguments.jobs}")
         show_stages(scene, folder)
+        if arguments.memory:
+            print(f"\n| signals, {arguments.jobs} jobs | peak memory of all processes [MB] |\n|---|---|")
+        for count in arguments.memory:
+            output, jobs = str(folder / "large"), str(arguments.jobs)
+            peak = peak_memory(["generate", arguments.scene, "-o", output, "-n", str(count), "--jobs", jobs])
+            print(f"| {count} | {peak:.0f} |")
+            shutil.rmtree(output)
 
 
 if __name__ == "__main__":

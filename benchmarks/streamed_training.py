@@ -36,7 +36,6 @@ def made(folder: Path, n_signals: int) -> tuple[Path, Path]:
 
 
 def trained_within(room: int, little: Path, large: Path) -> dict[str, Any]:
-    """Train in a separate process with this many bytes beyond its libraries and return its report."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     environment["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, __file__, "--within", str(room), str(little), str(large)]

@@ -81,7 +81,6 @@ class Stream:
 
 
 def constant(share: float) -> Scene:
-    """Return `caving` with a constant share of gangue."""
     content = json.loads(load_scene(shipped.scene_path("caving")).text)
     content["stream"]["mixture"] = {"times": [0.0], "gangue": [share]}
     return parse_scene(content | {"name": f"caving, {share:.0%} gangue"})
@@ -132,7 +131,6 @@ def row(name: str, streams: list[Stream], shares: np.ndarray, model: Model) -> s
 
 
 def alarms(streams: list[Stream], shares: np.ndarray, model: Model) -> Iterator[str]:
-    """Yield the table of SHUT an hour, at constant shares below the limit of .5."""
     low, near = shares <= FALSE_UP_TO + 1e-9, (shares > FALSE_UP_TO + 1e-9) & (shares < 0.49)
     yield f"| evidence | SHUT an hour, shares up to {FALSE_UP_TO:g} | shares of .33 to .44 |"
     yield "|---|---|---|"

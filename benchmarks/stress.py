@@ -76,8 +76,6 @@ class Worst:
 
 
 def drawn(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:
-    """Return the parameters of n impacts."""
-
     def log_uniform(low: float, high: float) -> np.ndarray:
         return np.exp(rng.uniform(np.log(low), np.log(high), n))
 
@@ -94,7 +92,6 @@ def drawn(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:
 
 
 def impact_of(p: dict[str, np.ndarray], **change: Any) -> Impact:
-    """Return the impacts of these parameters."""
     ball = Material(density=p["rho"], youngs_modulus=p["E1"], poisson_ratio=p["nu1"])
     block = Material(density=7850.0, youngs_modulus=p["E2"], poisson_ratio=p["nu2"])
     parts = {
@@ -125,7 +122,6 @@ def graded_times(impact: Impact) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_conservation(impact: Impact, worst: Worst, family: str, where: Callable[[int], str], threads: int) -> None:
-    """Integrate the evaluated pulses and compare with the results of the impact itself."""
     times, weights = graded_times(impact)
     flat = times.reshape(times.shape[0], -1)
     with_peak = np.append(flat, impact.time_of_peak[:, None], axis=1)
@@ -164,7 +160,6 @@ def check_conservation(impact: Impact, worst: Worst, family: str, where: Callabl
 
 
 def check_similarity(p: dict[str, np.ndarray], worst: Worst, where: Callable[[int], str], rng: Any) -> None:
-    """Compare with other bodies and speeds at the same restitution: one dimensionless curve."""
     one, other = impact_of(p), impact_of(drawn(rng, p["e"].size) | {"e": p["e"]})
     share = rng.uniform(0, 1, (p["e"].size, 8)) ** 2
     curves = [
@@ -224,7 +219,6 @@ def check_other_laws(p: dict[str, np.ndarray], worst: Worst, rng: Any, threads: 
 
 
 def check_core(worst: Worst, n: int, rng: Any) -> None:
-    """Restitution and damping over the whole range of double precision."""
     e = np.concatenate([np.exp(rng.uniform(np.log(1e-300), 0, n)), 1 - 10.0 ** rng.uniform(-15.9, 0, n)])
     e = e[(e > 0) & (e <= 1)]
     damping = damping_number(e)

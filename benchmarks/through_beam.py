@@ -69,7 +69,6 @@ def changed(**changes: Any) -> Scene:
 
 
 def at_rate(rate: float, edge: float) -> Scene:
-    """Return the scene tail_beam at a sampling rate, with the edge of its anti-alias filter, both in kHz."""
     samples = round(80 * rate)
     return changed(
         sampling__sampling_rate=f"{rate} kHz",
@@ -99,7 +98,6 @@ def cases(n: int) -> Iterator[tuple[str, str, Callable[[], Iterator[Batch]]]]:
 
 
 def after_another(batches: Iterator[Batch], gap: float) -> Iterator[Batch]:
-    """Yield batches, each signal with what still rings of the one with its number in the batch before."""
     before = None
     for batch in batches:
         if before is not None and len(before.signals) == len(batch.signals):
@@ -183,7 +181,6 @@ def off(beam: Beam, share: float, random: np.random.Generator) -> Beam:
 
 
 def slow_rocks() -> Scene:
-    """Return the scene tail_beam with rocks that are larger and slower than any that the model knows."""
     content = json.loads(changed().text)
     for population in content["populations"]:
         population["radius"] = {"distribution": "uniform", "lowest": 0.08, "highest": 0.2}

@@ -89,7 +89,6 @@ def curves(impacts: Population) -> HuntCrossleyCurves:
 
 
 def cgid_frames(impacts: Population, dtype: str = "float64") -> np.ndarray:
-    """Return the frames by the shipped table."""
     frames = np.zeros((len(impacts), SAMPLES), dtype)
     onset = np.full(len(impacts), float(ONSET))
     curves(impacts).add_to_frames(frames, onset, impacts.spacing, impacts.force_scale, 1)
@@ -97,8 +96,6 @@ def cgid_frames(impacts: Population, dtype: str = "float64") -> np.ndarray:
 
 
 def from_materials(n: int) -> Run:
-    """Return a function that makes n frames from materials, radius, loss and velocity: `Impact.force_frames`."""
-
     def run(_: Population) -> np.ndarray:
         return impacts_of(n).force_frames(SAMPLING_RATE, SAMPLES, ONSET / SAMPLING_RATE)
 
@@ -107,7 +104,6 @@ def from_materials(n: int) -> Run:
 
 @cache
 def drawn_numbers(n: int) -> dict[str, np.ndarray]:
-    """Return the drawn numbers of n impacts."""
     scene = load_scene(shipped.scene_path("peers"))
     blocks = [draw(scene, 0, block).parameters for block in range(-(-n // 256))]
     return {name: np.concatenate([block[name] for block in blocks])[:n] for name in blocks[0]}
@@ -191,7 +187,6 @@ def contact_error(impact: Impact, row: int) -> float:
 
 
 def contact_table(rows: list[ContactRow]) -> str:
-    """Return the rows as Markdown, a line for each law and target."""
     lines = [
         "| law | target | us a pulse at 1e-4 / 1e-6 / 1e-8 | with its results | error at 1e-8 |",
         "|---|---|---|---|---|",
@@ -227,7 +222,6 @@ def measured(
 
 
 def work_precision(impacts: Population, quick: bool) -> list[Row]:
-    """Return a row for each method and setting."""
     exact = reference_frames(impacts.part(0, KNOWN))
     whole = len(impacts)
     rows = [
@@ -245,7 +239,6 @@ def work_precision(impacts: Population, quick: bool) -> list[Row]:
 
 
 def work_table(rows: list[Row]) -> str:
-    """Return the rows as Markdown."""
     lines = ["| method | setting | us per pulse | worst error / peak | median |", "|---|---|---|---|---|"]
     lines += [f"| {r.method} | {r.setting} | {r.microseconds:.3g} | {r.worst:.1e} | {r.median:.1e} |" for r in rows]
     return "\n".join(lines)
@@ -267,7 +260,6 @@ def ratio_table(rows: list[Row]) -> str:
 
 
 def picture(rows: list[Row]) -> bytes:
-    """Return the log-log picture of run time against error."""
     figure = require_matplotlib()(figsize=(7.5, 5), layout="constrained")
     axes = figure.subplots()
     for method in dict.fromkeys(row.method for row in rows if row.method != "cgid"):
@@ -293,7 +285,6 @@ def picture(rows: list[Row]) -> bytes:
 
 
 def write(rows: list[Row]) -> None:
-    """Write CSV and picture to this folder."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["method", "setting", "time per pulse [us]", "worst error / peak", "median error / peak"])

@@ -55,7 +55,6 @@ def of_force(model: Model, n: int) -> Parts:
 
 
 def of_acceleration(model: Model, n: int, n_streams: int) -> Parts:
-    """Return rows of the scenes of the model of acceleration, and of streams."""
     scenes = [scene for scene, _ in acceleration_scenes(100)]
     beam = beam_of(scenes[-1])
     parts = [(scene.name, measure(synthesise(scene, n // 4, SEED), model.measured, beam=beam)) for scene in scenes]

@@ -94,7 +94,9 @@ def test_files_made_by_hand_do_no_harm(audit, tmp_path, monkeypatch, name):
     assert peak < MEMORY_LIMIT
 
 
-@pytest.mark.parametrize("name", ["beam whose pole grows", "beam of errors of other modes", "beam upside down"])
+@pytest.mark.parametrize(
+    "name", ["beam whose pole grows", "beam of errors of other modes", "beam upside down", "beam of 1,025 modes"]
+)
 def test_arrays_of_a_beam_must_fit_each_other(name):
     with pytest.raises(BadData):
         Model.from_bytes(HOSTILE[name]())

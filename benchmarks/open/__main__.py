@@ -23,7 +23,6 @@ RESULTS, BEGIN, END = HERE / "results.csv", "<!-- table -->\n", "<!-- end of tab
 
 
 def options() -> argparse.ArgumentParser:
-    """Return the command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.open", description=(__doc__ or "").splitlines()[0])
     commands = parser.add_subparsers(dest="command", required=True)
     made = commands.add_parser("make", help="make signals/, for entrants, and truth/, for the judge")

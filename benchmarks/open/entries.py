@@ -49,7 +49,6 @@ class Part(NamedTuple):
 
 
 def parts_of(folder: Path, part: str) -> dict[str, Part]:
-    """Return the training or the test parts of all sets."""
     (_, header), *lines = read_cells(folder / "sets.csv", "the list of sets", LARGEST)
     rows = [row for _, cells in lines if (row := dict(zip(header, cells, strict=True)))["part"] == part]
     return {
@@ -62,7 +61,6 @@ def parts_of(folder: Path, part: str) -> dict[str, Part]:
 
 
 def constant(folder: Path) -> Predictions:
-    """Return one half for everything, nothing unknown, never shut."""
     found: Predictions = {}
     for name, part in parts_of(folder, "test").items():
         n, windows = len(part.signals), (len(part.signals), len(TIMES))
@@ -149,7 +147,6 @@ def _window_levels(signal: NDArray[Any], rate: float) -> NDArray[np.float64]:
 
 
 def defaults(folder: Path) -> Predictions:
-    """Return the answers of the shipped models, as `cgid predict` and `cgid monitor` give them."""
     names = {"N": shipped.DEFAULT_MODEL, "m/s^2": shipped.ACCELERATION_MODEL}
     models = {unit: Model.load(shipped.path_of("models", name)) for unit, name in names.items()}
     return {name: _answered(models[part.unit], part) for name, part in parts_of(folder, "test").items()}

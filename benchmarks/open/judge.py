@@ -238,7 +238,6 @@ class Result(NamedTuple):
 
 
 def judged(predictions: Predictions, truth: Truth) -> Iterator[tuple[str, Result]]:
-    """Yield the names of sets and their results."""
     for name, own in predictions.items():
         if isinstance(own, Frames):
             found = judged_frames(own, truth.frames[name])
@@ -249,7 +248,6 @@ def judged(predictions: Predictions, truth: Truth) -> Iterator[tuple[str, Result
 
 
 def judged_frames(own: Frames, labels: NDArray[np.str_]) -> Iterator[Result]:
-    """Yield the metrics of a set of frames."""
     n = len(labels)
     yield _share_of("unknown", own.unknown)
     if (labels == OTHER).all():

@@ -206,7 +206,6 @@ def _streams(one: Set, seed: int, n: int) -> tuple[NDArray[Any], dict[str, Rows]
 
 
 def write_rows(path: Path, columns: Sequence[str], rows: Rows) -> None:
-    """Write a table as CSV."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([columns, *rows])
     write_whole(path, stream.getvalue().encode())
