@@ -78,7 +78,7 @@ class SiteCalibration:
         after, and of impacts simulated on the calibrated beam.
     crossings : int
         Number of neighbouring modes that have swapped.
-    at_rest : bool
+    has_converged : bool
         Whether the modes have converged.
     """
 
