@@ -10,7 +10,6 @@ cut       files cut off at 40 places: refused / warned / read silently      flip
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 import warnings
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from fuzz_recordings import RATE, judge, read
+from recordings import timed
 
 from cgid.errors import CgidError
 from cgid.recordings import open_recording
@@ -73,23 +73,14 @@ def growth(specimen: Specimen, folder: Path, n_samples: int) -> float:
 
 
 def _peak(path: Path, specimen: Specimen) -> int:
-    reading, writing = os.pipe()
-    child = os.fork()
-    if not child:
-        warnings.simplefilter("ignore")
-        program = (
-            "import sys, ast, re; from cgid.recordings import open_recording\n"
-            "for block in open_recording(sys.argv[1], **ast.literal_eval(sys.argv[2])).blocks(): pass\n"
-            # ru_maxrss would start from the parent's peak.
-            "print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
-        )
-        os.dup2(writing, 1)
-        os.execv(sys.executable, [sys.executable, "-c", program, str(path), repr(specimen.options)])
-    os.close(writing)
-    with os.fdopen(reading) as pipe:
-        told = pipe.read()
-    os.waitpid(child, 0)
-    return int(told) << 10
+    program = (
+        "import sys, ast, re; from cgid.recordings import open_recording\n"
+        "for block in open_recording(sys.argv[1], **ast.literal_eval(sys.argv[2])).blocks(): pass\n"
+        # The maximum of the resident set would start from the parent's.
+        "print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
+    )
+    run = timed(["-W", "ignore", "-c", program, str(path), repr(specimen.options)])
+    return int(run.out.splitlines()[-1]) << 10
 
 
 def damaged(path: Path, specimen: Specimen, expected: np.ndarray) -> tuple[str, str]:

@@ -11,8 +11,6 @@ scenes take some five minutes of two otherwise idle cores.
 
 import argparse
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -20,6 +18,8 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
+
+from recordings import timed
 
 import cgid
 from cgid import shipped
@@ -55,13 +55,8 @@ class Rates:
 
 def run(*arguments: str | Path) -> tuple[float, int]:
     """Run a command; return its time [s] and the peak memory of its largest process [bytes]."""
-    start = time.perf_counter()
-    process = subprocess.Popen([sys.executable, "-m", "cgid", *map(str, arguments)], stderr=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if status:
-        raise SystemExit(f"cgid {' '.join(map(str, arguments))} failed")
-    return time.perf_counter() - start, usage.ru_maxrss * 1024
+    run = timed(["-m", "cgid", *map(str, arguments)], environment=dict(os.environ))
+    return run.wall, round(run.memory * 1024**2)
 
 
 def looked_at(batches: Iterable[Batch]) -> float:

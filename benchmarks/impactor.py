@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from through_beam import changed as with_keys
 
 from cgid.identification.contact import ThroughBeam
 from cgid.identification.detection import find_impacts
@@ -142,19 +143,13 @@ def case(name: str, among: str, n: int, chosen: str = "all") -> None:
 
 def changed(**changes: Any) -> Scene:
     """Return scene tail_beam with other keys, `section__key`; a number multiplies what a key of the rocks draws."""
-    content = json.loads(load_scene("tail_beam").text)
     rocks = changes.pop("rocks", {})
-    for path, value in changes.items():
-        *sections, key = path.split("__")
-        inner = content
-        for section in sections:
-            inner = inner[section]
-        inner[key] = value
+    content = json.loads(with_keys(**changes).text)
     for population in content["populations"]:
         for key, factor in rocks.items():
             for name in {"mean", "deviation", "median", "lowest", "highest"} & population[key].keys():
                 population[key][name] *= factor
-    return parse_scene(content | {"name": "tail_beam, changed"})
+    return parse_scene(content)
 
 
 #: Beams other than scene tail_beam: nothing was settled with them.

@@ -53,7 +53,7 @@ def seconds_of(rate: int, n_channels: int, seed: int) -> Iterator[np.ndarray]:
 
 @dataclass(frozen=True)
 class Run:
-    """Cost of a process: wall and processor time [s], memory [MB]; and its output."""
+    """Cost of a process: wall and processor time [s], largest resident set of a process [MB]; and its output."""
 
     wall: float
     processor: float
@@ -61,10 +61,11 @@ class Run:
     out: bytes
 
 
-def timed(arguments: list[str], stdin: int | None = None) -> Run:
+def timed(arguments: list[str], stdin: int | None = None, environment: dict[str, str] = _ENVIRONMENT) -> Run:
+    """Run Python with arguments; return what it cost and printed, or end with the end of its output if it fails."""
     begun = time.perf_counter()
     with tempfile.TemporaryFile() as out:
-        process = subprocess.Popen([sys.executable, *arguments], stdin=stdin, stdout=out, stderr=out, env=_ENVIRONMENT)
+        process = subprocess.Popen([sys.executable, *arguments], stdin=stdin, stdout=out, stderr=out, env=environment)
         _, status, used = os.wait4(process.pid, 0)
         wall = time.perf_counter() - begun
         out.seek(0)

@@ -10,11 +10,10 @@ cache of kernels, the second with the cache of the first. "import numpy" is the 
 import argparse
 import os
 import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
+
+from recordings import timed
 
 COMMANDS = {
     "python -c 'import numpy'": ["-c", "import numpy"],
@@ -42,32 +41,17 @@ USES = {
 }
 
 
-def cpu_seconds(arguments: list[str]) -> float:
-    quiet = [(os.POSIX_SPAWN_OPEN, descriptor, os.devnull, os.O_WRONLY, 0) for descriptor in (1, 2)]
-    pid = os.posix_spawn(sys.executable, [sys.executable, *arguments], os.environ, file_actions=quiet)
-    _, status, usage = os.wait4(pid, 0)
-    if status:
-        raise SystemExit(f"{arguments} failed")
-    return usage.ru_utime + usage.ru_stime
-
-
-def wall_seconds(code: str, cache: str) -> float:
-    """Return the time of a process [s]."""
-    start = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"NUMBA_CACHE_DIR": cache})
-    return time.perf_counter() - start
-
-
 def first_uses() -> None:
     """Print the time of each use, and what it leaves in the cache."""
     print("| use | first process [s] | second process [s] |\n|---|---|---|")
     held = {}
     for name, code in USES.items():
         with tempfile.TemporaryDirectory() as cache:
-            first, second = wall_seconds(code, cache), min(wall_seconds(code, cache) for _ in range(3))
+            cached = {**os.environ, "NUMBA_CACHE_DIR": cache}
+            first, *others = (timed(["-c", code], environment=cached).wall for _ in range(4))
             files = [path for path in Path(cache).rglob("*") if path.is_file()]
             held[name] = f"{len(files)} files, {sum(path.stat().st_size for path in files) / 1e3:.0f} kB"
-        print(f"| {name} | {first:.2f} | {second:.2f} |")
+        print(f"| {name} | {first:.2f} | {min(others):.2f} |")
     print("\nThe cache afterwards (a file for each compiled kernel):\n")
     for name, text in held.items():
         print(f"* {name}: {text}")
@@ -77,7 +61,7 @@ def alternate(rounds: int) -> None:
     times: dict[str, list[float]] = {name: [] for name in COMMANDS}
     for number in range(rounds + 1):
         for name, arguments in COMMANDS.items():
-            seconds = cpu_seconds(arguments)
+            seconds = timed(arguments, environment=dict(os.environ)).processor
             if number:  # the first round fills the disk cache
                 times[name].append(seconds)
     print("| process | median CPU [s] | lowest | highest |\n|---|---|---|---|")

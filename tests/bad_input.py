@@ -325,6 +325,7 @@ _TABLES = {
         "frequency [Hz],damping_ratio [1],modal_mass [kg],shape_impact [1]\n118.5,0.012,210,0.9\n",
         "column.csv",
     ),
+    "doubled": (_HEAD.replace("\n", ",modal_mass [kg]\n") + "118.5,0.012,210,0.9,0.4,210\n", "got twice"),
     "unitless": (_HEAD.replace(" [Hz]", "") + "118.5,0.012,210,0.9,0.4\n", "unitless.csv"),
     "weightless": (_HEAD + "118.5,0.012,0,0.9,0.4\n", "modal_mass"),
     "ultrasound": (_HEAD + "1e300,0.012,210,0.9,0.4\n", "tail_beam.modes.0.frequency"),
