@@ -449,7 +449,7 @@ def test_float32_refuses_what_it_cannot_hold():
         impact = Impact(sphere=ball, target=RIGID, velocity=1e30, stiffness="hertz", dissipation=Elastic())
     times = impact.contact_duration * np.linspace(0, 1, 5)
     assert np.isfinite(impact.force(times)).all()
-    with pytest.raises(InvalidValue, match="float32 must contain the samples"):
+    with pytest.raises(InvalidValue, match="float32 must represent the samples"):
         impact.force(times, dtype="float32")
 
 

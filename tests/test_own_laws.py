@@ -142,7 +142,7 @@ def raises(p, history, w):
         ({"force": njit(lambda p, history, w: (0.0, 0.0))}, "end within"),
         ({"force": njit(lambda p, history, w: (-w, 0.0))}, "end within"),
         ({"force": njit(lambda p, history, w: (w, 0.0)), "keys": ("mood",)}, "keys"),
-        ({"force": njit(lambda p, history, w: (w, 0.0)), "name": "thornton"}, "name of its own"),
+        ({"force": njit(lambda p, history, w: (w, 0.0)), "name": "thornton"}, "another name than a built-in law"),
         ({}, "compiled"),
     ],
 )  # fmt: skip

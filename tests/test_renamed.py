@@ -23,6 +23,7 @@ from cgid.identification.manifest import read_manifest
 from cgid.identification.prediction_settings import PredictionSettings
 from cgid.identification.rows import measure
 from cgid.impactor import SizeDistribution
+from cgid.physics.materials import STEEL
 from cgid.site import SiteCalibration
 from cgid.site.tapping import read_times
 
@@ -104,6 +105,9 @@ def test_attributes_of_results() -> None:
 
 
 def test_attribute() -> None:
+    sphere = cgid.Sphere(material=STEEL, radius=0.02)
+    with pytest.warns(FutureWarning, match="impact_mass"):
+        assert sphere.mass_in_blow == sphere.impact_mass
     recording = cgid.open_recording(ROOT / "datasets" / "sample.csv")
     with pytest.warns(FutureWarning, match="messages"):
         assert recording.said == recording.messages

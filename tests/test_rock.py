@@ -111,7 +111,7 @@ def test_an_eccentric_blow_is_that_of_a_rigid_body_that_turns(offset):
     assert -(centre + arm * spin) == pytest.approx(float(impact.rebound_velocity), rel=1e-7)
     # As a rock of a stream leaves.
     assert -centre == pytest.approx((1.5 * share - 1) * 2.0, rel=1e-7)
-    assert impact.sphere.mass_in_blow == pytest.approx(share * mass)
+    assert impact.sphere.impact_mass == pytest.approx(share * mass)
 
 
 # ---- viscoelastic rocks --------------------------------------------------------------------------------------------

@@ -203,7 +203,7 @@ def test_a_smooth_course_stays_and_its_steps_go(restitution):
     assert curve[0] == curve[-1] == 0.0
     with pytest.raises(InvalidValue, match="24 samples or more within contact for 8 knots, got 19"):
         smoothed(np.linspace(0, 1, 21), np.ones(21), 1.0, shares)
-    with pytest.raises(InvalidValue, match="times must be all over the contact for 8 knots"):
+    with pytest.raises(InvalidValue, match="times must cover the contact for 8 knots"):
         smoothed(np.linspace(0, 0.3, 99), np.ones(99), 1.0, shares)
     with pytest.raises(InvalidValue, match=r"times must rise, got 0\.25 s after 0\.5 s at index 1"):
         smoothed([0.5, 0.25, 1], np.ones(3), 1.0, shares)

@@ -35,10 +35,10 @@ BRANCHES = (
 
 
 @jit
-def _blend(columns: Array, place: float, out: Array) -> None:
+def _blend(columns: Array, position: float, out: Array) -> None:
     """Evaluate the polynomials over ln e of one interval: columns (interval, order, column) -> out (column)."""
-    interval = min(int(place), INTERVALS - 1)
-    u = 2.0 * (place - interval) - 1.0
+    interval = min(int(position), INTERVALS - 1)
+    u = 2.0 * (position - interval) - 1.0
     rows = columns[interval]
     for j in range(out.size):
         value = rows[ORDERS - 1, j]
@@ -51,7 +51,7 @@ def _blend(columns: Array, place: float, out: Array) -> None:
 def _add_segment(
     samples: Array, coefficients: Array, segment: int, square: float, step: float, amplitude: float
 ) -> None:
-    """Add the force on samples that lie in one segment; square is sigma^2 of the first, step its increment."""
+    """Add the force to the samples in one segment; square is sigma^2 of the first, step its increment."""
     # A slice from its start and a fixed number of powers let the compiler vectorise over samples.
     offset = 2.0 * segment + 1.0
     for k in range(samples.size):
@@ -67,41 +67,39 @@ def _add_segment(
 
 
 @jit
-def _sample_after(place: float, n_samples: int) -> int:
-    """Return the first sample strictly after a place on the sample grid, within 0 and n_samples."""
-    return int(min(max(math.floor(place) + 1.0, 0.0), float(n_samples)))
+def _sample_after(position: float, n_samples: int) -> int:
+    """Return the first sample strictly after a position on the sample grid, within 0 and n_samples."""
+    return int(min(max(math.floor(position) + 1.0, 0.0), float(n_samples)))
 
 
 @jit
 def add_to_frames(
-    frames: Array, onset: Array, step: Array, place: Array, amplitude: Array, columns: Array, rows: Array
+    frames: Array, onset: Array, step: Array, position: Array, amplitude: Array, columns: Array, rows: Array
 ) -> None:
     """Add one force pulse to some rows of frames (n, n_samples); only contact is touched."""
     # onset [samples] is on the sample grid, step is the sampling interval over T0, place `family.coordinate` of e.
     pulse = np.empty(columns.shape[2])
     for i in rows:
-        _blend(columns, place[i], pulse)
-        contact, cut, touch, samples = pulse[CONTACT], pulse[CUT], onset[i], frames[i]
+        _blend(columns, position[i], pulse)
+        contact, cut, start, samples = pulse[CONTACT], pulse[CUT], onset[i], frames[i]
         rest, rate = contact - cut, 1.0 / step[i]
         first_half, second_half = step[i] / cut, step[i] / rest  # sigma^2 from one sample to the next
-        here = _sample_after(touch, samples.size)
+        at = _sample_after(start, samples.size)
         for segment in range(SEGMENTS):
             edge = cut * ((segment + 1.0) / SEGMENTS) ** 2
-            end = max(_sample_after(touch + edge * rate, samples.size), here)
+            end = max(_sample_after(start + edge * rate, samples.size), at)
             coefficients = pulse[segment * POWERS : (segment + 1) * POWERS]
-            _add_segment(
-                samples[here:end], coefficients, segment, (here - touch) * first_half, first_half, amplitude[i]
-            )
-            here = end
+            _add_segment(samples[at:end], coefficients, segment, (at - start) * first_half, first_half, amplitude[i])
+            at = end
         for segment in range(SEGMENTS - 1, -1, -1):
             edge = contact - rest * (segment / SEGMENTS) ** 2
-            end = max(_sample_after(touch + edge * rate, samples.size), here)
-            if segment == 0 and end > here and (end - 1 - touch) * step[i] >= contact:
+            end = max(_sample_after(start + edge * rate, samples.size), at)
+            if segment == 0 and end > at and (end - 1 - start) * step[i] >= contact:
                 end -= 1  # a sample that falls on separation itself holds no force
             first = _MIDDLE + segment * POWERS
-            square = (contact - (here - touch) * step[i]) / rest
-            _add_segment(samples[here:end], pulse[first : first + POWERS], segment, square, -second_half, amplitude[i])
-            here = end
+            square = (contact - (at - start) * step[i]) / rest
+            _add_segment(samples[at:end], pulse[first : first + POWERS], segment, square, -second_half, amplitude[i])
+            at = end
 
 
 @jit
@@ -121,7 +119,7 @@ def _in_half(pulse: Array, first: int, square: float, cubic: bool) -> float:
 @jit
 def at_times(
     times: Array,
-    place: Array,
+    position: Array,
     time_scale: Array,
     amplitude: Array,
     columns: Array,
@@ -132,7 +130,7 @@ def at_times(
     """Fill some rows of out (n, k) with force (cubic) or displacement at times (n, k) [s]; zero outside contact."""
     pulse = np.empty(columns.shape[2])
     for i in rows:
-        _blend(columns, place[i], pulse)
+        _blend(columns, position[i], pulse)
         contact, cut = pulse[CONTACT], pulse[CUT]
         for k in range(times.shape[1]):
             tau = times[i, k] / time_scale[i]
@@ -168,33 +166,33 @@ def add_branches_to_frames(
             branches[i, 3],
             branches[i, 4],
         )
-        touch, samples, grid = onset[i], frames[i], 1.0 / step[i]
+        start, samples, grid = onset[i], frames[i], 1.0 / step[i]
         growth, decline = step[i] / cut, step[i] / (unit * cut)  # sigma^2 from one sample to the next
-        here = _sample_after(touch, samples.size)
+        at = _sample_after(start, samples.size)
         for segment in range(SEGMENTS):
             edge = min(cut * ((segment + 1.0) / SEGMENTS) ** 2, first)
-            end = max(_sample_after(touch + edge * grid, samples.size), here)
+            end = max(_sample_after(start + edge * grid, samples.size), at)
             coefficients = pulse[segment * POWERS : (segment + 1) * POWERS]
-            _add_segment(samples[here:end], coefficients, segment, (here - touch) * growth, growth, amplitude[i])
-            here = end
-        end = max(_sample_after(touch + peak * grid, samples.size), here)
-        for k in range(here, end):
-            share = math.cos(rate * (peak - (k - touch) * step[i]))
+            _add_segment(samples[at:end], coefficients, segment, (at - start) * growth, growth, amplitude[i])
+            at = end
+        end = max(_sample_after(start + peak * grid, samples.size), at)
+        for k in range(at, end):
+            share = math.cos(rate * (peak - (k - start) * step[i]))
             samples[k] += amplitude[i] * max(branches[i, 5] + branches[i, 6] * share, 0.0)
-        here, height = end, amplitude[i] * branches[i, 8]
+        at, height = end, amplitude[i] * branches[i, 8]
         for segment in range(SEGMENTS - 1, -1, -1):
             edge = contact - unit * cut * (segment / SEGMENTS) ** 2
-            end = max(_sample_after(touch + edge * grid, samples.size), here)
-            if segment == 0 and end > here and (end - 1 - touch) * step[i] >= contact:
+            end = max(_sample_after(start + edge * grid, samples.size), at)
+            if segment == 0 and end > at and (end - 1 - start) * step[i] >= contact:
                 end -= 1  # a sample that falls on separation itself holds no force
             if linear:
-                for k in range(here, end):
-                    samples[k] += height * max(math.sin((contact - (k - touch) * step[i]) / unit), 0.0)
+                for k in range(at, end):
+                    samples[k] += height * max(math.sin((contact - (k - start) * step[i]) / unit), 0.0)
             else:
-                square = (contact - (here - touch) * step[i]) / (unit * cut)
+                square = (contact - (at - start) * step[i]) / (unit * cut)
                 coefficients = pulse[segment * POWERS : (segment + 1) * POWERS]
-                _add_segment(samples[here:end], coefficients, segment, square, -decline, height)
-            here = end
+                _add_segment(samples[at:end], coefficients, segment, square, -decline, height)
+            at = end
 
 
 @jit

@@ -1,4 +1,4 @@
-"""Numba kernels of the response: damped resonators driven by a contact force, then left to ring.
+"""Numba kernels of the response: damped resonators driven by a contact force, then in free decay.
 
 A pole p with state z obeys z' = p z + P. Over a step h in which P is straight, z moves exactly to
 E z + g0 P_n + g1 P_(n+1), E = exp(p h). With z = u + g1 P this is u_(n+1) = E u_n + b P_n, b = g0 + E g1: one input.
@@ -68,22 +68,22 @@ def strike(
     amplitude: Array,
     direct: Array,
     ringing: Array,
-    chosen: Array,
+    selected: Array,
 ) -> None:
-    """Add the response during contact to frames, and fill ringing (n, 2, n_poles): what is left at first + count."""
+    """Add the response during contact to frames, and fill ringing (n, 2, n_poles): the states at first + count."""
     # force (n, k) is on a grid of stride[i] steps a sample from sample first[i] on and ends with zeros; drive is
     # corrected for straight lines between steps. polynomials, shares and edge have a leading axis for level[i]; direct
     # passes undelayed.
     n_samples, n_poles = frames.shape[1], amplitude.shape[2]
     state, moments = np.empty((2, n_poles)), np.empty(polynomials.shape[2])
-    for i in chosen:
+    for i in selected:
         state[:] = 0.0
-        k, heard = level[i], frames[row[i]]
+        k, frame = level[i], frames[row[i]]
         for number in range(1, count[i] + 1):
             sample, n = first[i] + number, number * stride[i]
             _advance(state, turn, polynomials[k], shares[k], drive[i, n - stride[i] : n], moments)
             if 0 <= sample < n_samples and number < count[i]:
-                heard[sample] += _output(state, edge[k], amplitude[i], drive[i, n]) + direct[i] * force[i, n]
+                frame[sample] += _output(state, edge[k], amplitude[i], drive[i, n]) + direct[i] * force[i, n]
         for r in range(n_poles):
             ringing[i, 0, r] = amplitude[i, 0, r] * state[0, r] - amplitude[i, 1, r] * state[1, r]
             ringing[i, 1, r] = amplitude[i, 0, r] * state[1, r] + amplitude[i, 1, r] * state[0, r]
@@ -101,7 +101,7 @@ def _add_ring(samples: Array, weights: Array, n_alive: int, table: Array, skippe
 
 @jit
 def _size(pairs: Array, r: int) -> float:
-    """Return the absolute value of a number whose parts are in pairs (2, n)."""
+    """Return the absolute values of complex numbers in pairs (2, n)."""
     return math.sqrt(pairs[0, r] * pairs[0, r] + pairs[1, r] * pairs[1, r])
 
 
@@ -111,8 +111,7 @@ def ring(
 ) -> int:
     """Add free ringing to frames (n_rows, n_samples); return how many samples of poles were computed."""
     # Of row i the pulses order[begin[i]:begin[i + 1]] begin to ring at sample start. hop (2, n_poles) is exp(p length).
-    # Poles are sorted, the longest ringing first: the last ones are left out while together quieter than silence
-    # allows.
+    # Poles are sorted, the slowest decay first: the last ones are omitted while their sum is below silence.
     length, n_poles = table.shape[2], table.shape[1]
     kind = table[0, 0, :1]
     state = np.empty((2, n_poles))

@@ -8,24 +8,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cgid import validation
+from cgid.deprecated import renamed_attribute
 from cgid.physics.materials import Material
 from cgid.validation import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """A solid elastic sphere, or a lump of its size that touches with another curvature or beside its centre.
+    """A solid elastic sphere, or a rock of its size with another curvature at the contact or an eccentric contact.
 
     Parameters
     ----------
     material : Material
     radius : array_like, above 0 [m]
-        Of the sphere; of a lump, that of the sphere of equal mass.
+        Of the sphere; of a rock, that of the sphere of equal mass.
     curvature : array_like, above 0
-        Radius of curvature where a lump touches, over `radius`: below 1 at a corner, above 1 on a flat side.
+        Radius of curvature of a rock at the contact, over `radius`: below 1 at a corner, above 1 on a flat side.
     effective_mass : array_like, in (0, 1]
-        Mass that takes part in the impact, over the mass: `1 / (1 + b^2 / k^2)` for a lump of radius of gyration k that
-        touches at a distance b from the vertical through its centre, without friction; the rest of it turns aside.
+        Effective mass of the impact over the mass: `1 / (1 + b^2 / k^2)` without friction for a rock of radius of
+        gyration k whose contact is at a distance b from the vertical through its centre; the remainder is rotational.
 
     Raises
     ------
@@ -34,7 +35,7 @@ class Sphere:
 
     Examples
     --------
-    A lump that touches with a corner of 5 mm, as far off its centre as its radius of gyration:
+    A rock that hits with a corner of 5 mm, as far off its centre as its radius of gyration:
 
     >>> from cgid.physics.materials import YANG2018_SPHERES
     >>> lump = Sphere(material=YANG2018_SPHERES[1], radius=0.025, curvature=0.2, effective_mass=0.5)
@@ -62,18 +63,20 @@ class Sphere:
 
     @property
     def contact_radius(self) -> Floats:
-        """Radius of curvature where it touches [m]."""
+        """Radius of curvature at the contact [m]."""
         return np.asarray(self.radius, np.float64) * np.asarray(self.curvature, np.float64)
 
+    mass_in_blow = renamed_attribute("mass_in_blow", "impact_mass")
+
     @property
-    def mass_in_blow(self) -> Floats:
+    def impact_mass(self) -> Floats:
         """Effective mass of an eccentric impact [kg]."""
         return self.mass * np.asarray(self.effective_mass, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HalfSpace:
-    """An elastic half space at rest, of infinite mass: a model of a thick plate.
+    """An elastic half space of infinite mass at rest: a model of a thick plate.
 
     Parameters
     ----------
@@ -152,12 +155,12 @@ def reduced_modulus(sphere: Sphere, target: Target) -> Floats:
 
 
 def sphere_share(sphere: Sphere, target: Target) -> Floats:
-    """Return the sphere's share of the total compliance, `(1 - nu1^2) E / E1`: 1 on a rigid wall."""
+    """Return the sphere's fraction of the total compliance, `(1 - nu1^2) E / E1`: 1 on a rigid wall."""
     return sphere.material.plane_strain_compliance * reduced_modulus(sphere, target)
 
 
 def reduced_mass(sphere: Sphere, target: Target) -> Floats:
-    """Return the reduced mass m [kg]: `1/m = 1/m1 + 1/m2` for two spheres, otherwise m1; of eccentric ones as felt."""
+    """Return the reduced mass m [kg] of effective masses: `1/m = 1/m1 + 1/m2` for two spheres, otherwise m1."""
     if not isinstance(target, Sphere):
-        return sphere.mass_in_blow
-    return 1 / (1 / sphere.mass_in_blow + 1 / target.mass_in_blow)
+        return sphere.impact_mass
+    return 1 / (1 / sphere.impact_mass + 1 / target.impact_mass)

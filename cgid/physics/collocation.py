@@ -55,7 +55,7 @@ def collocation(n_nodes: int, n_times: int) -> Collocation:
     legendre = (2 * degrees[:, None] + 1) * np.polynomial.legendre.legvander(2 * nodes - 1, n_nodes - 1).T * weights
     # For each Gauss node i the fine nodes between 0 and it, (n, fine).
     before = nodes[:, None] * fine
-    share = nodes[:, None] * fine_weights
+    fraction = nodes[:, None] * fine_weights
     vander = np.polynomial.legendre.legvander
     at_nodes, at_fine = (
         np.einsum("pj,jn->pn", vander(2 * place.ravel() - 1, n_nodes - 1), legendre) for place in (before, fine)
@@ -63,7 +63,7 @@ def collocation(n_nodes: int, n_times: int) -> Collocation:
     at_nodes = at_nodes.reshape(*before.shape, n_nodes)
     integral, memory, moment, cardinal = [], [], [], []
     for time, rate in zip(_TIME, _RATE, strict=True):
-        weighed = (share * rate(before))[..., None] * at_nodes
+        weighed = (fraction * rate(before))[..., None] * at_nodes
         integral.append(weighed.sum(axis=1))
         past = _cardinal(times, barycentric, time(nodes)[:, None] - time(before))
         memory.append((past[..., None] * weighed[:, :, None]).sum(axis=1).swapaxes(0, 1))

@@ -14,7 +14,7 @@ from cgid.counting import count
 from cgid.errors import InvalidValue
 from cgid.physics.bodies import HalfSpace
 from cgid.physics.collocation import collocation
-from cgid.physics.curves import FEW_SAMPLES, Curves, HuntCrossleyCurves, Quantity, held_by_weight, in_threads, kernel
+from cgid.physics.curves import FEW_SAMPLES, Curves, HuntCrossleyCurves, Quantity, in_threads, kernel, no_rebound_error
 from cgid.physics.impact import Impact, Unchecked
 from cgid.physics.laws import Elastic, HuntCrossley
 from cgid.validation import Floats
@@ -284,7 +284,7 @@ class ModalCurves(Curves):
         numbers = f"restitution of the material {self.numbers[row, 0]:g}, g L / v^2 {self.weight[row]:g}"
         place = f" at index {row}" if self.weight.size > 1 else ""
         if status[index] == _coupled.STAYS:
-            raise held_by_weight("structure", numbers, place)
+            raise no_rebound_error("structure", numbers, place)
         raise InvalidValue(
             f"an impact must end within {_coupled.MAX_STEPS} steps and {_coupled.MAX_CONTACTS} contacts, "
             f"got more ({numbers}){place}; raise the restitution, shorten the window, or leave out the fastest modes"

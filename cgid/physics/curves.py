@@ -1,8 +1,8 @@
-"""Dimensionless curves of a batch of impacts, each by the cheapest way; kernels and threads that compute them.
+"""Dimensionless curves of a batch of impacts, each by the cheapest method; kernels and threads that compute them.
 
 Numbers of its law, lambda of a plate and gamma of a weight describe an impact, see `cgid.physics._contact`, which
-integrates it. A Hunt-Crossley impact on which nothing else acts is *plain*: its peaks have closed forms, and its pulse
-comes from the shipped table (`cgid.family`) unless its restitution is below the table's range.
+integrates it. A *plain* impact has only Hunt-Crossley damping: its peaks have closed forms, and its pulse comes from
+the shipped table (`cgid.family`) unless its restitution is below the table's range.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ MIN_RESTITUTION = 1e-14
 NEGLIGIBLE_WEIGHT = 1e-12
 #: Up to this number of samples nothing is compiled: kernels are interpreted, and numpy evaluates the table.
 FEW_SAMPLES = 4096
-#: Up to this number of impacts kernels are interpreted, until this much time [s] has gone into interpreting.
-_FEW_IMPACTS, _PATIENCE = 4, 2.0
+#: Up to this number of impacts kernels are interpreted, for at most this total time [s].
+_FEW_IMPACTS, _MAX_INTERPRETED = 4, 2.0
 _spent = 0.0
-#: Minimum number of rows worth another thread, and most rows in one call, so that Python can react to an interruption.
-_LEAST, _MOST = 200, 1024
+#: Minimum number of rows per thread, and maximum number of rows per call, so that Python can react to an interruption.
+_MIN_ROWS, _MAX_ROWS = 200, 1024
 
 
 class Law:
-    """A contact law: the force of a contact on its approach, `f = g + c x'`, and what it depends on.
+    """A contact law: the force `f = g + c x'` as a function of the approach, and its parameters.
 
     Subclass it as a frozen dataclass whose fields are the parameters of the law. All functions work in units of the
     impact: length L, time `T0 = L / v` and force `K L^(3/2)` (`Impact.length_scale`, `time_scale`, `force_scale`).
@@ -53,11 +53,11 @@ class Law:
     Attributes
     ----------
     name : str
-        Name in scenes and data; empty for a law that scenes do not know.
+        Name in scenes and data; empty for a law without one.
     keys : tuple of str
-        Keys of a population that a scene hands over as fields: of restitution, yield_pressure, viscous_restitution.
+        Keys of a population that a scene passes as fields: of restitution, yield_pressure, viscous_restitution.
     pulls : bool
-        Whether the force may become attractive: there the contact ends. Otherwise it ends where w = 0.
+        Whether the force may become attractive, which ends the contact. Otherwise it ends at w = 0.
     force : compiled function
         `force(p, history, w)` returns g and c, the force at rest and the damping, where the approach is
         `history[0] + w * w`. p holds the `numbers` of an impact, history four numbers that begin at 0. It must be
@@ -81,14 +81,14 @@ class Law:
         return {}
 
     def closed(self, impact: Impact) -> Curves | None:
-        """Return the curves of impacts that take a quicker way than integration, None for none."""
+        """Return the curves of impacts by a faster method than integration, None without one."""
         return None
 
     def values(self) -> dict[str, Floats]:
         """Return the parameters that are numbers, by name."""
         own: tuple[Any, ...] = fields(self) if is_dataclass(self) else ()
-        held: dict[str, Any] = {one.name: getattr(self, one.name) for one in own}
-        return {k: np.asarray(v, np.float64) for k, v in held.items() if v is not None and not isinstance(v, str)}
+        values: dict[str, Any] = {one.name: getattr(self, one.name) for one in own}
+        return {k: np.asarray(v, np.float64) for k, v in values.items() if v is not None and not isinstance(v, str)}
 
 
 @dataclass(frozen=True)
@@ -175,11 +175,14 @@ class Curves:
         """Integrated results for the rows outside the table; nan elsewhere."""
         from cgid.physics import _contact
 
-        found, rows = np.full((self.inelasticity.size, len(_contact.RESULTS)), np.nan), np.flatnonzero(~self.tabulated)
+        results, rows = (
+            np.full((self.inelasticity.size, len(_contact.RESULTS)), np.nan),
+            np.flatnonzero(~self.tabulated),
+        )
         count("integrated_impacts", rows.size)
         run = self._kernel("summaries", rows.size)
-        in_threads(run, (*self._problem(rows, self.tolerance), found), rows, 1)
-        return dict(zip(_contact.RESULTS, found.T, strict=True))
+        in_threads(run, (*self._problem(rows, self.tolerance), results), rows, 1)
+        return dict(zip(_contact.RESULTS, results.T, strict=True))
 
     def _kernel(self, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
         """Return a kernel of `_contact` with this law."""
@@ -192,15 +195,15 @@ class Curves:
             from cgid.compiled import with_law
 
             run = partial(with_law, run, *verbs_of(self.law, compiled=True), flags)
-        return run if is_builtin(self.law) else partial(_said, self.law, run)
+        return run if is_builtin(self.law) else partial(_run_own_law, self.law, run)
 
     def _problem(self, rows: NDArray[np.intp], tolerance: float) -> tuple[Any, ...]:
-        """Return the arguments of kernels for these rows, whose parameters alone are computed."""
+        """Return the arguments of kernels for these rows."""
         return self._parameters, self.inelasticity, self.weight, max(self.tolerance, tolerance)
 
     @cached_property
     def _integrated(self) -> dict[str, Floats]:
-        """The same results, after checking that every sphere rebounds."""
+        """The same results after a check that every sphere rebounds."""
         rows = np.flatnonzero(~self.tabulated)
         self._require_separation(rows, self._summary["status"][rows])
         return self._summary
@@ -229,17 +232,17 @@ class Curves:
         row = int(rows[index])
         heavy = self.weight[row] > 0
         numbers = f"{self._described(row)}, lambda {self.inelasticity[row]:g}, g L / v^2 {self.weight[row]:g}"
-        place = f" at index {row}" if self.inelasticity.size > 1 else ""
+        where = f" at index {row}" if self.inelasticity.size > 1 else ""
         if status[index] == _contact.STAYS:
-            raise held_by_weight("target", numbers, place)
+            raise no_rebound_error("target", numbers, where)
         if status[index] == _contact.NOT_FINITE:
             raise InvalidValue(
-                f"the force of a contact law must be finite, got nan or infinity ({numbers}){place}; check the law"
+                f"the force of a contact law must be finite, got nan or infinity ({numbers}){where}; check the law"
             )
         hint = "lower the loss, or leave gravity out" if heavy else "lower the loss"
         raise InvalidValue(
             f"the impact must end within {_contact.MAX_STEPS} steps of the integration and leave a rebound that double "
-            f"precision can follow, got {numbers}{place}; {hint}"
+            f"precision can follow, got {numbers}{where}; {hint}"
         )
 
     def evaluate(
@@ -381,9 +384,9 @@ class HuntCrossleyCurves(Curves):
         if self.tabulated.any():
             out[:, self.tabulated] = family.times(self.material_restitution[self.tabulated])
         if not self.tabulated.all():
-            rest = ~self.tabulated
+            others = ~self.tabulated
             for row, name in enumerate(("contact_time", "time_of_peak", "compression_time")):
-                out[row, rest] = self._integrated[name][rest]
+                out[row, others] = self._integrated[name][others]
         return out[0], out[1], out[2]
 
     def _closed_or_integrated(self, closed: Callable[[NDArray[np.bool_]], Floats], name: str) -> Floats:
@@ -412,7 +415,7 @@ class HuntCrossleyCurves(Curves):
     ) -> NDArray[Any]:
         """See `Curves.evaluate`."""
         out = np.empty(times.shape, dtype)
-        rows, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        rows, others = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         count("table_pulses", rows.size)
         if rows.size * times.shape[1] <= FEW_SAMPLES:
             restitution = self.material_restitution[rows]
@@ -422,11 +425,11 @@ class HuntCrossleyCurves(Curves):
         else:
             from cgid.physics import _kernels
 
-            columns, place = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
+            columns, where = getattr(family.table(), quantity), family.coordinate(self.material_restitution)
             cubic = quantity == "force"
-            in_threads(_kernels.at_times, (times, place, time_scale, amplitude, columns, cubic, out), rows, threads)
-        if rest.size:
-            self._evaluate(rest, times, time_scale, amplitude, quantity, out, threads)
+            in_threads(_kernels.at_times, (times, where, time_scale, amplitude, columns, cubic, out), rows, threads)
+        if others.size:
+            self._evaluate(others, times, time_scale, amplitude, quantity, out, threads)
         return out
 
     def _add(
@@ -439,39 +442,39 @@ class HuntCrossleyCurves(Curves):
         threads: int,
         tolerance: float,
     ) -> None:
-        tabulated, rest = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
+        tabulated, others = np.flatnonzero(self.tabulated), np.flatnonzero(~self.tabulated)
         count("table_pulses", tabulated.size)
         if tabulated.size:
             from cgid.physics import _kernels
 
-            place, columns = family.coordinate(self.material_restitution), family.table().force
+            where, columns = family.coordinate(self.material_restitution), family.table().force
             run = kernel(_kernels, "add_to_frames", *frames.shape)
-            in_threads(run, (frames, onset, step, place, amplitude, columns), tabulated, threads)
-        if rest.size:
-            super()._add(rest, frames, onset, step, amplitude, threads, tolerance)
+            in_threads(run, (frames, onset, step, where, amplitude, columns), tabulated, threads)
+        if others.size:
+            super()._add(others, frames, onset, step, amplitude, threads, tolerance)
 
 
 @cache
 def _compiled_builtin(function: Callable[..., Any]) -> Any:
-    """Return a verb of a built-in law, compiled or from the cache."""
+    """Return a function of a built-in law, compiled or from the cache."""
     from cgid.compiled import jit
 
     return jit(function)
 
 
 def is_builtin(law: Law | type[Law]) -> bool:
-    """Return whether a law is one of cgid's."""
+    """Return whether a law is built in."""
     return (law if isinstance(law, type) else type(law)).__module__ == "cgid.physics.laws"
 
 
-def _said(law: Law | type[Law], run: Callable[..., None], *arguments: Any) -> None:
-    """Call a kernel with a law of your own; an error in it becomes `InvalidValue`."""
+def _run_own_law(law: Law | type[Law], run: Callable[..., None], *arguments: Any) -> None:
+    """Call a kernel with a custom law; an error in it becomes `InvalidValue`."""
     try:
         run(*arguments)
     # The law may fail in any way.
     except Exception as error:
         raise InvalidValue(
-            f"contact law {law.name}: must return a force for every w, it raised {type(error).__name__}: {error}"
+            f"contact law {law.name}: must return a force for every w, but raised {type(error).__name__}: {error}"
         ) from None
 
 
@@ -485,20 +488,20 @@ def verbs_of(law: Law | type[Law], *, compiled: bool) -> tuple[Any, ...]:
     return tuple(verb if hasattr(verb, "py_func") else _compiled_builtin(verb) for verb in verbs)
 
 
-def samples_in_contact(touch: Floats, separation: Floats, n_samples: int) -> int:
+def samples_in_contact(onset: Floats, separation: Floats, n_samples: int) -> int:
     """Return the number of frame samples between onset and separation, both in samples."""
-    first = np.clip(np.floor(touch) + 1, 0, n_samples)
+    first = np.clip(np.floor(onset) + 1, 0, n_samples)
     return int(np.sum(np.clip(np.ceil(separation), first, n_samples) - first))
 
 
 def kernel(module: ModuleType, name: str, n_impacts: int, n_samples: int = 0) -> Callable[..., None]:
-    """Return a kernel for this much work: compiled, or interpreted for an impact or two.
+    """Return a kernel for this amount of work: compiled, or interpreted for one or two impacts.
 
     Compiling takes seconds, once after installing; interpreting takes milliseconds per pulse. Both run the same
     operations in the same order and return the same bits. Pass the size of the whole batch, not only of the rows that
     need the kernel.
     """
-    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _PATIENCE:
+    if n_impacts > _FEW_IMPACTS or n_impacts * n_samples > FEW_SAMPLES or _spent > _MAX_INTERPRETED:
         compiled: Callable[..., None] = getattr(module, name)
         return compiled
     return partial(_interpret, module, name)
@@ -512,10 +515,10 @@ def _interpret(module: ModuleType, name: str, *arguments: Any) -> None:
     _spent += time.perf_counter() - start
 
 
-def held_by_weight(target: str, numbers: str, place: str) -> InvalidValue:
-    """Return the error of a sphere that does not rebound."""
+def no_rebound_error(target: str, numbers: str, where: str) -> InvalidValue:
+    """Return the error for a sphere that does not rebound."""
     return InvalidValue(
-        f"the sphere must rebound, but its weight holds it on the {target} ({numbers}){place}; "
+        f"the sphere must rebound, but its weight holds it on the {target} ({numbers}){where}; "
         "raise the velocity or the restitution, or leave gravity out"
     )
 
@@ -536,8 +539,8 @@ def in_threads(run: Callable[..., None], arguments: tuple[Any, ...], rows: NDArr
 
     Each part is short, so that Ctrl-C works.
     """
-    threads = max(min(threads, -(-rows.size // _LEAST)), 1)
-    parts = np.array_split(rows, max(threads, -(-rows.size // _MOST)))
+    threads = max(min(threads, -(-rows.size // _MIN_ROWS)), 1)
+    parts = np.array_split(rows, max(threads, -(-rows.size // _MAX_ROWS)))
     in_parts(lambda part: run(*arguments, part), parts, threads)
 
 

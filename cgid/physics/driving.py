@@ -13,9 +13,9 @@ from cgid.errors import InvalidValue
 from cgid.measure.modes import phi
 from cgid.validation import Complex, Floats
 
-#: Steps per contact for an error of 1 (see `steps_for`), fewest steps per contact, most steps per sample.
+#: Steps per contact for an error of 1 (see `steps_for`), minimum steps per contact, maximum steps per sample.
 _STEPS_FOR_ONE, _MIN_STEPS, _MAX_STRIDE = 4.0, 32, 1 << 16
-#: Share of the tolerance used for the force itself.
+#: Fraction of the tolerance used for the force itself.
 _SHARE_OF_FORCE = 0.3
 
 
@@ -31,7 +31,7 @@ class Pulses(Protocol):
         """Time from first onset to last separation [s], (n,)."""
 
     def add_to_frames(self, frames: NDArray[Any], sampling_rate: Any, onset: Any, *, tolerance: float) -> None:
-        """Add the forces to frames (n, n_samples), each with its own sampling rate, within an error over the peak."""
+        """Add the forces to frames (n, n_samples), each with its sampling rate, within an error over the peak."""
 
 
 def steps_for(tolerance: float) -> int:
@@ -50,14 +50,14 @@ class DrivenSample:
         edge = h * phi2
         drive = h * (phi1 - phi2) + np.exp(poles * h) * edge
         self.polynomials = np.zeros((stride, n_polynomials))
-        shares = np.zeros((n_polynomials, poles.size), complex)
+        weights = np.zeros((n_polynomials, poles.size), complex)
         if stride <= n_polynomials:  # each step separately
             self.polynomials[:, :stride] = np.eye(stride)
-            shares[:stride] = drive * np.exp(np.arange(stride)[::-1, None] * (poles * h))
+            weights[:stride] = drive * np.exp(np.arange(stride)[::-1, None] * (poles * h))
         else:
             self.polynomials[:] = legendre.legvander(np.linspace(-1, 1, stride), n_polynomials - 1)
-            shares[:] = drive * _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials)
-        self.shares, self.edge = np.stack([shares.real, shares.imag]), np.stack([edge.real, edge.imag])
+            weights[:] = drive * _powers_by_legendre(poles * h * (stride - 1) / 2, n_polynomials)
+        self.weights, self.edge = np.stack([weights.real, weights.imag]), np.stack([edge.real, edge.imag])
 
 
 def _powers_by_legendre(c: Complex, n_polynomials: int) -> Complex:

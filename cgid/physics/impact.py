@@ -25,8 +25,8 @@ HERTZ_LIMIT = 0.1
 INELASTICITY_LIMIT = 1.5
 #: Effect of a larger lambda, and the remedy.
 BEYOND_THIN_PLATE = (
-    "the plate takes nearly all of the speed, the contact outlasts its waves' way to the edges, and force and rebound "
-    "are not to be trusted; use a thicker plate, or couple the impact through the modes of the beam"
+    "the plate takes nearly all of the speed, and the contact lasts until waves return from the edges, so force and "
+    "rebound are unreliable; use a thicker plate, or an impact coupled to the modes of the beam"
 )
 
 
@@ -53,8 +53,8 @@ class Impact:
     stiffness : {"hertz", "rigid-sphere", "series"}
         Theory of the contact stiffness (see `contact_stiffness`); no default.
     dissipation : Law
-        Loss in the material: Elastic, HuntCrossley, Viscoelastic, Thornton, WaltonBraun or a `Law` of your own. The
-        loss to a thin plate is added to it.
+        Loss in the material: Elastic, HuntCrossley, Viscoelastic, Thornton, WaltonBraun or a custom `Law`. The loss to
+        a thin plate is added.
     gravity : array_like, 0 or more [m/s^2]
         Pull towards the target during contact. Neglected where it would change the speed by at most 3e-12 of the impact
         speed.
@@ -110,9 +110,9 @@ class Impact:
         validation.choice("stiffness", self.stiffness, STIFFNESS_THEORIES)
         validation.positive("velocity", self.velocity, "m/s")
         validation.not_negative("gravity", self.gravity, "m/s^2")
-        tolerance, (least, largest) = validation.real("tolerance", self.tolerance), TOLERANCES
-        if tolerance.ndim or not least <= tolerance <= largest:
-            raise InvalidValue(f"tolerance must be one number from {least:g} to {largest:g}, got {self.tolerance!r}")
+        tolerance, (smallest, largest) = validation.real("tolerance", self.tolerance), TOLERANCES
+        if tolerance.ndim or not smallest <= tolerance <= largest:
+            raise InvalidValue(f"tolerance must be one number from {smallest:g} to {largest:g}, got {self.tolerance!r}")
         validation.hold(self, "velocity", "gravity")
         self._require_reach()
         self.curves.require_rebound()
@@ -143,11 +143,11 @@ class Impact:
             if isinstance(self.target, ThinPlate):
                 scales["plate impedance"] = (self.target.impedance, "kg/s")
         for name, (scale, unit) in scales.items():
-            held = (scale > 1e-290) & (scale < 1e290)
-            if not held.all():
+            is_normal = (scale > 1e-290) & (scale < 1e290)
+            if not is_normal.all():
                 raise InvalidValue(
-                    f"the {name} of the impact must be between 1e-290 and 1e290 {unit} for double precision to hold "
-                    f"it, got {scale[~held].ravel()[0]:g} {unit}; check radius, material, velocity and loss"
+                    f"the {name} of the impact must be between 1e-290 and 1e290 {unit} for double precision, got "
+                    f"{scale[~is_normal].ravel()[0]:g} {unit}; check radius, material, velocity and loss"
                 )
 
     def _warn_of_range(self) -> None:
@@ -156,13 +156,13 @@ class Impact:
         if deeper or (1.1 * self.length_scale > HERTZ_LIMIT * self.reduced_radius).any():
             strain = (self.peak_displacement / self.reduced_radius).max(initial=0.0)
             if strain > HERTZ_LIMIT:
-                message = f"displacement / radius reaches {strain:.3g}; Hertz's theory holds up to {HERTZ_LIMIT:g}"
+                message = f"displacement / radius reaches {strain:.3g}; Hertz's theory is valid up to {HERTZ_LIMIT:g}"
                 warnings.warn(message, HertzRangeWarning, stacklevel=4)
         largest = self.inelasticity.max(initial=0.0)
         if largest > INELASTICITY_LIMIT:
             message = (
-                f"lambda of the thin plate reaches {largest:.3g}; Zener's theory holds to {INELASTICITY_LIMIT:g}: "
-                f"{BEYOND_THIN_PLATE}"
+                f"lambda of the thin plate reaches {largest:.3g}; Zener's theory is valid up to "
+                f"{INELASTICITY_LIMIT:g}: {BEYOND_THIN_PLATE}"
             )
             warnings.warn(message, ThinPlateWarning, stacklevel=4)
 
@@ -260,7 +260,7 @@ class Impact:
         return Curves(self.dissipation, numbers, np.ravel(self.inelasticity), self.weight.ravel(), self.tolerance)
 
     def plain_curves(self, make: Callable[..., Curves], *names: str) -> Curves | None:
-        """Return the curves that `make` gives for numbers of the law, None if a plate or a weight acts."""
+        """Return the curves that `make` returns for parameters of the law, None if a plate or a weight acts."""
         if self.inelasticity.any() or self.weight.any():
             return None
         return make(*(self._numbers[name].ravel() for name in names))
@@ -309,7 +309,7 @@ class Impact:
 
     @property
     def end_displacement(self) -> Floats:
-        """Approach at separation [m]: 0, except for a viscoelastic or crushed sphere, which leaves flattened."""
+        """Approach at separation [m]: 0, except for a viscoelastic or crushed sphere, which is flattened."""
         return self.length_scale * self._shaped(self.curves.end_displacement)
 
     @property
@@ -331,7 +331,7 @@ class Impact:
     def dissipated_energy(self) -> Floats:
         """Energy lost in the material; without plate and gravity `1/2 m v^2 (1 - e^2)` [J].
 
-        It is the impact energy less rebound and plate. With gravity it includes the sphere's fall during contact, by
+        It is the impact energy minus rebound and plate. With gravity it includes the sphere's fall during contact, by
         its own displacement and that of a plate.
         """
         e = self.restitution
@@ -410,11 +410,11 @@ class Impact:
         """
         dtype = _output(dtype, self.force_scale)
         n_samples = validation.count("n_samples", n_samples)
-        touch = validation.real("onset", onset, "s")
-        frames = np.zeros((*self._broadcast_with(onset=touch)[0], n_samples), dtype)
+        onsets = validation.real("onset", onset, "s")
+        frames = np.zeros((*self._broadcast_with(onset=onsets)[0], n_samples), dtype)
         if np.ndim(sampling_rate):
             raise InvalidValue(f"sampling_rate must be one number, got an array of shape {np.shape(sampling_rate)}")
-        self.add_to_frames(frames, sampling_rate, touch, threads=threads)
+        self.add_to_frames(frames, sampling_rate, onsets, threads=threads)
         return frames
 
     def add_to_frames(
@@ -450,12 +450,12 @@ class Impact:
         """
         rate = validation.positive("sampling_rate", sampling_rate, "Hz")
         threads = validation.count("threads", threads)
-        touch = validation.real("onset", onset, "s")
-        leading, index = self._broadcast_with(onset=touch, sampling_rate=rate)
+        onsets = validation.real("onset", onset, "s")
+        leading, index = self._broadcast_with(onset=onsets, sampling_rate=rate)
         _require_frames(frames, leading)
         _output(frames.dtype, self.force_scale)
         with np.errstate(over="ignore", divide="ignore"):  # onset or separation may lie far outside the frame
-            place = np.broadcast_to(touch * rate, leading).ravel()
+            place = np.broadcast_to(onsets * rate, leading).ravel()
             step = 1 / (np.broadcast_to(rate, leading).ravel() * self.time_scale.ravel()[index])
         rows, height = frames.reshape(index.size, frames.shape[-1]), self.force_scale.ravel()[index]
         self._curves_of(leading, index).add_to_frames(rows, place, step, height, threads, tolerance)
@@ -471,7 +471,7 @@ class Impact:
 
 
 class Unchecked:
-    """Mixed into `Impact`: a row of impacts whose numbers the engine made by rules that were checked at the door."""
+    """Mixin of `Impact`: a row of impacts with numbers from the engine, which are valid."""
 
     def __post_init__(self) -> None:
         """Check nothing."""
@@ -516,14 +516,14 @@ def _require_frames(frames: NDArray[Any], leading: tuple[int, ...]) -> None:
 
 
 def _output(dtype: DTypeLike, amplitude: Floats) -> np.dtype[Any]:
-    """Return the requested sample type, or raise if it cannot hold samples of this amplitude."""
+    """Return the requested sample type, or raise if it cannot represent samples of this amplitude."""
     try:
-        wanted = np.dtype(dtype)
+        requested = np.dtype(dtype)
     except TypeError:
-        wanted = np.dtype(object)
-    if wanted not in (np.float32, np.float64):
+        requested = np.dtype(object)
+    if requested not in (np.float32, np.float64):
         raise InvalidValue(f"dtype must be float32 or float64, got {dtype!r}")
     # With these laws no dimensionless peak exceeds 1000.
-    if wanted == np.float32 and (amplitude > 1e-3 * np.finfo(np.float32).max).any():
-        raise InvalidValue(f"float32 must contain the samples, got some near {amplitude.max():.3g}; use float64")
-    return wanted
+    if requested == np.float32 and (amplitude > 1e-3 * np.finfo(np.float32).max).any():
+        raise InvalidValue(f"float32 must represent the samples, got some near {amplitude.max():.3g}; use float64")
+    return requested

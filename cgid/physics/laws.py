@@ -8,7 +8,7 @@ The damping factors of a Hunt-Crossley contact, `P = K delta^(3/2) (1 + chi delt
 `D = chi v` for a restitution e. All but the exact one are approximations, good near e = 1:
 `HuntCrossley.delivered_restitution` is the restitution that results. A new factor needs one more table entry.
 
-A law of loss is one class with the verbs of `cgid.physics.Law`, here or in a module of your own.
+A law of loss is a class with the methods of `cgid.physics.Law`, here or in your own module.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class Elastic(Law):
         return np.ones(())
 
     def closed(self, impact: Impact) -> Curves:
-        """Return the curves of Hunt and Crossley: the table where nothing else acts."""
+        """Return the curves of Hunt and Crossley: the table if nothing else acts."""
         return hunt_crossley_curves(impact, self.delivered_restitution)
 
 
@@ -194,13 +194,13 @@ class HuntCrossley(Law):
             damping = np.asarray(HUNT_CROSSLEY_LAWS[self.law](restitution))
         if not (damping < _MAX_DAMPING).all():
             raise InvalidValue(
-                f"restitution must leave a damping number that double precision holds, got {restitution.min():g}"
+                f"restitution must give a damping number within double precision, got {restitution.min():g}"
             )
         return damping
 
     @property
     def delivered_restitution(self) -> Floats:
-        """Restitution that this damping delivers on a target that takes no energy."""
+        """Restitution of this damping on a target without losses."""
         if self.law == "exact":
             return np.asarray(self.restitution, np.float64)
         damping = self.damping_number
@@ -231,7 +231,7 @@ def viscoelastic_number(restitution: ArrayLike) -> Floats:
     """Return zeta = A v / L of a viscoelastic impact of this restitution, in [0.003, 1]; there is no closed form.
 
     In units of L and T0 the contact is `x'' = -x^(3/2) - zeta x^(1/2) x'`, so that restitution follows from zeta alone.
-    The inverse is a series that integrated impacts have given; relative error below 1e-11.
+    The inverse is a series fitted to integrated impacts; relative error below 1e-11.
 
     >>> round(float(viscoelastic_number(0.39393060323)), 9)
     1.0
@@ -246,7 +246,7 @@ def viscoelastic_number(restitution: ArrayLike) -> Floats:
 class Viscoelastic(Law):
     """A viscoelastic sphere, `P = K (delta^(3/2) + A delta^(1/2) delta')` (Kuwabara & Kono 1987).
 
-    Restitution is a result and falls with speed. Contact ends when the force reaches 0, while the sphere is still
+    Restitution is a result and falls with speed. Contact ends when the force reaches 0, with the sphere still
     flattened; the force is never attractive. Give exactly one of the three parameters.
 
     Parameters
@@ -258,7 +258,7 @@ class Viscoelastic(Law):
         of the total compliance. The target is elastic, even if it is a sphere: for two viscoelastic spheres give the
         dissipative constant of their contact.
     restitution : array_like, optional, in [0.003, 1]
-        Rebound speed over impact speed that this loss alone leaves each impact at its own speed; A follows from it.
+        Rebound speed over impact speed by this loss alone, at the speed of each impact; A follows from it.
 
     Raises
     ------
@@ -314,12 +314,12 @@ class Viscoelastic(Law):
 
 @dataclass(frozen=True, kw_only=True)
 class Thornton(Law):
-    """An elastic-plastic sphere (Thornton 1997, J. Appl. Mech. 64, 383): rock that crushes where it touches.
+    """An elastic-plastic sphere (Thornton 1997, J. Appl. Mech. 64, 383): rock that crushes at the contact.
 
     The contact is Hertzian until the pressure in its middle reaches the yield pressure p_y. From then on the force
     grows linearly, with the slope `pi R p_y`, and the flattened contact unloads as a Hertzian one of a larger radius.
-    Restitution is a result. It falls with speed from 1 at the yield velocity, in the end as `v^(-1/4)`. A slower impact
-    is elastic. The yield displacement is `(2 pi R p_y / (3 K))^2`; with Hertz's stiffness this is Thornton's
+    Restitution is a result. It falls with speed from 1 at the yield velocity, asymptotically as `v^(-1/4)`. A slower
+    impact is elastic. The yield displacement is `(2 pi R p_y / (3 K))^2`; with Hertz's stiffness this is Thornton's
     `(pi p_y / (2 E))^2 R`, other theories keep the slope.
 
     Parameters
@@ -327,8 +327,8 @@ class Thornton(Law):
     yield_pressure : array_like, above 0 [Pa]
         Largest contact pressure p_y; about 1.6 times the uniaxial compressive strength.
     viscous_restitution : array_like, in [0.05, 1], optional
-        Rebound speed over impact speed that a viscous loss alone would leave each impact at its own speed. The force
-        on every branch is then multiplied by Hunt and Crossley's `1 + chi delta'`; see `HuntCrossley`. Left out, the
+        Rebound speed over impact speed by a viscous loss alone, at the speed of each impact. The force
+        on every branch is then multiplied by Hunt and Crossley's `1 + chi delta'`; see `HuntCrossley`. By default, the
         sphere only crushes.
 
     Raises
@@ -366,7 +366,7 @@ class Thornton(Law):
 
     @staticmethod
     def force(p: Any, history: Any, w: float) -> tuple[float, float]:
-        """Return the force of the present path; the history is origin, largest approach, path, stiffness."""
+        """Return the force of the current path; the history is origin, largest approach, path, stiffness."""
         if history[2] == 0.0:
             g = w * w * w
         elif history[2] == 1.0:
@@ -410,12 +410,12 @@ class Thornton(Law):
         if not (depth > 1e-290).all():
             raise InvalidValue(
                 "the yield displacement of the impact must be between 1e-290 and 1e290 of that of the impact for "
-                f"double precision to hold it, got {depth.min():g}; check radius, material, velocity and loss"
+                f"double precision, got {depth.min():g}; check radius, material, velocity and loss"
             )
         return {"yield displacement": depth, "damping number": _viscous_damping(self)}
 
     def closed(self, impact: Impact) -> Curves | None:
-        """Return the curves of three branches where nothing but crushing takes energy."""
+        """Return the curves of three branches if only crushing dissipates energy."""
         return impact.plain_curves(thornton_curves, "yield displacement") if self.viscous_restitution is None else None
 
 
@@ -463,7 +463,7 @@ class WaltonBraun(Law):
 
     @staticmethod
     def force(p: Any, history: Any, w: float) -> tuple[float, float]:
-        """Return the force of the present path; the history is origin, largest approach, 1 once it has unloaded."""
+        """Return the force of the current path; the history is origin, largest approach, 1 once it has unloaded."""
         g = p[0] * w * w
         if history[2] == 1.0:
             g = g / (p[1] * p[1])
@@ -471,7 +471,7 @@ class WaltonBraun(Law):
 
     @staticmethod
     def corner(p: Any, history: Any) -> float:
-        """Return where a contact that is pressed again loads as before."""
+        """Return the approach at which a recompressed contact loads as before."""
         largest: float = history[1] if history[2] == 1.0 else math.inf
         return largest
 
@@ -513,7 +513,7 @@ class WaltonBraun(Law):
 
 
 def _hold_viscous(law: Thornton | WaltonBraun, *names: str) -> None:
-    """Check the viscous restitution of a law, and hold it with its other numbers."""
+    """Check the viscous restitution of a law, and store it with its other parameters."""
     if law.viscous_restitution is not None:
         lowest, highest = family.MIN_RESTITUTION, family.MAX_RESTITUTION
         validation.between("viscous_restitution", law.viscous_restitution, lowest, highest)
@@ -524,18 +524,18 @@ def _viscous_damping(law: Thornton | WaltonBraun) -> Floats:
     return np.zeros(()) if law.viscous_restitution is None else damping_number(law.viscous_restitution)
 
 
-#: The laws that scenes know, by name. The order defines their indices in data.
+#: The laws of scenes by name. The order defines their indices in data.
 LAWS: dict[str, type[Law]] = {law.name: law for law in (Elastic, HuntCrossley, Thornton, WaltonBraun, Viscoelastic)}
 
 
 def known(name: str) -> type[Law] | None:
-    """Return the contact law of this name, of cgid or of your own; None for an unknown one."""
+    """Return the built-in or custom contact law of this name; None for an unknown one."""
     if name in LAWS:
         return LAWS[name]
     from cgid.physics.own_laws import own_law
 
-    own = own_law(name)
-    return None if own is None else own.law
+    values = own_law(name)
+    return None if values is None else values.law
 
 
 def named(name: str) -> type[Law]:
@@ -543,11 +543,11 @@ def named(name: str) -> type[Law]:
     law = known(name)
     if law is None:
         raise InvalidValue(
-            f"dissipation must be one of {', '.join(LAWS)} or a law of your own, got {name!r}; name its module by "
-            "--laws, or install the package that has it"
+            f"dissipation must be one of {', '.join(LAWS)} or a custom law, got {name!r}; name its module by --laws, "
+            "or install its package"
         )
     return law
 
 
-#: Laws of a contact that loads and unloads on different paths.
+#: Laws with different paths of loading and unloading.
 Plastic = Thornton | WaltonBraun

@@ -67,7 +67,7 @@ class Material:
 class MaterialRange:
     """Lowest and highest published values for a rock, with their sources.
 
-    They are sample measurements, not bounds: real rock may lie outside.
+    They are sample measurements, not bounds: real rock may be outside.
 
     Parameters
     ----------

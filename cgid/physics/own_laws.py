@@ -1,4 +1,4 @@
-"""Contact laws of your own: found by entry points or named by the user, never by a scene file."""
+"""Custom contact laws: from entry points or named by the user, never by a scene file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from cgid.errors import InvalidValue
 from cgid.physics.curves import Law
 
-#: Entry points of the laws of other packages; each is a module.
+#: Entry points of laws of other packages; each is a module.
 GROUP = "cgid.laws"
 #: The keys of a population that a law may take.
 _KEYS = ("restitution", "yield_pressure", "viscous_restitution")
@@ -23,7 +23,7 @@ _VERBS = ("force", "corner", "turn")
 
 
 class OwnLaw(NamedTuple):
-    """A law, the module it came from (empty for an entry point, which every process finds), and its SHA-256."""
+    """A law, its module (empty for an entry point, which every process finds), and its SHA-256."""
 
     law: type[Law]
     source: str
@@ -35,7 +35,7 @@ _sound: list[type[Law]] = []
 
 
 def add_laws(source: str) -> None:
-    """Make the laws of a module known to scenes: its name, or the path of its file, which ends in .py.
+    """Register the laws of a module for scenes, by its name or the path of its .py file.
 
     Raises `InvalidValue` if the module cannot be loaded, has no law, or has one that cannot be used.
     """
@@ -72,7 +72,7 @@ def _add(module: ModuleType, source: str) -> None:
 
 
 def own_law(name: str) -> OwnLaw | None:
-    """Return a law of your own by its name; entry points are asked where no module that was named has it."""
+    """Return a custom law by its name, from the named modules or else from entry points."""
     if name not in _own:
         _find_entry_points()
     return _own.get(name)
@@ -91,16 +91,16 @@ def _find_entry_points() -> None:
             warnings.warn(f"the laws {entry.name} ({entry.value}) cannot be loaded: {error}", stacklevel=2)
             continue
         _add(module, "")
-    _own.update(named)  # what the user named comes first
+    _own.update(named)  # modules named by the user take precedence
 
 
 def sources() -> tuple[str, ...]:
-    """Return the modules that the user named, for other processes."""
+    """Return the modules named by the user, for other processes."""
     return tuple(dict.fromkeys(own.source for own in _own.values() if own.source))
 
 
 def require_sound(law: type[Law]) -> None:
-    """Raise `InvalidValue` unless the functions of a law are compiled, take and return what the integrator expects."""
+    """Raise `InvalidValue` unless the functions of a law are compiled, with the signatures of the integrator."""
     if law in _sound:
         return
     from numba.core.errors import NumbaError
@@ -109,7 +109,7 @@ def require_sound(law: type[Law]) -> None:
     from cgid.physics.laws import LAWS
 
     if law.name in LAWS:
-        raise InvalidValue(f"law {law.name}: must have a name of its own, {law.name!r} is one of cgid's; rename it")
+        raise InvalidValue(f"law {law.name}: must have another name than a built-in law, got {law.name!r}; rename it")
     if not set(law.keys) <= set(_KEYS):
         raise InvalidValue(f"law {law.name}: keys must be of {', '.join(_KEYS)}, got {', '.join(law.keys)}")
     for name, signature in zip(_VERBS, VERBS, strict=True):

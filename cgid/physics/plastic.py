@@ -37,7 +37,7 @@ from cgid.physics.curves import TOLERANCE, Curves, Law, Quantity, in_threads, ke
 from cgid.validation import Floats
 
 _N_TERMS = 50  # of the two series, whose arguments are at most 1/2
-_ANGLE_STEPS = 3  # the start value is within .005, and each step cubes the error
+_ANGLE_STEPS = 3  # the initial value is within .005, and each step cubes the error
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class PlasticCurves(Curves):
 
     @property
     def plate_energy(self) -> Floats:
-        """None: the target takes no energy."""
+        """None: the target has no losses."""
         return self.inelasticity
 
     @property
@@ -107,7 +107,7 @@ class PlasticCurves(Curves):
         return self.time_of_peak + self.unloading_unit * quarter, self.time_of_peak, self.time_of_peak
 
     def require_rebound(self) -> None:
-        """Do nothing: without weight every sphere rebounds."""
+        """Check nothing: without weight every sphere rebounds."""
 
     def _branches(self, quantity: Quantity) -> Floats:
         """Return the columns `_kernels.BRANCHES` of force or displacement, (n, n_columns)."""
@@ -177,9 +177,9 @@ def walton_braun_curves(restitution: Floats, stiffness: Floats) -> PlasticCurves
     )  # fmt: skip
 
 
-#: Greatest depth and force of an elastic impact.
+#: Maximum depth and force of an elastic impact.
 _DEPTH, _FORCE = float(peak_displacement(0.0)), float(peak_force(0.0))
-#: Slope of the linear spring that an impact compresses as deeply as a Hertzian contact [K L^(1/2)].
+#: Slope of a linear spring with the same maximum compression as a Hertzian contact [K L^(1/2)].
 EQUIVALENT_STIFFNESS = 1 / (_DEPTH * _DEPTH)
 
 
@@ -203,7 +203,7 @@ _HALF = float(np.power(0.625, 0.4) * polyval(0.5, _FROM_TOUCH) + _time_to_peak(n
 
 
 def _elastic_time(depth: Floats, square: Floats, speed: Floats) -> Floats:
-    """Return when an elastic contact has this depth, `4/5 depth^(5/2)` being square, and speed^2 the rest to 1."""
+    """Return when an elastic contact has this depth; square is `4/5 depth^(5/2)`, and speed^2 is 1 - square."""
     early = square < 0.5
     touch = depth * polyval(np.where(early, square, 0.0), _FROM_TOUCH)
     return np.where(early, touch, _HALF - _time_to_peak(np.where(early, 0.0, speed)))

@@ -1,10 +1,10 @@
 """Bending of rectangular orthotropic plates: rigidities, mode shapes, and modes by the Rayleigh-Ritz method.
 
 A shape is a sum of products of one-dimensional functions: integrals of Legendre polynomials that satisfy the conditions
-at held edges; free edges follow from the energy. As the degree rises, the frequencies fall towards the exact ones,
-exponentially at first, later at the rate that the corner of a held and a free edge allows (cases in Leissa 1973, J.
+at clamped edges; free edges follow from the energy. As the degree rises, the frequencies fall towards the exact ones,
+exponentially at first, later at the rate set by the corner of a clamped and a free edge (cases in Leissa 1973, J.
 Sound Vib. 31, 257). The degree rises until no frequency changes by more than `TOLERANCE`. The frequencies are then
-within 3e-5 of the exact ones (1e-8 where all edges are held), a cantilever's shapes within .002.
+within 3e-5 of the exact ones (1e-8 if all edges are clamped), a cantilever's shapes within .002.
 
 Two measures preserve precision up to degree 60. In each direction the functions are transformed to diagonalise both
 mass and bending, so that the stiffness, scaled to a unit diagonal, is well conditioned. The eigenvalue is
@@ -112,11 +112,11 @@ class PolynomialShapes:
     @classmethod
     def of(cls, coefficients: list[Floats], order: Indices) -> PolynomialShapes:
         """Return the shapes from the coefficients of each symmetry; `order` lists the modes in their final order."""
-        place = np.empty(order.size, dtype=np.intp)
-        place[order] = np.arange(order.size)
+        rank = np.empty(order.size, dtype=np.intp)
+        rank[order] = np.arange(order.size)
         symmetries, start = [], 0
         for cube in coefficients:
-            modes = place[start : start + cube.shape[2]]
+            modes = rank[start : start + cube.shape[2]]
             start += cube.shape[2]
             along, across = (index.ravel() for index in np.indices(cube.shape[:2]))
             table = cube.reshape(along.size, modes.size)
@@ -164,14 +164,14 @@ class PanelShapes:
 
 def on_panel(name: str, value: ArrayLike, extent: float) -> Floats:
     """Return positions on the panel as a fraction of its side, or raise `InvalidValue`."""
-    place = validation.real(name, value, "m")
-    off = np.flatnonzero((place < 0) | (place > extent))
+    position = validation.real(name, value, "m")
+    off = np.flatnonzero((position < 0) | (position > extent))
     if off.size:
-        index = f" at index {off[0]}" if place.ndim else ""
+        index = f" at index {off[0]}" if position.ndim else ""
         raise InvalidValue(
-            f"{name} must be on the beam, from 0 to {extent:g} m, got {place.ravel()[off[0]]:g} m{index}"
+            f"{name} must be on the beam, from 0 to {extent:g} m, got {position.ravel()[off[0]]:g} m{index}"
         )
-    return place / extent
+    return position / extent
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,21 +205,21 @@ def _integrated(series: Floats) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def _line(number: int, held: str) -> tuple[_Line, ...]:
+def _line(number: int, clamped_ends: str) -> tuple[_Line, ...]:
     """Return `number` functions, even and odd ones separately if the line is symmetric."""
-    # Value and slope are 0 where the line is held: at "both" ends, the "start", or "none". The second derivatives are
+    # Value and slope are 0 at clamped ends: "both", the "start", or "none". The second derivatives are
     # Legendre polynomials, transformed to diagonalise the integrals of f f as well.
     # From degree 2 on, the integrals of P_n from -1 also vanish at +1.
-    degrees = np.arange(number) + (2 if held == "both" else 0)
+    degrees = np.arange(number) + (2 if clamped_ends == "both" else 0)
     bends = np.zeros((degrees[-1] + 1, number))
     bends[degrees, np.arange(number)] = np.sqrt(degrees + 0.5)
     functions = _integrated(_integrated(bends))
-    if held == "none":
+    if clamped_ends == "none":
         functions[:2] = 0.0  # bending only; rigid-body motions are added below
-    parts = [functions] if held == "start" else [functions[:, 0::2], functions[:, 1::2]]
+    parts = [functions] if clamped_ends == "start" else [functions[:, 0::2], functions[:, 1::2]]
     for parity, part in enumerate(parts):
         parts[parity] = part @ eigh(_Line(part).integrals[0])[1]
-        if held == "none":
+        if clamped_ends == "none":
             rigid = np.zeros((len(part), 1))
             rigid[parity] = math.sqrt(parity + 0.5)
             parts[parity] = np.hstack([rigid, parts[parity]])
@@ -256,7 +256,7 @@ class _Panel:
     def modes(self, highest: float) -> tuple[Floats, Floats]:
         """Return the frequencies up to `highest` [rad/s] and the shapes (n_degrees_x, n_degrees_y, n_modes)."""
         scale, mass, stiffness = self._scaled()
-        # M v = K v / omega^2, so that the modes wanted are the largest eigenvalues, the most accurate ones.
+        # M v = K v / omega^2, so that the required modes are the largest eigenvalues, the most accurate ones.
         inverse, vectors = eigh(mass, stiffness)
         first = int(np.searchsorted(inverse, 1 / (highest * highest), side="right"))
         inverse, vectors = inverse[first:][::-1], vectors[:, first:][:, ::-1]
@@ -267,16 +267,16 @@ class _Panel:
 
 
 def ritz_modes(
-    rigidities: Rigidities, length: float, width: float, held: tuple[str, str], highest: float
+    rigidities: Rigidities, length: float, width: float, clamped_ends: tuple[str, str], highest: float
 ) -> tuple[Floats, PolynomialShapes]:
     """Return the natural frequencies up to `highest` [rad/s] and the shapes, with mean square 1/4."""
-    # `held` is as in `_line`, for x and y. BLAS takes one thread: its last digits depend on their number.
+    # `held` is as in `_line`, for x and y. BLAS uses one thread: its last digits depend on their number.
     with threadpool_limits(1, "blas"):
-        return _ritz_modes(rigidities, length, width, held, highest)
+        return _ritz_modes(rigidities, length, width, clamped_ends, highest)
 
 
 def _ritz_modes(
-    rigidities: Rigidities, length: float, width: float, held: tuple[str, str], highest: float
+    rigidities: Rigidities, length: float, width: float, clamped_ends: tuple[str, str], highest: float
 ) -> tuple[Floats, PolynomialShapes]:
     wave_number = [math.sqrt(highest * math.sqrt(rigidities.mass / d)) for d in (rigidities.along, rigidities.across)]
     numbers = [
@@ -285,21 +285,21 @@ def _ritz_modes(
     ]
 
     def panels() -> list[_Panel]:
-        lines = [_line(number, where) for number, where in zip(numbers, held, strict=True)]
+        lines = [_line(number, where) for number, where in zip(numbers, clamped_ends, strict=True)]
         return [_Panel(x, y, rigidities, length, width) for x in lines[0] for y in lines[1]]
 
     # A frequency just above the limit may fall below it as the degree rises.
     coarse = [panel.frequencies(1.001 * highest) for panel in panels()]
     while True:
         numbers = [number + _RISE for number in numbers]
-        found = [panel.modes(highest) for panel in panels()]
-        fine = [part for part, _ in found]
+        solutions = [panel.modes(highest) for panel in panels()]
+        fine = [part for part, _ in solutions]
         if all(_settled(*pair) for pair in zip(coarse, fine, strict=True)):
             break
         coarse = fine
     frequencies = np.concatenate(fine)
     order = np.argsort(frequencies, kind="stable")
-    return frequencies[order], PolynomialShapes.of([shapes for _, shapes in found], order)
+    return frequencies[order], PolynomialShapes.of([shapes for _, shapes in solutions], order)
 
 
 def _settled(coarse: Floats, fine: Floats) -> bool:

@@ -2,8 +2,8 @@
 
 The whole chain is linear, so it is one sum over poles: those of the beam's modes, and those of the sensor (mounting
 resonance, anti-alias filter). Each pole is a resonator driven by the force. During contact the resonators run on a grid
-fine enough for the force (`cgid.physics.driving`). After it each rings as one exponential, computed only at the
-recorder's samples. There is no internal sampling rate, so nothing is filtered and decimated.
+fine enough for the force (`cgid.physics.driving`). After it each decays as one exponential, computed only at the
+recorder's samples. There is no internal sampling rate, hence no filtering and decimation.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from cgid.validation import Complex, Floats
 
 __all__ = ["LowPass", "Resonance", "Response"]
 
-#: Quantities that a sensor on a beam measures: the number of time derivatives of the displacement.
+#: Quantities of a sensor on a beam, and the number of time derivatives of the displacement.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Quantity = Literal["force", "displacement", "velocity", "acceleration"]
 
-#: Relative distance below which a filter's pole is moved away from another pole, as their residues would be large and
-#: cancel. A mounting resonance may thus shift by up to .2 % if a mode has the same frequency.
-_APART = 1e-3
+#: Relative distance below which a filter's pole is moved away from another pole, since their residues would be large
+#: and cancel. So a mounting resonance may shift by up to .2 % if a mode has the same frequency.
+_MIN_DISTANCE = 1e-3
 #: Samples in the table of exponentials: with a hundred poles it fits into the cache.
 _TABLE = 256
 
@@ -94,8 +94,7 @@ class LowPass:
 class Response:
     """The linear path from a contact force to a recorder.
 
-    `InvalidValue` is raised for a force with modes, a motion without, or a force without filters: nothing would
-    respond.
+    `InvalidValue` is raised for a force with modes, a motion without, or a force without filters.
 
     Parameters
     ----------
@@ -128,7 +127,7 @@ class Response:
                 f"{'without' if self.modes is None else 'with'} modes"
             )
         if self.modes is None and not self.filters:
-            raise InvalidValue("filters must be at least 1 for a force: without any the recorder has the force itself")
+            raise InvalidValue("filters must be at least 1 for a force: the recording is the force itself")
 
     @property
     def n_modes(self) -> int:
@@ -138,14 +137,14 @@ class Response:
     @cached_property
     def poles(self) -> Complex:
         """All poles in the upper half-plane and on the real axis [rad/s], those of the modes first."""
-        found = [np.empty(0, complex)] if self.modes is None else [self.modes.poles]
+        poles_of_parts = [np.empty(0, complex)] if self.modes is None else [self.modes.poles]
         for poles in (part.poles for part in self.filters):
-            taken = np.concatenate(found)
+            taken = np.concatenate(poles_of_parts)
             for number, pole in enumerate(poles):
-                while taken.size and np.abs(taken - poles[number]).min() < _APART * np.abs(pole):
-                    poles[number] *= 1 + 1.01 * _APART
-            found.append(poles)
-        return np.concatenate(found)
+                while taken.size and np.abs(taken - poles[number]).min() < _MIN_DISTANCE * np.abs(pole):
+                    poles[number] *= 1 + 1.01 * _MIN_DISTANCE
+            poles_of_parts.append(poles)
+        return np.concatenate(poles_of_parts)
 
     @property
     def _filter_poles(self) -> Complex:
@@ -182,21 +181,21 @@ class Response:
     @cached_property
     def _loudness(self) -> Floats:
         """Loudness of each mode after an impact, for a participation of 1."""
-        # The gain of the filters is that for a steady tone: at the pole itself it may be unbounded.
+        # The gain of the filters is for a steady tone: at the pole itself it may be unbounded.
         assert self.modes is not None
         size, k = np.abs(self.modes.poles), DERIVATIVES[self.quantity]
         gain = np.abs(self._filtered(1j * size))
         return np.asarray(gain / size if k == 0 else gain if k == 1 else gain * size)
 
     def amplitudes(self, participation: Floats | None = None) -> tuple[Complex, Floats]:
-        """Return how strongly a force drives each pole, (n, n_poles), and the share that passes without delay, (n,).
+        """Return how strongly a force drives each pole, (n, n_poles), and the fraction that passes without delay, (n,).
 
         Participation is `shape(impact) shape(sensor) / modal mass` [1/kg], (n, n_modes), or None for a force.
         """
         residues, filters = self._residues
         if participation is None:
             return filters, np.zeros(1)
-        # Not by BLAS, whose last digits depend on the number of its threads.
+        # Not with BLAS, whose last digits depend on the number of threads.
         mixed = np.einsum("nm,mf->nf", participation, filters)
         passes = self.quantity == "acceleration" and not self.filters
         direct = participation.sum(axis=1) if passes else np.zeros(len(participation))
@@ -205,9 +204,9 @@ class Response:
     def frequency_response(self, frequencies: ArrayLike, participation: ArrayLike | None = None) -> Complex:
         """Return the complex response to a unit force at frequencies [Hz], (n_frequencies,), for `exp(+j omega t)`.
 
-        They may be complex, for a transform that decays. Participation is (n_modes,) [1/kg], or None for a force.
+        They may be complex, for a damped transform. Participation is (n_modes,) [1/kg], or None for a force.
 
-        At resonance one mode of 50 kg moves as far as its damping allows, a quarter period behind the force:
+        At resonance one mode of 50 kg lags a quarter period behind the force:
 
         >>> shape = np.sqrt([1 / 50.0])
         >>> mode = Modes(
@@ -225,19 +224,19 @@ class Response:
         return np.asarray(direct[0] + (half / (s - pole) + other).sum(axis=1))
 
     def audible(self, participation: Floats | None) -> NDArray[np.intp]:
-        """Return the poles that must run for these pulses, the longest ringing first.
+        """Return the poles needed for these pulses, the slowest decay first.
 
         The quietest modes are omitted as long as their sum stays below the tolerance, relative to the loudest mode, for
         every pulse.
         """
-        share = np.full(self.poles.size, np.inf)  # the poles of filters always run
+        loudness_ratio = np.full(self.poles.size, np.inf)  # the poles of filters are always needed
         if participation is not None:
             loudness = np.abs(participation) * self._loudness
             loudest = np.maximum(loudness.max(axis=1, keepdims=True), 1e-300)
-            share[: self.n_modes] = (loudness / loudest).max(axis=0)
-        quiet_first = np.argsort(share, kind="stable")
-        kept = quiet_first[np.searchsorted(np.cumsum(share[quiet_first]), self.tolerance, side="right") :]
-        return np.asarray(kept[np.argsort(-self.poles[kept].real, kind="stable")])
+            loudness_ratio[: self.n_modes] = (loudness / loudest).max(axis=0)
+        quiet_first = np.argsort(loudness_ratio, kind="stable")
+        audible = quiet_first[np.searchsorted(np.cumsum(loudness_ratio[quiet_first]), self.tolerance, side="right") :]
+        return np.asarray(audible[np.argsort(-self.poles[audible].real, kind="stable")])
 
     def add_to_frames(
         self,
@@ -252,26 +251,26 @@ class Response:
     ) -> None:
         """Add the response to n pulses to the recorder's frames (n_rows, n_samples), in place.
 
-        Each pulse has an onset [s] (it may precede its frame), a participation (n_modes,), a frame in `rows` (by
-        default its own; a frame may have several pulses) and a factor `ratio` of its force. The threads share the
+        Each pulse has an onset [s], which may precede its frame, a participation (n_modes,), a frame in `rows` (by
+        default one per pulse; a frame may have several pulses) and a factor `ratio` of its force. The threads share the
         frames.
         """
         from cgid.physics import _response
 
         n = len(onset)
         rows = np.arange(n) if rows is None else rows
-        chosen = self.audible(participation)
+        selected = self.audible(participation)
         amplitude, direct = self.amplitudes(participation)
-        amplitude = np.broadcast_to(amplitude[:, chosen], (n, chosen.size))
+        amplitude = np.broadcast_to(amplitude[:, selected], (n, selected.size))
         if ratio is not None:
             amplitude, direct = amplitude * ratio[:, None], direct * ratio
         parts = np.ascontiguousarray(np.stack([amplitude.real, amplitude.imag], axis=1))
         windows = Windows(pulses, onset, self.sampling_rate, self.tolerance)
         ringing = np.empty_like(parts)
-        turn = np.ascontiguousarray(self._rung[:, chosen, 1])
-        driven = self._driven(chosen, windows.strides)
+        turn = np.ascontiguousarray(self._exponentials[:, selected, 1])
+        driven = self._driven(selected, windows.strides)
         direct = np.ascontiguousarray(np.broadcast_to(direct, (n,)))
-        count("modes", int((chosen < self.n_modes).sum()))
+        count("modes", int((selected < self.n_modes).sum()))
         # Two threads must not add to the same frame.
         shared = [np.arange(n)] if np.unique(rows).size < n else np.array_split(np.arange(n), threads)
 
@@ -282,7 +281,7 @@ class Response:
             )  # fmt: skip
 
         in_parts(strike, shared, threads)
-        self._ring(frames, rows, windows.first + windows.count, ringing, chosen, threads)
+        self._ring(frames, rows, windows.first + windows.count, ringing, selected, threads)
 
     def _ring(
         self,
@@ -290,15 +289,15 @@ class Response:
         rows: NDArray[np.intp],
         start: NDArray[np.int64],
         ringing: Floats,
-        chosen: NDArray[np.intp],
+        selected: NDArray[np.intp],
         threads: int,
     ) -> None:
         from cgid.physics import _response
 
         order = np.lexsort((start, rows))
         begin = np.searchsorted(rows[order], np.arange(len(frames) + 1))
-        hop = np.ascontiguousarray(self._rung[:, chosen, _TABLE])
-        table = np.ascontiguousarray(self._rung[:, chosen, :_TABLE], frames.dtype)
+        hop = np.ascontiguousarray(self._exponentials[:, selected, _TABLE])
+        table = np.ascontiguousarray(self._exponentials[:, selected, :_TABLE], frames.dtype)
 
         def run(part: NDArray[np.intp]) -> int:
             some = slice(part[0], part[-1] + 1)
@@ -310,8 +309,8 @@ class Response:
 
         count("mode_samples", sum(in_parts(run, np.array_split(np.arange(len(frames)), threads), threads)))
 
-    def _driven(self, chosen: NDArray[np.intp], strides: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-        """Return the effect of a sample of each stride on the poles: polynomials, shares, and g1 of `_response`."""
+    def _driven(self, selected: NDArray[np.intp], strides: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+        """Return the effect of a sample of each stride on the poles: polynomials, weights, and g1 of `_response`."""
         # Shapes (n_levels, largest stride, n_polynomials), (n_levels, 2, n_polynomials, n_poles), (n_levels, 2,
         # n_poles).
         levels = [self._samples_of(stride) for stride in strides.tolist()]
@@ -319,12 +318,12 @@ class Response:
         for level, stride in enumerate(strides.tolist()):
             polynomials[level, :stride] = levels[level].polynomials
         # One memory layout: the kernel compiles for each.
-        shares = np.ascontiguousarray(np.stack([level.shares[:, :, chosen] for level in levels]))
-        return polynomials, shares, np.ascontiguousarray(np.stack([level.edge[:, chosen] for level in levels]))
+        weights = np.ascontiguousarray(np.stack([level.weights[:, :, selected] for level in levels]))
+        return polynomials, weights, np.ascontiguousarray(np.stack([level.edge[:, selected] for level in levels]))
 
     @cached_property
-    def _rung(self) -> Floats:
-        """Ringing of every pole over the table's samples and one more, (2, n_poles, `_TABLE` + 1)."""
+    def _exponentials(self) -> Floats:
+        """Exponential of every pole over the table's samples and one more, (2, n_poles, `_TABLE` + 1)."""
         grown = np.exp((self.poles / self.sampling_rate)[:, None] * np.arange(_TABLE + 1))
         return np.stack([grown.real, grown.imag])
 
@@ -333,11 +332,11 @@ class Response:
         return polynomials_for(float(np.abs(self.poles).max()) / self.sampling_rate, self.tolerance)
 
     @cached_property
-    def _kept(self) -> dict[int, DrivenSample]:
+    def _driven_samples(self) -> dict[int, DrivenSample]:
         return {}
 
     def _samples_of(self, stride: int) -> DrivenSample:
         """Return the effect of a sample of this many steps on all poles, cached."""
-        if stride not in self._kept:
-            self._kept[stride] = DrivenSample(self.poles, self.sampling_rate, stride, self._n_polynomials)
-        return self._kept[stride]
+        if stride not in self._driven_samples:
+            self._driven_samples[stride] = DrivenSample(self.poles, self.sampling_rate, stride, self._n_polynomials)
+        return self._driven_samples[stride]

@@ -31,11 +31,11 @@ def shares_of_contact(n_points: int) -> Floats:
 
 def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, shares: ArrayLike, knots: int = 8) -> Floats:
     """Return the force [N] of one noisy pulse at fractions of its contact: a cubic spline by least squares."""
-    # Eight knots follow a damped impact within .3 % of its peak, and remove the force steps of a mesh.
+    # Eight knots fit a damped impact within .3 % of its peak, and remove the force steps of a mesh.
     from scipy.interpolate import BSpline
 
-    since, course = validation.real("times", times, "s"), validation.real("forces", forces, "N")
-    _require_course(since, course)
+    since, values = validation.real("times", times, "s"), validation.real("forces", forces, "N")
+    _require_samples(since, values)
     lasts = validation.number("contact_duration", contact_duration, "s", validation.positive)
     inside = (since > 0) & (since < lasts)
     if inside.sum() < 2 * (knots + MIN_POINTS):
@@ -48,26 +48,26 @@ def smoothed(times: ArrayLike, forces: ArrayLike, contact_duration: float, share
     basis = BSpline.design_matrix(_angle(since[inside] / lasts), ends, _CUBIC).toarray()
     # The first and last coefficients are the values at onset and separation: 0.
     coefficients = np.zeros(basis.shape[1])
-    coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], course[inside])
+    coefficients[1:-1], _, rank, _ = np.linalg.lstsq(basis[:, 1:-1], values[inside])
     if rank < coefficients.size - 2:
-        raise InvalidValue(f"times must be all over the contact for {knots} knots, and leave a part of it empty")
+        raise InvalidValue(f"times must cover the contact for {knots} knots, and leave a part of it empty")
     spline = BSpline(ends, coefficients, _CUBIC)
     return np.asarray(np.maximum(spline(_angle(validation.real("shares", shares))), 0.0))
 
 
-def _angle(share: Floats) -> Floats:
+def _angle(fraction: Floats) -> Floats:
     """Return `arccos(1 - 2 share)`, by Newton's method for half of it, whose sine is the root of the share."""
-    late = share > 0.5
-    sine = np.sqrt(np.where(late, 1 - share, share))
+    late = fraction > 0.5
+    sine = np.sqrt(np.where(late, 1 - fraction, fraction))
     square = sine * sine
     half = sine * (1 + square * (1 / 6 + square * (3 / 40 + square * 15 / 336)))
     for _ in range(3):
-        found, slope = np.sin(half), np.cos(half)
-        half = half - (found - sine) / slope
+        sine_now, slope = np.sin(half), np.cos(half)
+        half = half - (sine_now - sine) / slope
     return np.where(late, np.pi - 2 * half, 2 * half)
 
 
-def _require_course(times: Floats, forces: Floats) -> None:
+def _require_samples(times: Floats, forces: Floats) -> None:
     if times.ndim != 1 or forces.shape != times.shape:
         raise InvalidValue(f"forces must be one for each of the times, got shape {forces.shape} for {times.shape}")
     falls = np.flatnonzero(np.diff(times) <= 0)
@@ -139,8 +139,8 @@ class SampledPulses:
         knots, largest = self._angles, np.argmax(self.forces, axis=1)
         low, high = knots[np.maximum(largest - 1, 0)], knots[np.minimum(largest + 1, knots.size - 1)]
         around = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 2 * _FINER + 1)
-        found = [self._curve(row, angles).max() for row, angles in enumerate(around)]
-        return np.asarray(np.maximum(np.array(found, np.float64), self.forces.max(axis=1)))
+        peaks = [self._curve(row, angles).max() for row, angles in enumerate(around)]
+        return np.asarray(np.maximum(np.array(peaks, np.float64), self.forces.max(axis=1)))
 
     @property
     def impulse(self) -> Floats:
@@ -192,12 +192,12 @@ class SampledPulses:
         """
         count("sampled_pulses", len(frames))
         rate = np.broadcast_to(validation.positive("sampling_rate", sampling_rate, "Hz"), (len(self),))
-        place = np.broadcast_to(validation.real("onset", onset, "s"), (len(self),)) * rate
+        start = np.broadcast_to(validation.real("onset", onset, "s"), (len(self),)) * rate
         length = self.contact_duration * rate
-        first = np.clip(np.floor(place) + 1, 0, frames.shape[1]).astype(np.intp)
-        behind = np.clip(np.ceil(place + length), first, frames.shape[1]).astype(np.intp)
+        first = np.clip(np.floor(start) + 1, 0, frames.shape[1]).astype(np.intp)
+        behind = np.clip(np.ceil(start + length), first, frames.shape[1]).astype(np.intp)
         for row, frame in enumerate(frames):
-            share = (np.arange(first[row], behind[row]) - place[row]) / length[row]
+            share = (np.arange(first[row], behind[row]) - start[row]) / length[row]
             frame[first[row] : behind[row]] += self._curve(row, _angle(np.clip(share, 0, 1)))
 
     @cached_property

@@ -2,7 +2,7 @@
 
 There are two measures of sensitivity. The local one, `d ln P / d ln X`, is the percentage change of the response for a
 1 % change of the parameter: a property of the impact alone. The influence over a range, as in Yang, Zeng & Wan (2018),
-section 4, varies one parameter over a range and holds the others: it depends as much on the range as on the impact.
+section 4, varies one parameter over a range and fixes the others: it depends as much on the range as on the impact.
 
 Where restitution is a result (viscoelastic sphere, thin plate), `dissipative_constant` and `plate_thickness` invert it.
 For Hunt-Crossley damping the inverse has a closed form, `cgid.physics.closed_forms.damping_number`.
@@ -38,7 +38,7 @@ PARAMETERS = {
 _OF_TARGET = "target_"
 #: Search bounds of zeta, lambda and L over yield displacement: from negligible loss to restitutions of 1e-5 or 1e-6.
 _ZETA, _LAMBDA, _OVER_DEPTH = (1e-17, 1e3), (1e-17, 15.0), (0.9, 1e16)
-#: Of the curves that are searched.
+#: Tolerance of the curves during the search.
 _TOLERANCE = 1e-12
 
 
@@ -59,7 +59,7 @@ class Sensitivity:
 def local_sensitivity(impact: Impact) -> Sensitivity:
     """Return `d ln P_max / d ln X` and `d ln delta_max / d ln X` for every parameter X, in closed form.
 
-    With the share `s_i = c_i / (c_1 + c_2)` of each body in the compliance, `c_i = (1 - nu_i^2) / E_i`, they follow
+    With the fraction `s_i = c_i / (c_1 + c_2)` of each body in the compliance, `c_i = (1 - nu_i^2) / E_i`, they follow
     from `P ~ R^2 rho^(3/5) c^(-2/5)` and `delta ~ R rho^(2/5) c^(2/5)` (Yang, Zeng & Wan 2018, Eq. 17-18): R: 2 and 1;
     rho: 3/5 and 2/5; E_i: 2/5 s_i and -2/5 s_i; nu_i: 4/5 s_i nu_i^2 / (1 - nu_i^2) and its negative. Stiffness theory,
     velocity and restitution cancel if held constant.
@@ -100,27 +100,27 @@ def local_sensitivity(impact: Impact) -> Sensitivity:
     if not isinstance(impact.dissipation, Elastic | HuntCrossley):
         raise InvalidValue(
             "dissipation must be Elastic or HuntCrossley for local sensitivities, got "
-            f"{type(impact.dissipation).__name__}; range_influence serves any"
+            f"{type(impact.dissipation).__name__}; range_influence works for any"
         )
     if np.any(impact.gravity):
-        raise InvalidValue("gravity must be 0 for local sensitivities; range_influence serves any")
+        raise InvalidValue("gravity must be 0 for local sensitivities; range_influence works for any")
     materials = _materials(impact)
     shape = np.broadcast_shapes(*(np.shape(value) for value in parameters_of(impact).values()))
     total = sum(material.plane_strain_compliance for material in materials.values())
     force: dict[str, ArrayLike] = {"radius": 2.0, "density": 0.6}
     displacement: dict[str, ArrayLike] = {"radius": 1.0, "density": 0.4}
     for body, material in materials.items():
-        share = material.plane_strain_compliance / total
+        fraction = material.plane_strain_compliance / total
         square = np.square(np.asarray(material.poisson_ratio, np.float64))
-        force[f"{body}youngs_modulus"] = 0.4 * share
-        force[f"{body}poisson_ratio"] = 0.8 * share * square / (1 - square)
+        force[f"{body}youngs_modulus"] = 0.4 * fraction
+        force[f"{body}poisson_ratio"] = 0.8 * fraction * square / (1 - square)
         for name in (f"{body}youngs_modulus", f"{body}poisson_ratio"):
             displacement[name] = -np.asarray(force[name])
     return Sensitivity(_filled(force, shape), _filled(displacement, shape))
 
 
 def range_influence(impact: Impact, ranges: Mapping[str, ArrayLike]) -> Sensitivity:
-    """Return the effect of each range on the responses, `largest / smallest - 1`, with the other parameters held.
+    """Return the effect of each range on the responses, `largest / smallest - 1`, with the other parameters fixed.
 
     Parameters
     ----------
@@ -197,23 +197,23 @@ def response_grid(impact: Impact, parameters: Mapping[str, ArrayLike]) -> Impact
     """
     validation.instance("impact", impact, Impact)
     validation.instance("parameters", parameters, Mapping)
-    held = parameters_of(impact)
+    parameters_held = parameters_of(impact)
     if not parameters:
-        raise InvalidValue("parameters must name at least one of " + ", ".join(held))
+        raise InvalidValue("parameters must name at least one of " + ", ".join(parameters_held))
     if impact.peak_force.ndim:
         raise InvalidValue(f"impact must be a single one, its numbers have shape {impact.peak_force.shape}")
     axes: dict[str, Floats] = {}
     for name, values in parameters.items():
-        validation.choice("parameter", name, tuple(held))
+        validation.choice("parameter", name, tuple(parameters_held))
         axes[name] = validation.real(name, values, PARAMETERS[name])
         if axes[name].ndim != 1 or axes[name].size == 0:
             raise InvalidValue(f"{name} must be a row of values, got shape {axes[name].shape}")
     grids = np.meshgrid(*axes.values(), indexing="ij")
-    return _changed(impact, {**held, **dict(zip(axes, grids, strict=True))})
+    return _changed(impact, {**parameters_held, **dict(zip(axes, grids, strict=True))})
 
 
 def _materials(impact: Impact) -> dict[str, Material]:
-    """Return the materials that deform, by the prefix of their parameters."""
+    """Return the deformable materials, by the prefix of their parameters."""
     if isinstance(impact.target, RigidWall):
         return {"": impact.sphere.material}
     if isinstance(impact.target, HalfSpace):
@@ -259,7 +259,7 @@ def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
     restitution : array_like
         Below 1, below the restitution of a thin plate if it is the target, and above about 1e-5.
     impact : Impact
-        Bodies, velocity and stiffness; its own dissipation is replaced.
+        Bodies, velocity and stiffness; its dissipation is replaced.
 
     Returns
     -------
@@ -290,7 +290,7 @@ def dissipative_constant(restitution: ArrayLike, impact: Impact) -> Floats:
         of = elastic.curves.taken(rows)
         return Curves(Viscoelastic, zeta[:, None], of.inelasticity, of.weight, _TOLERANCE)
 
-    zeta = _sought(restitution, elastic, curves, _ZETA)
+    zeta = _solve(restitution, elastic, curves, _ZETA)
     return zeta * elastic.time_scale
 
 
@@ -302,7 +302,7 @@ def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
     restitution : array_like
         Below the restitution of the material alone (1 if elastic) and above about 1e-6.
     impact : Impact
-        On a thin plate, whose own thickness is replaced.
+        On a thin plate, whose thickness is replaced.
 
     Returns
     -------
@@ -322,7 +322,7 @@ def plate_thickness(restitution: ArrayLike, impact: Impact) -> Floats:
         return replace(on_half_space.curves.taken(rows), inelasticity=inelasticity, tolerance=_TOLERANCE)
 
     # lambda = m / (Z T0), and Z is proportional to the square of the thickness.
-    inelasticity = _sought(restitution, on_half_space, curves, _LAMBDA)
+    inelasticity = _solve(restitution, on_half_space, curves, _LAMBDA)
     impedance = on_half_space.reduced_mass / (inelasticity * on_half_space.time_scale)
     return np.sqrt(impedance / impedance_of_unit_thickness(impact.target.material))
 
@@ -335,7 +335,7 @@ def yield_pressure(restitution: ArrayLike, impact: Impact) -> Floats:
     restitution : array_like
         Below 1 and above about 1e-5.
     impact : Impact
-        Bodies, velocity and stiffness; its own dissipation is replaced. No thin plate, no gravity.
+        Bodies, velocity and stiffness; its dissipation is replaced. No thin plate, no gravity.
 
     Returns
     -------
@@ -361,7 +361,7 @@ def yield_pressure(restitution: ArrayLike, impact: Impact) -> Floats:
     validation.instance("impact", impact, Impact)
     if np.any(impact.inelasticity) or np.any(impact.weight):
         raise InvalidValue(
-            "target must be one that takes no energy, and gravity 0, for the yield pressure of a restitution, got "
+            "target must have no losses, and gravity must be 0, for the yield pressure of a restitution, got "
             f"{type(impact.target).__name__}; take a HalfSpace, and leave gravity out"
         )
     # At a yield pressure of the modulus nothing yields.
@@ -370,11 +370,11 @@ def yield_pressure(restitution: ArrayLike, impact: Impact) -> Floats:
     def curves(over_depth: Floats, rows: NDArray[np.intp]) -> Curves:
         return thornton_curves(1 / over_depth)
 
-    depth = elastic.length_scale / _sought(restitution, elastic, curves, _OVER_DEPTH)
+    depth = elastic.length_scale / _solve(restitution, elastic, curves, _OVER_DEPTH)
     return np.asarray(1.5 * elastic.contact_stiffness * np.sqrt(depth) / (np.pi * elastic.reduced_radius))
 
 
-def _sought(
+def _solve(
     restitution: ArrayLike,
     impact: Impact,
     curves: Callable[[Floats, NDArray[np.intp]], Curves],
@@ -383,29 +383,29 @@ def _sought(
     """Return the loss parameter that gives the restitution, in the broadcast shape of restitution and impact."""
     from scipy.optimize import elementwise
 
-    wanted, lossless = validation.broadcast(
+    requested, lossless = validation.broadcast(
         restitution=validation.restitution("restitution", restitution), impact=impact.restitution
     )
-    rows = np.broadcast_to(np.arange(impact.restitution.size).reshape(impact.restitution.shape), wanted.shape)
+    rows = np.broadcast_to(np.arange(impact.restitution.size).reshape(impact.restitution.shape), requested.shape)
 
-    def excess(logarithm: Floats, wanted: Floats, rows: NDArray[np.intp]) -> Floats:
-        return curves(np.exp(logarithm).ravel(), rows.ravel()).rebound.reshape(wanted.shape) - wanted
+    def excess(logarithm: Floats, requested: Floats, rows: NDArray[np.intp]) -> Floats:
+        return curves(np.exp(logarithm).ravel(), rows.ravel()).rebound.reshape(requested.shape) - requested
 
-    low, high = (np.full(wanted.shape, np.log(bound)) for bound in between)
-    least = wanted + excess(high, wanted, rows)
-    unreachable = (wanted >= lossless) | (wanted <= least)
+    low, high = (np.full(requested.shape, np.log(bound)) for bound in between)
+    lowest = requested + excess(high, requested, rows)
+    unreachable = (requested >= lossless) | (requested <= lowest)
     if unreachable.any():
         raise InvalidValue(
-            f"restitution must be between {least[unreachable][0]:.3g} and {lossless[unreachable][0]:.6g}, which the "
-            f"impact has without this loss, got {wanted[unreachable][0]:g}"
+            f"restitution must be between {lowest[unreachable][0]:.3g} and {lossless[unreachable][0]:.6g}, which the "
+            f"impact has without this loss, got {requested[unreachable][0]:g}"
         )
-    found = np.asarray(elementwise.find_root(excess, (low, high), args=(wanted, rows)).x)
-    # With gravity the restitution drops to 0 abruptly, where the sphere stays on the target.
-    missed = np.abs(excess(found, wanted, rows)) > 1e-9 * wanted
+    logarithm_found = np.asarray(elementwise.find_root(excess, (low, high), args=(requested, rows)).x)
+    # With gravity the restitution drops to 0 abruptly when the sphere stays on the target.
+    missed = np.abs(excess(logarithm_found, requested, rows)) > 1e-9 * requested
     if missed.any():
-        last = wanted + excess(found - 1e-9, wanted, rows)
+        last = requested + excess(logarithm_found - 1e-9, requested, rows)
         raise InvalidValue(
-            f"restitution must be {last[missed][0]:.3g} or more, for with more loss gravity holds the sphere on the "
-            f"target, got {wanted[missed][0]:g}"
+            f"restitution must be {last[missed][0]:.3g} or more, since with more loss the sphere stays on the target, "
+            f"got {requested[missed][0]:g}"
         )
-    return np.asarray(np.exp(found))
+    return np.asarray(np.exp(logarithm_found))

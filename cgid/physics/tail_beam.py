@@ -19,7 +19,7 @@ from cgid.validation import Floats
 
 __all__ = ["Ribs", "TailBeam"]
 
-#: Ends along x and y where value and slope are 0, by type of edges; None has a closed form.
+#: Clamped ends along x and y by type of edges; None has a closed form.
 EDGES: dict[str, tuple[str, str] | None] = {
     "simply-supported": None,
     "clamped": ("both", "both"),
@@ -98,13 +98,13 @@ class TailBeam:
     material : Material
         Its constants are scalars.
     length : float [m]
-        Along x, from the held edge of a cantilever to its free one.
+        Along x, from the clamped edge of a cantilever to its free edge.
     width : float [m]
         Along y.
     thickness : float [m]
         Of the skin.
     edges : {"simply-supported", "clamped", "cantilever"}
-        All four edges simply supported or clamped, or one edge held, at x = 0.
+        All four edges simply supported or clamped, or one edge clamped, at x = 0.
     damping_ratio : float
         Damping ratio of every mode, above 0 and below 1.
     ribs : Ribs, optional
@@ -143,14 +143,14 @@ class TailBeam:
             object.__setattr__(self, name, validation.number(name, getattr(self, name), "m", validation.positive))
         damping = validation.number("damping_ratio", self.damping_ratio, rule=validation.damping_ratio)
         object.__setattr__(self, "damping_ratio", damping)
-        # Plain floats make the beam hashable, so that its modes are computed once.
+        # Plain floats make the beam hashable, so that its modes are cached.
         constants = ("density", "youngs_modulus", "poisson_ratio")
         plain = {name: validation.number(f"{name} of the beam", getattr(self.material, name)) for name in constants}
         object.__setattr__(self, "material", Material(**plain))
         if self.ribs is not None and self.ribs.thickness > self.rib_spacing:
             raise InvalidValue(
                 f"ribs must fit side by side: {self.ribs.number} of {self.ribs.thickness:g} m do not on a width of "
-                f"{self.width:g} m; take fewer or thinner ones"
+                f"{self.width:g} m; use fewer or thinner ones"
             )
 
     @property
@@ -175,7 +175,7 @@ class TailBeam:
 
     @property
     def skin(self) -> ThinPlate:
-        """The skin alone: the target of a short impact between two ribs."""
+        """The skin without ribs: the target of a short impact between two ribs."""
         return ThinPlate(material=self.material, thickness=self.thickness)
 
     @cached_property
@@ -228,13 +228,13 @@ class TailBeam:
         """Return `echo_time` for places as fractions of the sides, without checks."""
         omega = 2 * np.pi * frequency
         times = []
-        for share, extent, rigidity in (
+        for fraction, extent, rigidity in (
             (along, self.length, self.rigidities.along),
             (across, self.width, self.rigidities.across),
         ):
-            place = share * extent
+            position = fraction * extent
             velocity = 2 * np.sqrt(omega) * math.sqrt(math.sqrt(rigidity / self.mass_per_area))
-            times.append(2 * np.minimum(place, extent - place) / velocity)
+            times.append(2 * np.minimum(position, extent - position) / velocity)
         return np.minimum(*times)
 
     def modes(self, highest_frequency: float) -> Modes:
@@ -246,11 +246,11 @@ class TailBeam:
         `InvalidValue`.
         """
         highest = validation.number("highest_frequency", highest_frequency, "Hz", validation.positive)
-        expected, most = self.modal_density * highest, MAX_RITZ_MODES if EDGES[self.edges] else MAX_MODES
-        if expected > most:
+        expected, limit = self.modal_density * highest, MAX_RITZ_MODES if EDGES[self.edges] else MAX_MODES
+        if expected > limit:
             raise InvalidValue(
-                f"highest_frequency must leave at most {most} modes of a {self.edges} beam, {highest:g} Hz means about "
-                f"{expected:.0f}; take {most / self.modal_density:.3g} Hz or less"
+                f"highest_frequency must leave at most {limit} modes of a {self.edges} beam, {highest:g} Hz means "
+                f"about {expected:.0f}; take {limit / self.modal_density:.3g} Hz or less"
             )
         return modes_of(self, highest)
 
@@ -279,13 +279,13 @@ def smeared(material: Material, thickness: float, ribs: Ribs | None, spacing: fl
 @lru_cache(maxsize=16)
 def modes_of(beam: TailBeam, highest: float) -> Modes:
     """Return the modes up to a frequency [Hz]; those of the last beams are kept."""
-    held = EDGES[beam.edges]
+    clamped = EDGES[beam.edges]
     frequency: Floats
     shapes: SineShapes | PolynomialShapes
-    if held is None:
+    if clamped is None:
         frequency, shapes = _simply_supported(beam, highest)
     else:
-        omega, shapes = ritz_modes(beam.rigidities, beam.length, beam.width, held, 2 * math.pi * highest)
+        omega, shapes = ritz_modes(beam.rigidities, beam.length, beam.width, clamped, 2 * math.pi * highest)
         frequency = omega / (2 * math.pi)
     return Modes(
         frequency=frequency,
@@ -300,11 +300,11 @@ def _simply_supported(beam: TailBeam, highest: float) -> tuple[Floats, SineShape
     """Return the frequencies [Hz] and shapes of Navier's solution (Timoshenko & Woinowsky-Krieger 1959, section 85)."""
     # `omega^2 = pi^4 / m (Dx (i/a)^4 + 2 H (i j / (a b))^2 + Dy (j/b)^4)`
     rigidities, sides = beam.rigidities, (beam.length, beam.width)
-    most = [
+    max_indices = [
         math.floor(extent / math.pi * math.sqrt(2 * math.pi * highest * math.sqrt(rigidities.mass / rigidity)))
         for extent, rigidity in zip(sides, (rigidities.along, rigidities.across), strict=True)
     ]
-    along, across = (1 + index.ravel() for index in np.indices(most))
+    along, across = (1 + index.ravel() for index in np.indices(max_indices))
     p, q = (along / beam.length) ** 2, (across / beam.width) ** 2
     bending = rigidities.along * p**2 + 2 * rigidities.mixed * p * q + rigidities.across * q**2
     frequency = math.pi / 2 * np.sqrt(bending / rigidities.mass)

@@ -111,7 +111,7 @@ def problem_on_plate(target: Target, theory: str, population: Population, thickn
     sphere = _largest_sphere(population, population.youngs_modulus.extremes[1], poisson_ratio, sharp=False)
     velocity = _speeds(population)[1]
     # lambda = m / (Z T0) with T0 = (m / K)^(2/5) v^(-1/5) grows with all of these.
-    mass = float(sphere.mass_in_blow)
+    mass = float(sphere.impact_mass)
     factor = STIFFNESS_THEORIES[theory]
     stiffness = stiffness_of(reduced_radius(sphere, target), reduced_modulus(sphere, target), factor)
     inelasticity = float(np.power(mass, 0.6) * np.power(stiffness, 0.4) * np.power(velocity, 0.2) / target.impedance)
